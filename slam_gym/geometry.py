@@ -1,0 +1,134 @@
+"""SE(2): composition, inversion and transformation of points, each with its Jacobians.
+
+Notation of the stochastic-map literature: a ⊕ b is pose b, given in the frame of a, expressed in the frame in which a
+is given; ⊖a is the inverse. Poses are (3,) `[x m, y m, θ rad]`, points (2,) [m].
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.types import Array
+
+
+@compiled
+def wrap_angle(angle: float) -> float:
+    """`angle` [rad] brought into (−π, π]."""
+    wrapped = math.fmod(angle + math.pi, 2.0 * math.pi)
+    if wrapped <= 0.0:
+        wrapped += 2.0 * math.pi
+    return wrapped - math.pi
+
+
+@compiled
+def compose(a: Array, b: Array) -> Array:
+    """a ⊕ b for two poses (3,)."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    out = np.empty(3)
+    out[0] = a[0] + c * b[0] - s * b[1]
+    out[1] = a[1] + s * b[0] + c * b[1]
+    out[2] = wrap_angle(a[2] + b[2])
+    return out
+
+
+@compiled
+def compose_jacobians(a: Array, b: Array) -> tuple[Array, Array]:
+    """∂(a ⊕ b)/∂a and ∂(a ⊕ b)/∂b, each (3, 3)."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    ja, jb = np.eye(3), np.eye(3)
+    ja[0, 2] = -s * b[0] - c * b[1]
+    ja[1, 2] = c * b[0] - s * b[1]
+    jb[0, 0], jb[0, 1] = c, -s
+    jb[1, 0], jb[1, 1] = s, c
+    return ja, jb
+
+
+@compiled
+def inverse(a: Array) -> Array:
+    """⊖a for a pose (3,)."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    out = np.empty(3)
+    out[0] = -c * a[0] - s * a[1]
+    out[1] = s * a[0] - c * a[1]
+    out[2] = wrap_angle(-a[2])
+    return out
+
+
+@compiled
+def inverse_jacobian(a: Array) -> Array:
+    """∂(⊖a)/∂a, (3, 3)."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    j = np.zeros((3, 3))
+    j[0, 0], j[0, 1], j[0, 2] = -c, -s, s * a[0] - c * a[1]
+    j[1, 0], j[1, 1], j[1, 2] = s, -c, c * a[0] + s * a[1]
+    j[2, 2] = -1.0
+    return j
+
+
+@compiled
+def relative(a: Array, b: Array) -> Array:
+    """⊖a ⊕ b: pose b seen from pose a, both given in one frame."""
+    return compose(inverse(a), b)
+
+
+@compiled
+def transform(pose: Array, points: Array) -> Array:
+    """Points (m, 2) in the frame of `pose` → the frame in which `pose` is given, (m, 2)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    out = np.empty_like(points)
+    for i in range(points.shape[0]):
+        out[i, 0] = pose[0] + c * points[i, 0] - s * points[i, 1]
+        out[i, 1] = pose[1] + s * points[i, 0] + c * points[i, 1]
+    return out
+
+
+@compiled
+def transform_jacobians(pose: Array, point: Array) -> tuple[Array, Array]:
+    """∂(pose ⊕ point)/∂pose (2, 3) and /∂point (2, 2)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    jp, jx = np.zeros((2, 3)), np.empty((2, 2))
+    jp[0, 0], jp[0, 2] = 1.0, -s * point[0] - c * point[1]
+    jp[1, 1], jp[1, 2] = 1.0, c * point[0] - s * point[1]
+    jx[0, 0], jx[0, 1], jx[1, 0], jx[1, 1] = c, -s, s, c
+    return jp, jx
+
+
+@compiled
+def observe(pose: Array, points: Array) -> Array:
+    """⊖pose ⊕ points: points (m, 2) of the outer frame as seen from `pose`, (m, 2)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    out = np.empty_like(points)
+    for i in range(points.shape[0]):
+        dx, dy = points[i, 0] - pose[0], points[i, 1] - pose[1]
+        out[i, 0] = c * dx + s * dy
+        out[i, 1] = -s * dx + c * dy
+    return out
+
+
+@compiled
+def observe_jacobians(pose: Array, point: Array) -> tuple[Array, Array]:
+    """∂(⊖pose ⊕ point)/∂pose (2, 3) and /∂point (2, 2): the H of a point feature."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = point[0] - pose[0], point[1] - pose[1]
+    jp, jx = np.empty((2, 3)), np.empty((2, 2))
+    jp[0, 0], jp[0, 1], jp[0, 2] = -c, -s, -s * dx + c * dy
+    jp[1, 0], jp[1, 1], jp[1, 2] = s, -c, -c * dx - s * dy
+    jx[0, 0], jx[0, 1], jx[1, 0], jx[1, 1] = c, s, -s, c
+    return jp, jx
+
+
+@compiled
+def rotate_covariances(heading: float, covariances: Array) -> Array:
+    """C Σ Cᵀ with the rotation by `heading` [rad], for each of (m, 2, 2)."""
+    c, s = math.cos(heading), math.sin(heading)
+    out = np.empty_like(covariances)
+    for i in range(covariances.shape[0]):
+        a, b, d = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1]
+        cross = c * s * (a - d) + (c * c - s * s) * b
+        out[i, 0, 0] = c * c * a - 2.0 * c * s * b + s * s * d
+        out[i, 1, 1] = s * s * a + 2.0 * c * s * b + c * c * d
+        out[i, 0, 1] = out[i, 1, 0] = cross
+    return out
