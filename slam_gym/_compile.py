@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -73,9 +73,10 @@ def announce_compilation() -> None:
 
 def compiled(function: F) -> F:
     """njit(cache=True) into the folder above. IEEE arithmetic (no fastmath): results do not depend on optimisation."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(CACHE) if CACHE else before
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(CACHE) if CACHE else before
     try:
-        return numba.njit(cache=CACHE is not None, nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+        return cast(F, numba.njit(cache=CACHE is not None, nogil=True, error_model="numpy")(function))
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before

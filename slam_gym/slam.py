@@ -1,0 +1,125 @@
+"""Feature-based SLAM with a stochastic map, one step on one page: predict, associate, update, add, remember, maintain."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from slam_gym.association.compatibility import has_compatible
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.types import NONE, Associator, Hypothesis, IntArray, Locality, Odometry, Prediction, Scan, SlamStep
+from slam_gym.validation import check_odometry, check_scan
+
+Relocate = Callable[["Slam", Scan], Hypothesis | None]
+"""Called when pairings collapse. It may move the map's pose, and returns the hypothesis to go on with, or None."""
+
+
+@dataclass(frozen=True)
+class SlamSpec:
+    """Settings of a SLAM run."""
+
+    map: MapSpec = field(default_factory=MapSpec)
+    reach: float = 6.0  # [m] features predicted within this distance are offered to the associator
+    locality: bool = True  # offer covisibility localities to the associator
+    recent: int = 5  # [scans] whose pairings define the locality to look in first
+    collapse: float = 0.2  # share of a scan's measurements that must be paired …
+    collapse_scans: int = 5  # … in at least one of so many consecutive scans, or relocation is called
+
+
+class Slam:
+    """A robot's map and pose estimate, and the step that updates them.
+
+    `associate` decides where measurements come from; `relocate`, if given, is asked when pairings collapse.
+    """
+
+    def __init__(self, spec: SlamSpec, associate: Associator, relocate: Relocate | None = None) -> None:
+        self.spec = spec
+        self.associate = associate
+        self.relocate = relocate
+        self.map = StochasticMap(spec.map)
+        self.covisibility = CovisibilityGraph()
+        self._recent: deque[IntArray] = deque(maxlen=spec.recent)
+        self._starved = 0
+
+    def step(self, odometry: Odometry, scan: Scan, associate: Associator | None = None) -> SlamStep:
+        """Move by `odometry`, then learn from `scan`. `associate` overrides the run's associator for this step.
+
+        Raises ValueError, before anything is changed, for non-finite numbers or covariances that are not PSD.
+        """
+        check_odometry(odometry)
+        check_scan(scan)
+        self.map.predict(odometry)
+        prediction = self.predict_features()
+        hypothesis = (associate or self.associate)(scan, prediction)
+        if self._collapsed(scan, hypothesis) and self.relocate is not None:
+            hypothesis = self.relocate(self, scan) or hypothesis
+        new = self.new_features(scan, prediction, hypothesis)
+        self.map.update(scan, hypothesis.features)
+        created = self.map.add(scan, new)
+        return self._remember(prediction, hypothesis, new, created)
+
+    def predict_features(self) -> Prediction:
+        """What should be seen from the predicted pose, with the localities to search first."""
+        prediction = self.map.prediction(self.spec.reach)
+        if not self.spec.locality:
+            return prediction
+        rows = prediction.features
+        recent = np.concatenate(self._recent) if self._recent else np.empty(0, np.int64)
+        locality = Locality(
+            near=self.covisibility.local_to(recent)[rows],
+            among=lambda chosen: self.covisibility.among(rows[chosen]),
+        )
+        return dataclasses.replace(prediction, locality=locality)
+
+    def new_features(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> IntArray:
+        """Measurements that start a feature: unpaired *and* individually compatible with nothing in the map.
+
+        Those that are compatible but unpaired are discarded: they are more likely mapped features than new ones.
+        """
+        unpaired = hypothesis.features == NONE
+        if not unpaired.any():
+            return np.empty(0, np.int64)
+        return np.flatnonzero(unpaired & ~has_compatible(scan, prediction, self.spec.map.confidence))
+
+    def _remember(self, prediction: Prediction, hypothesis: Hypothesis, new: IntArray, created: IntArray) -> SlamStep:
+        """Covisibility of what was seen together, maintenance, and the record of the step."""
+        features = hypothesis.features.copy()
+        features[new] = created
+        seen = features[features != NONE]
+        ids = np.full(len(features), NONE, np.int64)
+        ids[features != NONE] = self.map.ids[seen]
+        self.covisibility.add(len(created))
+        self.covisibility.see_together(seen)
+        self._recent.append(seen)
+        removed = self._maintain()
+        made = np.zeros(len(features), np.bool_)
+        made[new] = True
+        return SlamStep(prediction, hypothesis, ids, made, removed)
+
+    def _maintain(self) -> IntArray:
+        """Drop features that were never confirmed; everything indexed by feature is renumbered. Returns their ids."""
+        unconfirmed = self.map.unconfirmed()
+        removed = self.map.ids[unconfirmed]
+        if len(unconfirmed):
+            count = self.map.n
+            kept = self.map.remove(unconfirmed)
+            self.covisibility.keep(kept)
+            renumbered = np.full(count, NONE, np.int64)
+            renumbered[kept] = np.arange(len(kept))
+            for position, features in enumerate(self._recent):
+                still = renumbered[features]
+                self._recent[position] = still[still != NONE]
+        self.map.end_of_step()
+        return removed
+
+    def _collapsed(self, scan: Scan, hypothesis: Hypothesis) -> bool:
+        """Too few pairings, for too many scans in a row, in a map that should have given some."""
+        paired = int((hypothesis.features != NONE).sum())
+        enough = len(scan) == 0 or self.map.n == 0 or paired >= self.spec.collapse * len(scan)
+        self._starved = 0 if enough else self._starved + 1
+        return self._starved >= self.spec.collapse_scans
