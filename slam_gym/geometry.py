@@ -17,7 +17,7 @@ from slam_gym.types import Array
 @compiled
 def wrap_angle(angle: float) -> float:
     """`angle` [rad] brought into (−π, π]."""
-    wrapped = math.fmod(angle + math.pi, 2.0 * math.pi)
+    wrapped = (angle + math.pi) % (2.0 * math.pi)
     if wrapped <= 0.0:
         wrapped += 2.0 * math.pi
     return wrapped - math.pi
