@@ -1,0 +1,326 @@
+"""FloorPlan: walls, point features, rooms, doors, furniture. Pure data in the world frame W, JSON in and out.
+
+A plan is checked when it is built: what it holds is finite, of sane size and refers to nothing that is missing.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slam_gym.types import Array, BoolArray, IntArray
+
+MAX_EXTENT = 2_000.0  # [m] longest side of a plan, and farthest coordinate from the origin
+MAX_SIZE = 100.0  # [m] largest feature, door or piece of furniture
+FORMAT, VERSION = "slam_gym floor plan", 1
+_SAME_POINT = 1e-3  # [m] features closer than this are one feature
+
+
+class FloorPlanError(ValueError):
+    """A floor plan that cannot be: names the field, the reason and, when it was read from one, the file."""
+
+    def __init__(self, field: str, reason: str, file: str | None = None) -> None:
+        super().__init__(field, reason, file)
+        self.field, self.reason, self.file = field, reason, file
+
+    def __str__(self) -> str:
+        return ": ".join(part for part in (self.file, self.field, self.reason) if part)
+
+
+class Kind(IntEnum):
+    """What a point feature is."""
+
+    CORNER = 0  # where two wall faces meet
+    DOOR_JAMB = 1  # a corner that frames a door
+    PILLAR = 2  # the centre of a free-standing column
+
+
+def _array(field: str, value: ArrayLike, *columns: int) -> Array:
+    """`value` as a new float64 array (rows, *columns); FloorPlanError unless finite and of that shape."""
+    try:
+        raw = np.array(value)
+    except ValueError:  # rows of different lengths
+        raise FloorPlanError(field, "is not a table of numbers") from None
+    if raw.ndim and len(raw) == 0:
+        return np.zeros((0, *columns))
+    if raw.dtype.kind not in "iuf":
+        raise FloorPlanError(field, "is not a table of numbers")
+    array = np.array(raw, dtype=np.float64, order="C")
+    if array.ndim != 1 + len(columns) or array.shape[1:] != columns:
+        raise FloorPlanError(field, f"has shape {array.shape}, expected ({', '.join(map(str, ('n', *columns)))})")
+    _refuse(field, ~np.isfinite(array.reshape(len(array), -1)).all(axis=1), "is not finite")
+    return array
+
+
+def _refuse(field: str, bad: ArrayLike, reason: str) -> None:
+    """FloorPlanError naming the first row where `bad` (n,) holds."""
+    if np.any(bad):
+        raise FloorPlanError(f"{field}[{int(np.argmax(bad))}]", reason)
+
+
+def _refuse_sizes(field: str, sizes: Array) -> None:
+    _refuse(field, ~(sizes > 0.0) | (sizes > MAX_SIZE), f"is not in (0, {MAX_SIZE:g}] m")
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """The point features that a sensor may see, in no particular order; a feature is known by its index."""
+
+    positions: Array  # (N, 2) [m] W
+    kinds: IntArray  # (N,) values of `Kind`
+    sizes: Array  # (N,) [m] the intrinsic attribute: diameter of a pillar, width of a jamb's door, wall at a corner
+
+    def __post_init__(self) -> None:
+        positions = _array("features.positions", self.positions, 2)
+        sizes = _array("features.sizes", self.sizes)
+        kinds = _array("features.kinds", self.kinds)
+        if not len(positions) == len(kinds) == len(sizes):
+            raise FloorPlanError("features", f"{len(positions)} positions, {len(kinds)} kinds, {len(sizes)} sizes")
+        _refuse("features.kinds", ~np.isin(kinds, [kind.value for kind in Kind]), "is no known kind")
+        _refuse_sizes("features.sizes", sizes)
+        _, first = np.unique(np.round(positions / _SAME_POINT), axis=0, return_index=True)
+        _refuse("features.positions", ~np.isin(np.arange(len(positions)), first), "repeats another feature's position")
+        _set(self, positions=positions, kinds=kinds.astype(np.int64), sizes=sizes)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """A named region of the plan. Its outline is closed implicitly and may run either way round."""
+
+    name: str
+    polygon: Array  # (p, 2) [m] W
+
+    def __post_init__(self) -> None:
+        _set(self, polygon=_array(f"room {self.name!r}: polygon", self.polygon, 2))
+        if len(self.polygon) < 3 or self.area < 1e-3:
+            raise FloorPlanError(f"room {self.name!r}: polygon", "encloses no area")
+
+    @cached_property
+    def area(self) -> float:
+        """[m²], by the shoelace formula."""
+        x, y = (self.polygon - self.polygon[0]).T
+        return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+
+    def contains(self, points: Array) -> BoolArray:
+        """Which of `points` (m, 2) [m] lie inside: a ray to the right crosses the outline an odd number of times."""
+        a, b = self.polygon, np.roll(self.polygon, -1, axis=0)
+        x, y = points[:, 0, None], points[:, 1, None]
+        rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
+        crosses = (a[:, 1] > y) != (b[:, 1] > y)
+        right = x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise
+        return np.asarray(np.count_nonzero(crosses & right, axis=1) % 2 == 1)
+
+    @cached_property
+    def centre(self) -> Array:
+        """(2,) [m] the point inside that keeps farthest from the outline, among a grid of 33 × 33."""
+        low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
+        steps = (np.arange(33) + 1.0) / 34.0
+        grid = np.stack(np.meshgrid(*(low + steps[:, None] * (high - low)).T), axis=-1).reshape(-1, 2)
+        inside = grid[self.contains(grid)]
+        if len(inside) == 0:  # a sliver between the grid's points
+            return np.asarray(self.polygon[:3].mean(axis=0))
+        a = self.polygon
+        edge = np.roll(a, -1, axis=0) - a
+        squared = np.maximum(np.sum(edge * edge, axis=1), 1e-12)
+        closest = np.full(len(inside), np.inf)
+        for start, along, length in zip(a, edge, squared):
+            offset = inside - start
+            offset -= np.clip(offset @ along / length, 0.0, 1.0)[:, None] * along
+            np.minimum(closest, np.sum(offset * offset, axis=1), out=closest)
+        best: Array = inside[np.argmax(closest)]
+        return best
+
+
+@dataclass(frozen=True, eq=False)
+class Door:
+    """An opening between two rooms."""
+
+    position: Array  # (2,) [m] W, its middle
+    width: float  # [m] clear
+    rooms: tuple[str, str]  # names of the rooms that it joins
+
+    def __post_init__(self) -> None:
+        position = _array("door: position", [self.position], 2)[0]
+        _refuse_sizes("door: width", _array("door: width", [self.width]))
+        if len(self.rooms) != 2 or self.rooms[0] == self.rooms[1]:
+            raise FloorPlanError("door: rooms", f"{self.rooms!r} are not two different rooms")
+        _set(self, position=position, width=float(self.width), rooms=tuple(self.rooms))
+
+
+@dataclass(frozen=True, eq=False)
+class FloorPlan:
+    """One floor. Raises FloorPlanError, a ValueError naming the field, for anything that cannot be built."""
+
+    name: str
+    walls: Array  # (s, 4) [m] x₁ y₁ x₂ y₂ W
+    features: Features
+    rooms: tuple[Room, ...] = ()
+    doors: tuple[Door, ...] = ()
+    furniture: Array = ()  # type: ignore[assignment]  # (f, 5) [x m, y m, length m, width m, heading rad] at the start
+
+    def __post_init__(self) -> None:
+        walls, furniture = _array("walls", self.walls, 4), _array("furniture", self.furniture, 5)
+        _set(self, walls=walls, furniture=furniture, rooms=tuple(self.rooms), doors=tuple(self.doors))
+        if len(walls) == 0:
+            raise FloorPlanError("walls", "there are none, so nothing encloses the floor")
+        _refuse("walls", np.hypot(walls[:, 2] - walls[:, 0], walls[:, 3] - walls[:, 1]) < 1e-6, "has no length")
+        _refuse("walls", np.abs(walls).max(axis=1) > MAX_EXTENT, f"lies beyond {MAX_EXTENT:g} m from the origin")
+        low, high = self.bounds[:2] - 1.0, self.bounds[2:] + 1.0
+        if np.max(high - low) > MAX_EXTENT:
+            raise FloorPlanError("walls", f"the plan is longer than {MAX_EXTENT:g} m")
+        for sizes, side in zip(furniture[:, 2:4].T, ("length", "width")):
+            _refuse_sizes(f"furniture.{side}", sizes)
+        for field, points in (("features.positions", self.features.positions), ("furniture", furniture[:, :2])):
+            _refuse(field, ((points < low) | (points > high)).any(axis=1), "lies outside of all walls")
+        names = [room.name for room in self.rooms]
+        _refuse("rooms", np.array([names.index(name) < i for i, name in enumerate(names)], bool), "repeats a name")
+        for i, door in enumerate(self.doors):
+            if not set(door.rooms) <= set(names):
+                raise FloorPlanError(f"doors[{i}].rooms", f"{door.rooms!r} names an unknown room")
+
+    @cached_property
+    def bounds(self) -> Array:
+        """(4,) [m] x_min, y_min, x_max, y_max of the walls."""
+        ends = self.walls.reshape(-1, 2)
+        return np.concatenate([ends.min(axis=0), ends.max(axis=0)])
+
+
+def _set(record: object, **fields: object) -> None:
+    """Put the checked values into a frozen record that is still being built."""
+    for name, value in fields.items():
+        object.__setattr__(record, name, value)
+
+
+Generator = Callable[[np.random.Generator], FloorPlan]
+"""Draws a floor plan: the same plan from the same state of the random generator."""
+
+
+def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
+    """Write `plan` as JSON; `load_floor_plan` gives back exactly the same numbers."""
+    features = plan.features
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": plan.name,
+        "walls": plan.walls.tolist(),
+        "features": [
+            {"position": position.tolist(), "kind": Kind(kind).name.lower(), "size": float(size)}
+            for position, kind, size in zip(features.positions, features.kinds, features.sizes)
+        ],
+        "rooms": [{"name": room.name, "polygon": room.polygon.tolist()} for room in plan.rooms],
+        "doors": [
+            {"position": door.position.tolist(), "width": door.width, "rooms": list(door.rooms)} for door in plan.doors
+        ],
+        "furniture": [
+            dict(zip(("position", "length", "width", "heading"), ([x, y], length, width, heading)))
+            for x, y, length, width, heading in plan.furniture.tolist()
+        ],
+    }
+    Path(path).write_text(json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n", encoding="utf-8")
+
+
+def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorPlan:
+    """Read a floor plan: `.json` as written by `save_floor_plan`, a ROS map `.yaml`, or an occupancy image.
+
+    Images (`.pgm`, `.png`, `.npy`, `.npy.gz`) need their `resolution` [m/pixel]; a ROS map brings its own.
+    Raises FloorPlanError naming file, field and reason, FileNotFoundError, and ImportError naming the missing extra.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no floor plan file at {path}")
+    try:
+        if path.suffix == ".json":
+            return _parse(path.read_bytes())
+        from slam_gym.world.raster import read_raster  # images need the extra `maps`
+
+        return read_raster(path, resolution)
+    except FloorPlanError as error:
+        raise FloorPlanError(error.field, error.reason, str(path)) from None
+
+
+def _parse(content: bytes) -> FloorPlan:
+    def refuse_constant(name: str) -> NoReturn:
+        raise FloorPlanError("file", f"holds the number {name}, which is not finite")
+
+    try:
+        document = json.loads(content.decode("utf-8"), parse_constant=refuse_constant)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise FloorPlanError("file", f"is not JSON ({error})") from None
+    known = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
+    format_, version, name, walls, features, rooms, doors, furniture = _fields("file", document, *known)
+    if format_ != FORMAT or version != VERSION:
+        raise FloorPlanError("format, version", f"{format_!r}, {version!r}: expected {FORMAT!r}, {VERSION}")
+    _text("name", name)
+    return FloorPlan(
+        name,
+        walls,
+        _parse_features(features),
+        tuple(
+            Room(_text(f"{at}.name", name), outline) for at, name, outline in _rows("rooms", rooms, "name", "polygon")
+        ),
+        tuple(
+            Door(position, width, _pair(f"{at}.rooms", names))
+            for at, position, width, names in _rows("doors", doors, "position", "width", "rooms")
+        ),
+        np.array(
+            [
+                [*_array(f"{at}.position", [position], 2)[0], *_array(at, sizes)]
+                for at, position, *sizes in _rows("furniture", furniture, "position", "length", "width", "heading")
+            ]
+        ),
+    )
+
+
+def _parse_features(value: Any) -> Features:
+    rows = list(_rows("features", value, "position", "kind", "size"))
+    names = [kind.name.lower() for kind in Kind]
+    for at, _, kind, _ in rows:
+        if kind not in names:
+            raise FloorPlanError(f"{at}.kind", f"{kind!r}: known are {', '.join(names)}")
+    return Features(
+        _array("features.positions", [position for _, position, _, _ in rows], 2),
+        np.array([names.index(kind) for _, _, kind, _ in rows], dtype=np.int64),
+        _array("features.sizes", [size for _, _, _, size in rows]),
+    )
+
+
+def _fields(where: str, value: Any, *known: str) -> list[Any]:
+    """The values of a JSON object that has exactly the `known` keys, in that order."""
+    if not isinstance(value, dict):
+        raise FloorPlanError(where, "is not an object")
+    if unknown := sorted(set(value) - set(known)):
+        raise FloorPlanError(where, f"unknown key {unknown[0]!r}; known are {', '.join(known)}")
+    if missing := [key for key in known if key not in value]:
+        raise FloorPlanError(where, f"{missing[0]!r} is missing")
+    return [value[key] for key in known]
+
+
+def _rows(where: str, value: Any, *known: str) -> Iterator[list[Any]]:
+    """For each object of a JSON list: its place in the file, then the values of its `known` keys."""
+    if not isinstance(value, list):
+        raise FloorPlanError(where, "is not a list")
+    for i, row in enumerate(value):
+        yield [f"{where}[{i}]", *_fields(f"{where}[{i}]", row, *known)]
+
+
+def _pair(where: str, value: Any) -> tuple[str, str]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise FloorPlanError(where, "is not a pair of room names")
+    return _text(where, value[0]), _text(where, value[1])
+
+
+def _text(where: str, value: Any) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= 200:
+        raise FloorPlanError(where, "is not a text of 1 to 200 characters")
+    return value
