@@ -1,0 +1,174 @@
+"""The covisibility graph: which features were seen together, and how often.
+
+Two features are covisible when one scan saw both. Neighbours make a better locality than distance, since features close
+to each other on two sides of a wall are never seen together (Neira, Tardós and Castellanos 2003).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.types import BoolArray, IntArray
+
+_ROOM, _WIDTH = 64, 16  # nodes and neighbours to make room for at first
+
+
+class CovisibilityGraph:
+    """Undirected graph over the features 0 … n−1 of a map, with a count on each edge.
+
+    Row j of the adjacency holds the neighbours of j in ascending order, so memory is nodes × largest degree. Features
+    are indices as in the map; `add` and `keep` follow what the map adds and removes.
+    """
+
+    def __init__(self) -> None:
+        self.n = 0
+        self._neighbours = np.zeros((_ROOM, _WIDTH), np.int64)
+        self._counts = np.zeros((_ROOM, _WIDTH), np.int64)
+        self._degrees = np.zeros(_ROOM, np.int64)
+
+    def add(self, count: int) -> None:
+        """Append `count` nodes without edges."""
+        if count < 0:
+            raise ValueError(f"count: {count} is negative")
+        while self.n + count > len(self._degrees):
+            more = len(self._degrees)
+            self._degrees = np.pad(self._degrees, (0, more))
+            self._neighbours = np.pad(self._neighbours, ((0, more), (0, 0)))
+            self._counts = np.pad(self._counts, ((0, more), (0, 0)))
+        self._degrees[self.n : self.n + count] = 0
+        self.n += count
+
+    def see_together(self, features: IntArray) -> None:
+        """Count +1 for each pair of `features` (j,), those of one scan; NONE and repetitions count for nothing.
+
+        Raises ValueError where a feature is not in the graph.
+        """
+        features = np.ascontiguousarray(features, dtype=np.int64)
+        needed = _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
+        if needed < 0:
+            raise ValueError(f"features: {features.tolist()} in a graph of {self.n} nodes")
+        if needed > self._neighbours.shape[1]:
+            more = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
+            self._neighbours = np.pad(self._neighbours, ((0, 0), (0, more)))
+            self._counts = np.pad(self._counts, ((0, 0), (0, more)))
+            _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
+
+    def keep(self, kept: IntArray) -> None:
+        """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1."""
+        kept = np.ascontiguousarray(kept, dtype=np.int64)
+        if len(kept) and (kept[0] < 0 or kept[-1] >= self.n or np.any(np.diff(kept) <= 0)):
+            raise ValueError(f"kept: {kept.tolist()} are not ascending nodes of a graph of {self.n}")
+        _keep(self._neighbours, self._counts, self._degrees, self.n, kept)
+        self.n = len(kept)
+
+    def count(self, i: int, j: int) -> int:
+        """How many scans saw both features."""
+        neighbours = self._neighbours[i, : self._degrees[i]]
+        at = int(np.searchsorted(neighbours, j))
+        return int(self._counts[i, at]) if at < len(neighbours) and neighbours[at] == j else 0
+
+    def neighbours(self, i: int, at_least: int = 1) -> IntArray:
+        """Features seen together with i in at least so many scans, ascending."""
+        row = slice(0, self._degrees[i])
+        return self._neighbours[i, row][self._counts[i, row] >= at_least]
+
+    def local_to(self, features: IntArray) -> BoolArray:
+        """(n,) the features given (NONE ignored) and all their neighbours."""
+        return _local_to(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
+
+    def among(self, features: IntArray) -> BoolArray:
+        """(j, j) which of `features` (j,) are neighbours of each other or the same; symmetric."""
+        return _among(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
+
+    def edges(self) -> tuple[IntArray, IntArray]:
+        """Edges (e, 2), i < j, in ascending order, and their counts (e,)."""
+        filled = np.arange(self._neighbours.shape[1]) < self._degrees[: self.n, None]
+        start = np.repeat(np.arange(self.n), self._degrees[: self.n])
+        end, counts = self._neighbours[: self.n][filled], self._counts[: self.n][filled]
+        once = start < end
+        return np.column_stack([start[once], end[once]]), counts[once]
+
+
+@compiled
+def _count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
+    """Count each pair; returns the row length needed, with nothing counted if there is less, or −1 on a bad feature."""
+    seen = np.unique(features[features >= 0])
+    if np.any(features < -1) or (len(seen) > 0 and seen[-1] >= n):
+        return -1
+    needed = 0
+    for f in seen:
+        needed = max(needed, degrees[f] + len(seen) - 1)
+    if needed > neighbours.shape[1]:
+        return needed
+    for f in seen:
+        degrees[f] = _merge(neighbours[f], counts[f], degrees[f], f, seen)
+    return needed
+
+
+@compiled
+def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: IntArray) -> int:
+    """Count `seen` (ascending) but f in the ascending row of f; returns its new degree."""
+    fresh, at = 0, 0
+    for g in seen:
+        while at < degree and neighbours[at] < g:
+            at += 1
+        if at < degree and neighbours[at] == g:
+            counts[at] += 1
+        elif g != f:
+            fresh += 1
+    # place the fresh ones from the right, so that nothing is overwritten before it has moved
+    read, write, s = degree - 1, degree + fresh - 1, len(seen) - 1
+    while write > read:
+        if seen[s] == f or (read >= 0 and neighbours[read] == seen[s]):
+            s -= 1
+        elif read >= 0 and neighbours[read] > seen[s]:
+            neighbours[write], counts[write] = neighbours[read], counts[read]
+            read, write = read - 1, write - 1
+        else:
+            neighbours[write], counts[write] = seen[s], 1
+            s, write = s - 1, write - 1
+    return degree + fresh
+
+
+@compiled
+def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kept: IntArray) -> None:
+    renumbered = np.full(n, -1)
+    renumbered[kept] = np.arange(len(kept))
+    for i in range(len(kept)):
+        old, degree = kept[i], 0
+        for at in range(degrees[old]):
+            new = renumbered[neighbours[old, at]]
+            if new >= 0:
+                neighbours[i, degree], counts[i, degree] = new, counts[old, at]
+                degree += 1
+        degrees[i] = degree
+
+
+@compiled
+def _local_to(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+    local = np.zeros(n, np.bool_)
+    for f in features:
+        if f >= 0:
+            local[f] = True
+            for at in range(degrees[f]):
+                local[neighbours[f, at]] = True
+    return local
+
+
+@compiled
+def _among(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+    m = len(features)
+    out = np.zeros((m, m), np.bool_)
+    local = np.zeros(n, np.bool_)
+    for i in range(m):
+        f = features[i]
+        local[f] = True
+        for at in range(degrees[f]):
+            local[neighbours[f, at]] = True
+        for j in range(m):
+            out[i, j] = local[features[j]]
+        local[f] = False
+        for at in range(degrees[f]):
+            local[neighbours[f, at]] = False
+    return out

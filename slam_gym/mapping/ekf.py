@@ -1,0 +1,329 @@
+"""The equations of EKF-SLAM with point features, compiled (Castellanos, Neira and Tardós 2006, chapter 9).
+
+State x = (robot R = [x m, y m, θ rad]; features F_1 … F_n [m]), all in B; d = 3 + 2n, feature j starts at 3 + 2j.
+Arrays may be longer than d. **Only the upper triangle of P is kept**: symmetric by construction, and half the work.
+
+`at` (≥ d,) is the state at which Jacobians are evaluated: the estimate (the same array as x), or the first estimate of
+each entry (first-estimate Jacobians, Huang, Mourikis and Roumeliotis 2010).
+
+Measurement function: h_j(x) = (⊖R) ⊕ F_j = Cᵀ(F_j − t), with C the robot's rotation and t its position. Its Jacobian is
+
+    H_j = Cᵀ [−I  −JΔ  0 … I … 0],  Δ = F_j − t,  JΔ = (−Δ_y, Δ_x)ᵀ.
+
+Cᵀ is common to all features, so the kernels take innovations in axes parallel to B and turn only the results into R.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.geometry import wrap_angle
+from slam_gym.types import NONE, Array, IntArray
+
+ACCEPTED = -1
+NO_SUCH_FEATURE = -2
+_STRIP = 128  # columns of P updated together: their share of W stays in the first-level cache
+_SLACK = 1e-9  # a covariance may miss positive semi-definiteness by this share of its largest variance
+
+
+@compiled
+def cholesky(A: Array) -> bool:
+    """A ← its Cholesky factor L in the lower triangle, which alone is read; False where A is not positive definite."""
+    for j in range(A.shape[0]):
+        pivot = A[j, j]
+        for k in range(j):
+            pivot -= A[j, k] * A[j, k]
+        if not (0.0 < pivot < math.inf):
+            return False
+        A[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, A.shape[0]):
+            total = A[i, j]
+            for k in range(j):
+                total -= A[i, k] * A[j, k]
+            A[i, j] = total / A[j, j]
+    return True
+
+
+@compiled
+def is_covariance(A: Array) -> bool:
+    """Finite, symmetric and positive semi-definite, to a relative 1e-9."""
+    largest = 0.0
+    for i in range(A.shape[0]):
+        largest = max(largest, A[i, i])
+    factor = A.copy()
+    for i in range(A.shape[0]):
+        factor[i, i] += _SLACK * largest + 1e-300
+        for j in range(i):
+            if not (abs(A[i, j] - A[j, i]) <= _SLACK * largest):
+                return False
+    return cholesky(factor)
+
+
+@compiled
+def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
+    """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF; False (and nothing done) where u or Q is no good.
+
+    F = [I JΔ; 0 1] with Δ the robot's displacement in B; G = diag(C, 1). u (3,) [m, m, rad], Q (3, 3) its covariance.
+    """
+    if not (math.isfinite(motion[0] + motion[1] + motion[2]) and is_covariance(Q)):
+        return False
+    c, s = math.cos(x[2]), math.sin(x[2])
+    x_new, y_new = x[0] + c * motion[0] - s * motion[1], x[1] + s * motion[0] + c * motion[1]
+    dx, dy = x_new - at[0], y_new - at[1]
+    x[0], x[1], x[2] = x_new, y_new, wrap_angle(x[2] + motion[2])
+    at[:3] = x[:3]
+    xt, yt, tt = P[0, 2], P[1, 2], P[2, 2]
+    P[0, 0] += dy * (dy * tt - 2.0 * xt) + c * c * Q[0, 0] - 2.0 * c * s * Q[0, 1] + s * s * Q[1, 1]
+    P[0, 1] += dx * xt - dy * yt - dx * dy * tt + c * s * (Q[0, 0] - Q[1, 1]) + (c * c - s * s) * Q[0, 1]
+    P[1, 1] += dx * (dx * tt + 2.0 * yt) + s * s * Q[0, 0] + 2.0 * c * s * Q[0, 1] + c * c * Q[1, 1]
+    P[0, 2] += -dy * tt + c * Q[0, 2] - s * Q[1, 2]
+    P[1, 2] += dx * tt + s * Q[0, 2] + c * Q[1, 2]
+    P[2, 2] += Q[2, 2]
+    for j in range(3, d):
+        P[0, j] -= dy * P[2, j]
+        P[1, j] += dx * P[2, j]
+    return True
+
+
+@compiled
+def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, float, float, float]:
+    """G_a P G_bᵀ with G_j = C H_j, for the features that start at a ≤ b: entries xx, xy, yx, yy."""
+    ax, ay = at[a] - at[0], at[a + 1] - at[1]
+    bx, by = at[b] - at[0], at[b + 1] - at[1]
+    # rows x, y and θ of P G_bᵀ for the robot, then the same two columns for feature a
+    xx, xy = P[0, b] - P[0, 0] + P[0, 2] * by, P[0, b + 1] - P[0, 1] - P[0, 2] * bx
+    yx, yy = P[1, b] - P[0, 1] + P[1, 2] * by, P[1, b + 1] - P[1, 1] - P[1, 2] * bx
+    tx, ty = P[2, b] - P[0, 2] + P[2, 2] * by, P[2, b + 1] - P[1, 2] - P[2, 2] * bx
+    across = P[a, b + 1] if a == b else P[a + 1, b]
+    fxx, fxy = P[a, b] - P[0, a] + P[2, a] * by, P[a, b + 1] - P[1, a] - P[2, a] * bx
+    fyx, fyy = across - P[0, a + 1] + P[2, a + 1] * by, P[a + 1, b + 1] - P[1, a + 1] - P[2, a + 1] * bx
+    return fxx - xx + ay * tx, fxy - xy + ay * ty, fyx - yx - ax * tx, fyy - yy - ax * ty
+
+
+@compiled
+def features_in_reach(
+    x: Array, at: Array, P: Array, n: int, reach: float, sizes: Array, size_variances: Array
+) -> tuple[IntArray, Array, Array, Array, Array]:
+    """Features with ‖h_j(x)‖ ≤ reach + 3σ: their indices (k,), h_j (k, 2), H_j P H_jᵀ (k, 2, 2), sizes, size variances.
+
+    σ² is the largest eigenvalue of H_j P H_jᵀ.
+    """
+    features, k = np.empty(n, np.int64), 0
+    positions, covariances = np.empty((n, 2)), np.empty((n, 2, 2))
+    c, s = math.cos(x[2]), math.sin(x[2])
+    ca, sa = math.cos(at[2]), math.sin(at[2])
+    for j in range(n):
+        f = 3 + 2 * j
+        dx, dy = x[f] - x[0], x[f + 1] - x[1]
+        xx, xy, _, yy = _relative_covariance(at, P, f, f)
+        largest = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+        if math.hypot(dx, dy) > reach + 3.0 * math.sqrt(max(largest, 0.0)):
+            continue
+        features[k] = j
+        positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
+        covariances[k, 0, 0] = ca * ca * xx + 2.0 * ca * sa * xy + sa * sa * yy
+        covariances[k, 1, 1] = sa * sa * xx - 2.0 * ca * sa * xy + ca * ca * yy
+        covariances[k, 0, 1] = covariances[k, 1, 0] = ca * sa * (yy - xx) + (ca * ca - sa * sa) * xy
+        k += 1
+    kept = features[:k]
+    return kept, positions[:k], covariances[:k], sizes[kept], size_variances[kept]
+
+
+@compiled
+def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
+    """H P Hᵀ (2j, 2j) of the features (j,) together, with all cross-covariances."""
+    m = len(features)
+    out = np.empty((2 * m, 2 * m))
+    c, s = math.cos(at[2]), math.sin(at[2])
+    for i in range(m):
+        for j in range(i, m):
+            first, second = (i, j) if features[i] <= features[j] else (j, i)
+            xx, xy, yx, yy = _relative_covariance(at, P, 3 + 2 * features[first], 3 + 2 * features[second])
+            # Cᵀ · C, columns first
+            top_x, top_y = c * xx + s * xy, -s * xx + c * xy
+            low_x, low_y = c * yx + s * yy, -s * yx + c * yy
+            a, b = 2 * first, 2 * second
+            out[a, b], out[a, b + 1] = c * top_x + s * low_x, c * top_y + s * low_y
+            out[a + 1, b], out[a + 1, b + 1] = -s * top_x + c * low_x, -s * top_y + c * low_y
+            out[b, a], out[b + 1, a], out[b, a + 1] = out[a, b], out[a, b + 1], out[a + 1, b]
+            out[b + 1, a + 1] = out[a + 1, b + 1]
+    return out
+
+
+@compiled
+def _innovation(
+    x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, measured: IntArray, paired: IntArray
+) -> tuple[Array, Array, Array]:
+    """ν (2k,), H P (2k, d) and S = H P Hᵀ + R (2k, 2k, lower triangle) of k pairings, in axes parallel to B."""
+    k = len(measured)
+    nu, HP, S = np.empty(2 * k), np.empty((2 * k, d)), np.zeros((2 * k, 2 * k))
+    c, s = math.cos(x[2]), math.sin(x[2])
+    ca, sa = math.cos(at[2]), math.sin(at[2])
+    for i in range(k):
+        f, z, R = 3 + 2 * paired[i], points[measured[i]], covariances[measured[i]]
+        # ν = z − h(x) as H sees it: turned by the heading of the linearisation point
+        hx, hy = x[f] - x[0], x[f + 1] - x[1]
+        ex, ey = z[0] - (c * hx + s * hy), z[1] - (-s * hx + c * hy)
+        nu[2 * i], nu[2 * i + 1] = ca * ex - sa * ey, sa * ex + ca * ey
+        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        _state_row(P, f, d, HP[2 * i])
+        _state_row(P, f + 1, d, HP[2 * i + 1])
+        for j in range(d):
+            xj, yj, tj = P[min(0, j), max(0, j)], P[min(1, j), max(1, j)], P[min(2, j), max(2, j)]
+            HP[2 * i, j] += dy * tj - xj
+            HP[2 * i + 1, j] -= dx * tj + yj
+        S[2 * i, 2 * i] = ca * ca * R[0, 0] - 2.0 * ca * sa * R[0, 1] + sa * sa * R[1, 1]
+        S[2 * i + 1, 2 * i] = ca * sa * (R[0, 0] - R[1, 1]) + (ca * ca - sa * sa) * R[0, 1]
+        S[2 * i + 1, 2 * i + 1] = sa * sa * R[0, 0] + 2.0 * ca * sa * R[0, 1] + ca * ca * R[1, 1]
+    for i in range(k):
+        f = 3 + 2 * paired[i]
+        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        for row in range(2 * i, 2 * k):
+            S[row, 2 * i] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
+            if row > 2 * i:
+                S[row, 2 * i + 1] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
+    return nu, HP, S
+
+
+@compiled
+def _state_row(P: Array, i: int, d: int, out: Array) -> None:
+    """Row i of the symmetric P[:d, :d], of which the upper triangle is given."""
+    for j in range(i):
+        out[j] = P[j, i]
+    for j in range(i, d):
+        out[j] = P[i, j]
+
+
+@compiled
+def _whiten(L: Array, HP: Array, nu: Array) -> None:
+    """HP ← L⁻¹ HP and ν ← L⁻¹ ν, by forward substitution."""
+    for i in range(L.shape[0]):
+        for k in range(i):
+            nu[i] -= L[i, k] * nu[k]
+            for j in range(HP.shape[1]):
+                HP[i, j] -= L[i, k] * HP[k, j]
+        nu[i] /= L[i, i]
+        for j in range(HP.shape[1]):
+            HP[i, j] /= L[i, i]
+
+
+@compiled
+def _subtract_product(P: Array, W: Array) -> None:
+    """Upper triangle of P[:d, :d] −= Wᵀ W for W (2k, d)."""
+    rows, d = W.shape
+    for left in range(0, d, _STRIP):
+        right = min(left + _STRIP, d)
+        for i in range(right):
+            for k in range(0, rows, 2):
+                a, b = W[k, i], W[k + 1, i]
+                for j in range(max(i, left), right):
+                    P[i, j] -= a * W[k, j] + b * W[k + 1, j]
+
+
+@compiled
+def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Array, features: IntArray) -> int:
+    """Joint EKF update with all pairings (measurement i, feature features[i] ≠ NONE), in place.
+
+    ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
+    Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
+    no covariance, or m where S is singular.
+    """
+    d = 3 + 2 * n
+    measured = np.flatnonzero(features != NONE)
+    for i in range(len(features)):
+        if features[i] == NONE:
+            continue
+        if not 0 <= features[i] < n:
+            return NO_SUCH_FEATURE
+        if not (math.isfinite(points[i, 0] + points[i, 1]) and is_covariance(covariances[i])):
+            return i
+    nu, W, S = _innovation(x, at, P, d, points, covariances, measured, features[measured])
+    if not cholesky(S):
+        return len(features)
+    _whiten(S, W, nu)
+    for k in range(len(nu)):
+        for j in range(d):
+            x[j] += W[k, j] * nu[k]
+    x[2] = wrap_angle(x[2])
+    _subtract_product(P, W)
+    return ACCEPTED
+
+
+@compiled
+def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
+    """Append x_F = x_R ⊕ z to the state, its covariance by linearisation; False where z or R is no good.
+
+    P_F· = [I JΔ] P_R·, P_FF = [I JΔ] P_RR [I JΔ]ᵀ + C R Cᵀ, with Δ = x_F − t.
+    """
+    if not (math.isfinite(point[0] + point[1]) and is_covariance(R)):
+        return False
+    c, s = math.cos(x[2]), math.sin(x[2])
+    x[d], x[d + 1] = x[0] + c * point[0] - s * point[1], x[1] + s * point[0] + c * point[1]
+    at[d], at[d + 1] = x[d], x[d + 1]
+    dx, dy = x[d] - at[0], x[d + 1] - at[1]
+    for j in range(d):
+        xj, yj, tj = P[min(0, j), max(0, j)], P[min(1, j), max(1, j)], P[min(2, j), max(2, j)]
+        P[j, d], P[j, d + 1] = xj - dy * tj, yj + dx * tj
+    P[d, d] = P[0, d] - dy * P[2, d] + c * c * R[0, 0] - 2.0 * c * s * R[0, 1] + s * s * R[1, 1]
+    P[d, d + 1] = P[0, d + 1] - dy * P[2, d + 1] + c * s * (R[0, 0] - R[1, 1]) + (c * c - s * s) * R[0, 1]
+    P[d + 1, d + 1] = P[1, d + 1] + dx * P[2, d + 1] + s * s * R[0, 0] + 2.0 * c * s * R[0, 1] + c * c * R[1, 1]
+    return True
+
+
+@compiled
+def keep(x: Array, at: Array, P: Array, kept: IntArray) -> None:
+    """Keep only the robot and the features `kept` (n',), ascending: marginalisation, in place."""
+    old = np.empty(3 + 2 * len(kept), np.int64)
+    old[:3] = (0, 1, 2)
+    old[3::2], old[4::2] = 3 + 2 * kept, 4 + 2 * kept
+    for i in range(len(old)):
+        x[i], at[i] = x[old[i]], at[old[i]]
+        for j in range(i, len(old)):
+            P[i, j] = P[old[i], old[j]]
+
+
+@compiled
+def feature_covariances(P: Array, n: int) -> Array:
+    """(n, 2, 2) marginal covariance of each feature."""
+    out = np.empty((n, 2, 2))
+    for j in range(n):
+        f = 3 + 2 * j
+        out[j, 0, 0], out[j, 1, 1] = P[f, f], P[f + 1, f + 1]
+        out[j, 0, 1] = out[j, 1, 0] = P[f, f + 1]
+    return out
+
+
+@compiled
+def record(
+    features: IntArray,
+    step: int,
+    seen: IntArray,
+    last_seen: IntArray,
+    measured_sizes: Array,
+    measured_variances: Array,
+    sizes: Array,
+    variances: Array,
+) -> None:
+    """Count the step in which features were seen, once each, and update their sizes by a scalar Kalman filter.
+
+    An unknown size (NaN) takes over the first measured one; a NaN measurement says nothing.
+    """
+    for i in range(len(features)):
+        f = features[i]
+        if f == NONE:
+            continue
+        if last_seen[f] != step:
+            seen[f] += 1
+            last_seen[f] = step
+        z, r = measured_sizes[i], measured_variances[i]
+        if not (math.isfinite(z) and r > 0.0):
+            continue
+        if math.isfinite(sizes[f]):
+            gain = variances[f] / (variances[f] + r)
+            sizes[f] += gain * (z - sizes[f])
+            variances[f] *= 1.0 - gain
+        else:
+            sizes[f], variances[f] = z, r

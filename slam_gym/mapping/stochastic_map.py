@@ -1,0 +1,286 @@
+"""The stochastic map: robot pose and point features with one full covariance, kept by an EKF.
+
+Everything lives in B, the base frame of the map. Features are addressed by index 0 … n−1, which shifts when features
+are removed, and known by an id that is never given twice.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slam_gym.geometry import wrap_angle
+from slam_gym.mapping import ekf
+from slam_gym.types import Array, BoolArray, IntArray, Locality, Odometry, Prediction, Scan
+
+
+@dataclass(frozen=True)
+class MapSpec:
+    """Settings of the estimator."""
+
+    confidence: float = 0.99  # of the χ² gates in data association
+    first_estimate_jacobians: bool = False  # evaluate Jacobians at first estimates (Huang et al. 2010)
+    unconfirmed_age: int | None = 2  # [steps] a feature seen once is dropped when older than this; None: never
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"MapSpec.confidence: {self.confidence} is not between 0 and 1")
+        if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
+            raise ValueError(f"MapSpec.unconfirmed_age: {self.unconfirmed_age} is negative")
+
+
+_COLUMNS = ("_ids", "_seen", "_first_seen", "_last_seen", "_sizes", "_size_variances")  # one entry per feature
+
+
+class StochasticMap:
+    """EKF-SLAM over point features. A SLAM step calls predict, prediction, update, add and end_of_step, in this order.
+
+    Arguments:
+        spec: settings.
+        pose: (3,) [m, m, rad] of the robot at the start, in B; the origin by default.
+        pose_covariance: (3, 3) of that pose; zero by default.
+        capacity: features to make room for at first; grows by doubling.
+
+    Raises ValueError where an argument has the wrong shape, is not finite or is no covariance.
+    """
+
+    def __init__(
+        self,
+        spec: MapSpec | None = None,
+        pose: ArrayLike | None = None,
+        pose_covariance: ArrayLike | None = None,
+        capacity: int = 64,
+    ) -> None:
+        start = np.array([0.0, 0.0, 0.0] if pose is None else pose, dtype=np.float64)
+        covariance = np.array(np.zeros((3, 3)) if pose_covariance is None else pose_covariance, dtype=np.float64)
+        if start.shape != (3,) or not np.all(np.isfinite(start)):
+            raise ValueError(f"pose: expected 3 finite numbers, got {start.tolist()}")
+        if covariance.shape != (3, 3) or not ekf.is_covariance(covariance):
+            raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {covariance.tolist()}")
+        if capacity < 1:
+            raise ValueError(f"capacity: {capacity} is less than 1")
+        self.spec = spec or MapSpec()
+        self.n = 0  # features
+        self.step = 0  # steps ended so far
+        self._next_id = 0
+        self._version = 0  # changes of the estimate so far, so that an outdated Prediction is noticed
+        self._x = np.zeros(3 + 2 * capacity)
+        self._at = np.zeros(3 + 2 * capacity) if self.spec.first_estimate_jacobians else self._x
+        self._P = np.zeros((3 + 2 * capacity, 3 + 2 * capacity))  # upper triangle
+        self._ids, self._seen, self._first_seen, self._last_seen = (np.zeros(capacity, np.int64) for _ in range(4))
+        self._sizes, self._size_variances = np.zeros(capacity), np.zeros(capacity)
+        start[2] = wrap_angle(start[2])
+        self._x[:3] = self._at[:3] = start
+        self._P[:3, :3] = covariance
+
+    # what is estimated: fresh arrays, safe to keep and to change
+
+    @property
+    def pose(self) -> Array:
+        """(3,) [m, m, rad] of the robot in B."""
+        return self._x[:3].copy()
+
+    @property
+    def pose_covariance(self) -> Array:
+        """(3, 3) [m², m·rad, rad²]."""
+        return _full(self._P[:3, :3])
+
+    @property
+    def positions(self) -> Array:
+        """(n, 2) [m] of the features in B."""
+        return self._x[3 : self._d].reshape(-1, 2).copy()
+
+    @property
+    def covariances(self) -> Array:
+        """(n, 2, 2) [m²] marginal covariance of each feature in B."""
+        return ekf.feature_covariances(self._P, self.n)
+
+    @property
+    def mean(self) -> Array:
+        """(3 + 2n,) state: robot, then features."""
+        return self._x[: self._d].copy()
+
+    @property
+    def covariance(self) -> Array:
+        """(3 + 2n, 3 + 2n) of the state, symmetric to the last bit."""
+        return _full(self._P[: self._d, : self._d])
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,) id of each feature, never given twice."""
+        return self._ids[: self.n].copy()
+
+    @property
+    def seen(self) -> IntArray:
+        """(n,) number of steps in which each feature was measured, the first included."""
+        return self._seen[: self.n].copy()
+
+    @property
+    def first_seen(self) -> IntArray:
+        """(n,) step in which each feature was added."""
+        return self._first_seen[: self.n].copy()
+
+    @property
+    def last_seen(self) -> IntArray:
+        """(n,) last step in which each feature was measured."""
+        return self._last_seen[: self.n].copy()
+
+    @property
+    def sizes(self) -> Array:
+        """(n,) [m] intrinsic attribute, NaN where unknown."""
+        return self._sizes[: self.n].copy()
+
+    @property
+    def size_variances(self) -> Array:
+        """(n,) [m²], NaN where unknown."""
+        return self._size_variances[: self.n].copy()
+
+    @property
+    def provisional(self) -> BoolArray:
+        """(n,) seen in one step only."""
+        return np.equal(self._seen[: self.n], 1)
+
+    # the filter
+
+    def predict(self, odometry: Odometry) -> None:
+        """x_R ← x_R ⊕ u and its covariance. Raises ValueError where the odometry is not finite or has no covariance."""
+        self._version += 1
+        if not ekf.predict(self._x, self._at, self._P, self._d, odometry.motion, odometry.covariance):
+            raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
+
+    def prediction(self, reach: float, locality: Callable[[IntArray], Locality] | None = None) -> Prediction:
+        """Features within `reach` [m] + 3σ of the robot, as it would measure them; valid until the map next changes.
+
+        `locality` is given the map indices (k,) of those features and returns what the Prediction is to carry.
+        """
+        features, positions, covariances, sizes, variances = ekf.features_in_reach(
+            self._x, self._at, self._P, self.n, float(reach), self._sizes, self._size_variances
+        )
+        joint = _Joint(self, features, self._version)
+        near = None if locality is None else locality(features)
+        return Prediction(features, positions, covariances, sizes, variances, joint, near)
+
+    def update(self, scan: Scan, features: IntArray) -> None:
+        """Joint EKF update with every pairing (measurement i, feature features[i] ≠ NONE); features (m,) map indices.
+
+        Raises ValueError, the map unchanged, where a feature does not exist or a paired measurement is not finite or
+        has no covariance.
+        """
+        features = np.ascontiguousarray(features, dtype=np.int64)
+        if len(features) != len(scan):
+            raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
+        self._version += 1
+        refused = ekf.update(self._x, self._at, self._P, self.n, scan.points, scan.covariances, features)
+        if refused == ekf.NO_SUCH_FEATURE:
+            raise ValueError(f"features: {features.tolist()} for a map of {self.n} features")
+        if refused == len(scan):
+            raise ValueError("the innovation covariance is singular: measurements and map both without uncertainty")
+        if refused != ekf.ACCEPTED:
+            raise _bad_measurement(scan, refused)
+        ekf.record(
+            features,
+            self.step,
+            self._seen,
+            self._last_seen,
+            scan.sizes,
+            scan.size_variances,
+            self._sizes,
+            self._size_variances,
+        )
+
+    def add(self, scan: Scan, measurements: IntArray) -> IntArray:
+        """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
+
+        Raises ValueError at the first measurement that is not finite or has no covariance; those before it are added.
+        """
+        first = self.n
+        for i in measurements:
+            if self.n == len(self._ids):
+                self._grow()
+            if not ekf.add(self._x, self._at, self._P, self._d, scan.points[i], scan.covariances[i]):
+                raise _bad_measurement(scan, i)
+            self._ids[self.n] = self._next_id
+            self._seen[self.n] = 1
+            self._first_seen[self.n] = self._last_seen[self.n] = self.step
+            self._sizes[self.n], self._size_variances[self.n] = scan.sizes[i], scan.size_variances[i]
+            self._next_id += 1
+            self._version += 1
+            self.n += 1
+        return np.arange(first, self.n)
+
+    def remove(self, features: IntArray) -> IntArray:
+        """Marginalise `features` (r,) out of the map; returns the old indices (n',) of those that stay, ascending.
+
+        Raises ValueError where one does not exist.
+        """
+        features = np.asarray(features, dtype=np.int64)
+        if np.any((features < 0) | (features >= self.n)):
+            raise ValueError(f"features: {features.tolist()} to remove from a map of {self.n} features")
+        staying = np.ones(self.n, dtype=bool)
+        staying[features] = False
+        kept = np.flatnonzero(staying)
+        ekf.keep(self._x, self._at, self._P, kept)
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            column[: len(kept)] = column[kept]
+        self.n = len(kept)
+        self._version += 1
+        return kept
+
+    def unconfirmed(self) -> IntArray:
+        """Indices of the features that maintenance drops: seen once, more than `unconfirmed_age` steps ago."""
+        age = self.spec.unconfirmed_age
+        if age is None:
+            return np.empty(0, dtype=np.int64)
+        return np.flatnonzero(self.provisional & (self._first_seen[: self.n] < self.step - age))
+
+    def end_of_step(self) -> None:
+        """Advance the step number."""
+        self.step += 1
+
+    def copy(self) -> StochasticMap:
+        """An independent copy."""
+        return copy.deepcopy(self)
+
+    @property
+    def _d(self) -> int:
+        return 3 + 2 * self.n
+
+    def _grow(self) -> None:
+        """Twice the room."""
+        more = len(self._ids)
+        self._x, at = np.pad(self._x, (0, 2 * more)), np.pad(self._at, (0, 2 * more))
+        self._at = at if self.spec.first_estimate_jacobians else self._x
+        self._P = np.pad(self._P, (0, 2 * more))
+        for name in _COLUMNS:
+            setattr(self, name, np.pad(getattr(self, name), (0, more)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Joint:
+    """`Prediction.joint`: looks cross-covariances up in the map that predicted, as long as that has not changed."""
+
+    map: StochasticMap
+    features: IntArray  # (k,) map index of each row
+    version: int
+
+    def __call__(self, rows: IntArray) -> Array:
+        if self.map._version != self.version:
+            raise RuntimeError("the map has changed since this prediction was made")
+        return ekf.joint_covariance(self.map._at, self.map._P, self.features[rows])
+
+
+def _full(upper: Array) -> Array:
+    """The symmetric matrix of which the upper triangle is given."""
+    return np.triu(upper) + np.triu(upper, 1).T
+
+
+def _bad_measurement(scan: Scan, i: int) -> ValueError:
+    return ValueError(
+        f"scan: measurement {i} is not finite, or its covariance is none: "
+        f"point {scan.points[i].tolist()}, covariance {scan.covariances[i].tolist()}"
+    )
