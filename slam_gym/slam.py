@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from slam_gym.association.compatibility import has_compatible
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import NONE, Associator, Hypothesis, IntArray, Locality, Odometry, Prediction, Scan, SlamStep
-from slam_gym.validation import check_odometry, check_scan
+from slam_gym.validation import check_scan
 
 Relocate = Callable[["Slam", Scan], Hypothesis | None]
 """Called when pairings collapse. It may move the map's pose, and returns the hypothesis to go on with, or None."""
@@ -51,7 +50,6 @@ class Slam:
 
         Raises ValueError, before anything is changed, for non-finite numbers or covariances that are not PSD.
         """
-        check_odometry(odometry)
         check_scan(scan)
         self.map.predict(odometry)
         prediction = self.predict_features()
@@ -65,16 +63,13 @@ class Slam:
 
     def predict_features(self) -> Prediction:
         """What should be seen from the predicted pose, with the localities to search first."""
-        prediction = self.map.prediction(self.spec.reach)
-        if not self.spec.locality:
-            return prediction
-        rows = prediction.features
+        return self.map.prediction(self.spec.reach, self._locality if self.spec.locality else None)
+
+    def _locality(self, features: IntArray) -> Locality:
+        """Near: what was paired in recent scans, and all that was ever seen together with it."""
         recent = np.concatenate(self._recent) if self._recent else np.empty(0, np.int64)
-        locality = Locality(
-            near=self.covisibility.local_to(recent)[rows],
-            among=lambda chosen: self.covisibility.among(rows[chosen]),
-        )
-        return dataclasses.replace(prediction, locality=locality)
+        near = self.covisibility.local_to(recent)[features]
+        return Locality(near, lambda rows: self.covisibility.among(features[rows]))
 
     def new_features(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> IntArray:
         """Measurements that start a feature: unpaired *and* individually compatible with nothing in the map.

@@ -1,13 +1,11 @@
-"""Refuse numbers that would corrupt a map, by name, before they reach it."""
+"""Refuse scans that would corrupt a map, by name, before they reach it."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from slam_gym._compile import compiled
-from slam_gym.types import Array, Odometry, Scan
+from slam_gym.types import Array, Scan
 
 _PSD_TOLERANCE = 1e-9  # relative to the largest eigenvalue
 
@@ -44,63 +42,3 @@ def check_scan(scan: Scan) -> None:
     index, fault = _first_bad_measurement(scan.points, scan.covariances, _PSD_TOLERANCE)
     if fault:
         raise ValueError(f"Scan: measurement {index}: {_FAULTS[fault]}")
-
-
-@compiled
-def _odometry_fault(motion: Array, covariance: Array, tolerance: float) -> int:
-    """0 fine, 1 motion not finite, 2 covariance not finite, 3 asymmetric, 4 not PSD (by pivoted elimination)."""
-    for i in range(3):
-        if not math.isfinite(motion[i]):
-            return 1
-    scale = 0.0
-    for i in range(3):
-        for j in range(3):
-            if not math.isfinite(covariance[i, j]):
-                return 2
-        scale += abs(covariance[i, i])
-    work = covariance.copy()
-    for i in range(3):
-        for j in range(i):
-            if abs(work[i, j] - work[j, i]) > tolerance * scale:
-                return 3
-    for _ in range(3):
-        p = 0
-        for i in range(1, 3):
-            if work[i, i] > work[p, p]:
-                p = i
-        for i in range(3):
-            if work[i, i] < -tolerance * scale:
-                return 4
-        pivot = work[p, p]
-        if pivot <= tolerance * scale:
-            for i in range(3):
-                for j in range(3):
-                    if abs(work[i, j]) > math.sqrt(tolerance) * scale:
-                        return 4
-            return 0
-        column = work[:, p].copy()
-        for i in range(3):
-            for j in range(3):
-                work[i, j] -= column[i] * column[j] / pivot
-        work[p, :] = 0.0
-        work[:, p] = 0.0
-    return 0
-
-
-_ODOMETRY_FAULTS = (
-    "",
-    "motion is not finite",
-    "covariance is not finite",
-    "covariance is not symmetric",
-    "covariance is not PSD",
-)
-
-
-def check_odometry(odometry: Odometry) -> None:
-    """Raise ValueError naming the bad field of an odometry reading."""
-    if np.shape(odometry.motion) != (3,) or np.shape(odometry.covariance) != (3, 3):
-        shapes = f"{np.shape(odometry.motion)}, {np.shape(odometry.covariance)}"
-        raise ValueError(f"Odometry.motion, Odometry.covariance: shapes {shapes}, expected (3,), (3, 3)")
-    fault = _odometry_fault(odometry.motion, odometry.covariance, _PSD_TOLERANCE)
-    if fault:
-        raise ValueError(f"Odometry: {_ODOMETRY_FAULTS[fault]}")

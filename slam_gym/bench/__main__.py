@@ -1,0 +1,29 @@
+"""`python -m slam_gym.bench NAME …`: the benchmarks behind the figures in the README."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+BENCHMARKS = {
+    "corridor": "reference experiment: nearest neighbour, SINGLES and JCBB in the corridor, 40 seeds beside their bands",
+    "step": "Explore-v0 steps per second, against map size, and where the time of a step goes",
+    "jcbb": "JCBB at loop closure against scipy's linear assignment on the same gated problem",
+    "update": "joint EKF update against one symmetric rank-20 product",
+    "locality": "what covisibility locality saves JCBB, and what it loses",
+    "sight": "line of sight on small and large floors; cost of physics and sensors",
+}
+
+
+def main(argv: list[str]) -> int:
+    """Run the benchmark named first with the remaining arguments; 2 and the list of names where there is none such."""
+    if not argv or argv[0] not in BENCHMARKS:
+        lines = "\n".join(f"  {name:10s} {text}" for name, text in BENCHMARKS.items())
+        print(f"usage: python -m slam_gym.bench NAME [options]   (NAME --help lists them)\n{lines}", file=sys.stderr)
+        return 0 if argv and argv[0] in ("-h", "--help") else 2
+    importlib.import_module(f"slam_gym.bench.{argv[0]}").main(argv[1:])
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
