@@ -1,0 +1,197 @@
+"""Compatibility: which pairings of a measurement with a mapped feature are worth considering at all.
+
+With innovation ν_ij = z_i − h_j(x) and S_ij = H_j P H_jᵀ + R_i, measurement i and feature j are **individually
+compatible** when D²_ij = ν_ijᵀ S_ij⁻¹ ν_ij < χ²_{2,conf}. A hypothesis H is **jointly compatible** when the same holds
+of all its pairings stacked, with full cross-covariances: D²_H = ν_Hᵀ S_H⁻¹ ν_H < χ²_{2|H|,conf} (Neira and Tardós,
+"Data association in stochastic mapping using the joint compatibility test", IEEE TRA 17(6), 2001).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from slam_gym._compile import compiled
+from slam_gym.types import NONE, Array, BoolArray, IntArray, Prediction, Scan
+
+_FAULTS = (
+    "",
+    "scan.points[{}] is not finite",
+    "scan.covariances[{}] is not positive semi-definite",
+    "prediction.positions[{}] is not finite",
+    "prediction.covariances[{}] has a variance that is negative or not finite",
+    "scan.covariances[{}] leaves the innovation covariance singular",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Individually compatible pairings, gathered by measurement (compressed rows), by ascending D² within each.
+
+    Those of `measurements[i]` are entries `starts[i]:starts[i + 1]` of `slots`, `distances` and `innovations`.
+    """
+
+    measurements: IntArray  # (l,) the measurements that were offered features
+    starts: IntArray  # (l + 1,)
+    slots: IntArray  # (c,) feature of the pairing, as an index into `rows`
+    distances: Array  # (c,) D²_ij
+    innovations: Array  # (c, 2) [m] ν_ij in R
+    rows: IntArray  # (u,) the distinct rows of the prediction among them, ascending
+    tests: int  # pairings tested
+
+
+@functools.lru_cache(maxsize=1024)
+def chi2_gate(dof: int, confidence: float) -> float:
+    """χ²_{dof,conf}: what χ² with `dof` degrees of freedom stays below with probability `confidence`.
+
+    Raises ValueError unless dof ≥ 1 and 0 < confidence < 1.
+    """
+    if dof < 1:
+        raise ValueError(f"dof: {dof} is less than 1")
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: {confidence} is not between 0 and 1")
+    return float(chdtri(dof, 1.0 - confidence))
+
+
+@functools.lru_cache(maxsize=1024)
+def joint_gates(pairings: int, confidence: float) -> Array:
+    """χ²_{2p,conf} for p = 0 … pairings, (pairings + 1,); 0 for p = 0. Shared: not to be written to."""
+    return np.array([0.0] + [chi2_gate(2 * p, confidence) for p in range(1, pairings + 1)])
+
+
+def individual(
+    scan: Scan,
+    prediction: Prediction,
+    confidence: float = 0.99,
+    *,
+    measurements: IntArray | None = None,
+    eligible: BoolArray | None = None,
+) -> Candidates:
+    """All individually compatible pairings of `measurements` (default: all) with the rows where `eligible` (k,) holds.
+
+    Raises ValueError naming the field and entry that is not finite, or a covariance that is none.
+    """
+    if measurements is None:
+        measurements = np.arange(len(scan.points))
+    if eligible is None:
+        eligible = np.ones(len(prediction.features), np.bool_)
+    gate = chi2_gate(2, confidence)
+    fault, where, tests, starts, slots, distances, innovations, rows = _individual(
+        scan.points, scan.covariances, prediction.positions, prediction.covariances, measurements, eligible, gate
+    )
+    if fault:
+        raise ValueError(_FAULTS[fault].format(where))
+    return Candidates(measurements, starts, slots, distances, innovations, rows, tests)
+
+
+def has_compatible(scan: Scan, prediction: Prediction, confidence: float = 0.99) -> BoolArray:
+    """Which measurements have an individually compatible feature at all, (m,)."""
+    candidates = individual(scan, prediction, confidence)
+    return candidates.starts[1:] > candidates.starts[:-1]
+
+
+def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> tuple[float, int]:
+    """D²_H and its degrees of freedom, for the hypothesis that pairs measurement i with row rows[i] (m,), or NONE.
+
+    Raises ValueError where S_H is not positive definite.
+    """
+    paired = np.flatnonzero(rows != NONE)
+    dof = 2 * len(paired)
+    if not dof:
+        return 0.0, 0
+    innovation = (scan.points[paired] - prediction.positions[rows[paired]]).ravel()
+    covariance = prediction.joint(rows[paired]).copy()
+    for p, i in enumerate(paired):
+        covariance[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] += scan.covariances[i]
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        raise ValueError(f"innovation covariance of the pairings {rows.tolist()} is not positive definite") from None
+    whitened = np.linalg.solve(factor, innovation)
+    return float(whitened @ whitened), dof
+
+
+@compiled
+def _fault(points: Array, noise: Array, positions: Array, covariances: Array) -> tuple[int, int]:
+    """(index into _FAULTS, entry) of the first bad number; (0, −1) where all are good."""
+    for i in range(points.shape[0]):
+        if not math.isfinite(points[i, 0] + points[i, 1]):
+            return 1, i
+        a, b, d = noise[i, 0, 0], noise[i, 0, 1], noise[i, 1, 1]
+        if not (a >= 0.0 and d >= 0.0 and a * d - b * b >= -1e-9 * a * d and math.isfinite(a + d)):
+            return 2, i
+    for j in range(positions.shape[0]):
+        if not math.isfinite(positions[j, 0] + positions[j, 1]):
+            return 3, j
+        if not (covariances[j, 0, 0] >= 0.0 and covariances[j, 1, 1] >= 0.0):
+            return 4, j
+    return 0, -1
+
+
+@compiled
+def _individual(
+    points: Array,
+    noise: Array,
+    positions: Array,
+    covariances: Array,
+    measurements: IntArray,
+    eligible: BoolArray,
+    gate: float,
+) -> tuple[int, int, int, IntArray, IntArray, Array, Array, IntArray]:
+    """Fault, entry at fault, pairings tested, and the arrays of `Candidates`."""
+    count, room = 0, 8 * len(measurements) + 8
+    starts = np.zeros(len(measurements) + 1, np.int64)
+    slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
+    fault, where = _fault(points, noise, positions, covariances)
+    offered = np.flatnonzero(eligible)
+    if fault == 0:
+        for level in range(len(measurements)):
+            i = measurements[level]
+            for j in offered:
+                # D² ≥ ν_x² / S_xx and likewise in y: most pairings are settled by one comparison
+                x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
+                a, d = covariances[j, 0, 0] + noise[i, 0, 0], covariances[j, 1, 1] + noise[i, 1, 1]
+                if x * x >= gate * a or y * y >= gate * d:
+                    continue
+                b = covariances[j, 0, 1] + noise[i, 0, 1]
+                determinant = a * d - b * b
+                if not determinant > 0.0:
+                    fault, where = 5, i
+                    continue
+                distance = (d * x * x - 2.0 * b * x * y + a * y * y) / determinant
+                if not distance < gate:
+                    continue
+                if count == len(slots):
+                    slots = np.concatenate((slots, np.empty_like(slots)))
+                    distances = np.concatenate((distances, np.empty_like(distances)))
+                    innovations = np.concatenate((innovations, np.empty_like(innovations)))
+                place = count
+                while place > starts[level] and distances[place - 1] > distance:
+                    slots[place], distances[place] = slots[place - 1], distances[place - 1]
+                    innovations[place] = innovations[place - 1]
+                    place -= 1
+                slots[place], distances[place] = j, distance
+                innovations[place, 0], innovations[place, 1] = x, y
+                count += 1
+            starts[level + 1] = count
+    rows = _number_distinct(slots[:count], len(eligible))
+    tests = len(measurements) * len(offered)
+    return fault, where, tests, starts, slots[:count], distances[:count], innovations[:count], rows
+
+
+@compiled
+def _number_distinct(values: IntArray, bound: int) -> IntArray:
+    """The distinct values (all in 0 … bound − 1), ascending; each value is replaced by its index among them."""
+    number = np.full(bound, -1)
+    for value in values:
+        number[value] = 0
+    distinct = np.flatnonzero(number == 0)
+    for index in range(len(distinct)):
+        number[distinct[index]] = index
+    for i in range(len(values)):
+        values[i] = number[values[i]]
+    return distinct

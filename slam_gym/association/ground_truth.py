@@ -1,0 +1,29 @@
+"""The only associator that may look at the truth: the bound on all others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam_gym.association.compatibility import joint_distance
+from slam_gym.association.tree import as_hypothesis
+from slam_gym.types import NONE, Effort, Hypothesis, IntArray, Prediction, Scan
+
+
+def true_association(scan: Scan, prediction: Prediction, *, sources: IntArray, identities: IntArray) -> Hypothesis:
+    """Each measurement is paired with the predicted map feature that came from the same true feature.
+
+    Arguments:
+        sources: (m,) true feature behind each measurement; negative = spurious or unlabelled.
+        identities: (n,) true feature behind each feature of the map; negative = spurious or unlabelled. Where several
+            map features came from one, the first counts.
+
+    Raises ValueError where the sources do not match the scan.
+    """
+    if len(sources) != len(scan.points):
+        raise ValueError(f"sources: {len(sources)} for {len(scan.points)} measurements")
+    row_of: dict[int, int] = {}
+    for row, source in enumerate(identities[prediction.features].tolist()):
+        row_of.setdefault(source, row)
+    rows = np.array([row_of.get(s, NONE) if s >= 0 else NONE for s in sources.tolist()], np.int64)
+    distance, _ = joint_distance(scan, prediction, rows)
+    return as_hypothesis(prediction, rows, distance, Effort(nodes=len(rows)))

@@ -1,0 +1,239 @@
+"""The interpretation tree: level by level, each measurement is paired with a feature or with nothing (`*`, NONE).
+
+Everybody walks the same tree: `root` gives the node to start from, `branches` what may follow a node, `extend` the node
+that follows, `hypothesis` the answer that a node amounts to. The joint test is incremental, O(p²) for a node of p
+pairings: with S_H = L Lᵀ and y = L⁻¹ν_H kept in the node, pairing (i, j) adds
+
+    w = L⁻¹ S_{H,ij},   e = ν_ij − wᵀy,   D² += eᵀ (S_ij − wᵀw)⁻¹ e.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.association.compatibility import Candidates, individual, joint_gates
+from slam_gym.types import NONE, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
+
+_NO_PATH = np.empty(0, np.int64)
+_NO_COVARIANCE = np.empty((0, 0))
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """A scan's interpretation tree over its individually compatible pairings: what all walks of it share.
+
+    Features are known by their slot: an index into `rows` and `local`, and by twos into `covariance`.
+    """
+
+    scan: Scan
+    prediction: Prediction
+    candidates: Candidates  # level i decides measurement candidates.measurements[i]
+    given: IntArray  # (m,) row paired with each measurement before the root, NONE for the others
+    rows: IntArray  # (u,) rows of the prediction: the g given ones in order of measurement, then candidates.rows
+    slots: IntArray  # (c,) slot of each candidate pairing: candidates.slots + g
+    covariance: Array  # (2u, 2u) [m²] joint H P Hᵀ of `rows`
+    local: BoolArray | None  # (u, u) the first pairing below the root restricts the others to its locality, unless None
+    gates: Array  # (g + l + 1,) χ² gate of a hypothesis by its number of pairings
+
+    @property
+    def levels(self) -> int:
+        """Number of decisions from the root to a leaf."""
+        return len(self.candidates.measurements)
+
+    @property
+    def pairings_given(self) -> int:
+        """Number of pairings of the root."""
+        return len(self.gates) - 1 - self.levels
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """The decisions that lead to a node, and what the joint test needs to go on from there."""
+
+    path: IntArray  # (level,) row of the prediction decided at each level, NONE for `*`
+    slots: IntArray  # (p,) slot of each pairing, those given first
+    factor: Array  # (2p, 2p) [m] L, lower triangular, S_H = L Lᵀ
+    whitened: Array  # (2p,) y = L⁻¹ ν_H
+    distance: float  # D²_H = yᵀy
+
+    @property
+    def level(self) -> int:
+        """Decisions taken so far; the level that decides next."""
+        return len(self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class Branches:
+    """What a node's measurement may be paired with, by ascending D²_ij. `*` is always legal besides, and comes last."""
+
+    rows: IntArray  # (b,) individually compatible rows of the prediction
+    individual: Array  # (b,) D²_ij
+    joint: Array  # (b,) D²_H with the pairing added; inf where the feature is taken or not local
+    legal: BoolArray  # (b,) the hypothesis stays jointly compatible
+
+
+def interpretation_tree(
+    scan: Scan,
+    prediction: Prediction,
+    confidence: float = 0.99,
+    *,
+    given: IntArray | None = None,
+    eligible: BoolArray | None = None,
+    local: bool = False,
+) -> Tree:
+    """The tree of the measurements that `given` (m,) leaves unpaired (default: all), over the `eligible` rows (k,).
+
+    With `local`, the first pairing below the root restricts those after it to its own locality.
+    Raises ValueError as `individual` does, where `local` is asked of a prediction without locality, or where a row
+    given is eligible again.
+    """
+    measurements, fixed = None, _NO_PATH
+    if given is None:
+        given = np.full(len(scan.points), NONE)
+    else:
+        measurements, fixed = np.flatnonzero(given == NONE), given[given != NONE]
+    if len(fixed) and (eligible is None or eligible[fixed].any()):
+        raise ValueError("eligible: rows that are given are used already")
+    candidates = individual(scan, prediction, confidence, measurements=measurements, eligible=eligible)
+    rows, slots = candidates.rows, candidates.slots
+    if len(fixed):
+        rows, slots = np.concatenate((fixed, rows)), slots + len(fixed)
+    covariance = prediction.joint(rows) if len(rows) else _NO_COVARIANCE
+    among = None
+    if local:
+        if prediction.locality is None:
+            raise ValueError("local: the prediction has no locality")
+        among = prediction.locality.among(rows)
+    gates = joint_gates(len(fixed) + len(candidates.measurements), confidence)
+    return Tree(scan, prediction, candidates, given, rows, slots, covariance, among, gates)
+
+
+def root(tree: Tree) -> Node:
+    """The root: nothing decided but the pairings given."""
+    if not tree.pairings_given:
+        return Node(_NO_PATH, _NO_PATH, _NO_COVARIANCE, np.empty(0), 0.0)
+    paired = np.flatnonzero(tree.given != NONE)
+    slots = np.arange(len(paired))
+    innovations = tree.scan.points[paired] - tree.prediction.positions[tree.rows[slots]]
+    factor, whitened, distance = _factorise(tree.covariance, slots, innovations, tree.scan.covariances[paired])
+    return Node(_NO_PATH, slots, factor, whitened, distance)
+
+
+def branches(tree: Tree, node: Node) -> Branches:
+    """What may follow `node`. Raises ValueError at a leaf."""
+    if node.level >= tree.levels:
+        raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
+    first, last = tree.candidates.starts[node.level : node.level + 2]
+    joint = np.array([_child(tree, node, c).distance for c in range(first, last)])
+    rows = tree.rows[tree.slots[first:last]]
+    return Branches(rows, tree.candidates.distances[first:last], joint, joint < tree.gates[len(node.slots) + 1])
+
+
+def extend(tree: Tree, node: Node, row: int) -> Node:
+    """The node reached by deciding the next measurement: paired with `row` of the prediction, or NONE.
+
+    Raises ValueError at a leaf, and where the pairing is not legal.
+    """
+    if node.level >= tree.levels:
+        raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
+    if row == NONE:
+        return Node(np.append(node.path, NONE), node.slots, node.factor, node.whitened, node.distance)
+    first, last = tree.candidates.starts[node.level : node.level + 2]
+    at = np.flatnonzero(tree.rows[tree.slots[first:last]] == row)
+    child = _child(tree, node, first + at[0]) if len(at) else None
+    if child is None or not child.distance < tree.gates[len(child.slots)]:
+        measurement = tree.candidates.measurements[node.level]
+        raise ValueError(f"row: measurement {measurement} may not be paired with row {row} after {node.path.tolist()}")
+    return child
+
+
+def decided(tree: Tree, node: Node) -> IntArray:
+    """Row of the prediction paired with each measurement of the scan, (m,); NONE for `*` and for what is undecided."""
+    rows = tree.given.copy()
+    rows[tree.candidates.measurements[: node.level]] = node.path
+    return rows
+
+
+def hypothesis(tree: Tree, node: Node, effort: Effort) -> Hypothesis:
+    """The answer that `node` amounts to, with `*` for what is undecided."""
+    return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort)
+
+
+def as_hypothesis(prediction: Prediction, rows: IntArray, distance: float, effort: Effort) -> Hypothesis:
+    """Rows of the prediction (m,), or NONE, turned into map features."""
+    paired = rows != NONE
+    features = np.full(len(rows), NONE)
+    features[paired] = prediction.features[rows[paired]]
+    return Hypothesis(features, distance, 2 * int(np.count_nonzero(paired)), effort)
+
+
+def _child(tree: Tree, node: Node, candidate: int) -> Node:
+    """`node` with one more pairing; its distance is inf where the feature is taken or not local."""
+    slot, p, given = int(tree.slots[candidate]), len(node.slots), tree.pairings_given
+    path = np.append(node.path, tree.rows[slot])
+    strange = tree.local is not None and p > given and not tree.local[node.slots[given], slot]
+    if strange or slot in node.slots:
+        return Node(path, node.slots, node.factor, node.whitened, math.inf)
+    factor, whitened = np.zeros((2 * p + 2, 2 * p + 2)), np.empty(2 * p + 2)
+    factor[: 2 * p, : 2 * p], whitened[: 2 * p] = node.factor, node.whitened
+    slots = np.append(node.slots, slot)
+    noise = tree.scan.covariances[tree.candidates.measurements[node.level]]
+    innovation = tree.candidates.innovations[candidate]
+    added = append_pairing(factor, whitened, slots, p, tree.covariance, slot, innovation, noise)
+    return Node(path, slots, factor, whitened, node.distance + added)
+
+
+@compiled
+def append_pairing(
+    factor: Array,
+    whitened: Array,
+    slots: IntArray,
+    p: int,
+    covariance: Array,
+    slot: int,
+    innovation: Array,
+    noise: Array,
+) -> float:
+    """Rows 2p, 2p + 1 of L and y for one more pairing, in place; what it adds to D²_H, inf where S_H turns singular.
+
+    `factor` and `whitened` hold the p pairings of `slots[:p]`; innovation (2,) [m], noise (2, 2) [m²] in R.
+    """
+    a, b, x, y = 2 * p, 2 * p + 1, innovation[0], innovation[1]
+    xx = covariance[2 * slot, 2 * slot] + noise[0, 0]
+    xy = covariance[2 * slot, 2 * slot + 1] + noise[0, 1]
+    yy = covariance[2 * slot + 1, 2 * slot + 1] + noise[1, 1]
+    for r in range(2 * p):
+        row = 2 * slots[r // 2] + r % 2
+        u, v = covariance[row, 2 * slot], covariance[row, 2 * slot + 1]
+        for q in range(r):
+            u -= factor[r, q] * factor[a, q]
+            v -= factor[r, q] * factor[b, q]
+        u, v = u / factor[r, r], v / factor[r, r]
+        factor[a, r], factor[b, r] = u, v
+        x, y = x - u * whitened[r], y - v * whitened[r]
+        xx, xy, yy = xx - u * u, xy - u * v, yy - v * v
+    if not xx > 0.0:
+        return math.inf
+    factor[a, a] = math.sqrt(xx)
+    factor[b, a] = xy / factor[a, a]
+    rest = yy - factor[b, a] * factor[b, a]
+    if not rest > 0.0:
+        return math.inf
+    factor[b, b] = math.sqrt(rest)
+    whitened[a] = x / factor[a, a]
+    whitened[b] = (y - factor[b, a] * whitened[a]) / factor[b, b]
+    return float(whitened[a] * whitened[a] + whitened[b] * whitened[b])
+
+
+@compiled
+def _factorise(covariance: Array, slots: IntArray, innovations: Array, noise: Array) -> tuple[Array, Array, float]:
+    """L (2p, 2p), y (2p,) and D² of the pairings of `slots` (p,)."""
+    p = len(slots)
+    factor, whitened, distance = np.zeros((2 * p, 2 * p)), np.empty(2 * p), 0.0
+    for i in range(p):
+        distance += append_pairing(factor, whitened, slots, i, covariance, slots[i], innovations[i], noise[i])
+    return factor, whitened, distance

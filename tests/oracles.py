@@ -1,0 +1,161 @@
+"""Slow, direct definitions of every associator, and small random problems to hold the fast ones against.
+
+Nothing here calls the package's own compatibility, tree or search.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.stats import chi2
+
+from slam_gym.types import NONE, Array, IntArray, Locality, Prediction, Scan
+
+
+def problem(
+    rng: np.random.Generator,
+    m: int,
+    n: int,
+    *,
+    spread: float = 3.0,
+    heading_sigma: float = 0.15,
+    spurious: float = 0.3,
+    locality: bool = False,
+) -> tuple[Scan, Prediction]:
+    """A scan of m measurements before a map of n correlated features within ±`spread` m, ambiguous on purpose.
+
+    The joint covariance is that of a robot of uncertain pose (common to all features: strong correlations) over a map of
+    independent small errors. With locality, features fall into two or three groups, some of them near.
+    """
+    positions = rng.uniform(-spread, spread, (n, 2))
+    jacobian = np.zeros((2 * n, 3))
+    jacobian[0::2, 0] = jacobian[1::2, 1] = -1.0
+    jacobian[0::2, 2], jacobian[1::2, 2] = positions[:, 1], -positions[:, 0]
+    pose = np.diag([0.3, 0.3, heading_sigma]) ** 2
+    mixing = 0.05 * rng.standard_normal((2 * n, 2 * n))
+    P = jacobian @ pose @ jacobian.T + mixing @ mixing.T / max(n, 1) + 1e-3 * np.eye(2 * n)
+    R = np.array([_covariance(rng, 0.05) for _ in range(m)]).reshape(m, 2, 2)
+    drawn = positions.ravel() + (np.linalg.cholesky(P) @ rng.standard_normal(2 * n) if n else 0.0)
+    points = rng.uniform(-spread, spread, (m, 2))
+    real = rng.permutation(min(m, n))[: round((1.0 - spurious) * min(m, n))]
+    for i, j in zip(real, rng.permutation(n)):
+        points[i] = drawn.reshape(-1, 2)[j] + np.linalg.cholesky(R[i]) @ rng.standard_normal(2)
+    unknown = np.full(n, np.nan)
+    blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
+
+    def joint(rows: IntArray) -> Array:
+        entries = (2 * rows[:, None] + np.arange(2)).ravel()
+        return np.ascontiguousarray(P[np.ix_(entries, entries)])
+
+    features = np.sort(rng.permutation(3 * n)[:n])
+    prediction = Prediction(features, positions, blocks, unknown, unknown, joint)
+    if locality:
+        group = rng.integers(0, 3, n)
+        related = (group[:, None] == group) | np.eye(n, dtype=bool) | _symmetric(rng.random((n, n)) < 0.1)
+        near = (group == 0) & (rng.random(n) < 0.9)
+        prediction = dataclasses.replace(
+            prediction, locality=Locality(near, lambda rows: np.ascontiguousarray(related[np.ix_(rows, rows)]))
+        )
+    return Scan(points, R, np.full(m, np.nan), np.full(m, np.nan)), prediction
+
+
+def _covariance(rng: np.random.Generator, sigma: float) -> Array:
+    a = rng.standard_normal((2, 2))
+    return sigma**2 * (a @ a.T + 0.5 * np.eye(2))
+
+
+def _symmetric(mask: np.ndarray) -> np.ndarray:
+    return mask | mask.T
+
+
+def distance(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> float:
+    """D²_H of pairings (measurement, row), by the formula."""
+    if not pairs:
+        return 0.0
+    rows = np.array([j for _, j in pairs])
+    nu = np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs])
+    S = prediction.joint(rows).copy()
+    for k, (i, _) in enumerate(pairs):
+        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
+    return float(nu @ np.linalg.solve(S, nu))
+
+
+def compatible(scan: Scan, prediction: Prediction, confidence: float) -> list[list[tuple[float, int]]]:
+    """Per measurement its individually compatible (D², row), ascending."""
+    gate = chi2.ppf(confidence, 2)
+    lists = []
+    for i in range(len(scan)):
+        found = []
+        for j in range(len(prediction)):
+            nu = scan.points[i] - prediction.positions[j]
+            d2 = float(nu @ np.linalg.solve(prediction.covariances[j] + scan.covariances[i], nu))
+            if d2 < gate:
+                found.append((d2, j))
+        lists.append(sorted(found))
+    return lists
+
+
+def nearest(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
+    return [found[0][1] if found else NONE for found in compatible(scan, prediction, confidence)]
+
+
+def singles(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
+    lists = compatible(scan, prediction, confidence)
+    everywhere = [j for found in lists for _, j in found]
+    return [found[0][1] if len(found) == 1 and everywhere.count(found[0][1]) == 1 else NONE for found in lists]
+
+
+def best_path(
+    scan: Scan,
+    prediction: Prediction,
+    confidence: float,
+    *,
+    allowed: np.ndarray | None = None,
+    given: list[int] | None = None,
+    related: np.ndarray | None = None,
+) -> tuple[list[int], float]:
+    """Most pairings, then least D²_H, over *every* path all prefixes of which are jointly compatible. No bound.
+
+    allowed (n,) rows that may be paired; given: row per measurement decided before, NONE for those to decide; related
+    (n, n): pairings must be related to the first one made here.
+    """
+    n = len(prediction)
+    allowed = np.ones(n, bool) if allowed is None else allowed
+    given = [NONE] * len(scan) if given is None else given
+    lists = compatible(scan, prediction, confidence)
+    base = [(i, j) for i, j in enumerate(given) if j != NONE]
+    undecided = [i for i, j in enumerate(given) if j == NONE]
+    best: tuple[int, float, list[tuple[int, int]]] = (len(base), distance(scan, prediction, base), base)
+    stack = [(0, base)]
+    while stack:
+        level, pairs = stack.pop()
+        if level == len(undecided):
+            d2 = distance(scan, prediction, pairs)
+            if len(pairs) > best[0] or (len(pairs) == best[0] and d2 < best[1]):
+                best = (len(pairs), d2, pairs)
+            continue
+        stack.append((level + 1, pairs))
+        used = {j for _, j in pairs}
+        for _, j in lists[undecided[level]]:
+            if not allowed[j] or j in used:
+                continue
+            if related is not None and len(pairs) > len(base) and not related[pairs[len(base)][1], j]:
+                continue
+            longer = [*pairs, (undecided[level], j)]
+            if distance(scan, prediction, longer) < chi2.ppf(confidence, 2 * len(longer)):
+                stack.append((level + 1, longer))
+    rows = [NONE] * len(scan)
+    for i, j in best[2]:
+        rows[i] = j
+    return rows, best[1]
+
+
+def jcbb(scan: Scan, prediction: Prediction, confidence: float, *, locality: bool = True) -> tuple[list[int], float]:
+    """JCBB as the best of all paths; with locality in the two searches it is defined by."""
+    if not locality or prediction.locality is None:
+        return best_path(scan, prediction, confidence)
+    near = prediction.locality.near
+    first, _ = best_path(scan, prediction, confidence, allowed=near)
+    related = prediction.locality.among(np.arange(len(prediction)))
+    return best_path(scan, prediction, confidence, allowed=~near, given=first, related=related)
