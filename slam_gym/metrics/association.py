@@ -1,0 +1,193 @@
+"""Were the measurements associated with the right features?
+
+The identity of a map feature is the source of the measurement that created it. Every measurement is judged against the
+map as it was before its scan, so what a scan creates is no excuse and no trap for the rest of that scan.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.types import NONE, UNKNOWN, BoolArray, IntArray, SlamStep, Truth
+
+
+class Decision(IntEnum):
+    """What became of a measurement, as a picture or a log tells it."""
+
+    RIGHT = 0  # paired with its feature
+    WRONG = 1  # paired with another feature or a duplicate, or started a duplicate of its own
+    NEW = 2  # started its feature, which the map did not have
+    SPURIOUS = 3  # came from no feature, yet was paired or started one
+    DISCARDED = 4  # neither paired nor started a feature
+    UNJUDGED = 5  # nobody knows its source, or that of the feature it was paired with
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Counts of association decisions; tallies add up.
+
+    A mismatch counts once, as a false positive, so that recall = TP / #(measurements whose feature is in the map).
+    Unlabelled measurements, and pairings with features that such a measurement created, count nowhere.
+    """
+
+    tp: int = 0  # paired with the feature of their source; of duplicates, the oldest is the right one
+    fp_wrong: int = 0  # paired with a feature of another source
+    fp_spurious: int = 0  # spurious, yet paired
+    fp_duplicate: int = 0  # paired with a later duplicate of the right feature
+    fn: int = 0  # not paired, though their feature was in the map
+    tn: int = 0  # not paired, and rightly
+    in_map: int = 0  # measurements whose feature was in the map
+    new_right: int = 0  # started a feature that the map did not have
+    new_wrong: int = 0  # started a duplicate, or a feature where there is none
+    not_in_map: int = 0  # measurements of a real feature that the map did not have
+    scans: int = 0  # scans with something to judge
+    scans_exact: int = 0  # of those, without any FP or FN
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
+
+    @property
+    def fp(self) -> int:
+        """Paired and not right, whatever the reason."""
+        return self.fp_wrong + self.fp_spurious + self.fp_duplicate
+
+    @property
+    def precision(self) -> float:
+        """TP / (TP + FP); NaN where nothing was paired."""
+        return _ratio(self.tp, self.tp + self.fp)
+
+    @property
+    def recall(self) -> float:
+        """TP / #(measurements whose feature is in the map); NaN where there was none."""
+        return _ratio(self.tp, self.in_map)
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall; NaN where there was nothing to pair and nothing was paired."""
+        return _ratio(2 * self.tp, self.tp + self.fp + self.in_map)
+
+    @property
+    def new_precision(self) -> float:
+        """Share of the started features that are real and were not in the map; NaN where none was started."""
+        return _ratio(self.new_right, self.new_right + self.new_wrong)
+
+    @property
+    def new_recall(self) -> float:
+        """Share of the measurements of features not in the map that started one; NaN where there was none."""
+        return _ratio(self.new_right, self.not_in_map)
+
+    @property
+    def exact(self) -> float:
+        """Share of scans whose whole hypothesis is right; NaN without scans."""
+        return _ratio(self.scans_exact, self.scans)
+
+
+def _ratio(part: int, whole: int) -> float:
+    return part / whole if whole else math.nan
+
+
+class Identities:
+    """Which true feature each map feature is, learned from the steps of a SLAM run and the truth behind its scans."""
+
+    def __init__(self) -> None:
+        self.decisions: IntArray = np.empty(0, np.int64)  # (m,) `Decision` of each measurement of the last step
+        self._counts: IntArray = np.zeros(len(Tally.__slots__), np.int64)
+        self._source: IntArray = np.full(64, UNKNOWN)  # indexed by id; also of features no longer in the map
+        self._oldest: IntArray = np.full(64, NONE)  # indexed by source: id of the oldest feature the map has of it
+        self._in_map: dict[int, list[int]] = {}  # source -> ids of the features the map has of it, oldest first
+
+    @property
+    def total(self) -> Tally:
+        """Tally of all steps so far."""
+        return Tally(*self._counts.tolist())
+
+    def source_of(self, ids: IntArray) -> IntArray:
+        """True feature (k,) behind map features (k,) given by id: NONE = created by a spurious measurement."""
+        return self._source[ids]
+
+    def update(self, step: SlamStep, truth: Truth) -> Tally:
+        """Judge the decisions of one step, then learn what it created and removed. Returns the tally of this step.
+
+        Raises ValueError where step and truth do not speak of the same number of measurements.
+        """
+        if len(step.ids) != len(truth.sources):
+            raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
+        self.decisions, counts = _judge(step.ids, step.created, truth.sources, self._source, self._oldest)
+        self._counts += counts
+        for i in step.created.nonzero()[0].tolist():
+            self._add(step.ids.item(i), truth.sources.item(i))
+        for feature in step.removed.tolist():
+            self._remove(feature)
+        return Tally(*counts.tolist())
+
+    def _add(self, feature: int, source: int) -> None:
+        self._source = _grown(self._source, feature, UNKNOWN)
+        self._source[feature] = source
+        if source >= 0:
+            self._in_map.setdefault(source, []).append(feature)
+            self._oldest = _grown(self._oldest, source, NONE)
+            self._oldest[source] = self._in_map[source][0]
+
+    def _remove(self, feature: int) -> None:
+        source = self._source.item(feature)
+        if source >= 0:
+            self._in_map[source].remove(feature)
+            self._oldest[source] = self._in_map[source][0] if self._in_map[source] else NONE
+
+
+def _grown(values: IntArray, index: int, fill: int) -> IntArray:
+    """`values`, with doubled capacity until `index` fits."""
+    while index >= len(values):
+        values = np.concatenate([values, np.full_like(values, fill)])
+    return values
+
+
+_TP, _FP_WRONG, _FP_SPURIOUS, _FP_DUPLICATE, _FN, _TN = range(6)  # fields of Tally, in their order
+_IN_MAP, _NEW_RIGHT, _NEW_WRONG, _NOT_IN_MAP, _SCANS, _SCANS_EXACT = range(6, 12)
+_RIGHT, _WRONG, _NEW, _SPURIOUS, _DISCARDED, _UNJUDGED = (int(decision) for decision in Decision)
+
+
+@compiled
+def _judge(
+    ids: IntArray, created: BoolArray, sources: IntArray, source_of: IntArray, oldest: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Decision (m,) on each measurement, and the fields of their Tally (12,)."""
+    decisions = np.full(len(ids), _UNJUDGED)
+    counts = np.zeros(12, np.int64)
+    for i in range(len(ids)):
+        source, paired = sources[i], ids[i] != NONE and not created[i]
+        if source == UNKNOWN or (paired and source_of[ids[i]] == UNKNOWN):
+            continue
+        real, counts[_SCANS] = source != NONE, 1
+        in_map = real and source < len(oldest) and oldest[source] != NONE
+        if real:
+            counts[_IN_MAP if in_map else _NOT_IN_MAP] += 1
+        if paired:
+            verdict, decisions[i] = _judge_pairing(source, source_of[ids[i]], in_map and oldest[source] == ids[i])
+            counts[verdict] += 1
+            continue
+        counts[_FN if in_map else _TN] += 1
+        decisions[i] = _DISCARDED
+        if created[i]:
+            decisions[i] = _SPURIOUS if not real else (_WRONG if in_map else _NEW)
+            counts[_NEW_RIGHT if decisions[i] == _NEW else _NEW_WRONG] += 1
+    mistakes = counts[_FP_WRONG] + counts[_FP_SPURIOUS] + counts[_FP_DUPLICATE] + counts[_FN]
+    counts[_SCANS_EXACT] = counts[_SCANS] if mistakes == 0 else 0
+    return decisions, counts
+
+
+@compiled
+def _judge_pairing(source: int, identity: int, oldest: bool) -> tuple[int, int]:
+    """Field of Tally and decision of a measurement paired with a map feature of known identity."""
+    if source == NONE:
+        return _FP_SPURIOUS, _SPURIOUS
+    if identity != source:
+        return _FP_WRONG, _WRONG
+    if oldest:
+        return _TP, _RIGHT
+    return _FP_DUPLICATE, _WRONG

@@ -1,0 +1,120 @@
+"""How good is the map? Estimated and true features as point sets, all given in one frame by the caller."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym._compile import compiled
+from slam_gym.geometry import transform
+from slam_gym.metrics.assignment import assign
+from slam_gym.types import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Gospa:
+    """GOSPA (α = 2) and its parts, all in metres: total^p = localisation^p + missed^p + false^p."""
+
+    total: float  # [m]
+    localisation: float  # [m] of the features that were paired
+    missed: float  # [m] of the true features without an estimate
+    false: float  # [m] of the estimates without a true feature, duplicates among them
+
+
+def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0) -> Gospa:
+    """Generalised optimal sub-pattern assignment distance between estimated (e, 2) and true (N, 2) features [m].
+
+    With α = 2, the only value for which it splits into the parts of `Gospa` (Rahmathullah, García-Fernández and
+    Svensson, FUSION 2017, eq. 1 and prop. 1): the least, over partial assignments γ, of
+
+        [ Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) ]^(1/p).
+
+    Raises ValueError for points that are not finite, p < 1 or a cutoff c that is not positive.
+    """
+    estimated, true = _points("estimated", estimated), _points("true", true)
+    if not (p >= 1.0 and 0.0 < cutoff < math.inf):
+        raise ValueError(f"GOSPA needs p >= 1 and a positive cutoff, got p={p}, cutoff={cutoff}")
+    _, localisation, pairings = assign(estimated, true, cutoff, p)
+    penalty = 0.5 * cutoff**p
+    missed, false = penalty * (len(true) - pairings), penalty * (len(estimated) - pairings)
+    root = 1.0 / p
+    return Gospa((localisation + missed + false) ** root, localisation**root, missed**root, false**root)
+
+
+def map_error(estimated: Array, true: Array, sigma0: float) -> float:
+    """Error of a map in units of knowing nothing: E = GOSPA(p=1, α=2, c=2σ₀) / (σ₀ N).
+
+    An empty map has error 1, a perfect one 0; every false feature adds 1/N, so that a bad map may exceed 1. With no
+    true features at all, N counts as 1. `estimated` (e, 2) and `true` (N, 2) [m] as C-contiguous arrays, `sigma0` [m].
+
+    Raises ValueError for points that are not finite, or a σ₀ that is not positive.
+    """
+    if not 0.0 < sigma0 < math.inf:
+        raise ValueError(f"sigma0 must be positive, got {sigma0}")
+    _, localisation, pairings = assign(estimated, true, 2.0 * sigma0, 1.0)
+    unpaired = len(estimated) + len(true) - 2 * pairings
+    return (localisation + sigma0 * unpaired) / (sigma0 * max(len(true), 1))
+
+
+def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:
+    """Root mean square distance [m] of features (k, 2) from their true positions (k, 2), row i belonging to row i.
+
+    `aligned` first moves the map rigidly onto the truth (`align_se2`), which leaves its shape error alone. NaN for
+    k = 0. Raises ValueError where the shapes differ or a value is not finite.
+    """
+    estimated, true = _pairs(estimated, true)
+    if aligned:
+        estimated = transform(align_se2(estimated, true), estimated)
+    return math.sqrt(((estimated - true) ** 2).sum(axis=1).mean()) if len(true) else math.nan
+
+
+def align_se2(source: Array, target: Array) -> Array:
+    """Pose T (3,) that minimises Σ ‖T ⊕ source_i − target_i‖² over points (k, 2) and (k, 2) [m].
+
+    Umeyama (PAMI 1991) without scale, in closed form for the plane. Where the heading is not determined (one point, or
+    all in one place) it is 0; with no point at all T is the identity. Raises ValueError as `landmark_rmse`.
+    """
+    source, target = _pairs(source, target)
+    if not len(source):
+        return np.zeros(3)
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - source_mean, target - target_mean
+    heading = math.atan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    turned = transform(np.array([0.0, 0.0, heading]), source_mean[None])[0]
+    return np.array([*(target_mean - turned), heading])
+
+
+@compiled
+def coverage(cells: NDArray[np.uint8], origin: Array, resolution: float, points: Array) -> float:
+    """Share of `points` (c, 2) [m] whose grid cell is known (not 0); NaN without points.
+
+    `cells` (h, w) uint8 with its lower left corner at `origin` (2,) [m], row 0 lowest, `resolution` [m] a cell; points
+    off the grid are not known. All in one frame.
+    """
+    height, width = cells.shape
+    known = 0
+    for k in range(len(points)):
+        column = math.floor((points[k, 0] - origin[0]) / resolution)
+        row = math.floor((points[k, 1] - origin[1]) / resolution)
+        if 0 <= row < height and 0 <= column < width and cells[row, column] != 0:
+            known += 1
+    return known / len(points) if len(points) else math.nan
+
+
+def _points(name: str, points: Array) -> Array:
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{name} must be points (k, 2), got shape {points.shape}")
+    return points
+
+
+def _pairs(a: Array, b: Array) -> tuple[Array, Array]:
+    a, b = _points("estimated", a), _points("true", b)
+    if a.shape != b.shape:
+        raise ValueError(f"paired points must have one shape, got {a.shape} and {b.shape}")
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError("paired points must be finite")
+    return a, b
