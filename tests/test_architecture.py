@@ -1,0 +1,69 @@
+"""Dependencies point one way: types → geometry → { world | mapping, association → slam } → envs → agents."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BASE = {"types", "geometry", "_compile", "validation"}
+ALLOWED = {
+    "types": set(),
+    "_compile": set(),
+    "geometry": {"types", "_compile"},
+    "validation": {"types", "_compile"},
+    "world": BASE | {"world"},
+    "mapping": BASE | {"mapping"},
+    "association": BASE | {"association"},
+    "slam": BASE | {"mapping", "association"},
+    "metrics": BASE | {"metrics"},
+    "scenarios": BASE | {"world", "mapping", "slam"},
+    "envs": BASE | {"world", "mapping", "association", "slam", "metrics", "scenarios", "envs"},
+    "bench": BASE | {"world", "mapping", "association", "slam", "metrics", "scenarios", "envs", "bench", "__init__"},
+    "__init__": set(),
+}
+
+
+def imports(path: Path) -> set[str]:
+    """Full names of the modules that a file imports, wherever in the file."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def part(module: str) -> str:
+    """`slam_gym.mapping.ekf` → `mapping`; `slam_gym` itself → `__init__`."""
+    return (module.split(".") + ["__init__"])[1]
+
+
+FILES = sorted((ROOT / "slam_gym").rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_imports_point_one_way(path: Path) -> None:
+    own = part(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    assert own in ALLOWED, f"{path}: a part of the package that the architecture does not know"
+    used = {part(name) for name in imports(path) if name.split(".")[0] == "slam_gym"}
+    assert used <= ALLOWED[own] | {own}, f"{path} imports {sorted(used - ALLOWED[own])}"
+
+
+def test_only_physics_imports_pymunk() -> None:
+    users = [path.name for path in FILES if any(name.split(".")[0] == "pymunk" for name in imports(path))]
+    assert users == ["physics.py"]
+
+
+def test_the_package_imports_no_agents_and_no_learning_library() -> None:
+    for path in FILES:
+        foreign = {name.split(".")[0] for name in imports(path)} & {"agents", "torch", "stable_baselines3", "tests"}
+        assert not foreign, f"{path} imports {foreign}"
+
+
+def test_truth_does_not_reach_the_estimate_side() -> None:
+    for path in FILES:
+        if part(".".join(path.relative_to(ROOT).with_suffix("").parts)) in {"mapping", "association", "slam"}:
+            assert "slam_gym.types.Truth" not in imports(path), path
