@@ -41,56 +41,59 @@ def assign(estimated: Array, true: Array, cutoff: float, p: float) -> tuple[IntA
 @compiled
 def _pairs_within(estimated: Array, true: Array, cutoff: float) -> tuple[IntArray, IntArray, Array]:
     """All pairs closer than the cutoff, by estimated point: starts (e + 1,), true points (q,), distances (q,) [m]."""
+    x_low, y_low, cell, width, height = _grid(estimated, true, cutoff)
+    cell_starts, order = _bin(true, x_low, y_low, cell, width, height)
     starts = np.zeros(len(estimated) + 1, np.int64)
-    low, cell, width, height = _grid(estimated, true, cutoff)
-    cell_starts, order = _bin(true, low, cell, width, height)
-    columns, distances = np.empty(4 * len(estimated) + 16, np.int64), np.empty(4 * len(estimated) + 16)
-    q = 0
-    for i in range(len(estimated)):
-        x, y = (estimated[i, 0] - low[0]) / cell, (estimated[i, 1] - low[1]) / cell
-        if len(true) and -1.0 <= x < width + 1 and -1.0 <= y < height + 1:
-            left, right = max(math.floor(x) - 1, 0), min(math.floor(x) + 1, width - 1)
-            for row in range(max(math.floor(y) - 1, 0), min(math.floor(y) + 2, height)):
-                first, last = cell_starts[row * width + left], cell_starts[row * width + right + 1]
-                if q + last - first > len(columns):
-                    columns = np.concatenate((columns, np.empty(q + last - first, np.int64)))
-                    distances = np.concatenate((distances, np.empty(q + last - first)))
-                for k in range(first, last):
-                    dx, dy = estimated[i, 0] - true[order[k], 0], estimated[i, 1] - true[order[k], 1]
-                    if dx * dx + dy * dy < cutoff * cutoff:
-                        columns[q], distances[q] = order[k], math.sqrt(dx * dx + dy * dy)
-                        q += 1
-        starts[i + 1] = q
-    return starts, columns[:q], distances[:q]
+    columns, distances = np.empty(0, np.int64), np.empty(0)
+    for filling in (False, True):
+        q = 0
+        for i in range(len(estimated)):
+            x, y = (estimated[i, 0] - x_low) / cell, (estimated[i, 1] - y_low) / cell
+            if len(true) and -1.0 <= x < width + 1 and -1.0 <= y < height + 1:
+                left, right = max(math.floor(x) - 1, 0), min(math.floor(x) + 1, width - 1)
+                for row in range(max(math.floor(y) - 1, 0), min(math.floor(y) + 2, height)):
+                    for k in range(cell_starts[row * width + left], cell_starts[row * width + right + 1]):
+                        dx, dy = estimated[i, 0] - true[order[k], 0], estimated[i, 1] - true[order[k], 1]
+                        if dx * dx + dy * dy < cutoff * cutoff:
+                            if filling:
+                                columns[q], distances[q] = order[k], math.sqrt(dx * dx + dy * dy)
+                            q += 1
+            starts[i + 1] = q
+        if not filling:
+            columns, distances = np.empty(q, np.int64), np.empty(q)
+    return starts, columns, distances
 
 
 @compiled
-def _grid(estimated: Array, true: Array, cutoff: float) -> tuple[Array, float, int, int]:
-    """Lower corner (2,), cell size, width and height of a grid over the true points, of O(N) cells ≥ the cutoff."""
-    low, high = np.zeros(2), np.zeros(2)
-    for axis in range(2):
-        for i in range(len(estimated)):
-            if not math.isfinite(estimated[i, axis]):
-                raise ValueError("an estimated position is not finite")
-        for j in range(len(true)):
-            if not math.isfinite(true[j, axis]):
-                raise ValueError("a true position is not finite")
-            low[axis] = true[j, axis] if j == 0 else min(low[axis], true[j, axis])
-            high[axis] = true[j, axis] if j == 0 else max(high[axis], true[j, axis])
-    extent = high - low
-    cell = max(cutoff, math.sqrt(extent[0] / (4 * len(true) + 1) * extent[1]), extent[0] / 1024, extent[1] / 1024)
+def _grid(estimated: Array, true: Array, cutoff: float) -> tuple[float, float, float, int, int]:
+    """Lower corner, cell size, width and height of a grid over the true points, of O(N) cells not under the cutoff."""
+    _extent(estimated, 0), _extent(estimated, 1)
+    x_low, x_high = _extent(true, 0)
+    y_low, y_high = _extent(true, 1)
+    wide, high = x_high - x_low, y_high - y_low
+    cell = max(cutoff, math.sqrt(wide / (4 * len(true) + 1) * high), wide / 1024, high / 1024)
     if not math.isfinite(cell):
         raise ValueError("the true positions are too far apart")
-    return low, cell, int(extent[0] / cell) + 1, int(extent[1] / cell) + 1
+    return x_low, y_low, cell, int(wide / cell) + 1, int(high / cell) + 1
 
 
 @compiled
-def _bin(points: Array, low: Array, cell: float, width: int, height: int) -> tuple[IntArray, IntArray]:
+def _extent(points: Array, axis: int) -> tuple[float, float]:
+    low, high = (points[0, axis], points[0, axis]) if len(points) else (0.0, 0.0)
+    for j in range(len(points)):
+        if not math.isfinite(points[j, axis]):
+            raise ValueError("a position is not finite")
+        low, high = min(low, points[j, axis]), max(high, points[j, axis])
+    return low, high
+
+
+@compiled
+def _bin(points: Array, x_low: float, y_low: float, cell: float, width: int, height: int) -> tuple[IntArray, IntArray]:
     """Counting sort of points (N, 2) into grid cells, row by row: starts (cells + 1,) and the points (N,) in order."""
     where = np.empty(len(points), np.int64)
     starts = np.zeros(width * height + 1, np.int64)
     for j in range(len(points)):
-        where[j] = int((points[j, 1] - low[1]) / cell) * width + int((points[j, 0] - low[0]) / cell)
+        where[j] = int((points[j, 1] - y_low) / cell) * width + int((points[j, 0] - x_low) / cell)
         starts[where[j] + 1] += 1
     for k in range(width * height):
         starts[k + 1] += starts[k]

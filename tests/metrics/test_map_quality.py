@@ -1,0 +1,121 @@
+"""Map quality against dense assignment, closed forms and invariances."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import linear_sum_assignment
+
+from slam_gym.geometry import transform
+from slam_gym.metrics.assignment import assign
+from slam_gym.metrics.map_quality import align_se2, coverage, gospa, landmark_rmse, map_error
+from slam_gym.types import NONE
+
+
+def dense_optimum(estimated, true, cutoff, p):
+    """Textbook: every point of either set may also go to a dummy of its own, for half the cutoff."""
+    e, n = len(estimated), len(true)
+    cost = np.full((e + n, e + n), 0.5 * cutoff**p)
+    cost[:e, :n] = np.linalg.norm(estimated[:, None] - true[None], axis=2) ** p
+    cost[e:, n:] = 0.0
+    return cost[linear_sum_assignment(cost)].sum()
+
+
+@pytest.mark.parametrize("seed", range(300))
+def test_sparse_assignment_is_the_dense_optimum(seed):
+    rng = np.random.default_rng(seed)
+    cutoff, p = rng.choice([0.1, 1.0, 3.0, 30.0]), rng.choice([1.0, 1.5, 2.0])
+    true = rng.uniform(-4, 4, (rng.integers(0, 40), 2)) * rng.choice([0.2, 1.0, 1.0, 5.0], size=2)
+    copies = true[rng.integers(0, len(true), rng.integers(0, 40))] if len(true) else true
+    estimated = np.vstack([copies + rng.normal(0, 0.5, copies.shape), rng.uniform(-5, 5, (rng.integers(0, 6), 2))])
+    features, total, pairings = assign(estimated, true, cutoff, p)
+    paired = features != NONE
+    assert paired.sum() == pairings == len(set(features[paired].tolist()))
+    distances = np.linalg.norm(estimated[paired] - true[features[paired]], axis=1)
+    assert total == pytest.approx((distances**p).sum()) and (distances < cutoff).all()
+    unpaired = len(estimated) + len(true) - 2 * pairings
+    assert total + 0.5 * cutoff**p * unpaired == pytest.approx(dense_optimum(estimated, true, cutoff, p), abs=1e-9)
+
+
+def test_map_error_runs_from_one_for_nothing_to_zero_for_the_truth():
+    true = np.random.default_rng(0).uniform(0, 20, (50, 2))
+    assert map_error(np.empty((0, 2)), true, 0.5) == 1.0
+    assert map_error(true[::-1].copy(), true, 0.5) == 0.0
+    assert map_error(true[:10], true, 0.5) == pytest.approx(0.8)
+    assert map_error(true + np.array([0.05, 0.0]), true, 0.5) == pytest.approx(0.1)
+    assert map_error(np.vstack([true, true]), true, 0.5) == pytest.approx(1.0)  # each duplicate costs as much as a miss
+    assert map_error(true + 1000.0, true, 0.5) == pytest.approx(2.0)
+    assert map_error(np.empty((0, 2)), np.empty((0, 2)), 0.5) == 0.0
+
+
+def test_map_error_is_gospa_with_its_parameters():
+    rng = np.random.default_rng(1)
+    true, estimated = rng.uniform(0, 10, (40, 2)), rng.uniform(0, 10, (35, 2))
+    distance = gospa(estimated, true, p=1.0, cutoff=1.4)
+    assert map_error(estimated, true, 0.7) == pytest.approx(distance.total / (0.7 * 40))
+    assert distance.total == pytest.approx(distance.localisation + distance.missed + distance.false)
+
+
+def test_gospa_parts():
+    true = np.array([[0.0, 0.0], [5.0, 0.0], [9.0, 9.0]])
+    estimated = np.array([[0.3, 0.4], [0.0, 0.6], [5.0, 0.0]])  # the second is a duplicate
+    parts = gospa(estimated, true)
+    assert parts.localisation == pytest.approx(0.5)
+    assert parts.missed == parts.false == pytest.approx(math.sqrt(0.5))
+    assert parts.total == pytest.approx(math.sqrt(0.25 + 1.0))
+
+
+@pytest.mark.parametrize("p", [1.0, 2.0])
+def test_gospa_is_a_metric(p):
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        a, b, c = (rng.uniform(0, 3, (rng.integers(0, 9), 2)) for _ in range(3))
+        ab, bc, ac, ba = (gospa(x, y, p=p).total for x, y in ((a, b), (b, c), (a, c), (b, a)))
+        assert ab == pytest.approx(ba) and ac <= ab + bc + 1e-12
+
+
+def test_bad_points_are_refused():
+    good, bad = np.zeros((2, 2)), np.array([[0.0, np.nan]])
+    with pytest.raises(ValueError, match="a position is not finite"):
+        map_error(bad, good, 1.0)
+    with pytest.raises(ValueError, match="a position is not finite"):
+        gospa(good, np.array([[np.inf, 0.0]]))
+    with pytest.raises(ValueError, match="too far apart"):
+        map_error(good, np.array([[-1.7e308, 0.0], [1.7e308, 0.0]]), 1.0)
+    with pytest.raises(ValueError, match="sigma0"):
+        map_error(good, good, 0.0)
+    with pytest.raises(ValueError, match="cutoff"):
+        gospa(good, good, cutoff=-1.0)
+    with pytest.raises(ValueError, match=r"\(k, 2\)"):
+        gospa(np.zeros((3, 3)), good)
+    with pytest.raises(ValueError, match="one shape"):
+        landmark_rmse(good, np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="finite"):
+        landmark_rmse(bad, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_alignment_recovers_a_rigid_motion_and_beats_its_neighbours(seed):
+    rng = np.random.default_rng(seed)
+    points, pose = rng.uniform(-10, 10, (12, 2)), rng.uniform(-3, 3, 3)
+    np.testing.assert_allclose(align_se2(points, transform(pose, points)), pose, atol=1e-12)
+    noisy = transform(pose, points) + rng.normal(0, 0.5, points.shape)
+    best = align_se2(points, noisy)
+    least = landmark_rmse(transform(best, points), noisy)
+    assert landmark_rmse(points, noisy, aligned=True) == pytest.approx(least)
+    for nudge in rng.normal(0, 0.05, (20, 3)):
+        assert landmark_rmse(transform(best + nudge, points), noisy) >= least
+
+
+def test_alignment_of_too_few_points():
+    np.testing.assert_array_equal(align_se2(np.empty((0, 2)), np.empty((0, 2))), np.zeros(3))
+    np.testing.assert_allclose(align_se2(np.array([[1.0, 2.0]]), np.array([[4.0, 0.0]])), [3.0, -2.0, 0.0])
+    assert math.isnan(landmark_rmse(np.empty((0, 2)), np.empty((0, 2)), aligned=True))
+
+
+def test_coverage_counts_points_in_known_cells():
+    cells = np.zeros((3, 4), np.uint8)
+    cells[0, 0], cells[2, 3] = 1, 2
+    points = np.array([[-0.9, 2.1], [0.9, 3.4], [0.0, 2.6], [-1.1, 2.1], [5.0, 5.0]])
+    assert coverage(cells, np.array([-1.0, 2.0]), 0.5, points) == 2 / 5
+    assert math.isnan(coverage(cells, np.zeros(2), 0.5, np.empty((0, 2))))
