@@ -1,0 +1,215 @@
+"""People: scripted discs that stroll through the rooms, and wait for whatever stands in their way.
+
+A stroll leads to a random place some metres of walking away: breadth-first over free cells, then pulled straight. A
+person never walks into the robot, another person or furniture; after waiting too long they go somewhere else.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.world import boxes
+from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.world.ray_casting import NO_DISCS, Grid, WallIndex, hides, sees
+from slam_gym.world.reachability import free_cells, indoor
+
+_CLEARANCE = 0.02  # [m] from walls
+_MARGIN = 0.1  # [m] kept from furniture and other people
+_STROLL = 15.0  # [m] longest way walked at once
+_PAUSE = 3.0  # [s] longest rest between strolls
+_PATIENCE = 2.0  # [s] of waiting before another way is tried
+_START_DISTANCE = 1.5  # [m] from the robot's first position
+_MAX_WAYPOINTS = 64
+
+
+class People:
+    """`count` people of one `radius` [m] and `speed` [m/s] in `plan`, none near `robot` (2,) [m] W at first.
+
+    `keep` [m] is how near the edge of a person and the centre of the robot may come by the person's own walking.
+    Raises ValueError where the plan has no room for so many.
+    """
+
+    def __init__(
+        self,
+        plan: FloorPlan,
+        count: int,
+        radius: float,
+        speed: float,
+        keep: float,
+        robot: Array,
+        rng: np.random.Generator,
+    ) -> None:
+        self.discs = np.empty((0, 3))  # (p, 3) [m] x y radius, W
+        self.velocities = np.zeros((count, 2))  # [m/s] W, during the present tick
+        self._speed, self._keep = speed, keep
+        self._ways = np.zeros((count, _MAX_WAYPOINTS, 2))  # [m] W, centres of free cells
+        self._ahead = np.ones((count, 2), np.int64)  # next waypoint and number of waypoints
+        self._timers = np.zeros((count, 2))  # [s] left to rest, waited
+        if count:
+            outlines = boxes.outlines(plan.furniture)
+            self._cells = free_cells(plan, radius + _CLEARANCE, obstacles=outlines)
+            self._grid, self._outlines = WallIndex(plan.walls).grid, outlines
+            self.discs = self._places(plan, count, radius, robot, rng)
+            self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
+
+    def walk(self, tick: float, robot: Array, furniture: Array, rng: np.random.Generator) -> None:
+        """Take one tick's steps [s] among the `robot` (2,) [m] W and `furniture` (f, 5)."""
+        if len(self.discs) == 0:
+            return
+        idle = _walk(
+            tick,
+            self._speed,
+            self._keep,
+            robot,
+            furniture,
+            self.discs,
+            self.velocities,
+            self._ways,
+            self._ahead,
+            self._passed,
+            self._timers,
+        )
+        if idle:
+            for person in np.flatnonzero(self._ahead[:, 0] >= self._ahead[:, 1]):
+                self._plan_stroll(int(person), rng)
+
+    def _places(self, plan: FloorPlan, count: int, radius: float, robot: Array, rng: np.random.Generator) -> Array:
+        """Where people stand at first: discs (count, 3)."""
+        centres = self._cells.centres(indoor(plan, self._cells))
+        centres = centres[np.hypot(*(centres - robot).T) >= _START_DISTANCE]
+        discs = np.empty((0, 3))
+        for x, y in centres[rng.permutation(len(centres))]:
+            if (np.hypot(discs[:, 0] - x, discs[:, 1] - y) >= 2.0 * radius + _MARGIN).all():
+                discs = np.vstack([discs, [x, y, radius]])
+            if len(discs) == count:
+                return discs
+        raise ValueError(f"floor plan {plan.name!r} has room for {len(discs)} people, not for {count}")
+
+    def _plan_stroll(self, person: int, rng: np.random.Generator) -> None:
+        where, rest = rng.random(2)
+        last = self._passed[person]  # a person who turns back passes it again
+        way = _stroll(self._cells.free, self._cells.origin, self._cells.cell, last, where)
+        radius = self.discs[person, 2]
+        self._ahead[person] = 0, _pull_straight(self._grid, self._outlines, way, radius, self._ways[person])
+        self._timers[person] = _PAUSE * rest, 0.0
+
+
+@compiled
+def _walk(
+    tick: float,
+    speed: float,
+    keep: float,
+    robot: Array,
+    furniture: Array,
+    discs: Array,
+    velocities: Array,
+    ways: Array,
+    ahead: IntArray,
+    passed: Array,
+    timers: Array,
+) -> bool:
+    """Move `discs` in place, one after the other; whether somebody has nowhere to go."""
+    idle = False
+    for p in range(discs.shape[0]):
+        velocities[p] = 0.0
+        if timers[p, 0] > 0.0:
+            timers[p, 0] -= tick
+            continue
+        while ahead[p, 0] < ahead[p, 1]:
+            dx, dy = ways[p, ahead[p, 0], 0] - discs[p, 0], ways[p, ahead[p, 0], 1] - discs[p, 1]
+            left = math.hypot(dx, dy)
+            if left > 1e-9:
+                share = min(speed * tick / left, 1.0)
+                if _blocked(p, discs[p, 0] + share * dx, discs[p, 1] + share * dy, keep, robot, furniture, discs):
+                    timers[p, 1] += tick
+                    if timers[p, 1] > _PATIENCE:
+                        ahead[p, 0] = ahead[p, 1]
+                else:
+                    timers[p, 1] = 0.0
+                    velocities[p, 0], velocities[p, 1] = share * dx / tick, share * dy / tick
+                    discs[p, 0] += share * dx
+                    discs[p, 1] += share * dy
+                break
+            passed[p] = ways[p, ahead[p, 0]]
+            ahead[p, 0] += 1
+        idle = idle or ahead[p, 0] >= ahead[p, 1]
+    return idle
+
+
+@compiled
+def _blocked(person: int, x: float, y: float, keep: float, robot: Array, furniture: Array, discs: Array) -> bool:
+    """Whether a step of `person` to (x, y) comes too near to something, and nearer than they are."""
+    from_x, from_y, radius = discs[person, 0], discs[person, 1], discs[person, 2]
+    gap = math.hypot(x - robot[0], y - robot[1])
+    if gap < radius + keep and gap < math.hypot(from_x - robot[0], from_y - robot[1]):
+        return True
+    for q in range(discs.shape[0]):
+        gap = math.hypot(x - discs[q, 0], y - discs[q, 1])
+        near = radius + discs[q, 2] + _MARGIN
+        if q != person and gap < near and gap < math.hypot(from_x - discs[q, 0], from_y - discs[q, 1]):
+            return True
+    gap = boxes.distance(x, y, furniture)
+    return gap < radius and gap < boxes.distance(from_x, from_y, furniture)
+
+
+@compiled
+def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, where: float) -> Array:
+    """A way (q, 2) [m] over free cells from that of `place` (2,) to one of the farther half of those within reach."""
+    rows, columns = free.shape
+    start = round((place[1] - origin[1]) / cell) * columns + round((place[0] - origin[0]) / cell)
+    parents, steps = np.full(rows * columns, -1, np.int64), np.zeros(rows * columns, np.int64)
+    queue = np.empty(rows * columns, np.int64)
+    parents[start], queue[0], head, tail = start, start, 0, 1
+    while head < tail:
+        c = queue[head]
+        head += 1
+        if steps[c] * cell >= _STROLL:
+            continue
+        for row, column in (
+            (c // columns - 1, c % columns),
+            (c // columns + 1, c % columns),
+            (c // columns, c % columns - 1),
+            (c // columns, c % columns + 1),
+        ):
+            n = row * columns + column
+            if 0 <= row < rows and 0 <= column < columns and free[row, column] and parents[n] < 0:
+                parents[n], steps[n], queue[tail] = c, steps[c] + 1, n
+                tail += 1
+    c = queue[min(int((0.5 + 0.5 * where) * tail), tail - 1)]
+    way = np.empty((steps[c] + 1, 2))
+    for k in range(steps[c], -1, -1):
+        way[k, 0], way[k, 1] = origin[0] + cell * (c % columns), origin[1] + cell * (c // columns)
+        c = parents[c]
+    return way
+
+
+@compiled
+def _pull_straight(grid: Grid, outlines: Array, way: Array, radius: float, waypoints: Array) -> int:
+    """Write as few points of `way` (q, 2) to `waypoints` as lead a disc straight from one to the next; how many."""
+    x, y = way[0, 0], way[0, 1]
+    waypoints[0] = way[0]
+    count, here = 1, 0
+    while here < len(way) - 1 and count < len(waypoints):
+        there = here + 1
+        while there < len(way) - 1 and _passable(grid, outlines, x, y, way[there + 1, 0], way[there + 1, 1], radius):
+            there += 1
+        waypoints[count] = way[there]
+        x, y, here = way[there, 0], way[there, 1], there
+        count += 1
+    return count
+
+
+@compiled
+def _passable(grid: Grid, outlines: Array, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
+    """Whether a disc fits between walls and furniture all the way: its middle and both flanks see the far end."""
+    dx, dy = x2 - x1, y2 - y1
+    length = math.hypot(dx, dy)
+    for flank in (-radius, 0.0, radius):
+        x, y = x1 - flank * dy / length, y1 + flank * dx / length
+        if not sees(grid, x, y, dx, dy, 0.0) or hides(x, y, dx, dy, 0.0, NO_DISCS, outlines):
+            return False
+    return True

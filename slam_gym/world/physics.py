@@ -1,0 +1,263 @@
+"""The physical world in pymunk: static walls, a differential-drive robot, furniture that it can push, people.
+
+Seen from above, so nothing falls; friction on the floor is a joint to the ground that bears a bounded force. A world
+is built anew for every episode: a pymunk space whose bodies are put back diverges from a fresh one. The same plan,
+start, generator state and actions give the same trajectory, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import pymunk
+
+from slam_gym.geometry import relative, wrap_angle
+from slam_gym.types import Array
+from slam_gym.world import boxes
+from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.world.people import People
+
+_GRAVITY = 9.81  # [m/s²]
+_OVERLAP = 1e-3  # [m] that touching bodies keep, so that contacts last
+_OVERLAP_LEFT = 0.5  # share of any more overlap that is left after a substep
+_LEVER = 0.38  # mean distance from the centre of a square of side 1 to its points
+_ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the shape filter
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """A disc on two driven wheels."""
+
+    radius: float = 0.2  # [m]
+    mass: float = 10.0  # [kg]
+    max_speed: float = 1.0  # [m/s]
+    max_turn: float = 2.0  # [rad/s]
+    max_acceleration: float = 3.0  # [m/s²] of the wheels
+    max_angular_acceleration: float = 10.0  # [rad/s²]
+    traction: float = 0.6  # the wheels push with at most traction · mass · g
+
+    def __post_init__(self) -> None:
+        _check_positive(self)
+
+
+@dataclass(frozen=True)
+class DynamicsSpec:
+    """Time, and what moves beside the robot."""
+
+    tick: float = 0.1  # [s]
+    substeps: int = 2  # physics steps in a tick
+    friction: float = 0.3  # between bodies that touch
+    furniture_density: float = 15.0  # [kg/m²] of the floor that it covers
+    furniture_friction: float = 0.25  # on the floor
+    people: int = 0
+    person_radius: float = 0.25  # [m]
+    person_speed: float = 0.8  # [m/s]
+
+    def __post_init__(self) -> None:
+        _check_positive(self, may_be_zero=("people", "friction", "furniture_friction"))
+
+
+def _check_positive(spec: object, may_be_zero: tuple[str, ...] = ()) -> None:
+    for field in fields(spec):  # type: ignore[arg-type]
+        value = getattr(spec, field.name)
+        if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name in may_be_zero))):
+            raise ValueError(f"{type(spec).__name__}.{field.name} must be positive and finite, not {value}")
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What one tick did to the robot."""
+
+    moved: Array  # (3,) [m, m, rad] its pose at the end of the tick, in R at the tick's start
+    wheels: Array  # (3,) [m, m, rad] the same as the wheels turned: another one where they slipped
+    contact: bool  # it touched something during the tick
+
+
+class _Touch:
+    """What the collision callbacks note; apart from World, so that the space does not keep its world alive."""
+
+    robot = 0  # bodies that touch the robot now
+    robot_in_tick = False  # something touched it during this tick
+    furniture = False  # something touched furniture since all of it came to rest
+
+
+class World:
+    """A floor plan with a robot at `start` (3,) W, built from nothing; `rng` draws where people stand and walk.
+
+    Raises ValueError where `start` is not finite or there is no room for so many people.
+    """
+
+    def __init__(
+        self,
+        plan: FloorPlan,
+        start: Array,
+        robot: RobotSpec | None = None,
+        dynamics: DynamicsSpec | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        if np.shape(start) != (3,) or not np.isfinite(start).all():
+            raise ValueError(f"start must be a finite pose (3,), not {start}")
+        self.robot, self.dynamics = robot or RobotSpec(), dynamics or DynamicsSpec()
+        self._rng = rng or np.random.default_rng()
+        self._step = self.dynamics.tick / self.dynamics.substeps
+        self._touch = _Touch()
+        self._space = _empty_space(self._step, self._touch)
+        self._add_walls(plan.walls)
+        self.furniture = plan.furniture.copy()  # (f, 5) [m, m, m, m, rad] x y length width heading, W
+        self.furniture_segments = boxes.outlines(self.furniture)  # (4f, 4) [m] W its sides
+        self._pieces = [self._add_furniture(box) for box in self.furniture]
+        self._body = self._add_robot(start)
+        self.pose = np.array([start[0], start[1], wrap_angle(start[2])])  # (3,) [m, m, rad] W
+        self._rim = (0.0, 0.0)  # [m/s, rad/s] speeds of the robot that the turning of its wheels amounts to
+        keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
+        self._people = People(
+            plan,
+            self.dynamics.people,
+            self.dynamics.person_radius,
+            self.dynamics.person_speed,
+            keep,
+            start[:2],
+            self._rng,
+        )
+        self._walkers = [self._add_person(disc) for disc in self._people.discs]
+
+    @property
+    def people(self) -> Array:
+        """(p, 3) [m] `x y radius` W, a copy."""
+        return self._people.discs.copy()
+
+    def tick(self, forward: float, turn: float) -> Motion:
+        """Drive for one tick at these shares of the full speeds, clipped to [−1, 1]. Raises ValueError for NaN."""
+        if math.isnan(forward) or math.isnan(turn):
+            raise ValueError(f"action ({forward}, {turn}) is not a number")
+        speed = self.robot.max_speed * min(max(forward, -1.0), 1.0)
+        turning = self.robot.max_turn * min(max(turn, -1.0), 1.0)
+        self._touch.robot_in_tick = self._touch.robot > 0
+        self._people.walk(self.dynamics.tick, self.pose[:2], self.furniture, self._rng)
+        for walker, (vx, vy) in zip(self._walkers, self._people.velocities.tolist()):
+            walker.velocity = (vx, vy)
+        x = y = heading = 0.0
+        for _ in range(self.dynamics.substeps):
+            rim, turned = self._rim[0] * self._step, self._rim[1] * self._step
+            x += rim * math.cos(heading + 0.5 * turned)
+            y += rim * math.sin(heading + 0.5 * turned)
+            heading += turned
+            self._drive(speed, turning)
+            self._space.step(self._step)
+        if self._touch.furniture:
+            self._follow_furniture()
+        before = self.pose
+        position = self._body.position
+        self.pose = np.array([position.x, position.y, wrap_angle(self._body.angle)])
+        return Motion(relative(before, self.pose), np.array([x, y, heading]), self._touch.robot_in_tick)
+
+    def _drive(self, speed: float, turning: float) -> None:
+        """Push the robot towards the wheels' next speeds, as hard as their traction allows.
+
+        The push takes effect at the end of the substep, so it is aimed along the chord of the arc that the robot will
+        drive in the next one. What it would make of the robot's motion, if nothing pushed back, is what the wheels do.
+        """
+        robot, body, step = self.robot, self._body, self._step
+        rim = _towards(self._rim[0], speed, robot.max_acceleration * step)
+        spin = _towards(self._rim[1], turning, robot.max_angular_acceleration * step)
+        now = body.angular_velocity
+        grip = robot.traction * _GRAVITY * step  # [m/s] most that the wheels change the speed in a substep
+        most = grip * robot.mass * robot.radius / body.moment
+        spin = now + min(max(spin - now, -most), most)
+        aim = body.angle + now * step + 0.5 * spin * step
+        c, s = math.cos(aim), math.sin(aim)
+        velocity = body.velocity
+        dx, dy = rim * c - velocity.x, rim * s - velocity.y
+        needed = math.hypot(dx, dy)
+        if needed > grip:
+            dx, dy = dx * grip / needed, dy * grip / needed
+            rim = (velocity.x + dx) * c + (velocity.y + dy) * s
+        body.force = (robot.mass * dx / step, robot.mass * dy / step)
+        body.torque = body.moment * (spin - now) / step
+        self._rim = (rim, spin)
+
+    def _follow_furniture(self) -> None:
+        """Take over where the furniture is, until all of it sleeps. Arrays handed out earlier stay as they are."""
+        furniture, moving = self.furniture.copy(), False
+        for row, body in zip(furniture, self._pieces):
+            if not body.is_sleeping:
+                row[0], row[1] = body.position
+                row[4] = body.angle
+                moving = True
+        self.furniture, self.furniture_segments = furniture, boxes.outlines(furniture)
+        self._touch.furniture = moving
+
+    def _add_walls(self, walls: Array) -> None:
+        ground = self._space.static_body
+        segments = [pymunk.Segment(ground, (x1, y1), (x2, y2), 0.0) for x1, y1, x2, y2 in walls.tolist()]
+        for segment in segments:
+            segment.friction = self.dynamics.friction
+        self._space.add(*segments)
+
+    def _add_robot(self, start: Array) -> pymunk.Body:
+        mass, radius = self.robot.mass, self.robot.radius
+        body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0.0, radius))
+        body.position, body.angle = (float(start[0]), float(start[1])), float(start[2])
+        return self._add(body, pymunk.Circle(body, radius), _ROBOT, pymunk.ShapeFilter.ALL_MASKS())
+
+    def _add_person(self, disc: Array) -> pymunk.Body:
+        body = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+        body.position = (float(disc[0]), float(disc[1]))
+        return self._add(body, pymunk.Circle(body, float(disc[2])), _PERSON, _ROBOT)
+
+    def _add_furniture(self, box: Array) -> pymunk.Body:
+        """A box that rubs on the floor: joints to the ground hold it with as much force and torque as friction does."""
+        x, y, length, width, heading = box.tolist()
+        mass = self.dynamics.furniture_density * length * width
+        body = pymunk.Body(mass, pymunk.moment_for_box(mass, (length, width)))
+        body.position, body.angle = (x, y), heading
+        others = pymunk.ShapeFilter.ALL_MASKS() ^ _PERSON
+        self._add(body, pymunk.Poly.create_box(body, (length, width)), _FURNITURE, others)
+        ground = self._space.static_body
+        slide, twist = pymunk.PivotJoint(ground, body, (x, y)), pymunk.GearJoint(ground, body, heading, 1.0)
+        slide.max_force = self.dynamics.furniture_friction * mass * _GRAVITY
+        twist.max_force = slide.max_force * _LEVER * math.sqrt(length * width)
+        for joint in (slide, twist):
+            joint.max_bias = 0.0  # hold against motion, do not pull back
+            self._space.add(joint)
+        body.sleep()
+        return body
+
+    def _add(self, body: pymunk.Body, shape: pymunk.Shape, kind: int, collides_with: int) -> pymunk.Body:
+        shape.friction = self.dynamics.friction
+        shape.collision_type = kind
+        shape.filter = pymunk.ShapeFilter(categories=kind, mask=collides_with)
+        self._space.add(body, shape)
+        return body
+
+
+def _empty_space(step: float, touch: _Touch) -> pymunk.Space:
+    """A space in SI units (pymunk's own settings suit pixels) that notes in `touch` who touches whom."""
+    space = pymunk.Space()
+    space.collision_slop = _OVERLAP
+    space.collision_bias = _OVERLAP_LEFT ** (1.0 / step)
+    space.idle_speed_threshold = 0.01  # [m/s]
+    space.sleep_time_threshold = 0.3  # [s]
+    space.on_collision(_ROBOT, None, begin=_robot_touches, separate=_robot_lets_go, data=touch)
+    space.on_collision(_FURNITURE, None, begin=_furniture_touched, data=touch)
+    return space
+
+
+def _robot_touches(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> None:
+    touch.robot += 1
+    touch.robot_in_tick = True
+
+
+def _robot_lets_go(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> None:
+    touch.robot -= 1
+
+
+def _furniture_touched(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> None:
+    touch.furniture = True
+
+
+def _towards(value: float, target: float, most: float) -> float:
+    return value + min(max(target - value, -most), most)

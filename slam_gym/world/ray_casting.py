@@ -1,0 +1,294 @@
+"""Line of sight over thousands of walls: a uniform grid of cells, each with the walls that touch it, walked by rays.
+
+A ray visits cells in the order in which it crosses them (the digital differential analyser of Amanatides and Woo, "A
+fast voxel traversal algorithm for ray tracing", 1987) and stops at the first cell that holds its nearest hit, so its
+cost depends on how far it flies and how dense the walls are there, not on how many walls the building has. Whatever
+moves (people, furniture) is few and tested one by one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.world.floor_plan import Features, Kind
+
+NO_DISCS: Array = np.empty((0, 3))
+NO_SEGMENTS: Array = np.empty((0, 4))
+
+_SURFACE = 1e-3  # [m] how far before a feature a line of sight ends, so that the feature's own walls do not hide it
+_PADDING = 1e-6  # [cells] walls are entered in every cell this close to them, against rounding at the borders
+_MAX_CELLS = 1 << 20  # larger buildings get larger cells
+
+
+class Grid(NamedTuple):
+    """Walls, and for each cell of a uniform grid the walls that touch it, in compressed rows."""
+
+    walls: Array  # (s, 4) [m] x1 y1 x2 y2
+    starts: IntArray  # (rows·columns + 1,) cell c = row·columns + column holds members[starts[c]:starts[c + 1]]
+    members: IntArray  # rows of `walls`
+    xmin: float  # [m]
+    ymin: float  # [m]
+    cell: float  # [m] side of a cell
+    columns: int
+    rows: int
+
+
+class WallIndex:
+    """Static walls, indexed once, then asked for ranges and lines of sight from anywhere.
+
+    `walls` (s, 4) [m] are segments `x1 y1 x2 y2` in any one frame, which is then the frame of all questions; `cell`
+    [m] is the side of the grid's cells (doubled until a million of them suffice). Raises ValueError where walls are
+    not finite or of another shape, or `cell` is not positive.
+    """
+
+    def __init__(self, walls: Array, cell: float = 1.0) -> None:
+        walls = np.array(walls, dtype=np.float64, order="C")
+        if walls.ndim != 2 or walls.shape[1] != 4:
+            raise ValueError(f"walls must have shape (s, 4), not {walls.shape}")
+        if not np.isfinite(walls).all():
+            raise ValueError(f"walls[{int(np.argmin(np.isfinite(walls).all(axis=1)))}] is not finite")
+        if not (math.isfinite(cell) and cell > 0.0):
+            raise ValueError(f"cell must be a positive length [m], not {cell}")
+        ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
+        low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
+        while np.prod(extent // cell + 1.0) > _MAX_CELLS:
+            cell *= 2.0
+        columns, rows = (extent // cell).astype(int) + 1
+        starts, members = _enter_walls(walls, float(low[0]), float(low[1]), float(cell), int(columns), int(rows))
+        self.grid = Grid(walls, starts, members, float(low[0]), float(low[1]), float(cell), int(columns), int(rows))
+
+    def __len__(self) -> int:
+        return len(self.grid.walls)
+
+    def cast(
+        self, origin: Array, angles: Array, max_range: float, discs: Array = NO_DISCS, segments: Array = NO_SEGMENTS
+    ) -> Array:
+        """Ranges (b,) [m] from `origin` (2,) along `angles` (b,) [rad] to the first surface, at most `max_range`.
+
+        `discs` (d, 3) [m] `x y radius` and `segments` (o, 4) [m] stop a ray as walls do. A disc around the origin is
+        not seen from within.
+        """
+        return cast(self.grid, origin, angles, max_range, discs, segments)
+
+    def visible(
+        self, origin: Array, targets: Array, pull_back: Array, discs: Array = NO_DISCS, segments: Array = NO_SEGMENTS
+    ) -> BoolArray:
+        """(k,) whether nothing stands between `origin` (2,) and each of `targets` (k, 2).
+
+        The line of sight ends `pull_back` (k,) [m] short of its target, outside the thing whose position it is.
+        """
+        return visible(self.grid, origin, targets, pull_back, discs, segments)
+
+
+def pull_back(features: Features) -> Array:
+    """(N,) [m] how far before its position each feature is met: corners at once, pillars at their outline."""
+    return np.where(features.kinds == Kind.PILLAR, 0.5 * features.sizes, 0.0) + _SURFACE
+
+
+@compiled
+def _rows_of(wall: Array, xmin: float, ymin: float, cell: float, rows: int, column: int) -> tuple[int, int]:
+    """First and last row of the cells of `column` that `wall` (4,) touches."""
+    x, y, dx, dy = wall[0], wall[1], wall[2] - wall[0], wall[3] - wall[1]
+    pad = _PADDING * cell
+    enter, leave = 0.0, 1.0
+    if abs(dx) > pad:
+        left = (xmin + column * cell - pad - x) / dx
+        right = (xmin + (column + 1) * cell + pad - x) / dx
+        enter, leave = max(0.0, min(left, right)), min(1.0, max(left, right))
+    y1, y2 = y + enter * dy, y + leave * dy
+    first = math.floor((min(y1, y2) - pad - ymin) / cell)
+    last = math.floor((max(y1, y2) + pad - ymin) / cell)
+    return max(first, 0), min(last, rows - 1)
+
+
+@compiled
+def _enter_walls(
+    walls: Array, xmin: float, ymin: float, cell: float, columns: int, rows: int
+) -> tuple[IntArray, IntArray]:
+    """Which walls touch which cell: `starts` and `members` of a `Grid`, by counting, then filling."""
+    pad = _PADDING * cell
+    starts = np.zeros(rows * columns + 1, np.int64)
+    members = np.empty(0, np.int64)
+    for filling in range(2):
+        if filling == 1:
+            for c in range(rows * columns):
+                starts[c + 1] += starts[c]
+            members = np.empty(starts[rows * columns], np.int64)
+        for w in range(walls.shape[0]):
+            low, high = min(walls[w, 0], walls[w, 2]), max(walls[w, 0], walls[w, 2])
+            first = max(math.floor((low - pad - xmin) / cell), 0)
+            last = min(math.floor((high + pad - xmin) / cell), columns - 1)
+            for column in range(first, last + 1):
+                bottom, top = _rows_of(walls[w], xmin, ymin, cell, rows, column)
+                for row in range(bottom, top + 1):
+                    c = row * columns + column
+                    if filling == 1:
+                        members[starts[c]] = w
+                        starts[c] += 1
+                    else:
+                        starts[c + 1] += 1
+    starts[1:] = starts[:-1].copy()  # filling moved each start to the next one's place
+    starts[0] = 0
+    return starts, members
+
+
+@compiled
+def _segment_hit(x: float, y: float, dx: float, dy: float, ax: float, ay: float, bx: float, by: float) -> float:
+    """t in [0, 1] at which (x, y) + t (dx, dy) crosses the segment a–b, ends included; inf where it does not."""
+    ax, ay, bx, by = ax - x, ay - y, bx - x, by - y
+    if (dx * ay - dy * ax) * (dx * by - dy * bx) > 0.0:  # both ends on one side of the ray
+        return math.inf
+    ex, ey = bx - ax, by - ay
+    t = (ax * ey - ay * ex) / (dx * ey - dy * ex)
+    return t if 0.0 <= t <= 1.0 else math.inf  # NaN where parallel
+
+
+@compiled
+def _disc_hit(x: float, y: float, dx: float, dy: float, cx: float, cy: float, radius: float) -> float:
+    """t in [0, 1] at which (x, y) + t (dx, dy) enters the disc; inf where it does not, or starts within."""
+    cx, cy = x - cx, y - cy
+    a, b, c = dx * dx + dy * dy, dx * cx + dy * cy, cx * cx + cy * cy - radius * radius
+    root = b * b - a * c
+    if root < 0.0:
+        return math.inf
+    t = (-b - math.sqrt(root)) / a
+    return t if 0.0 <= t <= 1.0 else math.inf
+
+
+@compiled
+def _entry(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
+    """t in [0, 1] at which the ray enters the grid's rectangle, 0 from within; inf where it never does."""
+    enter, leave = 0.0, 1.0
+    pad = _PADDING * grid.cell
+    for axis in range(2):
+        p, d = (x, dx) if axis == 0 else (y, dy)
+        low = grid.xmin if axis == 0 else grid.ymin
+        high = low + grid.cell * (grid.columns if axis == 0 else grid.rows) + pad
+        low -= pad
+        if d == 0.0:
+            if p < low or p > high:
+                return math.inf
+        else:
+            enter = max(enter, min((low - p) / d, (high - p) / d))
+            leave = min(leave, max((low - p) / d, (high - p) / d))
+    return enter if enter <= leave else math.inf
+
+
+@compiled
+def _wall_hit(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
+    """Least t in [0, 1] at which (x, y) + t (dx, dy) meets a wall; inf where it meets none."""
+    enter, nearest = _entry(grid, x, y, dx, dy), math.inf
+    if enter == math.inf:
+        return nearest
+    column = math.floor((x + enter * dx - grid.xmin) / grid.cell)
+    row = math.floor((y + enter * dy - grid.ymin) / grid.cell)
+    column, row = min(max(column, 0), grid.columns - 1), min(max(row, 0), grid.rows - 1)
+    step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    next_x = next_y = across_x = across_y = math.inf  # t at the next border, t from border to border
+    if dx != 0.0:
+        next_x = (grid.xmin + (column + (dx > 0.0)) * grid.cell - x) / dx
+        across_x = grid.cell / abs(dx)
+    if dy != 0.0:
+        next_y = (grid.ymin + (row + (dy > 0.0)) * grid.cell - y) / dy
+        across_y = grid.cell / abs(dy)
+    while 0 <= column < grid.columns and 0 <= row < grid.rows:
+        c = row * grid.columns + column
+        for k in range(grid.starts[c], grid.starts[c + 1]):
+            w = grid.members[k]
+            t = _segment_hit(x, y, dx, dy, grid.walls[w, 0], grid.walls[w, 1], grid.walls[w, 2], grid.walls[w, 3])
+            nearest = min(nearest, t)
+        leave = min(next_x, next_y)
+        if nearest <= leave or leave > 1.0:
+            break
+        if next_x < next_y:
+            column, next_x = column + step_x, next_x + across_x
+        else:
+            row, next_y = row + step_y, next_y + across_y
+    return nearest
+
+
+@compiled
+def _mover_hit(x: float, y: float, dx: float, dy: float, discs: Array, segments: Array) -> float:
+    """As `_wall_hit`, for the few things that move."""
+    nearest = math.inf
+    for d in range(discs.shape[0]):
+        nearest = min(nearest, _disc_hit(x, y, dx, dy, discs[d, 0], discs[d, 1], discs[d, 2]))
+    for s in range(segments.shape[0]):
+        t = _segment_hit(x, y, dx, dy, segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3])
+        nearest = min(nearest, t)
+    return nearest
+
+
+@compiled
+def movers_near(x: float, y: float, reach: float, discs: Array, segments: Array) -> tuple[Array, Array]:
+    """Those of `discs` and `segments` that come within `reach` [m] of (x, y)."""
+    near_discs, near_segments = np.empty(discs.shape), np.empty(segments.shape)
+    d = s = 0
+    for i in range(discs.shape[0]):
+        if math.hypot(discs[i, 0] - x, discs[i, 1] - y) <= reach + discs[i, 2]:
+            near_discs[d] = discs[i]
+            d += 1
+    for i in range(segments.shape[0]):
+        ax, ay = segments[i, 0] - x, segments[i, 1] - y
+        ex, ey = segments[i, 2] - segments[i, 0], segments[i, 3] - segments[i, 1]
+        length = ex * ex + ey * ey
+        t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0) if length > 0.0 else 0.0
+        if (ax + t * ex) ** 2 + (ay + t * ey) ** 2 <= reach * reach:
+            near_segments[s] = segments[i]
+            s += 1
+    return near_discs[:d], near_segments[:s]
+
+
+@compiled
+def _shortened(dx: float, dy: float, pull_back: float) -> float:
+    """The share of (dx, dy) that is left when it ends `pull_back` earlier; 0 where nothing is left."""
+    distance = math.hypot(dx, dy)
+    return 1.0 - pull_back / distance if distance > pull_back else 0.0
+
+
+@compiled
+def sees(grid: Grid, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
+    """Whether no wall stands between (x, y) and (x, y) + (dx, dy), the latter `pull_back` [m] nearer."""
+    share = _shortened(dx, dy, pull_back)
+    return _wall_hit(grid, x, y, share * dx, share * dy) == math.inf
+
+
+@compiled
+def hides(x: float, y: float, dx: float, dy: float, pull_back: float, discs: Array, segments: Array) -> bool:
+    """Whether one of `discs` or `segments` stands on the line of sight that `sees` asks the walls about."""
+    share = _shortened(dx, dy, pull_back)
+    return _mover_hit(x, y, share * dx, share * dy, discs, segments) < math.inf
+
+
+@compiled
+def cast(grid: Grid, origin: Array, angles: Array, max_range: float, discs: Array, segments: Array) -> Array:
+    """`WallIndex.cast` over the bare grid, for other compiled functions."""
+    x, y = origin[0], origin[1]
+    near_discs, near_segments = movers_near(x, y, max_range, discs, segments)
+    ranges = np.empty(angles.shape[0])
+    for b in range(angles.shape[0]):
+        dx, dy = max_range * math.cos(angles[b]), max_range * math.sin(angles[b])
+        t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, near_discs, near_segments))
+        ranges[b] = max_range * min(t, 1.0)
+    return ranges
+
+
+@compiled
+def visible(grid: Grid, origin: Array, targets: Array, pull_back: Array, discs: Array, segments: Array) -> BoolArray:
+    """`WallIndex.visible` over the bare grid, for other compiled functions."""
+    x, y, reach = origin[0], origin[1], 0.0
+    for i in range(targets.shape[0]):
+        reach = max(reach, math.hypot(targets[i, 0] - x, targets[i, 1] - y))
+    near_discs, near_segments = movers_near(x, y, reach, discs, segments)
+    seen = np.ones(targets.shape[0], np.bool_)
+    for i in range(targets.shape[0]):
+        dx, dy = targets[i, 0] - x, targets[i, 1] - y
+        seen[i] = sees(grid, x, y, dx, dy, pull_back[i]) and not hides(
+            x, y, dx, dy, pull_back[i], near_discs, near_segments
+        )
+    return seen

@@ -1,0 +1,157 @@
+"""Where a robot of some radius can go in a floor plan, and which features it can see from there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.world import boxes
+from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, WallIndex, pull_back, sees
+
+_START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
+
+
+@dataclass(frozen=True)
+class FreeCells:
+    """The cells of a plan in which the centre of a disc of some radius may lie, whether or not it can get there."""
+
+    free: BoolArray  # (h, w), row = y, column = x; its outermost cells lie outside the plan
+    origin: Array  # (2,) [m] W, centre of free[0, 0]
+    cell: float  # [m] side of a cell
+
+    def centres(self, cells: IntArray) -> Array:
+        """(c, 2) [m] W of the given flat indices (c,) into `free`."""
+        rows, columns = np.divmod(cells, self.free.shape[1])
+        return self.origin + self.cell * np.column_stack([columns, rows])
+
+
+def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25, obstacles: Array = NO_SEGMENTS) -> FreeCells:
+    """Cells with no wall of `plan`, and none of `obstacles` (o, 4) [m], within `radius` [m] of their centres.
+
+    Cells are made smaller than `cell` [m] where a wall could otherwise slip between two centres: a disc of that
+    radius can then move straight between any two free cells that share a side. Raises ValueError unless both lengths
+    are positive.
+    """
+    if not (0.0 < radius < math.inf and 0.0 < cell < math.inf):
+        raise ValueError(f"radius and cell must be positive lengths [m], not {radius} and {cell}")
+    cell = min(cell, 1.9 * radius)
+    origin = plan.bounds[:2] - 1.5 * cell
+    columns, rows = np.ceil((plan.bounds[2:] + cell - origin) / cell).astype(int) + 1
+    free = np.ones((int(rows), int(columns)), np.bool_)
+    for segments in (plan.walls, obstacles):
+        _block(free, float(origin[0]), float(origin[1]), cell, segments, radius)
+    return FreeCells(free, origin, cell)
+
+
+def reachable(plan: FloorPlan, radius: float, cell: float = 0.25) -> Array:
+    """(c, 2) [m] W: centres of the free cells of the largest connected part of the plan's rooms.
+
+    Connected through sides of cells. A part counts by its cells within rooms, so that the open ground around a
+    building never does; where a plan names no rooms, every part but the ground around it is a room. Furniture can be
+    pushed and does not count. Empty where nothing is free. Raises ValueError unless both lengths [m] are positive.
+    """
+    cells = free_cells(plan, radius, cell)
+    return cells.centres(indoor(plan, cells))
+
+
+def indoor(plan: FloorPlan, cells: FreeCells) -> IntArray:
+    """(c,) flat indices of the free cells of the largest connected part, as `reachable` defines it."""
+    parts = _parts(cells.free).ravel()
+    flat = np.flatnonzero(parts >= 0)
+    labels, centres = parts[flat], cells.centres(flat)
+    indoors = np.zeros(len(flat), np.bool_)
+    for room in plan.rooms:
+        low, high = room.polygon.min(axis=0), room.polygon.max(axis=0)
+        near = np.flatnonzero(((low <= centres) & (centres <= high)).all(axis=1))
+        indoors[near] |= room.contains(centres[near])
+    if not plan.rooms:
+        indoors = labels != parts[0]  # the ground around the plan reaches its outermost cells
+    if not indoors.any():
+        return np.empty(0, np.int64)
+    largest: IntArray = flat[labels == np.argmax(np.bincount(labels[indoors]))]
+    return largest
+
+
+def observable(plan: FloorPlan, index: WallIndex, cells: Array, max_range: float) -> BoolArray:
+    """(N,) whether each feature of the plan can be seen from at least one of `cells` (c, 2) [m], `max_range` [m] off.
+
+    Only walls hide: furniture and people move.
+    """
+    features = plan.features
+    return _seen_from(index.grid, features.positions, pull_back(features), np.ascontiguousarray(cells), max_range)
+
+
+def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearance: float = _START_CLEARANCE) -> Array:
+    """A pose (3,) in W: a random one of `cells` (c, 2) [m], `clearance` [m] from all furniture, any heading.
+
+    Raises ValueError where there is no such cell.
+    """
+    if len(cells) == 0:
+        raise ValueError(f"floor plan {plan.name!r} has no free space for the robot to start in")
+    for i in rng.permutation(len(cells)):
+        x, y = cells[i]
+        if boxes.distance(x, y, plan.furniture) >= clearance:
+            return np.array([x, y, rng.uniform(-math.pi, math.pi)])
+    raise ValueError(f"floor plan {plan.name!r}: furniture stands within {clearance} m of every free place")
+
+
+@compiled
+def _block(free: BoolArray, left: float, bottom: float, cell: float, segments: Array, radius: float) -> None:
+    """Clear `free` wherever a cell's centre lies closer than `radius` to a segment."""
+    rows, columns = free.shape
+    for s in range(segments.shape[0]):
+        x1, y1, x2, y2 = segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
+        ex, ey = x2 - x1, y2 - y1
+        length = max(ex * ex + ey * ey, 1e-300)
+        first_row = max(math.ceil((min(y1, y2) - radius - bottom) / cell), 0)
+        last_row = min(math.floor((max(y1, y2) + radius - bottom) / cell), rows - 1)
+        first_column = max(math.ceil((min(x1, x2) - radius - left) / cell), 0)
+        last_column = min(math.floor((max(x1, x2) + radius - left) / cell), columns - 1)
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                dx, dy = left + column * cell - x1, bottom + row * cell - y1
+                t = min(max((dx * ex + dy * ey) / length, 0.0), 1.0)
+                if (dx - t * ex) ** 2 + (dy - t * ey) ** 2 < radius * radius:
+                    free[row, column] = False
+
+
+@compiled
+def _parts(free: BoolArray) -> IntArray:
+    """Connected parts of the free cells by flood fill: labels (h, w) from 0, −1 where not free."""
+    rows, columns = free.shape
+    labels = np.full((rows, columns), -1, np.int64)
+    stack = np.empty(rows * columns, np.int64)
+    parts = 0
+    for seed in range(rows * columns):
+        if not free[seed // columns, seed % columns] or labels[seed // columns, seed % columns] >= 0:
+            continue
+        labels[seed // columns, seed % columns] = parts
+        stack[0], height = seed, 1
+        while height > 0:
+            height -= 1
+            row, column = stack[height] // columns, stack[height] % columns
+            for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+                if 0 <= r < rows and 0 <= c < columns and free[r, c] and labels[r, c] < 0:
+                    labels[r, c] = parts
+                    stack[height] = r * columns + c
+                    height += 1
+        parts += 1
+    return labels
+
+
+@compiled
+def _seen_from(grid: Grid, positions: Array, pull_backs: Array, cells: Array, max_range: float) -> BoolArray:
+    """`observable`, feature by feature until the first cell that sees it."""
+    seen = np.zeros(positions.shape[0], np.bool_)
+    for i in range(positions.shape[0]):
+        for c in range(cells.shape[0]):
+            x, y, dx, dy = cells[c, 0], cells[c, 1], positions[i, 0] - cells[c, 0], positions[i, 1] - cells[c, 1]
+            if dx * dx + dy * dy <= max_range * max_range and sees(grid, x, y, dx, dy, pull_backs[i]):
+                seen[i] = True
+                break
+    return seen

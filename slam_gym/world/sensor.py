@@ -1,0 +1,308 @@
+"""What the robot senses: a `Scan` of point features with the `Truth` behind it, `Beams`, and `Odometry`.
+
+Noise is drawn in range and bearing; what leaves this module is Cartesian, in the robot frame R, with the covariance
+J diag(σ_r², σ_β²) Jᵀ of the polar-to-Cartesian map at the measured range and bearing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, fields
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.geometry import wrap_angle
+from slam_gym.types import NONE, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, Grid, WallIndex, cast, hides, movers_near, pull_back, sees
+
+if TYPE_CHECKING:
+    from slam_gym.world.physics import Motion
+
+_SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
+
+
+@dataclass(frozen=True)
+class SensorSpec:
+    """The detector of point features."""
+
+    range: float = 6.0  # [m] farthest feature that is seen
+    min_range: float = 0.1  # [m] nearest, and the least range ever measured
+    field_of_view: float = 1.5 * math.pi  # [rad] centred on the heading
+    range_sigma: float = 0.03  # [m]
+    range_sigma_ratio: float = 0.005  # [m/m] of the range, added in quadrature
+    bearing_sigma: float = 0.01  # [rad]
+    size_sigma: float = 0.05  # [m]
+    detection: float = 0.9  # probability that a feature in sight is measured
+    clutter: float = 0.3  # mean number of spurious measurements a scan (Poisson), anywhere in sight
+    person_detection: float = 0.5  # probability that a person in sight yields a spurious measurement
+    max_features: int = 20  # measurements in a scan; the nearest are kept
+
+    def __post_init__(self) -> None:
+        _check(self, positive=("bearing_sigma", "size_sigma"), shares=("detection", "person_detection"))
+        if not 0.0 < self.min_range < self.range:
+            raise ValueError(f"SensorSpec.min_range must be in (0, range), not {self.min_range} m")
+        if self.range_sigma == 0.0 and self.range_sigma_ratio == 0.0:
+            raise ValueError("SensorSpec.range_sigma and range_sigma_ratio must not both be 0")
+
+
+@dataclass(frozen=True)
+class BeamSpec:
+    """The range finder: the only source of what is free and what is wall."""
+
+    count: int = 40
+    field_of_view: float = 2.0 * math.pi  # [rad] centred on the heading, cut into `count` parts with a beam in each
+    range: float = 6.0  # [m]
+    sigma: float = 0.03  # [m]
+
+    def __post_init__(self) -> None:
+        _check(self, positive=("count", "range"))
+
+
+@dataclass(frozen=True)
+class OdometrySpec:
+    """Noise of the wheels' report. Variances add up along the way, however it is cut into ticks."""
+
+    forward: float = 0.03  # [m/√m] along the heading
+    lateral: float = 0.01  # [m/√m] across it
+    turn_per_radian: float = 0.03  # [rad/√rad]
+    turn_per_metre: float = 0.02  # [rad/√m]
+    floor: float = 1e-4  # [m] and [rad] a tick, even at rest
+    slip: float = 0.5  # share of a tick's motion that may be lost while the robot touches something
+    slip_turn: float = 0.5  # [rad/m] heading lost per distance then
+
+    def __post_init__(self) -> None:
+        _check(self, positive=("floor",))
+
+
+def _check(spec: object, positive: tuple[str, ...] = (), shares: tuple[str, ...] = ()) -> None:
+    """ValueError naming the first field of a spec that is not finite, is negative, or is out of its range."""
+    for field in fields(spec):  # type: ignore[arg-type]
+        value, name = getattr(spec, field.name), f"{type(spec).__name__}.{field.name}"
+        if not (math.isfinite(value) and value >= 0.0):
+            raise ValueError(f"{name} must be finite and not negative, not {value}")
+        if value == 0.0 and field.name in positive:
+            raise ValueError(f"{name} must be positive")
+        if value > 1.0 and field.name in shares:
+            raise ValueError(f"{name} must be a probability, not {value}")
+        if field.name == "field_of_view" and not 0.0 < value <= 2.0 * math.pi:
+            raise ValueError(f"{name} must be in (0, 2π] rad, not {value}")
+
+
+class _Settings(NamedTuple):
+    """`SensorSpec` for compiled functions, field by field."""
+
+    range: float
+    min_range: float
+    field_of_view: float
+    range_sigma: float
+    range_sigma_ratio: float
+    bearing_sigma: float
+    size_sigma: float
+    detection: float
+    clutter: float
+    person_detection: float
+    max_features: int
+
+
+class Sensor:
+    """All senses of a robot in one floor plan. Holds no state but the plan: all noise comes from the given generator.
+
+    `index` holds the plan's walls. Poses (3,) are true poses in W. What moves is given at each call: `people` (p, 3)
+    [m] as discs `x y radius`, `furniture` (o, 4) [m] as segments `x1 y1 x2 y2`.
+    """
+
+    def __init__(
+        self,
+        plan: FloorPlan,
+        index: WallIndex,
+        sensor: SensorSpec | None = None,
+        beams: BeamSpec | None = None,
+        odometry: OdometrySpec | None = None,
+    ) -> None:
+        self.spec = sensor or SensorSpec()
+        self.beam_spec = beams or BeamSpec()
+        self.odometry_spec = odometry or OdometrySpec()
+        self._settings = _Settings._make([*map(float, astuple(self.spec)[:-1]), int(self.spec.max_features)])
+        self._grid = index.grid
+        self._features = plan.features
+        self._pull_back = pull_back(plan.features)
+        self._spurious_sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
+        part = self.beam_spec.field_of_view / self.beam_spec.count
+        self._bearings = part * (np.arange(self.beam_spec.count) + 0.5) - 0.5 * self.beam_spec.field_of_view
+
+    def scan(
+        self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
+    ) -> tuple[Scan, Truth]:
+        """One look from `pose`: a sweep of measurements by rising bearing, spurious ones among them.
+
+        Furniture and people hide features, and a person is now and then taken for one (at their near side). Neither
+        order nor attributes tell which measurements are spurious: their sizes are those of features of the plan.
+        """
+        features, settings = self._features, self._settings
+        polar, sources = _in_sight(self._grid, pose, features.positions, self._pull_back, people, furniture, settings)
+        clutter = int(rng.poisson(self.spec.clutter))
+        shape = (len(sources) + clutter, 3)
+        uniform, normal = rng.random(shape), rng.standard_normal(shape)
+        points, covariances, sizes, sources = _measure(
+            self._grid,
+            pose,
+            polar,
+            sources,
+            features.sizes,
+            self._spurious_sizes,
+            people,
+            furniture,
+            uniform,
+            normal,
+            settings,
+        )
+        return (
+            Scan(points, covariances, sizes, np.full(len(sizes), self.spec.size_sigma**2)),
+            Truth(pose.copy(), sources),
+        )
+
+    def beams(
+        self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
+    ) -> Beams:
+        """One sweep of the range finder from `pose`: noisy ranges to what comes first, the full range for nothing."""
+        spec = self.beam_spec
+        noise: Array = rng.standard_normal(spec.count)
+        ranges = _noisy_ranges(self._grid, pose, self._bearings, spec.range, people, furniture, spec.sigma, noise)
+        return Beams(self._bearings.copy(), ranges, spec.range)
+
+    def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
+        """The wheels' report of one tick. Its covariance grows with the motion, and more so in contact."""
+        spec, noise = self.odometry_spec, rng.standard_normal(3)
+        distance, turn = math.hypot(motion.wheels[0], motion.wheels[1]), abs(motion.wheels[2])
+        slipped, twisted, floor = 0.0, 0.0, spec.floor**2
+        if motion.contact:
+            slipped, twisted = (spec.slip * distance) ** 2, (spec.slip_turn * distance) ** 2 + (spec.slip * turn) ** 2
+        variances = np.array(
+            [
+                spec.forward**2 * distance + slipped + floor,
+                spec.lateral**2 * distance + slipped + floor,
+                spec.turn_per_radian**2 * turn + spec.turn_per_metre**2 * distance + twisted + floor,
+            ]
+        )
+        return Odometry(motion.wheels + np.sqrt(variances) * noise, np.diag(variances))
+
+
+@compiled
+def _in_sight(
+    grid: Grid, pose: Array, positions: Array, pull_backs: Array, people: Array, furniture: Array, settings: _Settings
+) -> tuple[Array, IntArray]:
+    """True range and bearing (k, 2) of the features in sight, then of the people (at their near side); sources (k,)."""
+    x, y = pose[0], pose[1]
+    discs, segments = movers_near(x, y, settings.range, people, furniture)
+    count = positions.shape[0] + people.shape[0]
+    polar, sources = np.empty((count, 2)), np.empty(count, np.int64)
+    k = 0
+    for i in range(count):
+        person = i - positions.shape[0]
+        if person < 0:
+            dx, dy, surface = positions[i, 0] - x, positions[i, 1] - y, 0.0
+            short = pull_backs[i]
+        else:
+            dx, dy, surface = people[person, 0] - x, people[person, 1] - y, people[person, 2]
+            short = surface + _SURFACE
+        if abs(dx) > settings.range + surface or abs(dy) > settings.range + surface:
+            continue
+        distance = math.hypot(dx, dy) - surface
+        bearing = wrap_angle(math.atan2(dy, dx) - pose[2])
+        if not settings.min_range <= distance <= settings.range or abs(bearing) > 0.5 * settings.field_of_view:
+            continue
+        if hides(x, y, dx, dy, short, discs, segments) or not sees(grid, x, y, dx, dy, short):
+            continue
+        polar[k, 0], polar[k, 1] = distance, bearing
+        sources[k] = i if person < 0 else NONE
+        k += 1
+    return polar[:k], sources[:k]
+
+
+@compiled
+def _measure(
+    grid: Grid,
+    pose: Array,
+    polar: Array,
+    sources: IntArray,
+    sizes: Array,
+    spurious_sizes: Array,
+    people: Array,
+    furniture: Array,
+    uniform: Array,
+    normal: Array,
+    settings: _Settings,
+) -> tuple[Array, Array, Array, IntArray]:
+    """Points, covariances, sizes and sources of a scan, from what is in sight and blocks of random numbers.
+
+    `uniform` and `normal` (k + clutter, 3) hold a row for each thing in sight, then one for each piece of clutter.
+    """
+    k, draws = len(sources), len(uniform)
+    measured, origins = np.empty((draws, 3)), np.full(draws, NONE)  # range, bearing, size; source
+    n = 0
+    for i in range(k):
+        if uniform[i, 0] < (settings.detection if sources[i] >= 0 else settings.person_detection):
+            sigma = math.hypot(settings.range_sigma, settings.range_sigma_ratio * polar[i, 0])
+            measured[n, 0] = max(polar[i, 0] + sigma * normal[i, 0], settings.min_range)
+            measured[n, 1] = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[i, 1])
+            size = sizes[sources[i]] if sources[i] >= 0 else spurious_sizes[int(uniform[i, 2] * len(spurious_sizes))]
+            measured[n, 2] = max(size + settings.size_sigma * normal[i, 2], 0.0)
+            origins[n] = sources[i]
+            n += 1
+    bearings = settings.field_of_view * (uniform[k:, 0] - 0.5)
+    free = cast(grid, pose, pose[2] + bearings, settings.range, people, furniture)
+    for i in range(draws - k):
+        # uniform over the area of a thin sector, from the nearest range to the first surface
+        low, high = settings.min_range**2, max(free[i], settings.min_range) ** 2
+        measured[n, 0], measured[n, 1] = math.sqrt(low + uniform[k + i, 1] * (high - low)), bearings[i]
+        size = spurious_sizes[int(uniform[k + i, 2] * len(spurious_sizes))]
+        measured[n, 2] = max(size + settings.size_sigma * normal[k + i, 2], 0.0)
+        n += 1
+    return _sweep(measured[:n], origins[:n], settings)
+
+
+@compiled
+def _sweep(measured: Array, sources: IntArray, settings: _Settings) -> tuple[Array, Array, Array, IntArray]:
+    """The nearest `max_features` of the measured range, bearing, size (n, 3), by rising bearing, made Cartesian."""
+    kept = _order(measured[:, 0])[: settings.max_features]
+    kept = kept[_order(measured[kept, 1])]
+    m = len(kept)
+    points, covariances = np.empty((m, 2)), np.empty((m, 2, 2))
+    for i in range(m):
+        r, bearing = measured[kept[i], 0], measured[kept[i], 1]
+        c, s = math.cos(bearing), math.sin(bearing)
+        along = settings.range_sigma**2 + (settings.range_sigma_ratio * r) ** 2
+        across = (settings.bearing_sigma * r) ** 2
+        points[i, 0], points[i, 1] = r * c, r * s
+        covariances[i, 0, 0] = c * c * along + s * s * across
+        covariances[i, 1, 1] = s * s * along + c * c * across
+        covariances[i, 0, 1] = covariances[i, 1, 0] = c * s * (along - across)
+    return points, covariances, measured[kept, 2], sources[kept]
+
+
+@compiled
+def _order(keys: Array) -> IntArray:
+    """Indices that sort a few `keys` in rising order, by insertion."""
+    order = np.arange(len(keys))
+    for i in range(1, len(keys)):
+        j = i
+        while j > 0 and keys[order[j - 1]] > keys[i]:
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = i
+    return order
+
+
+@compiled
+def _noisy_ranges(
+    grid: Grid, pose: Array, bearings: Array, reach: float, people: Array, furniture: Array, sigma: float, noise: Array
+) -> Array:
+    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach]."""
+    ranges = cast(grid, pose, pose[2] + bearings, reach, people, furniture)
+    for b in range(len(ranges)):
+        if ranges[b] < reach:
+            ranges[b] = min(max(ranges[b] + sigma * noise[b], 0.0), reach)
+    return ranges
