@@ -99,7 +99,7 @@ def test_lengths_must_agree():
         Identities().update(step([NONE, NONE]), truth(3))
 
 
-def random_run(rng, steps=60, features=12):
+def random_run(rng, steps=250, features=12):
     """Steps of a careless associator: it pairs, invents, refuses and forgets at random."""
     alive, source_of = [], {}
     for _ in range(steps):

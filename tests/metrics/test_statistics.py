@@ -1,0 +1,69 @@
+"""Interquartile mean against scipy, bootstrap intervals by their coverage."""
+
+import numpy as np
+import pytest
+from scipy.stats import trim_mean
+
+from slam_gym.metrics.statistics import bootstrap_interval, interquartile_mean, paired_difference
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 7, 30, 101])
+def test_interquartile_mean_is_the_trimmed_mean(n):
+    values = np.random.default_rng(n).standard_cauchy((6, n))
+    np.testing.assert_allclose(interquartile_mean(values), trim_mean(values, 0.25, axis=1))
+    assert interquartile_mean(values[0]) == pytest.approx(trim_mean(values[0], 0.25))
+
+
+def test_one_wild_episode_does_not_move_the_interquartile_mean():
+    values = np.arange(20.0)
+    assert interquartile_mean(np.append(values[:-1], 1e9)) == interquartile_mean(values) == 9.5
+
+
+def test_interval_covers_the_true_value_about_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(300):
+        interval = bootstrap_interval(rng.normal(3.0, 1.0, 40), rng, level=0.9, resamples=400)
+        assert interval.low <= interval.estimate <= interval.high
+        hits += interval.low <= 3.0 <= interval.high
+    assert 0.82 < hits / 300 < 0.96
+
+
+def test_strata_take_the_spread_between_groups_out():
+    rng = np.random.default_rng(1)
+    strata = np.repeat([0, 1, 2], 20)
+    values = rng.normal(0.0, 0.1, 60) + np.array([0.0, 5.0, 10.0])[strata]
+    mean = lambda rows: rows.mean(axis=-1)  # noqa: E731
+    plain = bootstrap_interval(values, rng, statistic=mean)
+    stratified = bootstrap_interval(values, rng, statistic=mean, strata=strata)
+    assert stratified.high - stratified.low < 0.1 * (plain.high - plain.low)
+    assert stratified.low < values.mean() < stratified.high
+
+
+def test_pairing_sees_a_difference_that_the_spread_between_seeds_hides():
+    rng = np.random.default_rng(2)
+    worlds = rng.normal(0.0, 1.0, 30)
+    a, b = worlds + rng.normal(0.0, 0.05, 30), worlds + 0.2 + rng.normal(0.0, 0.05, 30)
+    difference = paired_difference(a, b, rng)
+    assert difference.high < 0.0 and difference.low < -0.2 < difference.high
+    assert bootstrap_interval(a, rng).high > bootstrap_interval(b, rng).low
+    assert paired_difference(b, a, rng).low > 0.0
+
+
+def test_the_same_generator_gives_the_same_interval():
+    values = np.random.default_rng(3).normal(size=30)
+    a, b = (bootstrap_interval(values, np.random.default_rng(5)) for _ in range(2))
+    assert a == b
+
+
+def test_bad_values_are_refused():
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match="no values"):
+        interquartile_mean(np.empty(0))
+    for bad in (np.empty(0), np.array([1.0, np.nan]), np.zeros((2, 2))):
+        with pytest.raises(ValueError, match="finite values"):
+            bootstrap_interval(bad, rng)
+    with pytest.raises(ValueError, match="level"):
+        bootstrap_interval(np.ones(3), rng, level=1.5)
+    with pytest.raises(ValueError, match="one shape"):
+        paired_difference(np.ones(3), np.ones(4), rng)
