@@ -61,7 +61,7 @@ def anees(values: Array, dof: int) -> float:
 def anees_interval(count: int, dof: int, level: float = 0.95) -> tuple[float, float]:
     """Where the ANEES of `count` independent values with `dof` each lies with probability `level`, if consistent.
 
-    χ²_{count·dof} quantiles over count · dof (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4.2). Raises ValueError for
+    χ²_{count·dof} quantiles over count · dof (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4). Raises ValueError for
     counts under 1 or a level outside (0, 1).
     """
     if count < 1 or dof < 1 or not 0.0 < level < 1.0:

@@ -28,7 +28,7 @@ def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0)
     """Generalised optimal sub-pattern assignment distance between estimated (e, 2) and true (N, 2) features [m].
 
     With α = 2, the only value for which it splits into the parts of `Gospa` (Rahmathullah, García-Fernández and
-    Svensson, FUSION 2017, eq. 1 and prop. 1): the least, over partial assignments γ, of
+    Svensson, FUSION 2017, def. 1 and prop. 1): the least, over partial assignments γ, of
 
         [ Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) ]^(1/p).
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym.metrics.map_quality import align_se2
+from slam_gym.metrics.map_quality import landmark_rmse
 from slam_gym.types import Array
 
 
@@ -19,34 +19,26 @@ class PoseError:
     rotation: float  # [rad]
 
 
-def ate(estimated: Array, true: Array, *, aligned: bool = True) -> PoseError:
-    """Absolute trajectory error of poses (t, 3): of T ⊕ estimated_i against true_i.
+def ate(estimated: Array, true: Array, *, aligned: bool = False) -> float:
+    """Absolute trajectory error [m]: root mean square distance of the estimated from the true positions.
 
-    T moves the estimated positions rigidly onto the true ones (`align_se2`), or is the identity where not `aligned`.
-    NaN for t = 0. Raises ValueError where the shapes differ or a value is not finite.
+    Of poses (t, 3) or positions (t, 2), all in one frame; `aligned` first moves the estimate rigidly onto the truth
+    (Sturm et al., IROS 2012), for estimates that live in a frame of their own. NaN for t = 0. Raises ValueError
+    where the shapes differ or a value is not finite.
     """
-    estimated, true = _trajectories(estimated, true)
-    pose = align_se2(estimated[:, :2], true[:, :2]) if aligned else np.zeros(3)
-    return _rms(_relative(true, _compose(pose[None], estimated)))
+    return landmark_rmse(estimated[:, :2], true[:, :2], aligned=aligned)
 
 
 def rpe(estimated: Array, true: Array, *, delta: int = 1) -> PoseError:
     """Relative pose error of poses (t, 3): of the motion over `delta` steps, each seen from its own start.
 
-    Needs no alignment (Sturm et al., IROS 2012, eq. 2). NaN for t ≤ delta. ValueError as `ate`, or for delta < 1.
+    Needs no alignment (Sturm et al., IROS 2012). NaN for t ≤ delta. ValueError as `ate`, or for delta < 1.
     """
     estimated, true = _trajectories(estimated, true)
     if delta < 1:
         raise ValueError(f"delta must be at least 1 step, got {delta}")
     motion, true_motion = (_relative(poses[:-delta], poses[delta:]) for poses in (estimated, true))
     return _rms(_relative(true_motion, motion))
-
-
-def _compose(a: Array, b: Array) -> Array:
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    x = a[:, 0] + c * b[:, 0] - s * b[:, 1]
-    y = a[:, 1] + s * b[:, 0] + c * b[:, 1]
-    return np.column_stack([x, y, a[:, 2] + b[:, 2]])
 
 
 def _relative(a: Array, b: Array) -> Array:

@@ -22,21 +22,25 @@ def moved(pose, poses):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_a_rigidly_moved_trajectory_has_no_error_but_the_raw_one(seed):
-    rng = np.random.default_rng(seed)
-    true = walk(rng)
+    true = walk(np.random.default_rng(seed))
     estimated = moved(np.array([1.0, -2.0, 2.5]), true)
-    for error in (ate(estimated, true), rpe(estimated, true), rpe(estimated, true, delta=7)):
+    assert ate(estimated, true, aligned=True) == pytest.approx(0.0, abs=1e-12)
+    assert ate(estimated, true) > 0.5
+    for delta in (1, 7):
+        error = rpe(estimated, true, delta=delta)
         assert error.translation == pytest.approx(0.0, abs=1e-12) and error.rotation == pytest.approx(0.0, abs=1e-12)
-    raw = ate(estimated, true, aligned=False)
-    assert raw.translation > 0.5 and raw.rotation == pytest.approx(2.5)
 
 
-def test_constant_offsets():
+def test_absolute_error_of_a_constant_offset():
     true = walk(np.random.default_rng(3))
-    shifted = ate(true + np.array([0.3, 0.4, 0.0]), true, aligned=False)
-    assert shifted.translation == pytest.approx(0.5) and shifted.rotation == pytest.approx(0.0, abs=1e-12)
-    turned = ate(true + np.array([0.0, 0.0, 2 * math.pi + 0.1]), true)  # a heading bias that no alignment removes
-    assert turned.translation == pytest.approx(0.0, abs=1e-12) and turned.rotation == pytest.approx(0.1)
+    assert ate(true + np.array([0.3, 0.4, 1.0]), true) == pytest.approx(0.5)  # positions only
+    assert ate(true[:, :2] + np.array([0.3, 0.4]), true[:, :2]) == pytest.approx(0.5)
+
+
+def test_relative_error_takes_turns_around_the_circle():
+    true = walk(np.random.default_rng(4))
+    wound = true + np.array([0.0, 0.0, 2.0 * math.pi]) * np.arange(len(true))[:, None]
+    assert rpe(wound, true).rotation == pytest.approx(0.0, abs=1e-9)
 
 
 def test_rpe_of_a_biased_odometer():
@@ -51,10 +55,12 @@ def test_rpe_of_a_biased_odometer():
 
 
 def test_too_short_and_malformed():
-    assert math.isnan(ate(np.empty((0, 3)), np.empty((0, 3))).translation)
+    assert math.isnan(ate(np.empty((0, 3)), np.empty((0, 3))))
     assert math.isnan(rpe(np.zeros((2, 3)), np.zeros((2, 3)), delta=2).rotation)
-    with pytest.raises(ValueError, match=r"\(t, 3\)"):
+    with pytest.raises(ValueError, match="one shape"):
         ate(np.zeros((4, 3)), np.zeros((5, 3)))
+    with pytest.raises(ValueError, match=r"\(t, 3\)"):
+        rpe(np.zeros((4, 2)), np.zeros((4, 2)))
     with pytest.raises(ValueError, match="finite"):
         rpe(np.full((4, 3), np.nan), np.zeros((4, 3)))
     with pytest.raises(ValueError, match="delta"):
