@@ -32,12 +32,13 @@ _FAULTS = (
 class Candidates:
     """Individually compatible pairings, gathered by measurement (compressed rows), by ascending D² within each.
 
-    Those of `measurements[i]` are entries `starts[i]:starts[i + 1]` of `slots`, `distances` and `innovations`.
+    Those of `measurements[i]` are entries `starts[i]:starts[i + 1]` of the arrays (c,).
     """
 
     measurements: IntArray  # (l,) the measurements that were offered features
     starts: IntArray  # (l + 1,)
-    slots: IntArray  # (c,) feature of the pairing, as an index into `rows`
+    measured: IntArray  # (c,) measurement of the pairing
+    slots: IntArray  # (c,) its feature, as an index into `rows`
     distances: Array  # (c,) D²_ij
     innovations: Array  # (c, 2) [m] ν_ij in R
     rows: IntArray  # (u,) the distinct rows of the prediction among them, ascending
@@ -80,12 +81,12 @@ def individual(
     if eligible is None:
         eligible = np.ones(len(prediction.features), np.bool_)
     gate = chi2_gate(2, confidence)
-    fault, where, tests, starts, slots, distances, innovations, rows = _individual(
+    fault, where, tests, starts, measured, slots, distances, innovations, rows = _individual(
         scan.points, scan.covariances, prediction.positions, prediction.covariances, measurements, eligible, gate
     )
     if fault:
         raise ValueError(_FAULTS[fault].format(where))
-    return Candidates(measurements, starts, slots, distances, innovations, rows, tests)
+    return Candidates(measurements, starts, measured, slots, distances, innovations, rows, tests)
 
 
 def has_compatible(scan: Scan, prediction: Prediction, confidence: float = 0.99) -> BoolArray:
@@ -141,46 +142,81 @@ def _individual(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
-) -> tuple[int, int, int, IntArray, IntArray, Array, Array, IntArray]:
-    """Fault, entry at fault, pairings tested, and the arrays of `Candidates`."""
-    count, room = 0, 8 * len(measurements) + 8
-    starts = np.zeros(len(measurements) + 1, np.int64)
-    slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
+) -> tuple[int, int, int, IntArray, IntArray, IntArray, Array, Array, IntArray]:
+    """Fault, entry at fault, pairings tested, and the arrays of `Candidates` from `starts` on."""
     fault, where = _fault(points, noise, positions, covariances)
-    offered = np.flatnonzero(eligible)
-    if fault == 0:
-        for level in range(len(measurements)):
-            i = measurements[level]
-            for j in offered:
-                # D² ≥ ν_x² / S_xx and likewise in y: most pairings are settled by one comparison
-                x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
-                a, d = covariances[j, 0, 0] + noise[i, 0, 0], covariances[j, 1, 1] + noise[i, 1, 1]
-                if x * x >= gate * a or y * y >= gate * d:
-                    continue
-                b = covariances[j, 0, 1] + noise[i, 0, 1]
-                determinant = a * d - b * b
-                if not determinant > 0.0:
-                    fault, where = 5, i
-                    continue
-                distance = (d * x * x - 2.0 * b * x * y + a * y * y) / determinant
-                if not distance < gate:
-                    continue
-                if count == len(slots):
-                    slots = np.concatenate((slots, np.empty_like(slots)))
-                    distances = np.concatenate((distances, np.empty_like(distances)))
-                    innovations = np.concatenate((innovations, np.empty_like(innovations)))
-                place = count
-                while place > starts[level] and distances[place - 1] > distance:
-                    slots[place], distances[place] = slots[place - 1], distances[place - 1]
-                    innovations[place] = innovations[place - 1]
-                    place -= 1
-                slots[place], distances[place] = j, distance
-                innovations[place, 0], innovations[place, 1] = x, y
-                count += 1
-            starts[level + 1] = count
+    count, room = 0, 8 * len(measurements) + 8
+    starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(room, np.int64)
+    slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
+    offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
+    x, y = positions[offered, 0], positions[offered, 1]
+    xx, yy = covariances[offered, 0, 0], covariances[offered, 1, 1]
+    maybe = np.empty(len(offered), np.bool_)
+    for level in range(len(measurements)):
+        i = measurements[level]
+        # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings, several at a time
+        for k in range(len(offered)):
+            u, v = points[i, 0] - x[k], points[i, 1] - y[k]
+            maybe[k] = (u * u < gate * (xx[k] + noise[i, 0, 0])) & (v * v < gate * (yy[k] + noise[i, 1, 1]))
+        for k in range(len(offered)):
+            if not maybe[k]:
+                continue
+            j = offered[k]
+            u, v = points[i, 0] - x[k], points[i, 1] - y[k]
+            a, b, d = xx[k] + noise[i, 0, 0], covariances[j, 0, 1] + noise[i, 0, 1], yy[k] + noise[i, 1, 1]
+            determinant = a * d - b * b
+            if not determinant > 0.0:
+                fault, where = 5, i
+                continue
+            distance = (d * u * u - 2.0 * b * u * v + a * v * v) / determinant
+            if not distance < gate:
+                continue
+            if count == len(slots):
+                measured, slots = np.concatenate((measured, measured)), np.concatenate((slots, slots))
+                distances = np.concatenate((distances, distances))
+                innovations = np.concatenate((innovations, innovations))
+            place = count
+            while place > starts[level] and distances[place - 1] > distance:
+                slots[place], distances[place] = slots[place - 1], distances[place - 1]
+                innovations[place, 0], innovations[place, 1] = innovations[place - 1, 0], innovations[place - 1, 1]
+                place -= 1
+            measured[count], slots[place], distances[place] = i, j, distance
+            innovations[place, 0], innovations[place, 1] = u, v
+            count += 1
+        starts[level + 1] = count
     rows = _number_distinct(slots[:count], len(eligible))
     tests = len(measurements) * len(offered)
-    return fault, where, tests, starts, slots[:count], distances[:count], innovations[:count], rows
+    return fault, where, tests, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows
+
+
+@compiled
+def _offered(
+    points: Array,
+    noise: Array,
+    positions: Array,
+    covariances: Array,
+    measurements: IntArray,
+    eligible: BoolArray,
+    gate: float,
+) -> IntArray:
+    """Eligible rows whose gate reaches into the box around the measurements: the others are compatible with none."""
+    low, high, most = np.full(2, np.inf), np.full(2, -np.inf), np.zeros(2)
+    for i in measurements:
+        for axis in range(2):
+            low[axis], high[axis] = min(low[axis], points[i, axis]), max(high[axis], points[i, axis])
+            most[axis] = max(most[axis], noise[i, axis, axis])
+    offered, count = np.empty(len(eligible), np.int64), 0
+    for j in range(len(eligible)):
+        u = max(low[0] - positions[j, 0], positions[j, 0] - high[0], 0.0)
+        v = max(low[1] - positions[j, 1], positions[j, 1] - high[1], 0.0)
+        if (
+            eligible[j]
+            and u * u < gate * (covariances[j, 0, 0] + most[0])
+            and v * v < gate * (covariances[j, 1, 1] + most[1])
+        ):
+            offered[count] = j
+            count += 1
+    return offered[:count]
 
 
 @compiled
