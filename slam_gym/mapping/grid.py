@@ -1,0 +1,156 @@
+"""Compiled walks over grids of free, wall and unknown cells: casting beams into them and looking at them.
+
+Cells are addressed [row, column]; row 0 lies at the least y, column 0 at the least x of the grid's `origin`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym._compile import compiled
+from slam_gym.types import Array
+
+UNKNOWN, FREE, WALL = 0, 1, 2
+
+Cells = NDArray[np.uint8]  # (h, w) class of each cell
+Evidence = NDArray[np.int8]  # (h, w) for a wall where > 0, for free space where < 0
+Sweeps = NDArray[np.int32]  # (h, w) the sweep that last touched each cell
+Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
+
+HIT, MISS = 3, -1  # evidence that one sweep adds to the cell of an echo, and to a cell that a beam crossed
+SATURATION = 8  # |evidence| never exceeds it, so that nine crossings wash out a wall that has gone
+BLOCK = 2  # cells on a block's side
+SHADE = 85  # brightness that one feature adds to its pixel
+
+
+@compiled
+def border_crossings(position: float, direction: float) -> tuple[int, float, float]:
+    """Grid traversal along one axis (Amanatides and Woo 1987), lengths in cells.
+
+    The step of the cell index, the length of the ray up to the first border crossed, and from one border to the next.
+    """
+    if direction > 0.0:
+        return 1, (math.floor(position) + 1.0 - position) / direction, 1.0 / direction
+    if direction < 0.0:
+        return -1, (math.floor(position) - position) / direction, -1.0 / direction
+    return 0, math.inf, math.inf
+
+
+@compiled
+def _weigh(cells: Cells, evidence: Evidence, blocks: Blocks, row: int, column: int, change: int) -> int:
+    """Add evidence to a cell and reclassify it; returns the change in the number of free cells."""
+    weight = min(SATURATION, max(-SATURATION, evidence[row, column] + change))
+    evidence[row, column] = weight
+    before = cells[row, column]
+    after = before if weight == 0 else (FREE if weight < 0 else WALL)
+    if after == before:
+        return 0
+    cells[row, column] = after
+    freed = int(after == FREE) - int(before == FREE)
+    walled = int(after == WALL) - int(before == WALL)
+    blocks[row // BLOCK, column // BLOCK] += freed + 256 * walled
+    return freed
+
+
+@compiled
+def integrate(
+    cells: Cells, evidence: Evidence, blocks: Blocks, sweeps: Sweeps, sweep: int,
+    origin: Array, resolution: float, pose: Array, bearings: Array, ranges: Array, max_range: float,
+) -> int:  # fmt: skip
+    """Enter one sweep of beams, each cell once: see `CoverageGrid.integrate`. Returns the change in free cells.
+
+    Echoes come first, so that no other beam grazing past them in the same sweep erases them. Cells that are free beyond
+    doubt are passed without a touch.
+    """
+    if not math.isfinite(pose[0] + pose[1] + pose[2]):
+        raise ValueError("pose: expected finite numbers")
+    h, w = cells.shape
+    x, y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
+    freed, directions = 0, np.empty((bearings.shape[0], 2))
+    for b in range(bearings.shape[0]):
+        directions[b, 0], directions[b, 1] = math.cos(pose[2] + bearings[b]), math.sin(pose[2] + bearings[b])
+        if 0.0 <= ranges[b] < max_range:
+            column = math.floor(x + ranges[b] / resolution * directions[b, 0])
+            row = math.floor(y + ranges[b] / resolution * directions[b, 1])
+            if 0 <= row < h and 0 <= column < w and sweeps[row, column] != sweep:
+                sweeps[row, column] = sweep
+                freed += _weigh(cells, evidence, blocks, row, column, HIT)
+    for b in range(bearings.shape[0]):
+        if not ranges[b] >= 0.0:
+            continue
+        reach = min(ranges[b], max_range) / resolution
+        step_x, next_x, stride_x = border_crossings(x, directions[b, 0])
+        step_y, next_y, stride_y = border_crossings(y, directions[b, 1])
+        column, row = math.floor(x), math.floor(y)
+        while 0 <= row < h and 0 <= column < w:
+            if evidence[row, column] > -SATURATION and sweeps[row, column] != sweep:
+                sweeps[row, column] = sweep
+                freed += _weigh(cells, evidence, blocks, row, column, MISS)
+            if min(next_x, next_y) >= reach:
+                break
+            if next_x < next_y:
+                column, next_x = column + step_x, next_x + stride_x
+            else:
+                row, next_y = row + step_y, next_y + stride_y
+    return freed
+
+
+@compiled
+def unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Array:
+    """Unknown area [cells] in view of each point (q, 2) [cells]: Σ over rays of Δθ (r₂² − r₁²)/2 per unknown cell."""
+    h, w = cells.shape
+    areas = np.zeros(points.shape[0])
+    for k in range(rays):
+        angle = 2.0 * math.pi * (k + 0.5) / rays
+        dx, dy = math.cos(angle), math.sin(angle)
+        for q in range(points.shape[0]):
+            step_x, next_x, stride_x = border_crossings(points[q, 0], dx)
+            step_y, next_y, stride_y = border_crossings(points[q, 1], dy)
+            column, row, entered = math.floor(points[q, 0]), math.floor(points[q, 1]), 0.0
+            while entered < reach and 0 <= row < h and 0 <= column < w and cells[row, column] != WALL:
+                left = min(next_x, next_y, reach)
+                if cells[row, column] == UNKNOWN:
+                    areas[q] += (left * left - entered * entered) * math.pi / rays
+                entered = left
+                if next_x < next_y:
+                    column, next_x = column + step_x, next_x + stride_x
+                else:
+                    row, next_y = row + step_y, next_y + stride_y
+    return areas
+
+
+@compiled
+def egocentric(
+    blocks: Blocks, origin: Array, resolution: float, pose: Array, features: Array, pixels: int, metres: float
+) -> Cells:
+    """See `CoverageGrid.egocentric`. Two samples of the blocks per pixel, staggered, so that hardly a thin wall slips
+    through; block indices advance in fixed point, 16 bits behind the point."""
+    h, w = blocks.shape
+    unit, pixel = 65536.0 / (resolution * BLOCK), metres / pixels
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    step_x, step_y = int(sin * pixel * unit), int(-cos * pixel * unit)  # from a pixel to the one on its right
+    sums, image = np.zeros((pixels, pixels), dtype=np.int32), np.empty((3, pixels, pixels), dtype=np.uint8)
+    for row in range(pixels):
+        for quarter in (0.25, 0.75):
+            ahead, left = metres / 2.0 - (row + quarter) * pixel, metres / 2.0 - quarter * pixel
+            x = math.floor((pose[0] + cos * ahead - sin * left - origin[0]) * unit)
+            y = math.floor((pose[1] + sin * ahead + cos * left - origin[1]) * unit)
+            for i in range(pixels):
+                r, c = y >> 16, x >> 16
+                if 0 <= r < h and 0 <= c < w:
+                    sums[row, i] += blocks[r, c]
+                x, y = x + step_x, y + step_y
+        for i in range(pixels):
+            image[0, row, i] = (sums[row, i] & 255) * 255 >> 3
+            image[1, row, i] = min(255, (sums[row, i] >> 8) * 64)
+            image[2, row, i] = 0
+    for j in range(features.shape[0]):
+        dx, dy = features[j, 0] - pose[0], features[j, 1] - pose[1]
+        row = math.floor((metres / 2.0 - cos * dx - sin * dy) / pixel)
+        column = math.floor((metres / 2.0 + sin * dx - cos * dy) / pixel)
+        if 0 <= row < pixels and 0 <= column < pixels:
+            image[2, row, column] = min(255, image[2, row, column] + SHADE)
+    return image
