@@ -1,14 +1,16 @@
 """`compiled`: numba's njit with a cache that never goes stale.
 
-numba keys a cached function by its own file only, so editing a function that it calls in another file would bring
-the old result back. Here the cache folder is named by a hash of all compiled sources of the package. The folder lies in
-the user's cache directory, or in `NUMBA_CACHE_DIR` where that is set.
+numba keys a cached function by its own file only, so editing a function that it calls in another file would bring the
+old result back. Here each module caches into a folder named by a hash of its source and of all modules of the package
+that it imports, directly or not. The folders lie in the user's cache directory, or in `NUMBA_CACHE_DIR` if that is set.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
+import re
 import shutil
 import sys
 import time
@@ -21,19 +23,31 @@ import numba
 F = TypeVar("F", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
-_STALE_AFTER = 14 * 24 * 3600  # [s] caches of other versions are removed when untouched for so long
+_IMPORT = re.compile(r"^\s*(?:from (slam_gym[\w.]*) import ([^\n(]*|\([^)]*\))|import (slam_gym[\w.]*))", re.MULTILINE)
+_STALE_AFTER = 14 * 24 * 3600  # [s] folders of other versions are removed when untouched for so long
 
 
-def _source_hash() -> str:
-    digest = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        text = path.read_bytes()
-        if b"compiled" in text:
-            digest.update(path.relative_to(_PACKAGE).as_posix().encode() + text)
-    return digest.hexdigest()[:16]
+@functools.cache
+def _imported(path: Path) -> frozenset[Path]:
+    """Files of the package that a file imports."""
+    names: set[str] = set()
+    for module, members, plain in _IMPORT.findall(path.read_text(encoding="utf-8")):
+        names |= {module or plain} | {f"{module}.{name}" for name in re.findall(r"\w+", members)}
+    files = (_PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py") for name in names)
+    return frozenset(file for file in files if file.is_file())
 
 
-def _cache_root() -> Path:
+def _closure(path: Path) -> set[Path]:
+    """A file of the package and all that it depends on."""
+    found, todo = {path}, [path]
+    while todo:
+        fresh = _imported(todo.pop()) - found
+        found |= fresh
+        todo.extend(fresh)
+    return found
+
+
+def _root() -> Path:
     if os.environ.get("NUMBA_CACHE_DIR"):
         return Path(os.environ["NUMBA_CACHE_DIR"]) / "slam_gym"
     if os.name == "nt":
@@ -41,42 +55,55 @@ def _cache_root() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slam_gym" / "numba"
 
 
-def _open_cache() -> Path | None:
-    """The folder of this version's cache, made if need be; None where it cannot be written (then nothing is cached)."""
-    root = _cache_root()
-    folder = root / _source_hash()
+@functools.cache
+def _folder(path: Path) -> Path | None:
+    """Cache folder of a module, made if need be; None where it cannot be written (then nothing is cached)."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(_closure(path)):
+        digest.update(source.read_bytes())
+    folder = _root() / digest.hexdigest()[:20]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if not os.access(folder, os.W_OK):
-            return None
         os.utime(folder)
-        for other in root.iterdir():
-            if other != folder and time.time() - other.stat().st_mtime > _STALE_AFTER:
-                shutil.rmtree(other, ignore_errors=True)
     except OSError:
         return None
-    return folder
+    return folder if os.access(folder, os.W_OK) else None
 
 
-CACHE = _open_cache()
-_announced = CACHE is not None and any(CACHE.iterdir())
+_folders: set[Path | None] = set()
+_announced = False
 
 
 def announce_compilation() -> None:
     """Say once, on stderr, that the inner loops are about to be compiled; silent when they come from the cache."""
     global _announced
-    if not _announced:
-        _announced = True
-        kept = "once; later runs start from the cache" if CACHE else "at every start: the cache folder is not writable"
+    if _announced:
+        return
+    _announced = True
+    cached = [folder is not None and any(folder.iterdir()) for folder in _folders]
+    if 2 * sum(cached) < len(cached):
+        kept = "at every start: the cache folder is not writable" if None in _folders else "once, then cached"
         print(f"slam_gym: compiling its inner loops, up to half a minute ({kept}) …", file=sys.stderr, flush=True)
+    _forget_old_versions()
+
+
+def _forget_old_versions() -> None:
+    for folder in _root().glob("*"):
+        try:
+            if folder not in _folders and time.time() - folder.stat().st_mtime > _STALE_AFTER:
+                shutil.rmtree(folder, ignore_errors=True)
+        except OSError:  # another process was faster
+            continue
 
 
 def compiled(function: F) -> F:
-    """njit(cache=True) into the folder above. IEEE arithmetic (no fastmath): results do not depend on optimisation."""
+    """njit into the cache described above. IEEE arithmetic (no fastmath), so results do not depend on optimisation."""
+    folder = _folder(Path(function.__code__.co_filename))
+    _folders.add(folder)
     config: Any = numba.config
     before = config.CACHE_DIR
-    config.CACHE_DIR = str(CACHE) if CACHE else before
+    config.CACHE_DIR = str(folder) if folder else before
     try:
-        return cast(F, numba.njit(cache=CACHE is not None, nogil=True, error_model="numpy")(function))
+        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
     finally:
         config.CACHE_DIR = before

@@ -1,4 +1,4 @@
-"""Feature-based SLAM with a stochastic map, one step on one page: predict, associate, update, add, remember, maintain."""
+"""Feature-based SLAM with a stochastic map, one step on one page: predict, associate, update, add, maintain."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class SlamSpec:
 
     map: MapSpec = field(default_factory=MapSpec)
     reach: float = 6.0  # [m] features predicted within this distance are offered to the associator
+    new_confidence: float | None = None  # of the gate that a new feature must miss everything by; None: as `map`
     locality: bool = True  # offer covisibility localities to the associator
     recent: int = 5  # [scans] whose pairings define the locality to look in first
     collapse: float = 0.2  # share of a scan's measurements that must be paired …
@@ -74,12 +75,15 @@ class Slam:
     def new_features(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> IntArray:
         """Measurements that start a feature: unpaired *and* individually compatible with nothing in the map.
 
-        Those that are compatible but unpaired are discarded: they are more likely mapped features than new ones.
+        Those that are compatible but unpaired are discarded: they are more likely mapped features than new ones. A gate
+        of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate; where scans come by the
+        hundred this test therefore deserves a wider gate (`new_confidence`) than the pairings do.
         """
+        confidence = self.spec.new_confidence or self.spec.map.confidence
         unpaired = hypothesis.features == NONE
         if not unpaired.any():
             return np.empty(0, np.int64)
-        return np.flatnonzero(unpaired & ~has_compatible(scan, prediction, self.spec.map.confidence))
+        return np.flatnonzero(unpaired & ~has_compatible(scan, prediction, confidence))
 
     def _remember(self, prediction: Prediction, hypothesis: Hypothesis, new: IntArray, created: IntArray) -> SlamStep:
         """Covisibility of what was seen together, maintenance, and the record of the step."""

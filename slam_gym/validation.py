@@ -27,7 +27,13 @@ def _first_bad_measurement(points: Array, covariances: Array, tolerance: float) 
     return -1, 0
 
 
-_FAULTS = ("", "points are not finite", "covariance is not finite", "covariance is not symmetric", "covariance is not PSD")
+_FAULTS = (
+    "",
+    "points are not finite",
+    "covariance is not finite",
+    "covariance is not symmetric",
+    "covariance is not PSD",
+)
 
 
 def check_scan(scan: Scan) -> None:

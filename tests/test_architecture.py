@@ -38,7 +38,7 @@ def imports(path: Path) -> set[str]:
 
 def part(module: str) -> str:
     """`slam_gym.mapping.ekf` → `mapping`; `slam_gym` itself → `__init__`."""
-    return (module.split(".") + ["__init__"])[1]
+    return [*module.split("."), "__init__"][1]
 
 
 FILES = sorted((ROOT / "slam_gym").rglob("*.py"))

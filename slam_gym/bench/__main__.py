@@ -6,7 +6,7 @@ import importlib
 import sys
 
 BENCHMARKS = {
-    "corridor": "reference experiment: nearest neighbour, SINGLES and JCBB in the corridor, 40 seeds beside their bands",
+    "corridor": "reference experiment: associators in the corridor, 40 seeds, beside the bands expected of them",
     "step": "Explore-v0 steps per second, against map size, and where the time of a step goes",
     "jcbb": "JCBB at loop closure against scipy's linear assignment on the same gated problem",
     "update": "joint EKF update against one symmetric rank-20 product",

@@ -166,11 +166,12 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=40, help="runs per row, seeds 0 … N−1 (default 40)")
     arguments = parser.parse_args(argv)
     seeds = np.arange(arguments.seeds)
-    print(f"{'Q':>3} {'conf':>5} {'associator':18s} {'features':>8} {'TP':>6} {'FP':>6} {'FN':>6} {'prec':>6} {'ANEES':>7}")
+    print("  Q  conf associator         features     TP     FP     FN   prec   ANEES   expected")
     for q, confidence in ((1.0, 0.95), (1.0, 0.99), (2.0, 0.99)):
         for associator in ASSOCIATORS:
             row = summary(associator, seeds, q, confidence)
             print(
-                f"{q:2.0f}x {confidence:5.2f} {associator:18s} {row['features']:8.1f} {row['TP']:6.1f} {row['FP']:6.2f} "
-                f"{row['FN']:6.1f} {row['precision']:6.3f} {row['ANEES']:7.2f}   {BANDS[associator] if q > 1 else ''}"
+                f"{q:2.0f}x {confidence:5.2f} {associator:18s} {row['features']:8.1f} {row['TP']:6.1f} "
+                f"{row['FP']:6.2f} {row['FN']:6.1f} {row['precision']:6.3f} {row['ANEES']:7.2f}   "
+                f"{BANDS[associator] if confidence == 0.99 else ''}"
             )

@@ -1,0 +1,85 @@
+"""Carrying out a goal: plan a path over the explored grid, follow it tick by tick, and know when to hand back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from slam_gym.envs.episode import Episode
+from slam_gym.envs.goals import CLEARANCE, FRONTIERS, LOOK, WORTH_SEEING
+from slam_gym.mapping.planner import distance_field, follow
+from slam_gym.types import Array
+
+ARRIVED = 0.4  # [m] from the goal
+REPLAN = 10  # [ticks] at most between looks at whether the path still holds
+STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] no nearer than this in so many ticks: lost
+
+AfterTick = Callable[[], None]
+
+
+def carry_out(episode: Episode, slot: int, goal: Array, after_tick: AfterTick) -> None:
+    """Look around (slot `LOOK`), or drive to `goal` (2,) in B until it is reached, lost or out of date.
+
+    Ends at once when the budget is spent. `after_tick` is called after every tick.
+    """
+    if slot == LOOK:
+        _look_around(episode, after_tick)
+    else:
+        _drive(episode, goal, slot <= FRONTIERS, after_tick)
+
+
+def _tick(episode: Episode, forward: float, turn: float, after_tick: AfterTick) -> None:
+    episode.tick(forward, turn)
+    after_tick()
+
+
+def _look_around(episode: Episode, after_tick: AfterTick) -> None:
+    """One full turn on the spot, as the odometry tells it; given up after twice the time that it takes."""
+    robot, tick = episode.scenario.robot, episode.scenario.dynamics.tick
+    turned = 0.0
+    for _ in range(math.ceil(4.0 * math.pi / (robot.max_turn * tick))):
+        if episode.over or turned >= 2.0 * math.pi:
+            return
+        _tick(episode, 0.0, 1.0, after_tick)
+        turned += abs(float(episode.odometry.motion[2]))
+
+
+def _drive(episode: Episode, goal: Array, frontier: bool, after_tick: AfterTick) -> None:
+    path = np.empty((0, 2))
+    nearest, since = math.inf, 0
+    ticks = 0
+    while not episode.over:
+        pose = episode.slam.map.pose
+        if ticks % REPLAN == 0:
+            path = _plan(episode, pose, goal)
+            if len(path) == 0 or (frontier and ticks and _out_of_date(episode, goal)):
+                break
+        left = _length_left(path, pose[:2])
+        nearest, since = (left, 0) if left < nearest - STUCK_DISTANCE else (nearest, since + 1)
+        if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
+            break
+        episode.path = path
+        _tick(episode, *follow(pose, path), after_tick)
+        ticks += 1
+    episode.path = np.empty((0, 2))
+    if ticks == 0 and not episode.over:
+        _tick(episode, 0.0, 0.0, after_tick)  # a step always costs time, or a lost goal could be asked for for ever
+
+
+def _plan(episode: Episode, pose: Array, goal: Array) -> Array:
+    field = distance_field(episode.grid, pose[:2], episode.scenario.robot.radius + CLEARANCE)
+    return field.path(goal)
+
+
+def _out_of_date(episode: Episode, goal: Array) -> bool:
+    """What was to be seen from the frontier has been seen on the way."""
+    return float(episode.grid.expected_area(goal[None], episode.scenario.beams.range)[0]) < WORTH_SEEING
+
+
+def _length_left(path: Array, position: Array) -> float:
+    """[m] along the path from the waypoint nearest to `position`, and to it."""
+    nearest = int(np.argmin(((path - position) ** 2).sum(axis=1)))
+    rest = path[nearest:]
+    return float(np.hypot(*(rest[0] - position)) + np.hypot(*np.diff(rest, axis=0).T).sum())

@@ -1,0 +1,181 @@
+"""One episode behind every environment: the true world, the robot's estimate of it, and the tick that moves both on.
+
+Truth and estimate meet here and nowhere else: the estimate side receives `Odometry`, `Scan` and `Beams`, and works in
+B, the frame of the robot's first pose.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.association import resolve, true_association
+from slam_gym.geometry import observe, relative, transform, wrap_angle
+from slam_gym.mapping.coverage import CoverageGrid
+from slam_gym.mapping.ekf import cholesky
+from slam_gym.mapping.virtual_map import VirtualMap
+from slam_gym.metrics import map_quality
+from slam_gym.metrics.association import Identities
+from slam_gym.scenarios import Scenario
+from slam_gym.slam import Slam, SlamSpec
+from slam_gym.types import Array, Associator, Beams, BoolArray, Truth
+from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.world.physics import Motion, World
+from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.reachability import free_start, observable, reachable
+from slam_gym.world.sensor import Sensor
+
+_GRID_MARGIN = 2.0  # [m] of explored grid around the plan, for estimates that drift out of it
+_AT_REST = Motion(moved=np.zeros(3), wheels=np.zeros(3), contact=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A floor plan with what follows from it: the wall index, where the robot can get to, what it can see there."""
+
+    plan: FloorPlan
+    index: WallIndex
+    cells: Array  # (c, 2) [m] centres of the reachable cells, in W
+    observable: BoolArray  # (N,) features that can be seen from one of them
+
+
+def survey(plan: FloorPlan, scenario: Scenario) -> Site:
+    """Find out where the robot can get to and what it can map. Raises ValueError where that is nowhere or nothing."""
+    index = WallIndex(plan.walls)
+    cells = reachable(plan, scenario.robot.radius)
+    if len(cells) == 0:
+        raise ValueError(f"floor plan {plan.name!r}: no free space for a robot of radius {scenario.robot.radius} m")
+    if len(plan.features) == 0:
+        raise ValueError(f"floor plan {plan.name!r}: has no features, so there is nothing to map")
+    seen = observable(plan, index, cells, scenario.sensor.range)
+    if not seen.any():
+        where = "can be seen from where the robot can get to"
+        raise ValueError(f"floor plan {plan.name!r}: none of its {len(seen)} features {where}")
+    return Site(plan, index, cells, seen)
+
+
+class Episode:
+    """The state of one episode, moved on by `tick`.
+
+    `associator` is a name, `"module:function"` or a callable. `virtual` asks for the virtual map, which only the
+    uncertainty rewards need.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        site: Site,
+        associator: str | Associator,
+        rng: np.random.Generator,
+        *,
+        locality: bool = True,
+        virtual: bool = False,
+    ) -> None:
+        self.scenario = scenario
+        self.site = site
+        self.rng = rng
+        self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
+        self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
+        self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
+        self.associate = resolve(associator)
+        self.slam = Slam(_slam_spec(scenario, locality), self.associate)
+        bounds = _bounds_in_base(site.plan.bounds, self.base)
+        self.grid = CoverageGrid(bounds, scenario.grid_resolution)
+        self.virtual_map = VirtualMap(bounds, 1.0, scenario.prior_sigma) if virtual else None
+        self.identities = Identities()
+        self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
+        self._cells = observe(self.base, site.cells)
+        self.poses: list[Array] = []  # true, in W, one per tick
+        self.estimates: list[Array] = []  # in B
+        self.nees: list[float] = []  # of the pose
+        self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
+        self.ticks = -1  # the first look, from where the robot stands, is no tick
+        self._perceive(_AT_REST)
+
+    def tick(self, forward: float, turn: float) -> None:
+        """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and update the map."""
+        self._perceive(self.world.tick(forward, turn))
+
+    def _perceive(self, motion: Motion) -> None:
+        """What every tick ends with: sense, one SLAM step, explored space, and the judgement of it all."""
+        world, rng = self.world, self.rng
+        odometry = self.sensor.odometry(motion, rng)
+        scan, truth = self.sensor.scan(world.pose, rng, world.people, world.furniture_segments)
+        beams = self.sensor.beams(world.pose, rng, world.people, world.furniture_segments)
+        self.odometry, self.scan, self.truth, self.beams = odometry, scan, truth, beams
+        self.last_step = self.slam.step(odometry, scan, self._associator(truth))
+        self.tally = self.identities.update(self.last_step, truth)
+        self._explore(beams)
+        self._log(truth.pose)
+
+    def _associator(self, truth: Truth) -> Associator:
+        """The run's associator; the true one is handed the truth of this scan."""
+        if self.associate is not true_association:
+            return self.associate
+        known = self.identities.source_of(self.slam.map.ids)
+        return functools.partial(true_association, sources=truth.sources, identities=known)
+
+    def _explore(self, beams: Beams) -> None:
+        pose = self.slam.map.pose
+        self.grid.integrate(pose, beams)
+        if self.virtual_map is not None:
+            self.virtual_map.observe(pose, self.slam.map.pose_covariance, beams, self.scenario.sensor.range_sigma)
+
+    def _log(self, true_pose: Array) -> None:
+        pose = self.slam.map.pose
+        self.ticks += 1
+        self.poses.append(true_pose)
+        self.estimates.append(pose)
+        self.nees.append(_pose_nees(pose, relative(self.base, true_pose), self.slam.map.pose_covariance))
+
+    @property
+    def over(self) -> bool:
+        """The budget is spent."""
+        return self.ticks >= self.scenario.budget
+
+    @property
+    def landmarks(self) -> Array:
+        """(e, 2) [m] confirmed features of the map, in W."""
+        slam_map = self.slam.map
+        return transform(self.base, slam_map.positions[~slam_map.provisional])
+
+    def map_error(self) -> float:
+        """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
+        return map_quality.map_error(self.landmarks, self.targets, self.scenario.prior_sigma)
+
+    def coverage(self) -> float:
+        """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""
+        return map_quality.coverage(self.grid.cells, self.grid.origin, self.grid.resolution, self._cells)
+
+
+def _slam_spec(scenario: Scenario, locality: bool) -> SlamSpec:
+    """The scenario's, told how far the sensor reaches and whether to offer localities."""
+    return replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
+
+
+def _bounds_in_base(bounds: Array, base: Array) -> Array:
+    """Bounds (4,) in B of the rectangle `bounds` (4,) in W, with a margin."""
+    x0, y0, x1, y1 = bounds
+    corners = observe(base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+    return np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])
+
+
+@compiled
+def _pose_nees(estimate: Array, true: Array, covariance: Array) -> float:
+    """eᵀ P⁻¹ e of a pose, (3,) and (3, 3), both in B; NaN while P is singular, as it is before the first motion."""
+    error = estimate - true
+    error[2] = wrap_angle(error[2])
+    factor = covariance.copy()
+    if not cholesky(factor):
+        return math.nan
+    total = 0.0
+    for i in range(3):
+        for j in range(i):
+            error[i] -= factor[i, j] * error[j]
+        error[i] /= factor[i, i]
+        total += error[i] * error[i]
+    return total

@@ -1,0 +1,301 @@
+"""`slam_gym/Explore-v0`: the agent is the driver, the associator a parameter, and the reward is the map."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from slam_gym._compile import announce_compilation
+from slam_gym.association import resolve
+from slam_gym.envs import goals as goals_module
+from slam_gym.envs.driver import carry_out
+from slam_gym.envs.episode import Episode, Site, survey
+from slam_gym.envs.goals import GOAL_FIELDS, SLOTS, Goals, Places, encode_goals
+from slam_gym.envs.observation import (
+    encode_features,
+    encode_image,
+    encode_scan,
+    encode_uncertainty,
+    observation_space,
+)
+from slam_gym.envs.quality import quality
+from slam_gym.envs.rewards import get_reward
+from slam_gym.metrics.association import Tally
+from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_seed
+from slam_gym.types import NONE, Associator
+
+Observation = dict[str, NDArray[Any]]
+Info = dict[str, Any]
+Snapshot = dict[str, Any]
+
+
+class ExploreEnv(gym.Env[Observation, Any]):
+    """Explore an unknown building with a robot whose SLAM depends on where it goes.
+
+    ## Description
+    A differential-drive robot is put into rooms that it has never seen. At every tick it drives, reads its wheels,
+    scans point features, and takes one step of EKF-SLAM, whose data association is the job of `associator`. The agent
+    decides where to go; it is scored by the map that results.
+
+    ## Action space
+    - `action="goal"`: `Discrete(16)`. Slot 0 looks around (always legal), 1–10 go to frontiers, nearest first, 11–15
+      revisit known places that promise to improve the map. The step lasts until the goal is reached, lost or out of
+      date; `info["ticks"]` says how long that took. `action_masks()` and `info["action_mask"]` tell which slots are
+      legal; an illegal one looks around.
+    - `action="twist"`: `Box(−1, 1, (2,))`, fractions of the greatest forward and turning speed, for one tick. An
+      action outside the box, or NaN, raises ValueError.
+
+    ## Observation space
+    A flat `Dict` of float32 vectors, scaled into [−1, 1] or [0, 1], and one image; all of it in the estimate's frame:
+    `scan`, `features` (`observation.POINT_FIELDS` per row, nearest first), `uncertainty` (σ of x, y, θ), `budget`
+    (share left), `image` (3, 48, 48) uint8: free, wall, feature density, the robot in the middle heading up; and, in
+    goal mode, `goals` (`goals.GOAL_FIELDS` per slot; `goals.unsquash_goals` gives the numbers back in their units).
+
+    ## Rewards
+    The decrease, since the last step, of `map_error` (uses the truth) or of `a_opt`, `d_opt`, `entropy` of a virtual
+    map (use none, and so pay for overconfidence): see `rewards`.
+
+    ## Starting state
+    A world drawn from the seeds of the `split`, and a free place and heading in it. `reset(options={"world": i})`
+    takes the i-th world of the split. Same seed and options, same episode.
+
+    ## Episode end
+    The budget of ticks is spent (`terminated`); the observation tells how much is left.
+
+    ## Arguments
+    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS` or a `Scenario`; `floor_plan` (a file) with `resolution`
+      [m per pixel] for occupancy images puts the robot on that floor instead.
+    - `split`: `"train"` or `"test"`, whose worlds never overlap.
+    - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
+    - `locality`: `"covisibility"` restricts associations to localities, None does not.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "office",
+        split: Literal["train", "test"] = "train",
+        associator: str | Associator = "jcbb",
+        action: Literal["goal", "twist"] = "goal",
+        reward: Literal["map_error", "a_opt", "d_opt", "entropy"] = "map_error",
+        floor_plan: str | Path | None = None,
+        resolution: float | None = None,
+        locality: Literal["covisibility"] | None = "covisibility",
+        render_mode: str | None = None,
+    ) -> None:
+        _one_of("split", split, SPLITS)
+        _one_of("action", action, ("goal", "twist"))
+        _one_of("locality", locality, ("covisibility", None))
+        _one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        if floor_plan is not None:
+            scenario = from_floor_plan(floor_plan, resolution)
+        self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
+        self.split, self.locality, self.render_mode = split, locality, render_mode
+        self.goal_mode = action == "goal"
+        self.associator = resolve(associator)
+        self._error = get_reward(reward)
+        self._virtual = reward != "map_error"
+        self.measurements = self.scenario.sensor.max_features
+        self.observation_space = observation_space(
+            self.measurements, (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
+        )
+        self.action_space = spaces.Discrete(SLOTS) if self.goal_mode else spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self._site: Site | None = None
+        self._episode: Episode | None = None
+        self._watchers: list[Callable[[ExploreEnv], None]] = []
+        self._renderer: Any = None
+
+    # -- Gymnasium ---------------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+        """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
+        super().reset(seed=seed)
+        options = dict(options or {})
+        self._snapshot: Snapshot = {
+            "generator": copy.deepcopy(self.np_random.bit_generator.state),
+            "options": options,
+            "actions": [],
+        }
+        world = options.get("world", int(self.np_random.integers(SPLITS[self.split][1])))
+        unknown = set(options) - {"world"}
+        if unknown:
+            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
+        announce_compilation()
+        site = self._draw_site(world)
+        locality = self.locality is not None
+        self._episode = Episode(
+            self.scenario, site, self.associator, self.np_random, locality=locality, virtual=self._virtual
+        )
+        self._places = Places()
+        self._begin_step()
+        self._after_tick()
+        self._last_error = self._error(self._episode)
+        return self._observe(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Carry out one action: a whole goal, or one tick."""
+        episode = self.episode
+        if episode.over:
+            raise RuntimeError("the episode is over: call reset()")
+        action = self._check(action)
+        self._snapshot["actions"].append(action)
+        self._begin_step()
+        if self.goal_mode:
+            slot = action if self._goals.legal[action] else goals_module.LOOK
+            carry_out(episode, slot, self._goals.positions[slot], self._after_tick)
+        else:
+            episode.tick(action[0], action[1])
+            self._after_tick()
+        error = self._error(episode)
+        reward, self._last_error = self._last_error - error, error
+        return self._observe(), reward, episode.over, False, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""
+        if self.render_mode is None:
+            gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
+            return None
+        from slam_gym.envs.picture import frame_of  # pygame is an extra, and headless runs never need it
+        from slam_gym.envs.rendering import Renderer
+
+        if self._renderer is None:
+            self._renderer = Renderer(self.render_mode, self.episode.site.plan.bounds)
+        self._renderer.bounds = self.episode.site.plan.bounds
+        picture: NDArray[np.uint8] | None = self._renderer.draw(frame_of(self))
+        return picture
+
+    def close(self) -> None:
+        """Close the window, if there is one. May be called twice."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    # -- beyond Gymnasium --------------------------------------------------------------------------------------------
+
+    @property
+    def episode(self) -> Episode:
+        """The running episode. Raises RuntimeError before the first reset."""
+        if self._episode is None:
+            raise RuntimeError("no episode yet: call reset() first")
+        return self._episode
+
+    @property
+    def goals(self) -> Goals:
+        """The goals on offer, in goal mode."""
+        return self._goals
+
+    @property
+    def tally(self) -> Tally:
+        """Association decisions of the episode so far."""
+        return self.episode.identities.total
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(SLOTS,) the slots that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
+        if not self.goal_mode:
+            raise AttributeError("action masks exist in goal mode only")
+        return self._goals.legal.copy()
+
+    def map_quality(self) -> dict[str, float]:
+        """All measures of the map, the trajectory and the associations of the episode so far."""
+        return quality(self.episode)
+
+    def watch(self, callback: Callable[[ExploreEnv], None]) -> None:
+        """Call `callback(env)` after every tick from now on, also within the long steps of goal mode (for films)."""
+        self._watchers.append(callback)
+
+    def snapshot(self) -> Snapshot:
+        """What it takes to come back here: the generator at the last reset, its options, and the actions since."""
+        self.episode  # noqa: B018 (raises before the first reset)
+        return copy.deepcopy(self._snapshot)
+
+    def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
+        """Replay a snapshot of an env with the same arguments; returns its last observation and info."""
+        generator = np.random.default_rng()
+        generator.bit_generator.state = copy.deepcopy(snapshot["generator"])
+        self.np_random = generator
+        observation, info = self.reset(options=snapshot["options"])
+        for action in snapshot["actions"]:
+            observation, _, _, _, info = self.step(action)
+        return observation, info
+
+    # -- parts of a step ---------------------------------------------------------------------------------------------
+
+    def _draw_site(self, world: int) -> Site:
+        plan = self.scenario.generator(np.random.default_rng(world_seed(self.split, world)))
+        if self._site is None or self._site.plan is not plan:  # a given floor plan is surveyed once
+            self._site = survey(plan, self.scenario)
+        return self._site
+
+    def _check(self, action: Any) -> Any:
+        """The action in the form that the step works with. Raises ValueError where it is outside the space."""
+        if self.goal_mode:
+            if not self.action_space.contains(action):
+                raise ValueError(f"action {action!r} is not a slot 0 … {SLOTS - 1}")
+            return int(action)
+        forward, turn = (float(part) for part in np.asarray(action, np.float64).reshape(-1)[:2])
+        if np.shape(action) != (2,) or not (-1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0):
+            raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
+        return forward, turn
+
+    def _begin_step(self) -> None:
+        self._tally_before = self.episode.identities.total
+        self._ticks_before = max(self.episode.ticks, 0)
+
+    def _after_tick(self) -> None:
+        if self.goal_mode:
+            self._places.pass_by(self.episode.estimates[-1][:2])
+        for callback in self._watchers:
+            callback(self)
+        if self.render_mode == "human":
+            self.render()
+
+    def _observe(self) -> Observation:
+        episode = self.episode
+        slam_map = episode.slam.map
+        pose = slam_map.pose
+        observation: Observation = {
+            "scan": encode_scan(episode.scan, self.measurements),
+            "features": encode_features(slam_map.prediction(self.scenario.sensor.range), slam_map.provisional),
+            "uncertainty": encode_uncertainty(slam_map.pose_covariance),
+            "budget": np.array([1.0 - episode.ticks / self.scenario.budget], np.float32),
+            "image": encode_image(episode.grid, pose, slam_map.positions),
+        }
+        if self.goal_mode:
+            self._goals = goals_module.propose(self.scenario, slam_map, episode.grid, self._places)
+            observation["goals"] = encode_goals(self._goals, pose)
+        return observation
+
+    def _info(self) -> Info:
+        episode, before = self.episode, self._tally_before
+        total = episode.identities.total
+        sources = np.full(self.measurements, NONE)
+        sources[: len(episode.truth)] = episode.truth.sources
+        info: Info = {
+            "map_error": episode.map_error(),
+            "coverage": episode.coverage(),
+            "pairings_right": total.tp - before.tp,
+            "pairings_wrong": total.fp - before.fp,
+            "pairings_missed": total.fn - before.fn,
+            "pose_nees": episode.nees[-1],
+            "ticks": episode.ticks - self._ticks_before,
+            "pose": episode.estimates[-1].copy(),
+            "truth": {"pose": episode.truth.pose.copy(), "sources": sources},
+        }
+        if self.goal_mode:
+            info["action_mask"] = self._goals.legal.copy()
+        if episode.over:
+            info["map_quality"] = self.map_quality()
+        return info
+
+
+def _one_of(name: str, value: Any, known: Any) -> None:
+    if value not in known:
+        raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")

@@ -1,0 +1,101 @@
+"""What an agent sees: flat, finite, scaled vectors and one egocentric image, all of it in the estimate's frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from slam_gym._compile import compiled
+from slam_gym.mapping.coverage import CoverageGrid
+from slam_gym.types import Array, BoolArray, Prediction, Scan
+
+Float32Array = NDArray[np.float32]
+
+POINT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", "attribute")
+"""Columns of a measurement (attribute: its size) and of a map feature (attribute: 1 while seen only once)."""
+
+FEATURES = 32  # nearest map features shown
+PIXELS = 48
+METRES = 24.0  # [m] side of the square that the image shows
+
+POSITION_SCALE = 6.0  # [m]
+SIGMA_SCALE = 0.1  # [m]
+HEADING_SCALE = 0.05  # [rad]
+SIZE_SCALE = 1.0  # [m]
+
+
+def squash(value: Any, scale: float) -> Any:
+    """v / (|v| + scale): monotone, 0 at 0, into (−1, 1)."""
+    return value / (np.abs(value) + scale)
+
+
+def unsquash(value: Any, scale: float) -> Any:
+    """The inverse of `squash`; the ends ±1 are taken for the largest float32 below 1."""
+    value = np.clip(value, -1.0 + 1e-6, 1.0 - 1e-6)
+    return scale * value / (1.0 - np.abs(value))
+
+
+def observation_space(measurements: int, goals: tuple[int, int] | None) -> spaces.Dict:
+    """The space for scans of at most `measurements`; `goals` = (slots, fields) in goal mode, None in twist mode."""
+
+    def box(length: int, low: float) -> spaces.Box:
+        return spaces.Box(low, 1.0, (length,), np.float32)
+
+    parts: dict[str, spaces.Space[Any]] = {
+        "scan": box(measurements * len(POINT_FIELDS), -1.0),
+        "features": box(FEATURES * len(POINT_FIELDS), -1.0),
+        "uncertainty": box(3, 0.0),
+        "budget": box(1, 0.0),
+        "image": spaces.Box(0, 255, (3, PIXELS, PIXELS), np.uint8),
+    }
+    if goals:
+        parts["goals"] = box(goals[0] * goals[1], -1.0)
+    return spaces.Dict(parts)
+
+
+@compiled
+def _encode(points: Array, covariances: Array, attributes: Array, rows: int) -> Float32Array:
+    """The nearest `rows` points (k, 2) with covariances (k, 2, 2), nearest first, as `POINT_FIELDS`; then zeros."""
+    order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2)
+    out = np.zeros(rows * 7, np.float32)
+    for place in range(min(rows, points.shape[0])):
+        i, at = order[place], 7 * place
+        sx, sy = math.sqrt(max(covariances[i, 0, 0], 0.0)), math.sqrt(max(covariances[i, 1, 1], 0.0))
+        out[at] = 1.0
+        out[at + 1] = points[i, 0] / (abs(points[i, 0]) + 6.0)
+        out[at + 2] = points[i, 1] / (abs(points[i, 1]) + 6.0)
+        out[at + 3] = sx / (sx + 0.1)
+        out[at + 4] = 0.0 if sx * sy == 0.0 else max(-1.0, min(1.0, covariances[i, 0, 1] / (sx * sy)))
+        out[at + 5] = sy / (sy + 0.1)
+        out[at + 6] = attributes[i]
+    return out
+
+
+def encode_scan(scan: Scan, measurements: int) -> Float32Array:
+    """Measurements, nearest first; an unknown size shows as 0."""
+    sizes = np.nan_to_num(scan.sizes)
+    return _encode(scan.points, scan.covariances, sizes / (np.abs(sizes) + SIZE_SCALE), measurements)
+
+
+def encode_features(prediction: Prediction, provisional: BoolArray) -> Float32Array:
+    """The nearest map features in the robot frame; `provisional` (n,) is over the whole map."""
+    attributes = provisional[prediction.features].astype(np.float64)
+    return _encode(prediction.positions, prediction.covariances, attributes, FEATURES)
+
+
+def encode_uncertainty(covariance: Array) -> Float32Array:
+    """Standard deviations of the pose, squashed, from its (3, 3) covariance."""
+    sigmas = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    return (sigmas / (sigmas + _UNCERTAINTY_SCALES)).astype(np.float32)
+
+
+_UNCERTAINTY_SCALES = np.array([SIGMA_SCALE, SIGMA_SCALE, HEADING_SCALE])
+
+
+def encode_image(grid: CoverageGrid, pose: Array, features: Array) -> NDArray[np.uint8]:
+    """(3, 48, 48): free space, walls and feature density around the robot, heading up."""
+    return grid.egocentric(pose, features, PIXELS, METRES)

@@ -1,0 +1,55 @@
+"""Every measure of an episode at once: the map, the trajectory, the associations, the consistency of the filter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym.envs.episode import Episode
+from slam_gym.geometry import transform
+from slam_gym.metrics.map_quality import gospa, landmark_rmse
+from slam_gym.metrics.trajectory import ate
+from slam_gym.types import Array
+
+_CUTOFF = 1.0  # [m] of the GOSPA that is reported
+
+
+def quality(episode: Episode) -> dict[str, float]:
+    """Measures of the episode so far; provisional features (seen once) count nowhere.
+
+    `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
+    duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `ate` [m] is that of the positions,
+    without alignment, since both start from one known pose. `anees` is the pose NEES over its 3 degrees of freedom,
+    averaged over the ticks.
+    """
+    slam_map, tally = episode.slam.map, episode.identities.total
+    confirmed = np.flatnonzero(~slam_map.provisional)
+    sources = episode.identities.source_of(slam_map.ids[confirmed])
+    real, first = np.unique(sources, return_index=True)
+    first, real = first[real >= 0], real[real >= 0]
+    landmarks = episode.landmarks
+    true = episode.site.plan.features.positions
+    parts = gospa(landmarks, episode.targets, p=2.0, cutoff=_CUTOFF)
+    return {
+        "map_error": episode.map_error(),
+        "coverage": episode.coverage(),
+        "landmark_rmse_raw": landmark_rmse(landmarks[first], true[real]),
+        "landmark_rmse_aligned": landmark_rmse(landmarks[first], true[real], aligned=True),
+        "gospa": parts.total,
+        "gospa_localisation": parts.localisation,
+        "gospa_missed": parts.missed,
+        "gospa_false": parts.false,
+        "precision": tally.precision,
+        "recall": tally.recall,
+        "duplicates": float((sources >= 0).sum() - len(real)),
+        "features": float(len(landmarks)),
+        "anees": _anees(np.array(episode.nees)),
+        "ate": ate(transform(episode.base, np.array(episode.estimates)[:, :2]), np.array(episode.poses)[:, :2]),
+        "ticks": float(episode.ticks),
+    }
+
+
+def _anees(nees: Array) -> float:
+    known = nees[np.isfinite(nees)]
+    return float(known.mean() / 3.0) if len(known) else math.nan

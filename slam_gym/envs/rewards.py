@@ -1,0 +1,53 @@
+"""What a driver is paid for: the decrease of one number per step, so that an episode's rewards sum to first minus last.
+
+`map_error` uses the truth. The others use none: they are functions of the covariances that the robot believes in, over
+the fixed cells of a virtual map, and so they pay an overconfident associator for its overconfidence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from slam_gym.envs.episode import Episode
+
+
+def map_error(episode: Episode) -> float:
+    """E = GOSPA(p = 1, α = 2, c = 2σ₀) / (σ₀ N): 1 for an empty map, 0 for a perfect one."""
+    return episode.map_error()
+
+
+def a_opt(episode: Episode) -> float:
+    """Mean eigenvalue over the virtual map, in units of σ₀²: 1 for an unseen world."""
+    return _virtual(episode).a_opt() / episode.scenario.prior_sigma**2
+
+
+def d_opt(episode: Episode) -> float:
+    """exp(mean log eigenvalue) over the virtual map, in units of σ₀²: 1 for an unseen world."""
+    return _virtual(episode).d_opt() / episode.scenario.prior_sigma**2
+
+
+def entropy(episode: Episode) -> float:
+    """Mean entropy [nat] per coordinate of the virtual map, relative to an unseen world: 0 there, then negative."""
+    unseen = 0.5 * math.log(2.0 * math.pi * math.e * episode.scenario.prior_sigma**2)
+    return _virtual(episode).entropy() - unseen
+
+
+def _virtual(episode: Episode):  # type: ignore[no-untyped-def]
+    assert episode.virtual_map is not None
+    return episode.virtual_map
+
+
+REWARDS: dict[str, Callable[[Episode], float]] = {
+    "map_error": map_error,
+    "a_opt": a_opt,
+    "d_opt": d_opt,
+    "entropy": entropy,
+}
+
+
+def get_reward(name: str) -> Callable[[Episode], float]:
+    """The error of that name. Raises ValueError that lists the known ones."""
+    if name not in REWARDS:
+        raise ValueError(f"unknown reward {name!r}; known: {', '.join(REWARDS)}")
+    return REWARDS[name]

@@ -1,0 +1,82 @@
+"""Named, frozen scenarios: a world to draw, a robot with its sensors and filter, a budget; train and test seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.slam import SlamSpec
+from slam_gym.world.floor_plan import FloorPlan, load_floor_plan
+from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
+from slam_gym.world.physics import DynamicsSpec, RobotSpec
+from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
+
+SPLITS = {"train": (0, 1_000_000), "test": (1_000_000, 10_000)}
+"""First world seed and number of worlds of each split."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything that defines an episode but its seed."""
+
+    name: str
+    generator: Callable[[np.random.Generator], FloorPlan]
+    budget: int  # [ticks] an episode lasts
+    robot: RobotSpec = field(default_factory=RobotSpec)
+    dynamics: DynamicsSpec = field(default_factory=DynamicsSpec)
+    sensor: SensorSpec = field(default_factory=SensorSpec)
+    beams: BeamSpec = field(default_factory=BeamSpec)
+    odometry: OdometrySpec = field(default_factory=OdometrySpec)
+    slam: SlamSpec = field(default_factory=lambda: SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6))
+    prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
+    grid_resolution: float = 0.2  # [m] of the explored grid
+
+
+def world_seed(split: str, index: int) -> int:
+    """Seed of the `index`-th world of a split. Raises ValueError for an unknown split or an index outside it."""
+    if split not in SPLITS:
+        raise ValueError(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
+    first, count = SPLITS[split]
+    if not 0 <= index < count:
+        raise ValueError(f"world {index} of split {split!r}: expected 0 … {count - 1}")
+    return first + index
+
+
+def from_floor_plan(path: str | Path, resolution: float | None = None) -> Scenario:
+    """A scenario on a floor plan file: the package's JSON, or an occupancy image with its `resolution` [m per pixel].
+
+    The plan is read once, here; faults in the file are reported by `load_floor_plan`. Seeds vary the start and the
+    noise. The budget grows with the floor.
+    """
+    plan = load_floor_plan(path, resolution)
+    x0, y0, x1, y1 = plan.bounds
+    budget = int(np.clip(3.0 * (x1 - x0) * (y1 - y0), 1_000, 20_000))
+    return replace(SCENARIOS["office"], name=plan.name, generator=partial(_given, plan), budget=budget)
+
+
+def _given(plan: FloorPlan, _rng: np.random.Generator) -> FloorPlan:
+    return plan
+
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario("office-small", OfficeGenerator(rooms=4), budget=300),
+        Scenario("office", OfficeGenerator(), budget=800),
+        Scenario("aliased", AliasedGenerator(), budget=800),
+        Scenario("hall", HallGenerator(), budget=600),
+        Scenario("crowd", OfficeGenerator(), budget=800, dynamics=DynamicsSpec(people=8)),
+    )
+}
+
+
+def get_scenario(name: str) -> Scenario:
+    """The scenario of that name. Raises ValueError that lists the known ones."""
+    if name not in SCENARIOS:
+        raise ValueError(f"unknown scenario {name!r}; known: {', '.join(SCENARIOS)}")
+    return SCENARIOS[name]
