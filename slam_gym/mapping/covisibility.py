@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import BoolArray, IntArray
+from slam_gym.types import NONE, BoolArray, IntArray
 
 _ROOM, _WIDTH = 64, 16  # nodes and neighbours to make room for at first
 
@@ -93,16 +93,26 @@ class CovisibilityGraph:
 @compiled
 def _count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
     """Count each pair; returns the row length needed, with nothing counted if there is less, or −1 on a bad feature."""
-    seen = np.unique(features[features >= 0])
-    if np.any(features < -1) or (len(seen) > 0 and seen[-1] >= n):
-        return -1
-    needed = 0
-    for f in seen:
-        needed = max(needed, degrees[f] + len(seen) - 1)
+    seen, k, needed = np.empty(len(features), np.int64), 0, 0
+    for f in features:
+        if f < NONE or f >= n:
+            return -1
+        at = k
+        while at > 0 and seen[at - 1] > f:  # insertion sort, dropping NONE and repetitions
+            at -= 1
+        if f == NONE or (at > 0 and seen[at - 1] == f):
+            continue
+        for later in range(k, at, -1):
+            seen[later] = seen[later - 1]
+        seen[at] = f
+        k += 1
+    for i in range(k):
+        needed = max(needed, degrees[seen[i]] + k - 1)
     if needed > neighbours.shape[1]:
         return needed
-    for f in seen:
-        degrees[f] = _merge(neighbours[f], counts[f], degrees[f], f, seen)
+    for i in range(k):
+        f = seen[i]
+        degrees[f] = _merge(neighbours[f], counts[f], degrees[f], f, seen[:k])
     return needed
 
 
@@ -133,8 +143,9 @@ def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: In
 
 @compiled
 def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kept: IntArray) -> None:
-    renumbered = np.full(n, -1)
-    renumbered[kept] = np.arange(len(kept))
+    renumbered = np.full(n, NONE)
+    for i in range(len(kept)):
+        renumbered[kept[i]] = i
     for i in range(len(kept)):
         old, degree = kept[i], 0
         for at in range(degrees[old]):

@@ -1,7 +1,8 @@
 """The equations of EKF-SLAM with point features, compiled (Castellanos, Neira and Tardós 2006, chapter 9).
 
 State x = (robot R = [x m, y m, θ rad]; features F_1 … F_n [m]), all in B; d = 3 + 2n, feature j starts at 3 + 2j.
-Arrays may be longer than d. **Only the upper triangle of P is kept**: symmetric by construction, and half the work.
+**Only the upper triangle of P is kept**: symmetric by construction, and half the work. Arrays are `padded`;
+what lies beyond d and below the diagonal means nothing.
 
 `at` (≥ d,) is the state at which Jacobians are evaluated: the estimate (the same array as x), or the first estimate of
 each entry (first-estimate Jacobians, Huang, Mourikis and Roumeliotis 2010).
@@ -21,45 +22,11 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
+from slam_gym.mapping.linear_algebra import cholesky, is_covariance, padded, subtract_product, whiten
 from slam_gym.types import NONE, Array, IntArray
 
-ACCEPTED = -1
+ACCEPTED = -1  # what `update` returns
 NO_SUCH_FEATURE = -2
-_STRIP = 128  # columns of P updated together: their share of W stays in the first-level cache
-_SLACK = 1e-9  # a covariance may miss positive semi-definiteness by this share of its largest variance
-
-
-@compiled
-def cholesky(A: Array) -> bool:
-    """A ← its Cholesky factor L in the lower triangle, which alone is read; False where A is not positive definite."""
-    for j in range(A.shape[0]):
-        pivot = A[j, j]
-        for k in range(j):
-            pivot -= A[j, k] * A[j, k]
-        if not (0.0 < pivot < math.inf):
-            return False
-        A[j, j] = math.sqrt(pivot)
-        for i in range(j + 1, A.shape[0]):
-            total = A[i, j]
-            for k in range(j):
-                total -= A[i, k] * A[j, k]
-            A[i, j] = total / A[j, j]
-    return True
-
-
-@compiled
-def is_covariance(A: Array) -> bool:
-    """Finite, symmetric and positive semi-definite, to a relative 1e-9."""
-    largest = 0.0
-    for i in range(A.shape[0]):
-        largest = max(largest, A[i, i])
-    factor = A.copy()
-    for i in range(A.shape[0]):
-        factor[i, i] += _SLACK * largest + 1e-300
-        for j in range(i):
-            if not (abs(A[i, j] - A[j, i]) <= _SLACK * largest):
-                return False
-    return cholesky(factor)
 
 
 @compiled
@@ -74,7 +41,7 @@ def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> b
     x_new, y_new = x[0] + c * motion[0] - s * motion[1], x[1] + s * motion[0] + c * motion[1]
     dx, dy = x_new - at[0], y_new - at[1]
     x[0], x[1], x[2] = x_new, y_new, wrap_angle(x[2] + motion[2])
-    at[:3] = x[:3]
+    at[0], at[1], at[2] = x[0], x[1], x[2]
     xt, yt, tt = P[0, 2], P[1, 2], P[2, 2]
     P[0, 0] += dy * (dy * tt - 2.0 * xt) + c * c * Q[0, 0] - 2.0 * c * s * Q[0, 1] + s * s * Q[1, 1]
     P[0, 1] += dx * xt - dy * yt - dx * dy * tt + c * s * (Q[0, 0] - Q[1, 1]) + (c * c - s * s) * Q[0, 1]
@@ -82,9 +49,10 @@ def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> b
     P[0, 2] += -dy * tt + c * Q[0, 2] - s * Q[1, 2]
     P[1, 2] += dx * tt + s * Q[0, 2] + c * Q[1, 2]
     P[2, 2] += Q[2, 2]
-    for j in range(3, d):
-        P[0, j] -= dy * P[2, j]
-        P[1, j] += dx * P[2, j]
+    rows_x, rows_y, rows_t = P[0, 3:d], P[1, 3:d], P[2, 3:d]
+    for j in range(len(rows_t)):
+        rows_x[j] -= dy * rows_t[j]
+        rows_y[j] += dx * rows_t[j]
     return True
 
 
@@ -113,23 +81,28 @@ def features_in_reach(
     """
     features, k = np.empty(n, np.int64), 0
     positions, covariances = np.empty((n, 2)), np.empty((n, 2, 2))
+    kept_sizes, kept_variances = np.empty(n), np.empty(n)
     c, s = math.cos(x[2]), math.sin(x[2])
     ca, sa = math.cos(at[2]), math.sin(at[2])
     for j in range(n):
         f = 3 + 2 * j
         dx, dy = x[f] - x[0], x[f + 1] - x[1]
+        beyond = math.sqrt(dx * dx + dy * dy) - reach
         xx, xy, _, yy = _relative_covariance(at, P, f, f)
-        largest = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
-        if math.hypot(dx, dy) > reach + 3.0 * math.sqrt(max(largest, 0.0)):
+        # 9σ² is compared; the trace bounds σ² and spares most features the root
+        if beyond > 0.0 and beyond * beyond > 9.0 * (xx + yy):
+            continue
+        largest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        if beyond > 0.0 and beyond * beyond > 9.0 * largest:
             continue
         features[k] = j
         positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
         covariances[k, 0, 0] = ca * ca * xx + 2.0 * ca * sa * xy + sa * sa * yy
         covariances[k, 1, 1] = sa * sa * xx - 2.0 * ca * sa * xy + ca * ca * yy
         covariances[k, 0, 1] = covariances[k, 1, 0] = ca * sa * (yy - xx) + (ca * ca - sa * sa) * xy
+        kept_sizes[k], kept_variances[k] = sizes[j], size_variances[j]
         k += 1
-    kept = features[:k]
-    return kept, positions[:k], covariances[:k], sizes[kept], size_variances[kept]
+    return features[:k], positions[:k], covariances[:k], kept_sizes[:k], kept_variances[:k]
 
 
 @compiled
@@ -157,70 +130,50 @@ def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
 def _innovation(
     x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, measured: IntArray, paired: IntArray
 ) -> tuple[Array, Array, Array]:
-    """ν (2k,), H P (2k, d) and S = H P Hᵀ + R (2k, 2k, lower triangle) of k pairings, in axes parallel to B."""
+    """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle) of k pairings, in axes parallel to B."""
     k = len(measured)
-    nu, HP, S = np.empty(2 * k), np.empty((2 * k, d)), np.zeros((2 * k, 2 * k))
+    nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.empty((2 * k, 2 * k))
+    robot = np.empty((3, d))
+    for i in range(3):
+        for j in range(d):
+            robot[i, j] = P[min(i, j), max(i, j)]
     c, s = math.cos(x[2]), math.sin(x[2])
     ca, sa = math.cos(at[2]), math.sin(at[2])
     for i in range(k):
         f, z, R = 3 + 2 * paired[i], points[measured[i]], covariances[measured[i]]
-        # ν = z − h(x) as H sees it: turned by the heading of the linearisation point
+        # ν = z − h(x), turned by the heading at which H is taken
         hx, hy = x[f] - x[0], x[f + 1] - x[1]
         ex, ey = z[0] - (c * hx + s * hy), z[1] - (-s * hx + c * hy)
         nu[2 * i], nu[2 * i + 1] = ca * ex - sa * ey, sa * ex + ca * ey
-        dx, dy = at[f] - at[0], at[f + 1] - at[1]
-        _state_row(P, f, d, HP[2 * i])
-        _state_row(P, f + 1, d, HP[2 * i + 1])
-        for j in range(d):
-            xj, yj, tj = P[min(0, j), max(0, j)], P[min(1, j), max(1, j)], P[min(2, j), max(2, j)]
-            HP[2 * i, j] += dy * tj - xj
-            HP[2 * i + 1, j] -= dx * tj + yj
+        _rows_of_HP(at, P, d, f, robot, HP[2 * i], HP[2 * i + 1])
         S[2 * i, 2 * i] = ca * ca * R[0, 0] - 2.0 * ca * sa * R[0, 1] + sa * sa * R[1, 1]
         S[2 * i + 1, 2 * i] = ca * sa * (R[0, 0] - R[1, 1]) + (ca * ca - sa * sa) * R[0, 1]
         S[2 * i + 1, 2 * i + 1] = sa * sa * R[0, 0] + 2.0 * ca * sa * R[0, 1] + ca * ca * R[1, 1]
+        for row in range(2 * i):
+            S[2 * i, row] = S[2 * i + 1, row] = 0.0
     for i in range(k):
         f = 3 + 2 * paired[i]
         dx, dy = at[f] - at[0], at[f + 1] - at[1]
         for row in range(2 * i, 2 * k):
             S[row, 2 * i] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
-            if row > 2 * i:
-                S[row, 2 * i + 1] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
+            S[row, 2 * i + 1] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
     return nu, HP, S
 
 
 @compiled
-def _state_row(P: Array, i: int, d: int, out: Array) -> None:
-    """Row i of the symmetric P[:d, :d], of which the upper triangle is given."""
-    for j in range(i):
-        out[j] = P[j, i]
-    for j in range(i, d):
-        out[j] = P[i, j]
-
-
-@compiled
-def _whiten(L: Array, HP: Array, nu: Array) -> None:
-    """HP ← L⁻¹ HP and ν ← L⁻¹ ν, by forward substitution."""
-    for i in range(L.shape[0]):
-        for k in range(i):
-            nu[i] -= L[i, k] * nu[k]
-            for j in range(HP.shape[1]):
-                HP[i, j] -= L[i, k] * HP[k, j]
-        nu[i] /= L[i, i]
-        for j in range(HP.shape[1]):
-            HP[i, j] /= L[i, i]
-
-
-@compiled
-def _subtract_product(P: Array, W: Array) -> None:
-    """Upper triangle of P[:d, :d] −= Wᵀ W for W (2k, d)."""
-    rows, d = W.shape
-    for left in range(0, d, _STRIP):
-        right = min(left + _STRIP, d)
-        for i in range(right):
-            for k in range(0, rows, 2):
-                a, b = W[k, i], W[k + 1, i]
-                for j in range(max(i, left), right):
-                    P[i, j] -= a * W[k, j] + b * W[k + 1, j]
+def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
+    """[−I −JΔ 0 … I … 0] P for the feature that starts at f; `robot` (3, d) are the robot's rows of P in full."""
+    dx, dy = at[f] - at[0], at[f + 1] - at[1]
+    for j in range(f):
+        out_x[j], out_y[j] = P[j, f], P[j, f + 1]
+    out_x[f], out_x[f + 1] = P[f, f], P[f, f + 1]
+    out_y[f], out_y[f + 1] = P[f, f + 1], P[f + 1, f + 1]
+    for j in range(f + 2, d):
+        out_x[j], out_y[j] = P[f, j], P[f + 1, j]
+    rx, ry, rt = robot[0], robot[1], robot[2]
+    for j in range(len(rt)):
+        out_x[j] += dy * rt[j] - rx[j]
+        out_y[j] -= dx * rt[j] + ry[j]
 
 
 @compiled
@@ -231,24 +184,26 @@ def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Ar
     Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
     no covariance, or m where S is singular.
     """
-    d = 3 + 2 * n
-    measured = np.flatnonzero(features != NONE)
-    for i in range(len(features)):
+    d, m = 3 + 2 * n, len(features)
+    measured, paired, k = np.empty(m, np.int64), np.empty(m, np.int64), 0
+    for i in range(m):
         if features[i] == NONE:
             continue
         if not 0 <= features[i] < n:
             return NO_SUCH_FEATURE
         if not (math.isfinite(points[i, 0] + points[i, 1]) and is_covariance(covariances[i])):
             return i
-    nu, W, S = _innovation(x, at, P, d, points, covariances, measured, features[measured])
+        measured[k], paired[k] = i, features[i]
+        k += 1
+    nu, W, S = _innovation(x, at, P, d, points, covariances, measured[:k], paired[:k])
     if not cholesky(S):
-        return len(features)
-    _whiten(S, W, nu)
-    for k in range(len(nu)):
+        return m
+    whiten(S, W, nu)
+    for i in range(2 * k):
         for j in range(d):
-            x[j] += W[k, j] * nu[k]
+            x[j] += W[i, j] * nu[i]
     x[2] = wrap_angle(x[2])
-    _subtract_product(P, W)
+    subtract_product(P, W)
     return ACCEPTED
 
 
@@ -276,13 +231,27 @@ def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
 @compiled
 def keep(x: Array, at: Array, P: Array, kept: IntArray) -> None:
     """Keep only the robot and the features `kept` (n',), ascending: marginalisation, in place."""
-    old = np.empty(3 + 2 * len(kept), np.int64)
-    old[:3] = (0, 1, 2)
-    old[3::2], old[4::2] = 3 + 2 * kept, 4 + 2 * kept
+    first = 0  # everything before the first gap stays where it is
+    while first < len(kept) and kept[first] == first:
+        first += 1
+    old = np.arange(3 + 2 * len(kept))
+    for j in range(first, len(kept)):
+        old[3 + 2 * j], old[4 + 2 * j] = 3 + 2 * kept[j], 4 + 2 * kept[j]
     for i in range(len(old)):
         x[i], at[i] = x[old[i]], at[old[i]]
-        for j in range(i, len(old)):
+        for j in range(max(i, 3 + 2 * first), len(old)):
             P[i, j] = P[old[i], old[j]]
+
+
+@compiled
+def stale(seen: IntArray, first_seen: IntArray, n: int, before: int) -> IntArray:
+    """Features seen in one step only, which came before step `before`."""
+    out, k = np.empty(n, np.int64), 0
+    for j in range(n):
+        if seen[j] == 1 and first_seen[j] < before:
+            out[k] = j
+            k += 1
+    return out[:k]
 
 
 @compiled

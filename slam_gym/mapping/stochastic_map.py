@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
+from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
 from slam_gym.types import Array, BoolArray, IntArray, Locality, Odometry, Prediction, Scan
 
 
@@ -59,7 +60,7 @@ class StochasticMap:
         covariance = np.array(np.zeros((3, 3)) if pose_covariance is None else pose_covariance, dtype=np.float64)
         if start.shape != (3,) or not np.all(np.isfinite(start)):
             raise ValueError(f"pose: expected 3 finite numbers, got {start.tolist()}")
-        if covariance.shape != (3, 3) or not ekf.is_covariance(covariance):
+        if covariance.shape != (3, 3) or not is_covariance(covariance):
             raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {covariance.tolist()}")
         if capacity < 1:
             raise ValueError(f"capacity: {capacity} is less than 1")
@@ -68,9 +69,9 @@ class StochasticMap:
         self.step = 0  # steps ended so far
         self._next_id = 0
         self._version = 0  # changes of the estimate so far, so that an outdated Prediction is noticed
-        self._x = np.zeros(3 + 2 * capacity)
-        self._at = np.zeros(3 + 2 * capacity) if self.spec.first_estimate_jacobians else self._x
-        self._P = np.zeros((3 + 2 * capacity, 3 + 2 * capacity))  # upper triangle
+        side = padded(3 + 2 * capacity)
+        self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
+        self._at = np.zeros(side) if self.spec.first_estimate_jacobians else self._x
         self._ids, self._seen, self._first_seen, self._last_seen = (np.zeros(capacity, np.int64) for _ in range(4))
         self._sizes, self._size_variances = np.zeros(capacity), np.zeros(capacity)
         start[2] = wrap_angle(start[2])
@@ -178,7 +179,7 @@ class StochasticMap:
         if refused == ekf.NO_SUCH_FEATURE:
             raise ValueError(f"features: {features.tolist()} for a map of {self.n} features")
         if refused == len(scan):
-            raise ValueError("the innovation covariance is singular: measurements and map both without uncertainty")
+            raise ValueError("the innovation covariance is singular to working precision")
         if refused != ekf.ACCEPTED:
             raise _bad_measurement(scan, refused)
         ekf.record(
@@ -236,7 +237,7 @@ class StochasticMap:
         age = self.spec.unconfirmed_age
         if age is None:
             return np.empty(0, dtype=np.int64)
-        return np.flatnonzero(self.provisional & (self._first_seen[: self.n] < self.step - age))
+        return ekf.stale(self._seen, self._first_seen, self.n, self.step - age)
 
     def end_of_step(self) -> None:
         """Advance the step number."""
@@ -252,12 +253,14 @@ class StochasticMap:
 
     def _grow(self) -> None:
         """Twice the room."""
-        more = len(self._ids)
-        self._x, at = np.pad(self._x, (0, 2 * more)), np.pad(self._at, (0, 2 * more))
-        self._at = at if self.spec.first_estimate_jacobians else self._x
-        self._P = np.pad(self._P, (0, 2 * more))
+        d, room = self._d, 2 * len(self._ids)
+        side = padded(3 + 2 * room)
+        x, at, P = np.zeros(side), np.zeros(side), aligned_zeros(side, side)
+        x[:d], at[:d], P[:d, :d] = self._x[:d], self._at[:d], self._P[:d, :d]
+        self._x, self._at, self._P = x, at if self.spec.first_estimate_jacobians else x, P
         for name in _COLUMNS:
-            setattr(self, name, np.pad(getattr(self, name), (0, more)))
+            column = getattr(self, name)
+            setattr(self, name, np.concatenate([column, np.zeros_like(column)]))
 
 
 @dataclass(frozen=True, slots=True)
