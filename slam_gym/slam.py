@@ -76,8 +76,8 @@ class Slam:
         """Measurements that start a feature: unpaired *and* individually compatible with nothing in the map.
 
         Those that are compatible but unpaired are discarded: they are more likely mapped features than new ones. A gate
-        of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate; where scans come by the
-        hundred this test therefore deserves a wider gate (`new_confidence`) than the pairings do.
+        of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate: where scans come by
+        the hundred, this test deserves a wider gate (`new_confidence`) than the pairings do.
         """
         confidence = self.spec.new_confidence or self.spec.map.confidence
         unpaired = hypothesis.features == NONE

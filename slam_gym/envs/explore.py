@@ -75,6 +75,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
+    - `render_mode`: `"rgb_array"` or `"human"`; `render_covisibility` adds the edges of the covisibility graph.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
@@ -89,7 +90,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
         floor_plan: str | Path | None = None,
         resolution: float | None = None,
         locality: Literal["covisibility"] | None = "covisibility",
-        render_mode: str | None = None,
+        render_mode: Literal["rgb_array", "human"] | None = None,
+        render_covisibility: bool = False,
     ) -> None:
         _one_of("split", split, SPLITS)
         _one_of("action", action, ("goal", "twist"))
@@ -98,7 +100,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
         if floor_plan is not None:
             scenario = from_floor_plan(floor_plan, resolution)
         self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
-        self.split, self.locality, self.render_mode = split, locality, render_mode
+        self.split, self.locality = split, locality
+        self.render_mode, self.render_covisibility = render_mode, render_covisibility
         self.goal_mode = action == "goal"
         self.associator = resolve(associator)
         self._error = get_reward(reward)
@@ -163,13 +166,17 @@ class ExploreEnv(gym.Env[Observation, Any]):
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
             return None
-        from slam_gym.envs.picture import frame_of  # pygame is an extra, and headless runs never need it
+        # pygame is an extra, and runs without pictures never need it
+        from slam_gym.envs.picture import frame_of
         from slam_gym.envs.rendering import Renderer
 
+        episode = self.episode
         if self._renderer is None:
-            self._renderer = Renderer(self.render_mode, self.episode.site.plan.bounds)
-        self._renderer.bounds = self.episode.site.plan.bounds
-        picture: NDArray[np.uint8] | None = self._renderer.draw(frame_of(self))
+            self._renderer = Renderer(self.render_mode, episode.site.plan.bounds)
+        self._renderer.bounds = episode.site.plan.bounds
+        goals = self._goals.positions[1:][self._goals.legal[1:]] if self.goal_mode else np.empty((0, 2))
+        frame = frame_of(episode, goals, covisibility=self.render_covisibility)
+        picture: NDArray[np.uint8] | None = self._renderer.draw(frame)
         return picture
 
     def close(self) -> None:
