@@ -3,8 +3,8 @@
 Active-SLAM criteria are not comparable while features are being added, so they are taken over a fixed grid of virtual
 landmarks instead, one in the middle of each cell (Wang and Englot 2020; Chen et al. 2020). Each holds the position
 covariance that a landmark would have there if it had been mapped at the best moment so far, and σ₀² I before. Position
-variances only, so no metres are mixed with radians. The criteria believe the filter: an overconfident associator is paid
-for its overconfidence.
+variances only, so no metres are mixed with radians. The criteria believe the filter: an overconfident associator is
+paid for its overconfidence.
 """
 
 from __future__ import annotations
