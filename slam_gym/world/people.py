@@ -14,7 +14,7 @@ from slam_gym._compile import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world import boxes
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_DISCS, Grid, WallIndex, hides, sees
+from slam_gym.world.ray_casting import Grid, Packed, WallIndex, hides, sees
 from slam_gym.world.reachability import free_cells, indoor
 
 _CLEARANCE = 0.02  # [m] from walls
@@ -52,7 +52,7 @@ class People:
         if count:
             outlines = boxes.outlines(plan.furniture)
             self._cells = free_cells(plan, radius + _CLEARANCE, obstacles=outlines)
-            self._grid, self._outlines = WallIndex(plan.walls).grid, outlines
+            self._walls, self._outlines = WallIndex(plan.walls).packed, outlines
             self.discs = self._places(plan, count, radius, robot, rng)
             self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
 
@@ -94,7 +94,7 @@ class People:
         last = self._passed[person]  # a person who turns back passes it again
         way = _stroll(self._cells.free, self._cells.origin, self._cells.cell, last, where)
         radius = self.discs[person, 2]
-        self._ahead[person] = 0, _pull_straight(self._grid, self._outlines, way, radius, self._ways[person])
+        self._ahead[person] = 0, _pull_straight(self._walls, self._outlines, way, radius, self._ways[person])
         self._timers[person] = _PAUSE * rest, 0.0
 
 
@@ -115,7 +115,7 @@ def _walk(
     """Move `discs` in place, one after the other; whether somebody has nowhere to go."""
     idle = False
     for p in range(discs.shape[0]):
-        velocities[p] = 0.0
+        velocities[p, 0] = velocities[p, 1] = 0.0
         if timers[p, 0] > 0.0:
             timers[p, 0] -= tick
             continue
@@ -134,7 +134,7 @@ def _walk(
                     discs[p, 0] += share * dx
                     discs[p, 1] += share * dy
                 break
-            passed[p] = ways[p, ahead[p, 0]]
+            passed[p, 0], passed[p, 1] = ways[p, ahead[p, 0], 0], ways[p, ahead[p, 0], 1]
             ahead[p, 0] += 1
         idle = idle or ahead[p, 0] >= ahead[p, 1]
     return idle
@@ -161,13 +161,13 @@ def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, where: fl
     """A way (q, 2) [m] over free cells from that of `place` (2,) to one of the farther half of those within reach."""
     rows, columns = free.shape
     start = round((place[1] - origin[1]) / cell) * columns + round((place[0] - origin[0]) / cell)
-    parents, steps = np.full(rows * columns, -1, np.int64), np.zeros(rows * columns, np.int64)
+    parents, steps = np.zeros(rows * columns, np.int64), np.zeros(rows * columns, np.int64)
     queue = np.empty(rows * columns, np.int64)
-    parents[start], queue[0], head, tail = start, start, 0, 1
+    steps[start], queue[0], head, tail = 1, start, 0, 1  # steps from the start, plus 1: 0 where nobody came yet
     while head < tail:
         c = queue[head]
         head += 1
-        if steps[c] * cell >= _STROLL:
+        if steps[c] * cell > _STROLL:
             continue
         for row, column in (
             (c // columns - 1, c % columns),
@@ -176,29 +176,29 @@ def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, where: fl
             (c // columns, c % columns + 1),
         ):
             n = row * columns + column
-            if 0 <= row < rows and 0 <= column < columns and free[row, column] and parents[n] < 0:
+            if 0 <= row < rows and 0 <= column < columns and free[row, column] and steps[n] == 0:
                 parents[n], steps[n], queue[tail] = c, steps[c] + 1, n
                 tail += 1
     c = queue[min(int((0.5 + 0.5 * where) * tail), tail - 1)]
-    way = np.empty((steps[c] + 1, 2))
-    for k in range(steps[c], -1, -1):
+    way = np.empty((steps[c], 2))
+    for k in range(steps[c] - 1, -1, -1):
         way[k, 0], way[k, 1] = origin[0] + cell * (c % columns), origin[1] + cell * (c // columns)
         c = parents[c]
     return way
 
 
 @compiled
-def _pull_straight(grid: Grid, outlines: Array, way: Array, radius: float, waypoints: Array) -> int:
+def _pull_straight(packed: Packed, outlines: Array, way: Array, radius: float, waypoints: Array) -> int:
     """Write as few points of `way` (q, 2) to `waypoints` as lead a disc straight from one to the next; how many."""
-    x, y = way[0, 0], way[0, 1]
-    waypoints[0] = way[0]
+    grid, x, y = Grid(*packed), way[0, 0], way[0, 1]
+    waypoints[0, 0], waypoints[0, 1] = x, y
     count, here = 1, 0
     while here < len(way) - 1 and count < len(waypoints):
         there = here + 1
         while there < len(way) - 1 and _passable(grid, outlines, x, y, way[there + 1, 0], way[there + 1, 1], radius):
             there += 1
-        waypoints[count] = way[there]
         x, y, here = way[there, 0], way[there, 1], there
+        waypoints[count, 0], waypoints[count, 1] = x, y
         count += 1
     return count
 
@@ -207,9 +207,9 @@ def _pull_straight(grid: Grid, outlines: Array, way: Array, radius: float, waypo
 def _passable(grid: Grid, outlines: Array, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
     """Whether a disc fits between walls and furniture all the way: its middle and both flanks see the far end."""
     dx, dy = x2 - x1, y2 - y1
-    length = math.hypot(dx, dy)
+    length, no_discs = math.hypot(dx, dy), np.empty((0, 3))
     for flank in (-radius, 0.0, radius):
         x, y = x1 - flank * dy / length, y1 + flank * dx / length
-        if not sees(grid, x, y, dx, dy, 0.0) or hides(x, y, dx, dy, 0.0, NO_DISCS, outlines):
+        if not sees(grid, x, y, dx, dy, 0.0) or hides(x, y, dx, dy, 0.0, no_discs, outlines):
             return False
     return True

@@ -6,12 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from slam_gym._compile import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world import boxes
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, WallIndex, pull_back, sees
+from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, Packed, WallIndex, pull_back, sees
 
 _START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
 
@@ -61,8 +62,8 @@ def reachable(plan: FloorPlan, radius: float, cell: float = 0.25) -> Array:
 
 def indoor(plan: FloorPlan, cells: FreeCells) -> IntArray:
     """(c,) flat indices of the free cells of the largest connected part, as `reachable` defines it."""
-    parts = _parts(cells.free).ravel()
-    flat = np.flatnonzero(parts >= 0)
+    parts = ndimage.label(cells.free)[0].ravel()  # 0 where not free
+    flat = np.flatnonzero(parts)
     labels, centres = parts[flat], cells.centres(flat)
     indoors = np.zeros(len(flat), np.bool_)
     for room in plan.rooms:
@@ -83,7 +84,7 @@ def observable(plan: FloorPlan, index: WallIndex, cells: Array, max_range: float
     Only walls hide: furniture and people move.
     """
     features = plan.features
-    return _seen_from(index.grid, features.positions, pull_back(features), np.ascontiguousarray(cells), max_range)
+    return _seen_from(index.packed, features.positions, pull_back(features), np.ascontiguousarray(cells), max_range)
 
 
 def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearance: float = _START_CLEARANCE) -> Array:
@@ -121,33 +122,9 @@ def _block(free: BoolArray, left: float, bottom: float, cell: float, segments: A
 
 
 @compiled
-def _parts(free: BoolArray) -> IntArray:
-    """Connected parts of the free cells by flood fill: labels (h, w) from 0, −1 where not free."""
-    rows, columns = free.shape
-    labels = np.full((rows, columns), -1, np.int64)
-    stack = np.empty(rows * columns, np.int64)
-    parts = 0
-    for seed in range(rows * columns):
-        if not free[seed // columns, seed % columns] or labels[seed // columns, seed % columns] >= 0:
-            continue
-        labels[seed // columns, seed % columns] = parts
-        stack[0], height = seed, 1
-        while height > 0:
-            height -= 1
-            row, column = stack[height] // columns, stack[height] % columns
-            for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
-                if 0 <= r < rows and 0 <= c < columns and free[r, c] and labels[r, c] < 0:
-                    labels[r, c] = parts
-                    stack[height] = r * columns + c
-                    height += 1
-        parts += 1
-    return labels
-
-
-@compiled
-def _seen_from(grid: Grid, positions: Array, pull_backs: Array, cells: Array, max_range: float) -> BoolArray:
+def _seen_from(packed: Packed, positions: Array, pull_backs: Array, cells: Array, max_range: float) -> BoolArray:
     """`observable`, feature by feature until the first cell that sees it."""
-    seen = np.zeros(positions.shape[0], np.bool_)
+    grid, seen = Grid(*packed), np.zeros(positions.shape[0], np.bool_)
     for i in range(positions.shape[0]):
         for c in range(cells.shape[0]):
             x, y, dx, dy = cells[c, 0], cells[c, 1], positions[i, 0] - cells[c, 0], positions[i, 1] - cells[c, 1]

@@ -16,7 +16,18 @@ from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import NONE, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, Grid, WallIndex, cast, hides, movers_near, pull_back, sees
+from slam_gym.world.ray_casting import (
+    NO_DISCS,
+    NO_SEGMENTS,
+    Grid,
+    Packed,
+    WallIndex,
+    hides,
+    movers_near,
+    pull_back,
+    range_along,
+    sees,
+)
 
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
@@ -107,6 +118,10 @@ class _Settings(NamedTuple):
     max_features: int
 
 
+_Packed = tuple[float, float, float, float, float, float, float, float, float, float, int]
+"""`_Settings` as a plain tuple, which crosses from Python to compiled functions faster."""
+
+
 class Sensor:
     """All senses of a robot in one floor plan. Holds no state but the plan: all noise comes from the given generator.
 
@@ -125,13 +140,14 @@ class Sensor:
         self.spec = sensor or SensorSpec()
         self.beam_spec = beams or BeamSpec()
         self.odometry_spec = odometry or OdometrySpec()
-        self._settings = _Settings._make([*map(float, astuple(self.spec)[:-1]), int(self.spec.max_features)])
-        self._grid = index.grid
+        *reals, max_features = astuple(self.spec)
+        self._settings: _Packed = (*map(float, reals), int(max_features))  # type: ignore[assignment]
+        self._walls = index.packed
         self._features = plan.features
         self._pull_back = pull_back(plan.features)
         self._spurious_sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
-        self._bearings = part * (np.arange(self.beam_spec.count) + 0.5) - 0.5 * self.beam_spec.field_of_view
+        self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -142,12 +158,12 @@ class Sensor:
         order nor attributes tell which measurements are spurious: their sizes are those of features of the plan.
         """
         features, settings = self._features, self._settings
-        polar, sources = _in_sight(self._grid, pose, features.positions, self._pull_back, people, furniture, settings)
+        polar, sources = _in_sight(self._walls, pose, features.positions, self._pull_back, people, furniture, settings)
         clutter = int(rng.poisson(self.spec.clutter))
         shape = (len(sources) + clutter, 3)
         uniform, normal = rng.random(shape), rng.standard_normal(shape)
-        points, covariances, sizes, sources = _measure(
-            self._grid,
+        points, covariances, sizes, size_variances, sources = _measure(
+            self._walls,
             pose,
             polar,
             sources,
@@ -159,42 +175,43 @@ class Sensor:
             normal,
             settings,
         )
-        return (
-            Scan(points, covariances, sizes, np.full(len(sizes), self.spec.size_sigma**2)),
-            Truth(pose.copy(), sources),
-        )
+        return Scan(points, covariances, sizes, size_variances), Truth(pose.copy(), sources)
 
     def beams(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> Beams:
         """One sweep of the range finder from `pose`: noisy ranges to what comes first, the full range for nothing."""
         spec = self.beam_spec
-        noise: Array = rng.standard_normal(spec.count)
-        ranges = _noisy_ranges(self._grid, pose, self._bearings, spec.range, people, furniture, spec.sigma, noise)
+        noise = rng.standard_normal(spec.count)
+        ranges = _noisy_ranges(self._walls, pose, self._bearings, spec.range, people, furniture, spec.sigma, noise)
         return Beams(self._bearings.copy(), ranges, spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
         """The wheels' report of one tick. Its covariance grows with the motion, and more so in contact."""
-        spec, noise = self.odometry_spec, rng.standard_normal(3)
-        distance, turn = math.hypot(motion.wheels[0], motion.wheels[1]), abs(motion.wheels[2])
-        slipped, twisted, floor = 0.0, 0.0, spec.floor**2
+        spec, (dx, dy, turn) = self.odometry_spec, motion.wheels.tolist()
+        distance = math.hypot(dx, dy)
+        forward = spec.floor**2 + spec.forward**2 * distance
+        lateral = spec.floor**2 + spec.lateral**2 * distance
+        heading = spec.floor**2 + spec.turn_per_radian**2 * abs(turn) + spec.turn_per_metre**2 * distance
         if motion.contact:
-            slipped, twisted = (spec.slip * distance) ** 2, (spec.slip_turn * distance) ** 2 + (spec.slip * turn) ** 2
-        variances = np.array(
-            [
-                spec.forward**2 * distance + slipped + floor,
-                spec.lateral**2 * distance + slipped + floor,
-                spec.turn_per_radian**2 * turn + spec.turn_per_metre**2 * distance + twisted + floor,
-            ]
-        )
-        return Odometry(motion.wheels + np.sqrt(variances) * noise, np.diag(variances))
+            forward += (spec.slip * distance) ** 2
+            lateral += (spec.slip * distance) ** 2
+            heading += (spec.slip_turn * distance) ** 2 + (spec.slip * turn) ** 2
+        noise = rng.standard_normal(3).tolist()
+        covariance = np.zeros((3, 3))
+        covariance[0, 0], covariance[1, 1], covariance[2, 2] = forward, lateral, heading
+        dx += math.sqrt(forward) * noise[0]
+        dy += math.sqrt(lateral) * noise[1]
+        turn += math.sqrt(heading) * noise[2]
+        return Odometry(np.array([dx, dy, turn]), covariance)
 
 
 @compiled
 def _in_sight(
-    grid: Grid, pose: Array, positions: Array, pull_backs: Array, people: Array, furniture: Array, settings: _Settings
+    walls: Packed, pose: Array, positions: Array, pull_backs: Array, people: Array, furniture: Array, packed: _Packed
 ) -> tuple[Array, IntArray]:
     """True range and bearing (k, 2) of the features in sight, then of the people (at their near side); sources (k,)."""
+    grid, settings = Grid(*walls), _Settings(*packed)
     x, y = pose[0], pose[1]
     discs, segments = movers_near(x, y, settings.range, people, furniture)
     count = positions.shape[0] + people.shape[0]
@@ -224,7 +241,7 @@ def _in_sight(
 
 @compiled
 def _measure(
-    grid: Grid,
+    walls: Packed,
     pose: Array,
     polar: Array,
     sources: IntArray,
@@ -234,45 +251,55 @@ def _measure(
     furniture: Array,
     uniform: Array,
     normal: Array,
-    settings: _Settings,
-) -> tuple[Array, Array, Array, IntArray]:
-    """Points, covariances, sizes and sources of a scan, from what is in sight and blocks of random numbers.
+    packed: _Packed,
+) -> tuple[Array, Array, Array, Array, IntArray]:
+    """A scan of what is in sight: points, covariances, sizes, their variances, and sources.
 
-    `uniform` and `normal` (k + clutter, 3) hold a row for each thing in sight, then one for each piece of clutter.
+    `uniform` and `normal` are random numbers (k + clutter, 3): a row for each thing in sight, then one for each piece
+    of clutter.
     """
-    k, draws = len(sources), len(uniform)
-    measured, origins = np.empty((draws, 3)), np.full(draws, NONE)  # range, bearing, size; source
+    grid, settings = Grid(*walls), _Settings(*packed)
+    k, draws, spurious = len(sources), len(uniform), len(spurious_sizes)
+    measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
     n = 0
-    for i in range(k):
-        if uniform[i, 0] < (settings.detection if sources[i] >= 0 else settings.person_detection):
+    for i in range(draws):
+        size = spurious_sizes[int(uniform[i, 2] * spurious)]
+        source = sources[i] if i < k else NONE
+        if i < k:
+            if uniform[i, 0] >= (settings.detection if source >= 0 else settings.person_detection):
+                continue
             sigma = math.hypot(settings.range_sigma, settings.range_sigma_ratio * polar[i, 0])
-            measured[n, 0] = max(polar[i, 0] + sigma * normal[i, 0], settings.min_range)
-            measured[n, 1] = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[i, 1])
-            size = sizes[sources[i]] if sources[i] >= 0 else spurious_sizes[int(uniform[i, 2] * len(spurious_sizes))]
-            measured[n, 2] = max(size + settings.size_sigma * normal[i, 2], 0.0)
-            origins[n] = sources[i]
-            n += 1
-    bearings = settings.field_of_view * (uniform[k:, 0] - 0.5)
-    free = cast(grid, pose, pose[2] + bearings, settings.range, people, furniture)
-    for i in range(draws - k):
-        # uniform over the area of a thin sector, from the nearest range to the first surface
-        low, high = settings.min_range**2, max(free[i], settings.min_range) ** 2
-        measured[n, 0], measured[n, 1] = math.sqrt(low + uniform[k + i, 1] * (high - low)), bearings[i]
-        size = spurious_sizes[int(uniform[k + i, 2] * len(spurious_sizes))]
-        measured[n, 2] = max(size + settings.size_sigma * normal[k + i, 2], 0.0)
+            distance = max(polar[i, 0] + sigma * normal[i, 0], settings.min_range)
+            bearing = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[i, 1])
+            if source >= 0:
+                size = sizes[source]
+        else:  # uniform over the thin sector from the nearest range to the first surface
+            bearing = settings.field_of_view * (uniform[i, 0] - 0.5)
+            free = range_along(grid, pose[0], pose[1], pose[2] + bearing, settings.range, people, furniture)
+            low = settings.min_range**2
+            distance = math.sqrt(low + uniform[i, 1] * max(free * free - low, 0.0))
+        measured[0, n], measured[1, n] = distance, bearing
+        measured[2, n] = max(size + settings.size_sigma * normal[i, 2], 0.0)
+        origins[n] = source
         n += 1
-    return _sweep(measured[:n], origins[:n], settings)
+    return _sweep(measured, origins, int(n), settings)  # int: not the literal 0 as well
 
 
 @compiled
-def _sweep(measured: Array, sources: IntArray, settings: _Settings) -> tuple[Array, Array, Array, IntArray]:
-    """The nearest `max_features` of the measured range, bearing, size (n, 3), by rising bearing, made Cartesian."""
-    kept = _order(measured[:, 0])[: settings.max_features]
-    kept = kept[_order(measured[kept, 1])]
-    m = len(kept)
+def _sweep(
+    measured: Array, origins: IntArray, count: int, settings: _Settings
+) -> tuple[Array, Array, Array, Array, IntArray]:
+    """The nearest `max_features` of the first `count` measurements (3, …), by rising bearing, made Cartesian."""
+    order = np.empty(count, np.int64)
+    for i in range(count):
+        order[i] = i
+    _sort(order, count, measured[0])
+    m = min(count, settings.max_features)
+    _sort(order, m, measured[1])
     points, covariances = np.empty((m, 2)), np.empty((m, 2, 2))
+    sizes, size_variances, sources = np.empty(m), np.empty(m), np.empty(m, np.int64)
     for i in range(m):
-        r, bearing = measured[kept[i], 0], measured[kept[i], 1]
+        r, bearing = measured[0, order[i]], measured[1, order[i]]
         c, s = math.cos(bearing), math.sin(bearing)
         along = settings.range_sigma**2 + (settings.range_sigma_ratio * r) ** 2
         across = (settings.bearing_sigma * r) ** 2
@@ -280,29 +307,38 @@ def _sweep(measured: Array, sources: IntArray, settings: _Settings) -> tuple[Arr
         covariances[i, 0, 0] = c * c * along + s * s * across
         covariances[i, 1, 1] = s * s * along + c * c * across
         covariances[i, 0, 1] = covariances[i, 1, 0] = c * s * (along - across)
-    return points, covariances, measured[kept, 2], sources[kept]
+        sizes[i], size_variances[i] = measured[2, order[i]], settings.size_sigma**2
+        sources[i] = origins[order[i]]
+    return points, covariances, sizes, size_variances, sources
 
 
 @compiled
-def _order(keys: Array) -> IntArray:
-    """Indices that sort a few `keys` in rising order, by insertion."""
-    order = np.arange(len(keys))
-    for i in range(1, len(keys)):
-        j = i
-        while j > 0 and keys[order[j - 1]] > keys[i]:
+def _sort(order: IntArray, count: int, keys: Array) -> None:
+    """Sort the first `count` indices in `order` by rising `keys`, by insertion: there are few."""
+    for i in range(1, count):
+        index, j = order[i], i
+        while j > 0 and keys[order[j - 1]] > keys[index]:
             order[j] = order[j - 1]
             j -= 1
-        order[j] = i
-    return order
+        order[j] = index
 
 
 @compiled
 def _noisy_ranges(
-    grid: Grid, pose: Array, bearings: Array, reach: float, people: Array, furniture: Array, sigma: float, noise: Array
+    walls: Packed,
+    pose: Array,
+    bearings: Array,
+    reach: float,
+    people: Array,
+    furniture: Array,
+    sigma: float,
+    noise: Array,
 ) -> Array:
     """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach]."""
-    ranges = cast(grid, pose, pose[2] + bearings, reach, people, furniture)
-    for b in range(len(ranges)):
-        if ranges[b] < reach:
-            ranges[b] = min(max(ranges[b] + sigma * noise[b], 0.0), reach)
+    grid, x, y = Grid(*walls), pose[0], pose[1]
+    discs, segments = movers_near(x, y, reach, people, furniture)
+    ranges = np.empty(len(bearings))
+    for b in range(len(bearings)):
+        free = range_along(grid, x, y, pose[2] + bearings[b], reach, discs, segments)
+        ranges[b] = min(max(free + sigma * noise[b], 0.0), reach) if free < reach else reach
     return ranges
