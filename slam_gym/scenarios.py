@@ -42,9 +42,9 @@ def world_seed(split: str, index: int) -> int:
     if split not in SPLITS:
         raise ValueError(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
     first, count = SPLITS[split]
-    if not 0 <= index < count:
-        raise ValueError(f"world {index} of split {split!r}: expected 0 … {count - 1}")
-    return first + index
+    if not (0 <= index < count and index == int(index)):
+        raise ValueError(f"world {index} of split {split!r}: expected a whole number 0 … {count - 1}")
+    return first + int(index)
 
 
 def from_floor_plan(path: str | Path, resolution: float | None = None) -> Scenario:

@@ -120,17 +120,17 @@ class ExploreEnv(gym.Env[Observation, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
-        super().reset(seed=seed)
         options = dict(options or {})
+        if unknown := set(options) - {"world"}:
+            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
+        world_seed(self.split, options.get("world", 0))  # refuses a world outside the split, while nothing has changed
+        super().reset(seed=seed)
         self._snapshot: Snapshot = {
             "generator": copy.deepcopy(self.np_random.bit_generator.state),
             "options": options,
             "actions": [],
         }
         world = options.get("world", int(self.np_random.integers(SPLITS[self.split][1])))
-        unknown = set(options) - {"world"}
-        if unknown:
-            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
         announce_compilation()
         site = self._draw_site(world)
         locality = self.locality is not None
@@ -139,9 +139,10 @@ class ExploreEnv(gym.Env[Observation, Any]):
         )
         self._places = Places()
         self._begin_step()
+        observation = self._observe()  # first, so that watchers and pictures find the goals on offer
         self._after_tick()
         self._last_error = self._error(self._episode)
-        return self._observe(), self._info()
+        return observation, self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """Carry out one action: a whole goal, or one tick."""
@@ -247,10 +248,11 @@ class ExploreEnv(gym.Env[Observation, Any]):
             if not self.action_space.contains(action):
                 raise ValueError(f"action {action!r} is not a slot 0 … {SLOTS - 1}")
             return int(action)
-        forward, turn = (float(part) for part in np.asarray(action, np.float64).reshape(-1)[:2])
-        if np.shape(action) != (2,) or not (-1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0):
-            raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
-        return forward, turn
+        if np.shape(action) == (2,):
+            forward, turn = float(action[0]), float(action[1])
+            if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
+                return forward, turn
+        raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
 
     def _begin_step(self) -> None:
         self._tally_before = self.episode.identities.total
