@@ -81,8 +81,10 @@ class OdometrySpec:
     turn_per_radian: float = 0.03  # [rad/√rad]
     turn_per_metre: float = 0.02  # [rad/√m]
     floor: float = 1e-4  # [m] and [rad] a tick, even at rest
-    slip: float = 0.5  # share of a tick's motion that may be lost while the robot touches something
-    slip_turn: float = 0.5  # [rad/m] heading lost per distance then
+    slip_forward: float = 0.8  # [m/m] of the way that the wheels turn, while the robot touches something
+    slip_lateral: float = 0.4  # [m/m]
+    slip_turn: float = 0.7  # [rad/m]
+    slip_floor: float = 0.005  # [m] and [rad] a tick then
 
     def __post_init__(self) -> None:
         _check(self, positive=("floor",))
@@ -193,16 +195,16 @@ class Sensor:
         forward = spec.floor**2 + spec.forward**2 * distance
         lateral = spec.floor**2 + spec.lateral**2 * distance
         heading = spec.floor**2 + spec.turn_per_radian**2 * abs(turn) + spec.turn_per_metre**2 * distance
-        if motion.contact:
-            forward += (spec.slip * distance) ** 2
-            lateral += (spec.slip * distance) ** 2
-            heading += (spec.slip_turn * distance) ** 2 + (spec.slip * turn) ** 2
         noise = rng.standard_normal(3).tolist()
-        covariance = np.zeros((3, 3))
-        covariance[0, 0], covariance[1, 1], covariance[2, 2] = forward, lateral, heading
         dx += math.sqrt(forward) * noise[0]
         dy += math.sqrt(lateral) * noise[1]
         turn += math.sqrt(heading) * noise[2]
+        if motion.contact:  # what may have slipped is in `motion.wheels` already
+            forward += (spec.slip_forward * distance) ** 2 + spec.slip_floor**2
+            lateral += (spec.slip_lateral * distance) ** 2 + spec.slip_floor**2
+            heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2
+        covariance = np.zeros((3, 3))
+        covariance[0, 0], covariance[1, 1], covariance[2, 2] = forward, lateral, heading
         return Odometry(np.array([dx, dy, turn]), covariance)
 
 
