@@ -27,6 +27,7 @@ from slam_gym.types import NONE, Array, IntArray
 
 ACCEPTED = -1  # what `update` returns
 NO_SUCH_FEATURE = -2
+_ROUNDING = 1e-13  # share of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
 @compiled
@@ -121,8 +122,8 @@ def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
             a, b = 2 * first, 2 * second
             out[a, b], out[a, b + 1] = c * top_x + s * low_x, c * top_y + s * low_y
             out[a + 1, b], out[a + 1, b + 1] = -s * top_x + c * low_x, -s * top_y + c * low_y
-            out[b, a], out[b + 1, a], out[b, a + 1] = out[a, b], out[a, b + 1], out[a + 1, b]
-            out[b + 1, a + 1] = out[a + 1, b + 1]
+            out[b, a], out[b + 1, a + 1], out[b + 1, a] = out[a, b], out[a + 1, b + 1], out[a, b + 1]
+            out[b, a + 1] = out[a + 1, b]
     return out
 
 
@@ -157,6 +158,8 @@ def _innovation(
         for row in range(2 * i, 2 * k):
             S[row, 2 * i] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
             S[row, 2 * i + 1] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
+        S[2 * i, 2 * i] += _ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
+        S[2 * i + 1, 2 * i + 1] += _ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
     return nu, HP, S
 
 
@@ -199,11 +202,16 @@ def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Ar
     if not cholesky(S):
         return m
     whiten(S, W, nu)
+    lost = np.zeros(d)  # variance that the update takes away
     for i in range(2 * k):
-        for j in range(d):
-            x[j] += W[i, j] * nu[i]
+        row = W[i, :d]
+        for j in range(len(lost)):
+            x[j] += row[j] * nu[i]
+            lost[j] += row[j] * row[j]
     x[2] = wrap_angle(x[2])
     subtract_product(P, W)
+    for j in range(d):
+        P[j, j] += _ROUNDING * lost[j]
     return ACCEPTED
 
 

@@ -16,7 +16,7 @@ from slam_gym._compile import compiled
 from slam_gym.types import Array
 
 _LANES = 8  # doubles in a cache line
-_SLACK = 1e-9  # a covariance may miss positive semi-definiteness by this share of its largest variance
+_SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this share of its trace
 
 
 @compiled
@@ -53,15 +53,15 @@ def cholesky(A: Array) -> bool:
 
 @compiled
 def is_covariance(A: Array) -> bool:
-    """Finite, symmetric and positive semi-definite, to a relative 1e-9."""
-    largest = 0.0
+    """Finite, symmetric and positive semi-definite, to 1e-9 of its trace."""
+    slack = 0.0
     for i in range(A.shape[0]):
-        largest = max(largest, A[i, i])
+        slack += _SLACK * abs(A[i, i])
     factor = A.copy()
     for i in range(A.shape[0]):
-        factor[i, i] += _SLACK * largest + 1e-300
+        factor[i, i] += slack + 1e-300
         for j in range(i):
-            if not (abs(A[i, j] - A[j, i]) <= _SLACK * largest):
+            if not (abs(A[i, j] - A[j, i]) <= slack):
                 return False
     return cholesky(factor)
 

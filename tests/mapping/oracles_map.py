@@ -1,0 +1,151 @@
+"""EKF-SLAM as in the textbook, with full matrices and numpy only, and a small world to run it in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam_gym.geometry import (
+    compose,
+    compose_jacobians,
+    observe,
+    observe_jacobians,
+    transform,
+    transform_jacobians,
+    wrap_angle,
+)
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import NONE, Array, IntArray, Odometry, Scan
+
+
+class TextbookMap:
+    """x and P in full; Jacobians from `geometry`; Joseph form. Known associations, no bookkeeping."""
+
+    def __init__(self, pose: Array, pose_covariance: Array, first_estimate_jacobians: bool = False) -> None:
+        self.x, self.P, self.fej = pose.copy(), pose_covariance.copy(), first_estimate_jacobians
+        self.first = pose.copy()  # first estimate of each entry of x
+
+    @property
+    def at(self) -> Array:
+        return self.first if self.fej else self.x
+
+    @property
+    def n(self) -> int:
+        return (len(self.x) - 3) // 2
+
+    def predict(self, odometry: Odometry) -> None:
+        F, G = compose_jacobians(self.x[:3], odometry.motion)
+        pose = compose(self.x[:3], odometry.motion)
+        dx, dy = pose[:2] - self.at[:2]
+        F[:2, 2] = -dy, dx
+        full = np.eye(len(self.x))
+        full[:3, :3] = F
+        noise = np.zeros_like(self.P)
+        noise[:3, :3] = G @ odometry.covariance @ G.T
+        self.x[:3] = self.first[:3] = pose
+        self.P = full @ self.P @ full.T + noise
+
+    def H(self, features: IntArray) -> Array:
+        out = np.zeros((2 * len(features), len(self.x)))
+        for row, j in enumerate(features):
+            f = slice(3 + 2 * j, 5 + 2 * j)
+            out[2 * row : 2 * row + 2, :3], out[2 * row : 2 * row + 2, f] = observe_jacobians(self.at[:3], self.at[f])
+        return out
+
+    def h(self, features: IntArray) -> Array:
+        return observe(self.x[:3], self.x[3:].reshape(-1, 2)[features])
+
+    def update(self, scan: Scan, features: IntArray) -> None:
+        paired = np.flatnonzero(features != NONE)
+        H, R = self.H(features[paired]), np.zeros((2 * len(paired), 2 * len(paired)))
+        for row, i in enumerate(paired):
+            R[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = scan.covariances[i]
+        nu = (scan.points[paired] - self.h(features[paired])).ravel()
+        K = np.linalg.solve(H @ self.P @ H.T + R, H @ self.P).T
+        left = np.eye(len(self.x)) - K @ H
+        self.x = self.x + K @ nu
+        self.x[2] = wrap_angle(self.x[2])
+        self.P = left @ self.P @ left.T + K @ R @ K.T
+
+    def add(self, scan: Scan, measurements: IntArray) -> None:
+        for i in measurements:
+            position = transform(self.x[:3], scan.points[i : i + 1])[0]
+            Jp, Jz = transform_jacobians(self.x[:3], scan.points[i])
+            dx, dy = position - self.at[:2]
+            Jp[:, 2] = -dy, dx
+            across = Jp @ self.P[:3]
+            corner = Jp @ self.P[:3, :3] @ Jp.T + Jz @ scan.covariances[i] @ Jz.T
+            self.P = np.block([[self.P, across.T], [across, corner]])
+            self.x, self.first = np.concatenate([self.x, position]), np.concatenate([self.first, position])
+
+    def remove(self, features: IntArray) -> None:
+        gone = np.concatenate([3 + 2 * features, 4 + 2 * features])
+        self.x, self.first = np.delete(self.x, gone), np.delete(self.first, gone)
+        self.P = np.delete(np.delete(self.P, gone, axis=0), gone, axis=1)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the small world: what the robot is told, and the truth behind it."""
+
+    odometry: Odometry
+    scan: Scan
+    sources: IntArray  # (m,) landmark behind each measurement
+    pose: Array  # (3,) true pose in B
+
+
+Q = np.diag([0.02, 0.01, 0.01]) ** 2  # [m, m, rad] of the odometry
+SIGMA = 0.05  # [m] of a measured point, the longer axis
+
+
+def wander(
+    rng: np.random.Generator, steps: int, landmarks: Array, reach: float = 5.0, turn: float = 0.15, q: Array = Q
+) -> Iterator[Step]:
+    """A robot circling from the origin with step length .3 m, measuring every landmark within `reach` [m]."""
+    pose = np.zeros(3)
+    for _ in range(steps):
+        motion = np.array([0.3, 0.0, turn])
+        pose = compose(pose, rng.multivariate_normal(motion, q, method="svd"))
+        seen = observe(pose, landmarks)
+        sources = np.flatnonzero(np.hypot(*seen.T) < reach)
+        covariances = np.array([random_covariance(rng, SIGMA) for _ in sources]).reshape(-1, 2, 2)
+        noise = [rng.multivariate_normal(np.zeros(2), c, method="cholesky") for c in covariances]
+        points = seen[sources] + np.array(noise).reshape(-1, 2)
+        yield Step(Odometry(motion, q), make_scan(points, covariances), sources, pose)
+
+
+def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
+    """(2, 2) with axes sigma and a random smaller one, in a random direction."""
+    angle = rng.uniform(0.0, np.pi)
+    C = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    covariance = C @ np.diag([sigma, sigma * rng.uniform(0.2, 1.0)]) ** 2 @ C.T
+    return (covariance + covariance.T) / 2
+
+
+def make_scan(points: Array, covariances: Array, sizes: Array | None = None, variances: Array | None = None) -> Scan:
+    """A scan of unknown sizes, unless they are given."""
+    unknown = np.full(len(points), np.nan)
+    points, covariances = np.ascontiguousarray(points), np.ascontiguousarray(covariances)
+    return Scan(points, covariances, unknown if sizes is None else sizes, unknown if variances is None else variances)
+
+
+class KnownAssociation:
+    """Runs a StochasticMap (and a TextbookMap beside it, if given) on steps whose sources are known."""
+
+    def __init__(self, stochastic_map: StochasticMap, textbook: TextbookMap | None = None) -> None:
+        self.map, self.textbook = stochastic_map, textbook
+        self.sources: list[int] = []  # landmark behind each map feature
+
+    def step(self, step: Step) -> None:
+        index = {source: j for j, source in enumerate(self.sources)}
+        features = np.array([index.get(source, NONE) for source in step.sources.tolist()], dtype=np.int64)
+        new = np.flatnonzero(features == NONE)
+        for m in (self.map, self.textbook):
+            if m is not None:
+                m.predict(step.odometry)
+                m.update(step.scan, features)
+                m.add(step.scan, new)
+        self.sources += step.sources[new].tolist()
+        self.map.end_of_step()
