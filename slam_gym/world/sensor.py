@@ -8,31 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slam_gym._compile import compiled
-from slam_gym.geometry import wrap_angle
-from slam_gym.types import NONE, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.types import Array, Beams, Odometry, Scan, Truth
+from slam_gym.world.detection import PackedSettings, in_sight, measure, noisy_ranges
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import (
-    NO_DISCS,
-    NO_SEGMENTS,
-    Grid,
-    Packed,
-    WallIndex,
-    hides,
-    movers_near,
-    pull_back,
-    range_along,
-    sees,
-)
+from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
 
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
-
-_SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
 
 
 @dataclass(frozen=True)
@@ -104,26 +90,6 @@ def _check(spec: object, positive: tuple[str, ...] = (), shares: tuple[str, ...]
             raise ValueError(f"{name} must be in (0, 2π] rad, not {value}")
 
 
-class _Settings(NamedTuple):
-    """`SensorSpec` for compiled functions, field by field."""
-
-    range: float
-    min_range: float
-    field_of_view: float
-    range_sigma: float
-    range_sigma_ratio: float
-    bearing_sigma: float
-    size_sigma: float
-    detection: float
-    clutter: float
-    person_detection: float
-    max_features: int
-
-
-_Packed = tuple[float, float, float, float, float, float, float, float, float, float, int]
-"""`_Settings` as a plain tuple, which crosses from Python to compiled functions faster."""
-
-
 class Sensor:
     """All senses of a robot in one floor plan. Holds no state but the plan: all noise comes from the given generator.
 
@@ -143,7 +109,7 @@ class Sensor:
         self.beam_spec = beams or BeamSpec()
         self.odometry_spec = odometry or OdometrySpec()
         *reals, max_features = astuple(self.spec)
-        self._settings: _Packed = (*map(float, reals), int(max_features))  # type: ignore[assignment]
+        self._settings: PackedSettings = (*map(float, reals), int(max_features))  # type: ignore[assignment]
         self._walls = index.packed
         self._features = plan.features
         self._pull_back = pull_back(plan.features)
@@ -160,11 +126,11 @@ class Sensor:
         order nor attributes tell which measurements are spurious: their sizes are those of features of the plan.
         """
         features, settings = self._features, self._settings
-        polar, sources = _in_sight(self._walls, pose, features.positions, self._pull_back, people, furniture, settings)
+        polar, sources = in_sight(self._walls, pose, features.positions, self._pull_back, people, furniture, settings)
         clutter = int(rng.poisson(self.spec.clutter))
         shape = (len(sources) + clutter, 3)
         uniform, normal = rng.random(shape), rng.standard_normal(shape)
-        points, covariances, sizes, size_variances, sources = _measure(
+        points, covariances, sizes, size_variances, sources = measure(
             self._walls,
             pose,
             polar,
@@ -185,7 +151,7 @@ class Sensor:
         """One sweep of the range finder from `pose`: noisy ranges to what comes first, the full range for nothing."""
         spec = self.beam_spec
         noise = rng.standard_normal(spec.count)
-        ranges = _noisy_ranges(self._walls, pose, self._bearings, spec.range, people, furniture, spec.sigma, noise)
+        ranges = noisy_ranges(self._walls, pose, self._bearings, spec.range, people, furniture, spec.sigma, noise)
         return Beams(self._bearings.copy(), ranges, spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
@@ -206,141 +172,3 @@ class Sensor:
         covariance = np.zeros((3, 3))
         covariance[0, 0], covariance[1, 1], covariance[2, 2] = forward, lateral, heading
         return Odometry(np.array([dx, dy, turn]), covariance)
-
-
-@compiled
-def _in_sight(
-    walls: Packed, pose: Array, positions: Array, pull_backs: Array, people: Array, furniture: Array, packed: _Packed
-) -> tuple[Array, IntArray]:
-    """True range and bearing (k, 2) of the features in sight, then of the people (at their near side); sources (k,)."""
-    grid, settings = Grid(*walls), _Settings(*packed)
-    x, y = pose[0], pose[1]
-    discs, segments = movers_near(x, y, settings.range, people, furniture)
-    count = positions.shape[0] + people.shape[0]
-    polar, sources = np.empty((count, 2)), np.empty(count, np.int64)
-    k = 0
-    for i in range(count):
-        person = i - positions.shape[0]
-        if person < 0:
-            dx, dy, surface = positions[i, 0] - x, positions[i, 1] - y, 0.0
-            short = pull_backs[i]
-        else:
-            dx, dy, surface = people[person, 0] - x, people[person, 1] - y, people[person, 2]
-            short = surface + _SURFACE
-        if abs(dx) > settings.range + surface or abs(dy) > settings.range + surface:
-            continue
-        distance = math.hypot(dx, dy) - surface
-        bearing = wrap_angle(math.atan2(dy, dx) - pose[2])
-        if not settings.min_range <= distance <= settings.range or abs(bearing) > 0.5 * settings.field_of_view:
-            continue
-        if hides(x, y, dx, dy, short, discs, segments) or not sees(grid, x, y, dx, dy, short):
-            continue
-        polar[k, 0], polar[k, 1] = distance, bearing
-        sources[k] = i if person < 0 else NONE
-        k += 1
-    return polar[:k], sources[:k]
-
-
-@compiled
-def _measure(
-    walls: Packed,
-    pose: Array,
-    polar: Array,
-    sources: IntArray,
-    sizes: Array,
-    spurious_sizes: Array,
-    people: Array,
-    furniture: Array,
-    uniform: Array,
-    normal: Array,
-    packed: _Packed,
-) -> tuple[Array, Array, Array, Array, IntArray]:
-    """A scan of what is in sight: points, covariances, sizes, their variances, and sources.
-
-    `uniform` and `normal` are random numbers (k + clutter, 3): a row for each thing in sight, then one for each piece
-    of clutter.
-    """
-    grid, settings = Grid(*walls), _Settings(*packed)
-    k, draws, spurious = len(sources), len(uniform), len(spurious_sizes)
-    measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
-    n = 0
-    for i in range(draws):
-        size = spurious_sizes[int(uniform[i, 2] * spurious)]
-        source = sources[i] if i < k else NONE
-        if i < k:
-            if uniform[i, 0] >= (settings.detection if source >= 0 else settings.person_detection):
-                continue
-            sigma = math.hypot(settings.range_sigma, settings.range_sigma_ratio * polar[i, 0])
-            distance = max(polar[i, 0] + sigma * normal[i, 0], settings.min_range)
-            bearing = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[i, 1])
-            if source >= 0:
-                size = sizes[source]
-        else:  # uniform over the thin sector from the nearest range to the first surface
-            bearing = settings.field_of_view * (uniform[i, 0] - 0.5)
-            free = range_along(grid, pose[0], pose[1], pose[2] + bearing, settings.range, people, furniture)
-            low = settings.min_range**2
-            distance = math.sqrt(low + uniform[i, 1] * max(free * free - low, 0.0))
-        measured[0, n], measured[1, n] = distance, bearing
-        measured[2, n] = max(size + settings.size_sigma * normal[i, 2], 0.0)
-        origins[n] = source
-        n += 1
-    return _sweep(measured, origins, int(n), settings)  # int: not the literal 0 as well
-
-
-@compiled
-def _sweep(
-    measured: Array, origins: IntArray, count: int, settings: _Settings
-) -> tuple[Array, Array, Array, Array, IntArray]:
-    """The nearest `max_features` of the first `count` measurements (3, …), by rising bearing, made Cartesian."""
-    order = np.empty(count, np.int64)
-    for i in range(count):
-        order[i] = i
-    _sort(order, count, measured[0])
-    m = min(count, settings.max_features)
-    _sort(order, m, measured[1])
-    points, covariances = np.empty((m, 2)), np.empty((m, 2, 2))
-    sizes, size_variances, sources = np.empty(m), np.empty(m), np.empty(m, np.int64)
-    for i in range(m):
-        r, bearing = measured[0, order[i]], measured[1, order[i]]
-        c, s = math.cos(bearing), math.sin(bearing)
-        along = settings.range_sigma**2 + (settings.range_sigma_ratio * r) ** 2
-        across = (settings.bearing_sigma * r) ** 2
-        points[i, 0], points[i, 1] = r * c, r * s
-        covariances[i, 0, 0] = c * c * along + s * s * across
-        covariances[i, 1, 1] = s * s * along + c * c * across
-        covariances[i, 0, 1] = covariances[i, 1, 0] = c * s * (along - across)
-        sizes[i], size_variances[i] = measured[2, order[i]], settings.size_sigma**2
-        sources[i] = origins[order[i]]
-    return points, covariances, sizes, size_variances, sources
-
-
-@compiled
-def _sort(order: IntArray, count: int, keys: Array) -> None:
-    """Sort the first `count` indices in `order` by rising `keys`, by insertion: there are few."""
-    for i in range(1, count):
-        index, j = order[i], i
-        while j > 0 and keys[order[j - 1]] > keys[index]:
-            order[j] = order[j - 1]
-            j -= 1
-        order[j] = index
-
-
-@compiled
-def _noisy_ranges(
-    walls: Packed,
-    pose: Array,
-    bearings: Array,
-    reach: float,
-    people: Array,
-    furniture: Array,
-    sigma: float,
-    noise: Array,
-) -> Array:
-    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach]."""
-    grid, x, y = Grid(*walls), pose[0], pose[1]
-    discs, segments = movers_near(x, y, reach, people, furniture)
-    ranges = np.empty(len(bearings))
-    for b in range(len(bearings)):
-        free = range_along(grid, x, y, pose[2] + bearings[b], reach, discs, segments)
-        ranges[b] = min(max(free + sigma * noise[b], 0.0), reach) if free < reach else reach
-    return ranges
