@@ -46,8 +46,6 @@ class CovisibilityGraph:
         """
         features = np.ascontiguousarray(features, dtype=np.int64)
         needed = _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
-        if needed < 0:
-            raise ValueError(f"features: {features.tolist()} in a graph of {self.n} nodes")
         if needed > self._neighbours.shape[1]:
             more = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
             self._neighbours = np.pad(self._neighbours, ((0, 0), (0, more)))
@@ -63,22 +61,29 @@ class CovisibilityGraph:
         self.n = len(kept)
 
     def count(self, i: int, j: int) -> int:
-        """How many scans saw both features."""
+        """How many scans saw both features. Raises IndexError where one is not in the graph."""
+        if not (0 <= i < self.n and 0 <= j < self.n):
+            raise IndexError(f"features {i} and {j} in a graph of {self.n}")
         neighbours = self._neighbours[i, : self._degrees[i]]
         at = int(np.searchsorted(neighbours, j))
         return int(self._counts[i, at]) if at < len(neighbours) and neighbours[at] == j else 0
 
     def neighbours(self, i: int, at_least: int = 1) -> IntArray:
-        """Features seen together with i in at least so many scans, ascending."""
+        """Features seen together with i in at least so many scans, ascending. Raises IndexError like `count`."""
+        if not 0 <= i < self.n:
+            raise IndexError(f"feature {i} in a graph of {self.n}")
         row = slice(0, self._degrees[i])
         return self._neighbours[i, row][self._counts[i, row] >= at_least]
 
     def local_to(self, features: IntArray) -> BoolArray:
-        """(n,) the features given (NONE ignored) and all their neighbours."""
+        """(n,) the features given (NONE ignored) and all their neighbours. Raises ValueError like `see_together`."""
         return _local_to(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
 
     def among(self, features: IntArray) -> BoolArray:
-        """(j, j) which of `features` (j,) are neighbours of each other or the same; symmetric."""
+        """(j, j) which of `features` (j,) are neighbours of each other or the same; symmetric.
+
+        Raises ValueError where a feature is not in the graph.
+        """
         return _among(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
 
     def edges(self) -> tuple[IntArray, IntArray]:
@@ -91,12 +96,18 @@ class CovisibilityGraph:
 
 
 @compiled
+def _require(features: IntArray, lowest: int, n: int) -> None:
+    for f in features:
+        if f < lowest or f >= n:
+            raise ValueError("features: not all of them are in the graph")
+
+
+@compiled
 def _count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
-    """Count each pair; returns the row length needed, with nothing counted if there is less, or −1 on a bad feature."""
+    """Count each pair; returns the row length needed, with nothing counted if there is less."""
+    _require(features, NONE, n)
     seen, k, needed = np.empty(len(features), np.int64), 0, 0
     for f in features:
-        if f < NONE or f >= n:
-            return -1
         at = k
         while at > 0 and seen[at - 1] > f:  # insertion sort, dropping NONE and repetitions
             at -= 1
@@ -158,6 +169,7 @@ def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kep
 
 @compiled
 def _local_to(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+    _require(features, NONE, n)
     local = np.zeros(n, np.bool_)
     for f in features:
         if f >= 0:
@@ -169,6 +181,7 @@ def _local_to(neighbours: IntArray, degrees: IntArray, n: int, features: IntArra
 
 @compiled
 def _among(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+    _require(features, 0, n)
     m = len(features)
     out = np.zeros((m, m), np.bool_)
     local = np.zeros(n, np.bool_)

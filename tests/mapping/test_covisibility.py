@@ -1,0 +1,141 @@
+"""The covisibility graph against a dictionary of counts."""
+
+import copy
+import pickle
+from collections import Counter
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.types import NONE
+
+
+class DictGraph:
+    """Counts of pairs (i, j), i < j, in a dictionary."""
+
+    def __init__(self) -> None:
+        self.n = 0
+        self.counts: Counter[tuple[int, int]] = Counter()
+
+    def see_together(self, features: np.ndarray) -> None:
+        self.counts.update(combinations(sorted(set(features.tolist()) - {NONE}), 2))
+
+    def keep(self, kept: np.ndarray) -> None:
+        new = {old: i for i, old in enumerate(kept.tolist())}
+        self.n = len(kept)
+        self.counts = Counter({(new[i], new[j]): c for (i, j), c in self.counts.items() if i in new and j in new})
+
+    def count(self, i: int, j: int) -> int:
+        return self.counts[min(i, j), max(i, j)]
+
+
+def assert_equal(graph: CovisibilityGraph, oracle: DictGraph) -> None:
+    assert graph.n == oracle.n
+    edges, counts = graph.edges()
+    assert list(zip(map(tuple, edges.tolist()), counts.tolist())) == sorted(oracle.counts.items())
+
+
+def random_pair(rng: np.random.Generator, steps: int) -> tuple[CovisibilityGraph, DictGraph]:
+    """Both graphs after the same random adding, seeing and keeping, compared at every step."""
+    graph, oracle = CovisibilityGraph(), DictGraph()
+    for _ in range(steps):
+        count = int(rng.integers(0, 5))
+        graph.add(count)
+        oracle.n += count
+        seen = rng.integers(NONE, oracle.n, rng.integers(0, 12))
+        graph.see_together(seen)
+        oracle.see_together(seen)
+        if rng.random() < 0.2:
+            kept = np.flatnonzero(rng.random(oracle.n) < 0.95)
+            graph.keep(kept)
+            oracle.keep(kept)
+        assert_equal(graph, oracle)
+    return graph, oracle
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_equals_a_dictionary_of_counts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    graph, oracle = random_pair(rng, 120)
+    assert graph.n > 70 and graph.edges()[1].max() > 1  # grown in both directions
+    for i in range(graph.n):
+        assert [graph.count(i, j) for j in range(graph.n)] == [oracle.count(i, j) for j in range(graph.n)]
+        for least in (1, 2, 3):
+            expected = [j for j in range(graph.n) if oracle.count(i, j) >= least]
+            np.testing.assert_array_equal(graph.neighbours(i, least), expected)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_localities_equal_the_definition(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    graph, oracle = random_pair(rng, 40)
+    for size in (0, 1, 6):
+        chosen = rng.integers(0, graph.n, size)
+        neighbours = {j for j in range(graph.n) for f in chosen if oracle.count(j, f)}
+        expected = np.isin(np.arange(graph.n), [*chosen, *neighbours])
+        np.testing.assert_array_equal(graph.local_to(np.append(chosen, NONE)), expected)
+        among = [[bool(i == j or oracle.count(i, j)) for j in chosen] for i in chosen]
+        np.testing.assert_array_equal(graph.among(chosen), np.array(among, dtype=bool).reshape(size, size))
+
+
+def test_repetitions_and_unpaired_measurements_count_for_nothing() -> None:
+    graph = CovisibilityGraph()
+    graph.add(3)
+    graph.see_together(np.array([2, NONE, 0, 2, NONE, 0]))
+    edges, counts = graph.edges()
+    np.testing.assert_array_equal(edges, [[0, 2]])
+    np.testing.assert_array_equal(counts, [1])
+    graph.see_together(np.array([1]))
+    graph.see_together(np.array([], dtype=np.int64))
+    assert len(graph.edges()[0]) == 1
+
+
+def test_a_wide_scan_makes_room() -> None:
+    graph = CovisibilityGraph()
+    graph.add(200)
+    graph.see_together(np.arange(199, -1, -1))
+    graph.see_together(np.arange(200))
+    edges, counts = graph.edges()
+    np.testing.assert_array_equal(edges, np.column_stack(np.triu_indices(200, 1)))
+    assert np.all(counts == 2)
+
+
+@pytest.mark.parametrize("n", [1_000, 10_000])
+def test_memory_is_linear_in_features_times_neighbours(n: int) -> None:
+    """A corridor in which each feature is seen with 20 others; both dimensions may be twice too large after doubling."""
+    graph = CovisibilityGraph()
+    graph.add(n)
+    for first in range(n - 10):
+        graph.see_together(np.arange(first, first + 11))
+    assert len(graph.edges()[0]) == 10 * n - 55
+    assert len(pickle.dumps(graph)) < (2 * n) * (2 * 20) * 16
+
+
+def test_copies_go_their_own_way() -> None:
+    graph, oracle = random_pair(np.random.default_rng(7), 20)
+    for other in (copy.deepcopy(graph), pickle.loads(pickle.dumps(graph))):
+        other.see_together(np.arange(10))
+        assert_equal(graph, oracle)
+
+
+def test_what_makes_no_sense_is_refused_and_changes_nothing() -> None:
+    graph, oracle = random_pair(np.random.default_rng(3), 20)
+    for features in ([0, graph.n], [0, -2]):
+        for refusing in (graph.see_together, graph.local_to, graph.among):
+            with pytest.raises(ValueError, match="features"):
+                refusing(np.array(features))
+    with pytest.raises(ValueError, match="features"):
+        graph.among(np.array([0, NONE]))
+    with pytest.raises(ValueError, match="count"):
+        graph.add(-1)
+    for kept in ([1, 0], [0, 0], [-1, 2], [0, graph.n]):
+        with pytest.raises(ValueError, match="kept"):
+            graph.keep(np.array(kept))
+    for i, j in ((0, graph.n), (-1, 0), (graph.n, 0)):
+        with pytest.raises(IndexError):
+            graph.count(i, j)
+    with pytest.raises(IndexError):
+        graph.neighbours(graph.n)
+    assert_equal(graph, oracle)

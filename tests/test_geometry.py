@@ -1,0 +1,159 @@
+"""SE(2): group laws, angles at the seam, every Jacobian against finite differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym import geometry as g
+from slam_gym.types import Array
+
+RNG = np.random.default_rng(0)
+POSES = [np.array([x, y, t]) for x, y, t in np.column_stack([RNG.normal(0, 10, (12, 2)), RNG.uniform(-3.1, 3.1, 12)])]
+SEAM = [np.array([1.0, -2.0, math.pi]), np.array([-3.0, 0.5, -3.141592]), np.array([0.0, 0.0, math.pi / 2])]
+PAIRS = [*zip(POSES[:6], POSES[6:]), *zip(SEAM, SEAM[1:] + SEAM[:1])]
+IDENTITY = np.zeros(3)
+
+
+def matrix(pose: Array) -> Array:
+    """The homogeneous matrix of a pose: what every function here must agree with."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.array([[c, -s, pose[0]], [s, c, pose[1]], [0.0, 0.0, 1.0]])
+
+
+def assert_same(a: Array, b: Array) -> None:
+    np.testing.assert_allclose(matrix(a), matrix(b), rtol=0, atol=1e-12)
+    assert -math.pi < a[2] <= math.pi and -math.pi < b[2] <= math.pi
+
+
+def numerical(f, x: Array, angle: bool = False, step: float = 1e-6) -> Array:
+    """Jacobian of f at x by central differences; the third row is a heading where `angle` says so."""
+    columns = []
+    for e in step * np.eye(len(x)):
+        difference = f(x + e) - f(x - e)
+        if angle:
+            difference[2] = math.remainder(difference[2], 2 * math.pi)
+        columns.append(difference / (2 * step))
+    return np.column_stack(columns)
+
+
+# --- angles -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turns", [-1000, -3, -1, 0, 1, 2, 1000])
+@pytest.mark.parametrize("angle", [-3.14159, -1.0, -1e-9, 0.0, 1e-9, 0.5, 3.14159])
+def test_whole_turns_do_not_matter(angle: float, turns: int) -> None:
+    assert g.wrap_angle(angle + turns * 2 * math.pi) == pytest.approx(angle, abs=1e-12 * (1 + abs(turns)))
+
+
+@pytest.mark.parametrize("angle", [math.pi, -math.pi])
+def test_half_a_turn_is_plus_pi(angle: float) -> None:
+    assert g.wrap_angle(angle) == math.pi
+
+
+def test_wrapped_angles_lie_in_the_half_open_interval() -> None:
+    around = [k * math.pi + d for k in range(-9, 10) for d in (-1e-15, 0.0, 1e-15, -1e-12, 1e-12)]
+    seam = [np.nextafter(s * math.pi, to) for s in (1, -1) for to in (-10.0, 10.0)]
+    wild = np.random.default_rng(1).normal(0, 1e6, 1000)
+    for angle in (*around, *seam, *wild):
+        wrapped = g.wrap_angle(angle)
+        assert -math.pi < wrapped <= math.pi
+        assert math.remainder(wrapped - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+# --- group laws -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("a", "b"), PAIRS)
+def test_composition_is_the_product_of_matrices(a: Array, b: Array) -> None:
+    result = g.compose(a, b)
+    np.testing.assert_allclose(matrix(result), matrix(a) @ matrix(b), rtol=0, atol=1e-12)
+    assert -math.pi < result[2] <= math.pi
+
+
+@pytest.mark.parametrize(("a", "b"), PAIRS)
+@pytest.mark.parametrize("c", [POSES[3], SEAM[0]])
+def test_composition_is_associative(a: Array, b: Array, c: Array) -> None:
+    assert_same(g.compose(g.compose(a, b), c), g.compose(a, g.compose(b, c)))
+
+
+@pytest.mark.parametrize("a", POSES + SEAM)
+def test_identity_and_inverse(a: Array) -> None:
+    assert_same(g.compose(a, IDENTITY), a)
+    assert_same(g.compose(IDENTITY, a), a)
+    assert_same(g.compose(a, g.inverse(a)), IDENTITY)
+    assert_same(g.compose(g.inverse(a), a), IDENTITY)
+    assert_same(g.inverse(g.inverse(a)), a)
+
+
+@pytest.mark.parametrize(("a", "b"), PAIRS)
+def test_relative_undoes_composition(a: Array, b: Array) -> None:
+    assert_same(g.relative(a, g.compose(a, b)), b)
+    assert_same(g.compose(a, g.relative(a, b)), b)
+    assert_same(g.inverse(g.compose(a, b)), g.compose(g.inverse(b), g.inverse(a)))
+
+
+@pytest.mark.parametrize(("a", "b"), PAIRS)
+def test_points_are_carried_along(a: Array, b: Array) -> None:
+    points = np.random.default_rng(2).normal(0, 5, (7, 2))
+    homogeneous = np.column_stack([points, np.ones(7)])
+    np.testing.assert_allclose(g.transform(a, points), (homogeneous @ matrix(a).T)[:, :2], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        g.transform(a, g.transform(b, points)), g.transform(g.compose(a, b), points), rtol=0, atol=1e-12
+    )
+    np.testing.assert_allclose(g.observe(a, points), g.transform(g.inverse(a), points), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(g.observe(a, g.transform(a, points)), points, rtol=0, atol=1e-12)
+
+
+def test_no_points_are_no_trouble() -> None:
+    none = np.empty((0, 2))
+    assert g.transform(POSES[0], none).shape == g.observe(POSES[0], none).shape == (0, 2)
+    assert g.rotate_covariances(0.3, np.empty((0, 2, 2))).shape == (0, 2, 2)
+
+
+def test_arguments_are_left_alone() -> None:
+    a, b, points = POSES[0].copy(), POSES[1].copy(), np.ones((2, 2))
+    for function in (g.compose, g.relative, g.compose_jacobians):
+        function(a, b)
+    g.inverse(a), g.transform(a, points), g.observe(a, points)
+    assert np.array_equal(a, POSES[0]) and np.array_equal(b, POSES[1]) and np.all(points == 1)
+
+
+# --- Jacobians --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("a", "b"), PAIRS)
+def test_jacobians_of_composition(a: Array, b: Array) -> None:
+    ja, jb = g.compose_jacobians(a, b)
+    np.testing.assert_allclose(ja, numerical(lambda x: g.compose(x, b), a, angle=True), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(jb, numerical(lambda x: g.compose(a, x), b, angle=True), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("a", POSES + SEAM)
+def test_jacobian_of_inversion(a: Array) -> None:
+    np.testing.assert_allclose(g.inverse_jacobian(a), numerical(g.inverse, a, angle=True), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("pose", POSES + SEAM)
+@pytest.mark.parametrize("point", [np.zeros(2), np.array([3.0, -1.5]), np.array([-20.0, 8.0])])
+@pytest.mark.parametrize(
+    ("function", "jacobians"), [(g.transform, g.transform_jacobians), (g.observe, g.observe_jacobians)]
+)
+def test_jacobians_of_transformation_and_observation(function, jacobians, pose: Array, point: Array) -> None:
+    jp, jx = jacobians(pose, point)
+    by_pose = numerical(lambda p: function(p, point[None])[0], pose)
+    by_point = numerical(lambda x: function(pose, x[None])[0], point)
+    np.testing.assert_allclose(jp, by_pose, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(jx, by_point, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("heading", [-3.0, -1.0, 0.0, 0.7, math.pi / 2, math.pi])
+def test_covariances_turn_with_the_frame(heading: float) -> None:
+    factors = np.random.default_rng(3).normal(size=(5, 2, 2))
+    covariances = factors @ factors.transpose(0, 2, 1)
+    c, s = math.cos(heading), math.sin(heading)
+    C = np.array([[c, -s], [s, c]])
+    turned = g.rotate_covariances(heading, covariances)
+    np.testing.assert_allclose(turned, C @ covariances @ C.T, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(turned, turned.transpose(0, 2, 1))
+    np.testing.assert_allclose(g.rotate_covariances(-heading, turned), covariances, rtol=0, atol=1e-13)
