@@ -53,10 +53,11 @@ class CovisibilityGraph:
             _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
 
     def keep(self, kept: IntArray) -> None:
-        """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1."""
+        """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1.
+
+        Raises ValueError, the graph unchanged, where they are not ascending nodes of it.
+        """
         kept = np.ascontiguousarray(kept, dtype=np.int64)
-        if len(kept) and (kept[0] < 0 or kept[-1] >= self.n or np.any(np.diff(kept) <= 0)):
-            raise ValueError(f"kept: {kept.tolist()} are not ascending nodes of a graph of {self.n}")
         _keep(self._neighbours, self._counts, self._degrees, self.n, kept)
         self.n = len(kept)
 
@@ -154,6 +155,9 @@ def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: In
 
 @compiled
 def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kept: IntArray) -> None:
+    for i in range(len(kept)):
+        if kept[i] < 0 or kept[i] >= n or (i > 0 and kept[i] <= kept[i - 1]):
+            raise ValueError("kept: not the ascending indices of nodes in the graph")
     renumbered = np.full(n, NONE)
     for i in range(len(kept)):
         renumbered[kept[i]] = i

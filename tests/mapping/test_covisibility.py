@@ -104,7 +104,7 @@ def test_a_wide_scan_makes_room() -> None:
 
 @pytest.mark.parametrize("n", [1_000, 10_000])
 def test_memory_is_linear_in_features_times_neighbours(n: int) -> None:
-    """A corridor in which each feature is seen with 20 others; both dimensions may be twice too large after doubling."""
+    """A corridor in which each feature is seen with 20 others; both dimensions may have been doubled once too often."""
     graph = CovisibilityGraph()
     graph.add(n)
     for first in range(n - 10):
