@@ -47,6 +47,10 @@ class Keyboard:
         forward, turn = held["forward"] - held["backward"], held["left"] - held["right"]
         return np.array([forward, turn], np.float32)
 
+    def has_window(self) -> bool:
+        """Whether there is a display for the environment's window to appear on."""
+        return self._pygame.display.get_driver() not in ("dummy", "offscreen")
+
     def poll(self) -> str | None:
         """Take in what happened at the keyboard; "quit", "next" or "again" where that was asked for."""
         pygame = self._pygame
@@ -67,6 +71,8 @@ def play(env: gym.Env[Any, Any], agent: Agent, keyboard: Keyboard, world: int, s
     """One world; the wish that ended it. At the end of the budget the picture stays until a key tells what is next."""
     observation, info = env.reset(**reset_arguments(world))
     agent.reset(world)
+    if not keyboard.has_window():
+        print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
     taken, ended = 0, False
     while steps is None or taken < steps:
         wish = keyboard.poll()

@@ -15,8 +15,8 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from slam_gym.metrics.statistics import interquartile_mean
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
@@ -37,6 +37,7 @@ from agents.ppo import (
     save_model,
 )
 from agents.rollout import Setting, run_episode
+from slam_gym.metrics.statistics import interquartile_mean
 
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
@@ -66,6 +67,7 @@ class Watch(BaseCallback):
         self._env = setting.make(spec.action)
         self._progress, self._bar = progress, progress.add_task("training", total=None)
         self._best, self._next = float(spec.training["best"]), 0
+        self.evaluated = -1  # decisions so far at the last evaluation
 
     def _on_training_start(self) -> None:
         self._progress.update(self._bar, total=self.model._total_timesteps)
@@ -86,6 +88,7 @@ class Watch(BaseCallback):
 
     def evaluate(self) -> None:
         """Drive the held-out worlds with the present weights; keep them as best.pt if no others did as well."""
+        self.evaluated = self.model.num_timesteps
         deterministic = bool(self._spec.hyperparameters["deterministic"])
         agent = PolicyAgent(self.model.policy, self._spec.action, deterministic=deterministic)
         records = [run_episode(self._env, agent, HELD_OUT + k) for k in range(self._episodes)]
@@ -114,7 +117,7 @@ class Watch(BaseCallback):
 def vectorised(setting: Setting, action: ActionKind, hyper: Hyperparameters) -> VecEnv:
     """The training environments, each in a process of its own."""
     makers = [partial(training_env, setting, action, hyper.reward_scale)] * hyper.envs
-    return SubprocVecEnv(makers, start_method="spawn") if hyper.envs > 1 else DummyVecEnv(makers)
+    return SubprocVecEnv(makers) if hyper.envs > 1 else DummyVecEnv(makers)
 
 
 def resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, Any]:
@@ -138,6 +141,7 @@ def train(
     eval_every: int, eval_episodes: int, resumed: bool = False,
 ) -> Path:  # fmt: skip
     """Train up to `timesteps` decisions in all and return the path of the model file. Ctrl-C keeps what was learned."""
+    torch.set_num_threads(1)  # the networks are small, and the environments need the other cores
     held_out = Setting(**(asdict(setting) | {"split": "test"}))
     training = asdict(setting) | {"seed": seed, "command": command, "versions": versions()}
     probe = setting.make(action)  # first alone: faults are reported here, and the inner loops are compiled once
@@ -156,7 +160,8 @@ def train(
         try:
             if model.num_timesteps < timesteps:
                 model.learn(timesteps - model.num_timesteps, callback=watch, reset_num_timesteps=False)
-            watch.evaluate()
+            if watch.evaluated != model.num_timesteps:
+                watch.evaluate()
             model.logger.dump(model.num_timesteps)
         finally:
             watch.save("checkpoint.pt")

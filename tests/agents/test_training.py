@@ -1,0 +1,129 @@
+"""Training end to end, as short as it can be: files, resumption, refusals. Whether it learns is for the README."""
+
+import csv
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from agents.base import make_agent
+from agents.evaluate import main as evaluate_main
+from agents.ppo import load_hyperparameters, read_model
+from agents.rollout import Setting, run_episode
+from agents.train import HELD_OUT, main, train
+from slam_gym.scenarios import SPLITS
+
+ROOT = Path(__file__).parents[2]
+TRAINING = Setting("office-small", split="train")
+
+
+def short(action):
+    return dataclasses.replace(load_hyperparameters(action), envs=1, steps=16, batch_size=16, epochs=1)
+
+
+def run(out, action="goal", timesteps=32, **options):
+    options = {"seed": 3, "command": "", "eval_every": 16, "eval_episodes": 1} | options
+    return train(out, TRAINING, action, short(action), timesteps=timesteps, **options)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    torch.set_num_threads(1)
+    out = tmp_path_factory.mktemp("training") / "run"
+    run(out)
+    return out
+
+
+def test_a_training_leaves_models_and_logs(trained):
+    spec, content = read_model(trained / "model.pt")
+    assert spec.training["timesteps"] == 32 and spec.training["seed"] == 3
+    assert spec.training["scenario"] == "office-small" and spec.training["split"] == "train"
+    assert all(torch.isfinite(weights).all() for weights in content["policy"].values())
+    assert (trained / "progress.csv").read_text().count("held_out/map_error") == 1
+    assert list(trained.glob("events.out.tfevents.*"))
+    with (trained / "progress.csv").open() as file:
+        scores = [float(row["held_out/map_error"]) for row in csv.DictReader(file) if row["held_out/map_error"]]
+    assert len(scores) == 2
+    assert read_model(trained / "best.pt")[0].training["best"] == pytest.approx(min(scores), rel=1e-4)
+
+
+def test_training_changes_the_weights(trained):
+    one, two = (read_model(trained / name)[1]["policy"] for name in ("model.pt", "checkpoint.pt"))
+    assert all(torch.equal(one[key], two[key]) for key in one)
+    assert any((weights != 0).any() for key, weights in one.items() if key.endswith("score.2.bias"))
+
+
+def test_tensorboard_reads_the_logs(trained):
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    events = accumulator.EventAccumulator(str(trained))
+    events.Reload()
+    tags = events.Tags()["scalars"]
+    assert {"held_out/map_error", "held_out/coverage", "train/value_loss"} <= set(tags)
+    assert [event.step for event in events.Scalars("held_out/map_error")] == [16, 32]
+
+
+def test_the_trained_agent_drives_an_episode(trained):
+    agent = make_agent("ppo", trained / "model.pt")
+    records = [run_episode(Setting("office-small").make("goal"), agent, 0) for _ in range(2)]
+    assert records[0]["map_error"] == records[1]["map_error"]
+    assert records[0]["ticks"] == 300
+
+
+def test_a_resumed_training_goes_on_from_its_weights_and_count(trained, tmp_path):
+    out = tmp_path / "run"
+    out.mkdir()
+    (out / "checkpoint.pt").write_bytes((trained / "checkpoint.pt").read_bytes())
+    run(out, timesteps=48, resumed=True)
+    before, after = (read_model(folder / "model.pt") for folder in (trained, out))
+    assert after[0].training["timesteps"] == 48
+    steps = [
+        int(state["step"]) for content in (before[1], after[1]) for state in content["optimizer"]["state"].values()
+    ]
+    half = len(steps) // 2
+    assert steps[:half] == [2] * half and steps[half:] == [3] * half  # the optimiser's moments were kept
+    assert (out / "progress_from_32.csv").exists()
+
+
+def test_resuming_something_else_is_refused(trained):
+    with pytest.raises(ValueError, match="seed 3, not 4"):
+        run(trained, seed=4, timesteps=48, resumed=True)
+
+
+def test_training_over_an_earlier_one_is_refused(trained):
+    with pytest.raises(ValueError, match="--resume"):
+        main(["--out", str(trained), "--scenario", "office-small"])
+
+
+def test_twist_is_trained_by_ppo(tmp_path):
+    agent = make_agent("ppo", run(tmp_path / "run", action="twist", timesteps=16))
+    assert agent.action == "twist"
+    assert np.isfinite(run_episode(Setting("office-small").make("twist"), agent, 0)["map_error"])
+
+
+def test_worlds_watched_in_training_are_neither_trained_nor_reported_on():
+    first, count = SPLITS["test"]
+    assert SPLITS["train"][0] + SPLITS["train"][1] <= first
+    assert 1_000 < HELD_OUT < count - 1_000
+
+
+@pytest.mark.slow
+def test_the_command_trains_in_processes_and_evaluate_reads_its_model(tmp_path):
+    toml = (ROOT / "agents" / "hyperparameters.toml").read_text().replace("steps = 256", "steps = 16")
+    (tmp_path / "short.toml").write_text(toml)
+    line = ["--scenario", "office-small", "--timesteps", "32", "--envs", "2", "--eval-episodes", "1"]
+    line += ["--hyperparameters", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run")]
+    done = subprocess.run(
+        [sys.executable, "-m", "agents.train", *line], cwd=ROOT, capture_output=True, text=True, timeout=200
+    )
+    assert done.returncode == 0, done.stderr
+    model = tmp_path / "run" / "model.pt"
+    assert str(model) in done.stdout
+    evaluate_line = ["--agents", "ppo", "--model", str(model), "--scenario", "office-small", "--episodes", "2"]
+    assert evaluate_main([*evaluate_line, "--jobs", "1", "--no-films", "--out", str(tmp_path / "evaluation")]) == 0
+    results = json.loads((tmp_path / "evaluation" / "results.json").read_text())
+    assert results["models"][str(model)]["training"]["timesteps"] == 32
