@@ -114,12 +114,16 @@ class Room:
 
     def contains(self, points: Array) -> BoolArray:
         """Which of `points` (m, 2) [m] lie inside: a ray to the right crosses the outline an odd number of times."""
-        a, b = self.polygon, np.roll(self.polygon, -1, axis=0)
-        x, y = points[:, 0, None], points[:, 1, None]
-        rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
-        crosses = (a[:, 1] > y) != (b[:, 1] > y)
-        right = x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise
-        return np.asarray(np.count_nonzero(crosses & right, axis=1) % 2 == 1)
+        inside = np.zeros(len(points), dtype=bool)
+        low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
+        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+        x, y = points[near].T
+        odd = np.zeros(len(near), dtype=bool)
+        for (x1, y1), (x2, y2) in zip(self.polygon, np.roll(self.polygon, -1, axis=0)):
+            if y1 != y2:
+                odd ^= ((y1 > y) != (y2 > y)) & (x < x1 + (y - y1) * (x2 - x1) / (y2 - y1))
+        inside[near] = odd
+        return inside
 
     @cached_property
     def centre(self) -> Array:

@@ -1,0 +1,298 @@
+"""Occupancy images → floor plans: real buildings as worlds. Needs the extra `maps`.
+
+Images are grey: dark = wall, light = free, and whatever lies between (a ROS map's 205) is unknown and counts as wall.
+Row 0 is the upper edge, so y = (h − row) · resolution.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from slam_gym.types import Array
+from slam_gym.world.contours import Mask, Outlines, corners, import_cv2, thinned, trace
+from slam_gym.world.floor_plan import MAX_EXTENT, Door, Features, FloorPlan, FloorPlanError, Kind, Room
+
+FREE_ABOVE = 229  # grey level: lighter pixels are free; halfway between a ROS map's unknown (205) and free (254)
+MAX_BYTES = 1 << 28  # an image that unpacks to more is refused
+_PASSAGE = 1.0  # [m] deepest doorway: unlabelled free pixels between two labelled ones
+_OPENING = 0.5  # [m] passages and spikes narrower than this are closed in maps without labels
+_MAX_CORNER_SIZE = 4.0  # [m]
+_MIN_ROOM = 1.0  # [m²]
+_SPECK = 0.05  # [m²] smaller obstacles in maps without labels are noise
+_SIZEABLE = 4.0  # [m²] an enclosed part of at least this area is a floor
+_MIN_DOOR = 0.3  # [m]
+_MAX_DOOR = 3.0  # [m] rooms that meet along more than this are open to each other
+_JAMB_REACH = 0.4  # [m] from the end of a door line to the corners that frame it
+
+
+def read_raster(path: Path, resolution: float | None) -> FloorPlan:
+    """A floor plan from an image file or a ROS map `.yaml`; see `load_floor_plan`.
+
+    An array named `…_occ_map.npy.gz` is read together with its room labels `…_valid_space.npy.gz` where they lie beside
+    it, the naming of the KTH floor plan data set.
+    """
+    if path.suffix in (".yaml", ".yml"):
+        return _read_ros_map(path, resolution)
+    if resolution is None:
+        raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
+    image = _read_image(path)
+    name = path.name.split(".")[0].removesuffix("_occ_map")
+    labels = path.with_name(path.name.replace("_occ_map", "_valid_space"))
+    return from_raster(
+        image, resolution, valid=_read_image(labels) if labels != path and labels.is_file() else None, name=name
+    )
+
+
+def _read_image(path: Path) -> NDArray[Any]:
+    if path.name.endswith((".npy", ".npy.gz")):
+        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+            try:
+                content = file.read(MAX_BYTES + 1)
+                if len(content) > MAX_BYTES:
+                    raise FloorPlanError("image", f"unpacks to more than {MAX_BYTES >> 20} MB")
+                return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+            except (ValueError, EOFError, OSError) as error:
+                if isinstance(error, FloorPlanError):
+                    raise
+                raise FloorPlanError("image", f"is not a numpy array ({error})") from None
+    if path.suffix.lower() not in (".pgm", ".png"):
+        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
+    cv2 = import_cv2()
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    except cv2.error as error:  # among others: more than 2³⁰ pixels
+        raise FloorPlanError("image", f"cannot be read ({error.err})") from None
+    if image is None:
+        raise FloorPlanError("image", "is not a PGM or PNG image")
+    return np.asarray(image)
+
+
+def _read_ros_map(path: Path, resolution: float | None) -> FloorPlan:
+    """The map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
+    try:
+        import yaml
+    except ImportError as error:
+        raise ImportError('ROS maps need PyYAML: pip install "slam_gym[maps]"') from error
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise FloorPlanError("file", f"is not YAML ({error})") from None
+    if not isinstance(document, dict) or not isinstance(document.get("image"), str):
+        raise FloorPlanError("image", "the map names no image")
+    numbers = {"resolution": resolution, "free_thresh": 0.196, "negate": 0, **document}
+    for key in ("resolution", "free_thresh", "negate"):
+        if isinstance(numbers[key], bool) or not isinstance(numbers[key], int | float):
+            raise FloorPlanError(key, f"{numbers[key]!r} is not a number")
+    origin = np.asarray(document.get("origin", [0.0, 0.0, 0.0]))
+    if origin.shape != (3,) or origin.dtype.kind not in "if" or not np.isfinite(origin).all() or origin[2] != 0.0:
+        raise FloorPlanError("origin", f"{document.get('origin')!r} is not [x, y, 0]")
+    image_path = path.parent / document["image"]
+    if not image_path.is_file():
+        raise FloorPlanError("image", f"no file at {image_path}")
+    grey = _read_image(image_path).astype(np.float64)
+    occupied = grey / 255.0 if numbers["negate"] else (255.0 - grey) / 255.0
+    free = np.where(occupied < numbers["free_thresh"], 255, 0).astype(np.uint8)
+    return from_raster(free, numbers["resolution"], name=path.stem, origin=(float(origin[0]), float(origin[1])))
+
+
+def from_raster(
+    occupancy: NDArray[Any],
+    resolution: float,
+    *,
+    valid: NDArray[Any] | None = None,
+    name: str = "raster",
+    origin: tuple[float, float] = (0.0, 0.0),
+) -> FloorPlan:
+    """A floor plan from an image `occupancy` (h, w), uint8 (0 wall … 255 free) or bool (True free).
+
+    `resolution` [m/pixel]; `valid` (h, w) integer room labels, 0 = wall or outside; `origin` [m] W of the lower left
+    corner. With labels, free = occupancy ∩ (labelled ∪ doorways), a doorway being a straight run of unlabelled free
+    pixels, at most 1 m long, from one labelled pixel to another. Without labels there is one room: the largest free
+    part that does not touch the image's border (if only one does, that one), after everything narrower than 0.5 m is
+    closed. Raises FloorPlanError, naming what is wrong.
+    """
+    occupancy = _checked(occupancy, resolution, valid)
+    free = (occupancy > FREE_ABOVE).astype(np.uint8)
+    if valid is not None:
+        labelled = valid > 0
+        free = _largest(free & (labelled | _doorways(free, labelled, max(1, round(_PASSAGE / resolution)))))
+    else:
+        free = _enclosed(free, resolution)
+    if not free.any():
+        raise FloorPlanError("occupancy", f"no free space: no pixel of a floor is lighter than {FREE_ABOVE}")
+    outlines = trace(free, resolution)
+    frame = _Frame(free.shape[0], resolution, origin)
+    rooms, doors = _rooms_and_doors(free, valid, frame) if valid is not None else (_one_room(outlines, frame), ())
+    rings = [frame(ring) for ring in outlines.rings]
+    walls = np.vstack([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
+    return FloorPlan(name, np.round(walls, 4), _features(outlines, rings, doors, frame), rooms, doors)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Pixels of an image → W."""
+
+    height: int  # [pixel]
+    resolution: float  # [m/pixel]
+    origin: tuple[float, float]  # [m] W of the lower left corner
+
+    def __call__(self, points: Array) -> Array:
+        """(n, 2) [pixel], x to the right and y down from the upper edge → (n, 2) [m] W."""
+        flipped = np.stack([points[:, 0], self.height - points[:, 1]], axis=1)
+        return np.asarray(np.round(self.origin + self.resolution * flipped, 4))
+
+
+def _checked(occupancy: NDArray[Any], resolution: float, valid: NDArray[Any] | None) -> NDArray[np.uint8]:
+    if not np.isfinite(resolution) or not 1e-3 <= resolution <= 1.0:
+        raise FloorPlanError("resolution", f"{resolution!r} is not in [0.001, 1] metres per pixel")
+    if occupancy.ndim != 2 or min(occupancy.shape) < 3:
+        raise FloorPlanError("occupancy", f"has shape {occupancy.shape}, expected (h, w) of at least 3 × 3 pixels")
+    if occupancy.dtype != np.uint8 and occupancy.dtype != np.bool_:
+        raise FloorPlanError("occupancy", f"holds {occupancy.dtype}, expected uint8 or bool")
+    if max(occupancy.shape) * resolution > MAX_EXTENT:
+        raise FloorPlanError("resolution", f"makes the plan longer than {MAX_EXTENT:g} m")
+    if valid is not None and (valid.shape != occupancy.shape or valid.dtype.kind not in "iu"):
+        raise FloorPlanError("valid", f"{valid.dtype} {valid.shape}: expected integers {occupancy.shape}")
+    return occupancy.astype(np.uint8) * np.uint8(255) if occupancy.dtype == np.bool_ else occupancy
+
+
+def _largest(free: Mask) -> Mask:
+    """The largest 4-connected part."""
+    cv2 = import_cv2()
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=4)
+    return np.asarray(parts == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]), np.uint8) if count > 1 else free
+
+
+def _doorways(free: Mask, labelled: NDArray[np.bool_], longest: int) -> NDArray[np.bool_]:
+    """Straight runs of at most `longest` unlabelled free pixels from a labelled pixel to another."""
+    doorway = np.zeros(free.shape, dtype=bool)
+    for gaps, inside, out in (
+        ((free > 0) & ~labelled, labelled, doorway),
+        (((free > 0) & ~labelled).T, labelled.T, doorway.T),
+    ):
+        padded = np.pad(gaps, ((0, 0), (1, 1))).astype(np.int8)
+        step = np.diff(padded, axis=1)
+        (rows, starts), (_, ends) = np.nonzero(step == 1), np.nonzero(step == -1)
+        width = gaps.shape[1]
+        fits = (ends - starts <= longest) & (starts > 0) & (ends < width)
+        rows, starts, ends = rows[fits], starts[fits], ends[fits]
+        bounded = inside[rows, starts - 1] & inside[rows, ends]
+        for row, start, end in zip(rows[bounded], starts[bounded], ends[bounded]):
+            out[row, start:end] = True
+    return doorway
+
+
+def _enclosed(free: Mask, resolution: float) -> Mask:
+    """The floor in a map without labels: specks filled, spikes cut, what lies outside dropped."""
+    cv2 = import_cv2()
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(1 - free, connectivity=8)
+    speck = stats[:, cv2.CC_STAT_AREA] * resolution**2 < _SPECK
+    speck[0] = False  # component 0 is what is free
+    free = free | speck[parts].astype(np.uint8)
+    side = 2 * round((_OPENING / resolution - 1) / 2) + 1
+    free = cv2.morphologyEx(np.pad(free, side), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))[side:-side, side:-side]
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=4)
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0
+    border = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
+    inner = areas.copy()
+    inner[border] = 0
+    if inner.max() * resolution**2 >= _SIZEABLE:
+        areas = inner
+    return np.asarray((parts == np.argmax(areas)) & (free > 0), np.uint8)
+
+
+def _one_room(outlines: Outlines, frame: _Frame) -> tuple[Room, ...]:
+    rooms = [Room("floor", frame(ring)) for ring in outlines.rings]
+    return (max(rooms, key=lambda room: room.area),)
+
+
+def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
+    """One room per connected part of a label, and a door wherever two of them meet along a short line."""
+    cv2 = import_cv2()
+    labels, compact = np.unique(np.where(free > 0, valid, 0), return_inverse=True)
+    compact = compact.reshape(valid.shape)
+    rooms: list[Room] = []
+    index = np.zeros(free.shape, dtype=np.int32)  # 1 + room of each pixel
+    for label, box in zip(labels, find_objects(compact + 1)):
+        if label == 0:
+            continue
+        count, parts, stats, _ = cv2.connectedComponentsWithStats(
+            (valid[box] == label).astype(np.uint8) & free[box], connectivity=4
+        )
+        offset = np.array([box[1].start, box[0].start])
+        for part in range(1, count):
+            if stats[part, cv2.CC_STAT_AREA] * frame.resolution**2 < _MIN_ROOM:
+                continue
+            rings = trace((parts == part).astype(np.uint8), frame.resolution).rings
+            outer = max((Room("outline", frame(ring + offset)) for ring in rings), key=lambda room: room.area)
+            name = f"room {label}" if all(room.name != f"room {label}" for room in rooms) else f"room {label}.{part}"
+            rooms.append(Room(name, outer.polygon))
+            index[box][parts == part] = len(rooms)
+    if not rooms:
+        raise FloorPlanError("valid", f"labels no free room of at least {_MIN_ROOM:g} m²")
+    return tuple(rooms), _doors(_spread(index) * (free > 0), rooms, frame)
+
+
+def _spread(index: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Every pixel that has no room gets the nearest one's."""
+    cv2 = import_cv2()
+    _, nearest = cv2.distanceTransformWithLabels(
+        (index == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    room_of = np.zeros(int(nearest.max()) + 1, dtype=np.int32)
+    room_of[nearest[index > 0]] = index[index > 0]
+    return np.asarray(room_of[nearest])
+
+
+def _doors(index: NDArray[np.int32], rooms: list[Room], frame: _Frame) -> tuple[Door, ...]:
+    """Doors from the lines along which pixels of two rooms touch."""
+    contacts = []  # y, x [pixel] of the middle between the two pixels, and the two rooms
+    for dy, dx in ((0, 1), (1, 0)):
+        a, b = index[: index.shape[0] - dy, : index.shape[1] - dx], index[dy:, dx:]
+        y, x = np.nonzero((a != b) & (a > 0) & (b > 0))
+        pair = np.sort(np.stack([a[y, x], b[y, x]], axis=1), axis=1)
+        contacts.append(np.column_stack([x + (1 + dx) / 2, y + (1 + dy) / 2, pair]))
+    doors = []
+    table = np.vstack(contacts)
+    for a, b in np.unique(table[:, 2:], axis=0).astype(int):
+        points = table[(table[:, 2] == a) & (table[:, 3] == b), :2]
+        tree = cKDTree(points)
+        near = tree.sparse_distance_matrix(tree, 2.5, output_type="coo_matrix")
+        count, line = connected_components(near, directed=False)
+        for part in range(count):
+            ends = points[line == part]
+            width = (float(np.hypot(*np.ptp(ends, axis=0))) + 1.0) * frame.resolution
+            if _MIN_DOOR <= width <= _MAX_DOOR:
+                middle = frame((ends.min(axis=0) + ends.max(axis=0))[None] / 2)[0]
+                doors.append(Door(middle, round(width, 4), (rooms[a - 1].name, rooms[b - 1].name)))
+    return tuple(doors)
+
+
+def _features(outlines: Outlines, rings: list[Array], doors: tuple[Door, ...], frame: _Frame) -> Features:
+    """Corners of the walls, those that frame a door as jambs; islands as pillars."""
+    found = [corners(ring) for ring, pillar in zip(rings, outlines.is_pillar) if not pillar]
+    positions = np.vstack([np.zeros((0, 2)), *(position for position, _ in found)])
+    sizes = np.clip(np.concatenate([np.zeros(0), *(size for _, size in found)]), frame.resolution, _MAX_CORNER_SIZE)
+    kinds = np.full(len(positions), int(Kind.CORNER))
+    for door in doors:
+        off = np.abs(np.hypot(*(positions - door.position).T) - door.width / 2)
+        jamb = off < _JAMB_REACH
+        kinds[jamb], sizes[jamb] = int(Kind.DOOR_JAMB), door.width
+    kept = thinned(positions, kinds.astype(np.float64))
+    centres, diameters = frame(outlines.pillars[:, :2]), outlines.pillars[:, 2] * frame.resolution
+    return Features(
+        np.vstack([positions[kept], centres]),
+        np.concatenate([kinds[kept], np.full(len(centres), int(Kind.PILLAR))]),
+        np.round(np.concatenate([sizes[kept], diameters]), 4),
+    )
