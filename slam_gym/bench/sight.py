@@ -15,7 +15,7 @@ import numpy as np
 from slam_gym.types import Array
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind
 from slam_gym.world.generators import OfficeGenerator
-from slam_gym.world.physics import DynamicsSpec, World
+from slam_gym.world.physics import DynamicsSpec, RobotSpec, World
 from slam_gym.world.ray_casting import WallIndex
 from slam_gym.world.reachability import free_start, reachable
 from slam_gym.world.sensor import Sensor
@@ -99,10 +99,8 @@ def line_of_sight(repeats: int, rng: np.random.Generator) -> None:
 def tick_calls(plan: FloorPlan, people: int, rng: np.random.Generator) -> dict[str, Call]:
     """One tick of physics under random actions, and each sense after it."""
     start = free_start(plan, reachable(plan, 0.2), rng)
-    world, sensor = (
-        World(plan, start, dynamics=DynamicsSpec(people=people), rng=rng),
-        Sensor(plan, WallIndex(plan.walls)),
-    )
+    world = World(plan, start, RobotSpec(), DynamicsSpec(people=people), rng)
+    sensor = Sensor(plan, WallIndex(plan.walls))
     actions, motion = rng.uniform([0.0, -1.0], 1.0, (PLACES, 2)).tolist(), world.tick(1.0, 0.0)
     return {
         "World.tick": lambda i: world.tick(*actions[i]),

@@ -94,14 +94,13 @@ class World:
         self,
         plan: FloorPlan,
         start: Array,
-        robot: RobotSpec | None = None,
-        dynamics: DynamicsSpec | None = None,
-        rng: np.random.Generator | None = None,
+        robot: RobotSpec,
+        dynamics: DynamicsSpec,
+        rng: np.random.Generator,
     ) -> None:
         if np.shape(start) != (3,) or not np.isfinite(start).all():
             raise ValueError(f"start must be a finite pose (3,), not {start}")
-        self.robot, self.dynamics = robot or RobotSpec(), dynamics or DynamicsSpec()
-        self._rng = rng or np.random.default_rng()
+        self.robot, self.dynamics, self._rng = robot, dynamics, rng
         self._step = self.dynamics.tick / self.dynamics.substeps
         self._touch = _Touch()
         self._space = _empty_space(self._step, self._touch)

@@ -67,9 +67,7 @@ def indoor(plan: FloorPlan, cells: FreeCells) -> IntArray:
     labels, centres = parts[flat], cells.centres(flat)
     indoors = np.zeros(len(flat), np.bool_)
     for room in plan.rooms:
-        low, high = room.polygon.min(axis=0), room.polygon.max(axis=0)
-        near = np.flatnonzero(((low <= centres) & (centres <= high)).all(axis=1))
-        indoors[near] |= room.contains(centres[near])
+        _mark_inside(room.polygon, centres, indoors)
     if not plan.rooms:
         indoors = labels != parts[0]  # the ground around the plan reaches its outermost cells
     if not indoors.any():
@@ -119,6 +117,25 @@ def _block(free: BoolArray, left: float, bottom: float, cell: float, segments: A
                 t = min(max((dx * ex + dy * ey) / length, 0.0), 1.0)
                 if (dx - t * ex) ** 2 + (dy - t * ey) ** 2 < radius * radius:
                     free[row, column] = False
+
+
+@compiled
+def _mark_inside(polygon: Array, points: Array, inside: BoolArray) -> None:
+    """`inside` |= `Room.contains` of each of `points` (c, 2), without the temporaries that numpy needs."""
+    left, right, top = math.inf, -math.inf, -math.inf
+    for k in range(len(polygon)):
+        left, right, top = min(left, polygon[k, 0]), max(right, polygon[k, 0]), max(top, polygon[k, 1])
+    for i in range(len(points)):
+        x, y, odd = points[i, 0], points[i, 1], False
+        if inside[i] or not left <= x <= right or y > top:
+            continue
+        x1, y1 = polygon[-1, 0], polygon[-1, 1]
+        for k in range(len(polygon)):
+            x2, y2 = polygon[k, 0], polygon[k, 1]
+            if (y1 > y) != (y2 > y) and x < x1 + (y - y1) * (x2 - x1) / (y2 - y1):
+                odd = not odd
+            x1, y1 = x2, y2
+        inside[i] = odd
 
 
 @compiled

@@ -4,6 +4,7 @@ import numpy as np
 import pymunk
 import pytest
 
+from slam_gym.bench.sight import floor
 from slam_gym.world.floor_plan import Features, Kind
 from slam_gym.world.ray_casting import WallIndex, pull_back
 
@@ -135,6 +136,17 @@ def test_a_huge_building_gets_larger_cells():
     index = WallIndex(np.array([[0.0, 0.0, 1900.0, 0.0], [0.0, 1900.0, 1900.0, 1900.0]]), cell=0.05)
     assert len(index.packed[1]) < 1.1e6
     assert index.cast(np.array([950.0, 2.0]), np.array([-np.pi / 2]), 6.0)[0] == pytest.approx(2.0)
+
+
+def test_the_floors_of_the_benchmark_are_what_it_says():
+    for rows, columns, segments in ((5, 5, 100), (25, 50, 5000)):
+        plan = floor(rows, columns)
+        assert len(plan.walls) == segments
+        assert np.all(np.isin(plan.features.positions, plan.walls.reshape(-1, 2)))
+        np.testing.assert_array_equal(plan.bounds, [0, 0, 5 * columns, 5 * rows])
+    middle, straight = np.array([7.5, 7.5]), np.arange(4) * np.pi / 2
+    np.testing.assert_allclose(WallIndex(plan.walls).cast(middle, straight, 6.0), 6.0, err_msg="doors all around")
+    np.testing.assert_allclose(WallIndex(plan.walls).cast(middle, straight + 0.3, 6.0), 2.5 / np.cos(0.3))
 
 
 @pytest.mark.parametrize(

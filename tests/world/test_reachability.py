@@ -6,7 +6,7 @@ import pytest
 from slam_gym.world import boxes
 from slam_gym.world.floor_plan import Features, FloorPlan, Room
 from slam_gym.world.ray_casting import WallIndex, pull_back
-from slam_gym.world.reachability import free_cells, free_start, observable, reachable
+from slam_gym.world.reachability import _mark_inside, free_cells, free_start, observable, reachable
 
 NO_FEATURES = Features(np.empty((0, 2)), np.empty(0), np.empty(0))
 
@@ -133,6 +133,16 @@ def test_a_floor_full_of_furniture_has_no_start():
 def test_lengths_that_are_none_are_refused(radius, cell):
     with pytest.raises(ValueError, match="radius and cell must be positive"):
         reachable(two_rooms(0.9), radius, cell)
+
+
+def test_rooms_hold_the_same_points_compiled_as_plain():
+    rng = np.random.default_rng(6)
+    for corners in range(3, 30):
+        turn = np.sort(rng.uniform(0, 2 * np.pi, corners))
+        polygon = np.column_stack([np.cos(turn), np.sin(turn)]) * rng.uniform(1, 5, (corners, 1))
+        points, inside = rng.uniform(-5, 5, (400, 2)), np.zeros(400, bool)
+        _mark_inside(polygon, points, inside)
+        np.testing.assert_array_equal(inside, Room("star", polygon).contains(points))
 
 
 def test_box_outlines_and_distances():
