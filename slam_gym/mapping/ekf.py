@@ -31,6 +31,13 @@ _ROUNDING = 1e-13  # share of what cancels in S and in P that is given back to t
 
 
 @compiled
+def _turned(c: float, s: float, xx: float, xy: float, yy: float) -> tuple[float, float, float]:
+    """C Σ Cᵀ for the symmetric Σ = [xx xy; xy yy] and the rotation with cosine c and sine s: entries xx, xy, yy."""
+    across = c * s * (xx - yy) + (c * c - s * s) * xy
+    return c * c * xx - 2.0 * c * s * xy + s * s * yy, across, s * s * xx + 2.0 * c * s * xy + c * c * yy
+
+
+@compiled
 def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
     """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF; False (and nothing done) where u or Q is no good.
 
@@ -44,9 +51,10 @@ def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> b
     x[0], x[1], x[2] = x_new, y_new, wrap_angle(x[2] + motion[2])
     at[0], at[1], at[2] = x[0], x[1], x[2]
     xt, yt, tt = P[0, 2], P[1, 2], P[2, 2]
-    P[0, 0] += dy * (dy * tt - 2.0 * xt) + c * c * Q[0, 0] - 2.0 * c * s * Q[0, 1] + s * s * Q[1, 1]
-    P[0, 1] += dx * xt - dy * yt - dx * dy * tt + c * s * (Q[0, 0] - Q[1, 1]) + (c * c - s * s) * Q[0, 1]
-    P[1, 1] += dx * (dx * tt + 2.0 * yt) + s * s * Q[0, 0] + 2.0 * c * s * Q[0, 1] + c * c * Q[1, 1]
+    qxx, qxy, qyy = _turned(c, s, Q[0, 0], Q[0, 1], Q[1, 1])
+    P[0, 0] += dy * (dy * tt - 2.0 * xt) + qxx
+    P[0, 1] += dx * xt - dy * yt - dx * dy * tt + qxy
+    P[1, 1] += dx * (dx * tt + 2.0 * yt) + qyy
     P[0, 2] += -dy * tt + c * Q[0, 2] - s * Q[1, 2]
     P[1, 2] += dx * tt + s * Q[0, 2] + c * Q[1, 2]
     P[2, 2] += Q[2, 2]
@@ -55,6 +63,16 @@ def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> b
         rows_x[j] -= dy * rows_t[j]
         rows_y[j] += dx * rows_t[j]
     return True
+
+
+@compiled
+def symmetric(P: Array, d: int) -> Array:
+    """P[:d, :d] with both triangles, a copy."""
+    out = np.empty((d, d))
+    for i in range(d):
+        for j in range(i, d):
+            out[i, j] = out[j, i] = P[i, j]
+    return out
 
 
 @compiled
@@ -98,9 +116,8 @@ def features_in_reach(
             continue
         features[k] = j
         positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
-        covariances[k, 0, 0] = ca * ca * xx + 2.0 * ca * sa * xy + sa * sa * yy
-        covariances[k, 1, 1] = sa * sa * xx - 2.0 * ca * sa * xy + ca * ca * yy
-        covariances[k, 0, 1] = covariances[k, 1, 0] = ca * sa * (yy - xx) + (ca * ca - sa * sa) * xy
+        covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1] = _turned(ca, -sa, xx, xy, yy)
+        covariances[k, 1, 0] = covariances[k, 0, 1]
         kept_sizes[k], kept_variances[k] = sizes[j], size_variances[j]
         k += 1
     return features[:k], positions[:k], covariances[:k], kept_sizes[:k], kept_variances[:k]
@@ -129,11 +146,18 @@ def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
 
 @compiled
 def _innovation(
-    x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, measured: IntArray, paired: IntArray
+    x: Array,
+    at: Array,
+    P: Array,
+    d: int,
+    points: Array,
+    covariances: Array,
+    measured: IntArray,
+    paired: IntArray,
+    k: int,
 ) -> tuple[Array, Array, Array]:
     """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle) of k pairings, in axes parallel to B."""
-    k = len(measured)
-    nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.empty((2 * k, 2 * k))
+    nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.zeros((2 * k, 2 * k))
     robot = np.empty((3, d))
     for i in range(3):
         for j in range(d):
@@ -141,25 +165,21 @@ def _innovation(
     c, s = math.cos(x[2]), math.sin(x[2])
     ca, sa = math.cos(at[2]), math.sin(at[2])
     for i in range(k):
-        f, z, R = 3 + 2 * paired[i], points[measured[i]], covariances[measured[i]]
+        f, z, a, b = 3 + 2 * paired[i], measured[i], 2 * i, 2 * i + 1
         # ν = z − h(x), turned by the heading at which H is taken
         hx, hy = x[f] - x[0], x[f + 1] - x[1]
-        ex, ey = z[0] - (c * hx + s * hy), z[1] - (-s * hx + c * hy)
-        nu[2 * i], nu[2 * i + 1] = ca * ex - sa * ey, sa * ex + ca * ey
-        _rows_of_HP(at, P, d, f, robot, HP[2 * i], HP[2 * i + 1])
-        S[2 * i, 2 * i] = ca * ca * R[0, 0] - 2.0 * ca * sa * R[0, 1] + sa * sa * R[1, 1]
-        S[2 * i + 1, 2 * i] = ca * sa * (R[0, 0] - R[1, 1]) + (ca * ca - sa * sa) * R[0, 1]
-        S[2 * i + 1, 2 * i + 1] = sa * sa * R[0, 0] + 2.0 * ca * sa * R[0, 1] + ca * ca * R[1, 1]
-        for row in range(2 * i):
-            S[2 * i, row] = S[2 * i + 1, row] = 0.0
+        ex, ey = points[z, 0] - (c * hx + s * hy), points[z, 1] - (-s * hx + c * hy)
+        nu[a], nu[b] = ca * ex - sa * ey, sa * ex + ca * ey
+        _rows_of_HP(at, P, d, f, robot, HP[a], HP[b])
+        S[a, a], S[b, a], S[b, b] = _turned(ca, sa, covariances[z, 0, 0], covariances[z, 0, 1], covariances[z, 1, 1])
     for i in range(k):
-        f = 3 + 2 * paired[i]
+        f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
         dx, dy = at[f] - at[0], at[f + 1] - at[1]
-        for row in range(2 * i, 2 * k):
-            S[row, 2 * i] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
-            S[row, 2 * i + 1] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
-        S[2 * i, 2 * i] += _ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
-        S[2 * i + 1, 2 * i + 1] += _ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
+        S[a, a] += _ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
+        S[b, b] += _ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
+        for row in range(a, 2 * k):
+            S[row, a] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
+            S[row, b] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
     return nu, HP, S
 
 
@@ -198,13 +218,13 @@ def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Ar
             return i
         measured[k], paired[k] = i, features[i]
         k += 1
-    nu, W, S = _innovation(x, at, P, d, points, covariances, measured[:k], paired[:k])
+    nu, W, S = _innovation(x, at, P, d, points, covariances, measured, paired, k)
     if not cholesky(S):
         return m
     whiten(S, W, nu)
     lost = np.zeros(d)  # variance that the update takes away
     for i in range(2 * k):
-        row = W[i, :d]
+        row = W[i]
         for j in range(len(lost)):
             x[j] += row[j] * nu[i]
             lost[j] += row[j] * row[j]
@@ -230,9 +250,9 @@ def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
     for j in range(d):
         xj, yj, tj = P[min(0, j), max(0, j)], P[min(1, j), max(1, j)], P[min(2, j), max(2, j)]
         P[j, d], P[j, d + 1] = xj - dy * tj, yj + dx * tj
-    P[d, d] = P[0, d] - dy * P[2, d] + c * c * R[0, 0] - 2.0 * c * s * R[0, 1] + s * s * R[1, 1]
-    P[d, d + 1] = P[0, d + 1] - dy * P[2, d + 1] + c * s * (R[0, 0] - R[1, 1]) + (c * c - s * s) * R[0, 1]
-    P[d + 1, d + 1] = P[1, d + 1] + dx * P[2, d + 1] + s * s * R[0, 0] + 2.0 * c * s * R[0, 1] + c * c * R[1, 1]
+    rxx, rxy, ryy = _turned(c, s, R[0, 0], R[0, 1], R[1, 1])
+    P[d, d], P[d, d + 1] = P[0, d] - dy * P[2, d] + rxx, P[0, d + 1] - dy * P[2, d + 1] + rxy
+    P[d + 1, d + 1] = P[1, d + 1] + dx * P[2, d + 1] + ryy
     return True
 
 

@@ -54,15 +54,15 @@ def cholesky(A: Array) -> bool:
 @compiled
 def is_covariance(A: Array) -> bool:
     """Finite, symmetric and positive semi-definite, to 1e-9 of its trace."""
-    slack = 0.0
+    slack, factor = 0.0, np.empty(A.shape)
     for i in range(A.shape[0]):
         slack += _SLACK * abs(A[i, i])
-    factor = A.copy()
     for i in range(A.shape[0]):
-        factor[i, i] += slack + 1e-300
         for j in range(i):
+            factor[i, j] = A[i, j]
             if not (abs(A[i, j] - A[j, i]) <= slack):
                 return False
+        factor[i, i] = A[i, i] + slack + 1e-300
     return cholesky(factor)
 
 
