@@ -6,6 +6,7 @@ Nothing here calls the package's own compatibility, tree or search.
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,8 +26,8 @@ def problem(
 ) -> tuple[Scan, Prediction]:
     """A scan of m measurements before a map of n correlated features within ±`spread` m, ambiguous on purpose.
 
-    The joint covariance is that of a robot of uncertain pose (common to all features: strong correlations) over a map of
-    independent small errors. With locality, features fall into two or three groups, some of them near.
+    The joint covariance is that of a robot of uncertain pose (common to all features: strong correlations) over a map
+    of independent small errors. With locality, features fall into three groups, one of them near.
     """
     positions = rng.uniform(-spread, spread, (n, 2))
     jacobian = np.zeros((2 * n, 3))
@@ -51,8 +52,8 @@ def problem(
     features = np.sort(rng.permutation(3 * n)[:n])
     prediction = Prediction(features, positions, blocks, unknown, unknown, joint)
     if locality:
-        group = rng.integers(0, 3, n)
-        related = (group[:, None] == group) | np.eye(n, dtype=bool) | _symmetric(rng.random((n, n)) < 0.1)
+        group, stray = rng.integers(0, 3, n), rng.random((n, n)) < 0.1
+        related = (group[:, None] == group) | stray | stray.T
         near = (group == 0) & (rng.random(n) < 0.9)
         prediction = dataclasses.replace(
             prediction, locality=Locality(near, lambda rows: np.ascontiguousarray(related[np.ix_(rows, rows)]))
@@ -65,8 +66,10 @@ def _covariance(rng: np.random.Generator, sigma: float) -> Array:
     return sigma**2 * (a @ a.T + 0.5 * np.eye(2))
 
 
-def _symmetric(mask: np.ndarray) -> np.ndarray:
-    return mask | mask.T
+@functools.cache
+def gate(dof: int, confidence: float) -> float:
+    """χ²_{dof,conf}."""
+    return float(chi2.ppf(confidence, dof))
 
 
 def distance(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> float:
@@ -83,24 +86,25 @@ def distance(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -
 
 def compatible(scan: Scan, prediction: Prediction, confidence: float) -> list[list[tuple[float, int]]]:
     """Per measurement its individually compatible (D², row), ascending."""
-    gate = chi2.ppf(confidence, 2)
     lists = []
     for i in range(len(scan)):
         found = []
         for j in range(len(prediction)):
             nu = scan.points[i] - prediction.positions[j]
             d2 = float(nu @ np.linalg.solve(prediction.covariances[j] + scan.covariances[i], nu))
-            if d2 < gate:
+            if d2 < gate(2, confidence):
                 found.append((d2, j))
         lists.append(sorted(found))
     return lists
 
 
 def nearest(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
+    """Row per measurement: the compatible one of least D²."""
     return [found[0][1] if found else NONE for found in compatible(scan, prediction, confidence)]
 
 
 def singles(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
+    """Row per measurement: where each is the other's only compatible one."""
     lists = compatible(scan, prediction, confidence)
     everywhere = [j for found in lists for _, j in found]
     return [found[0][1] if len(found) == 1 and everywhere.count(found[0][1]) == 1 else NONE for found in lists]
@@ -143,7 +147,7 @@ def best_path(
             if related is not None and len(pairs) > len(base) and not related[pairs[len(base)][1], j]:
                 continue
             longer = [*pairs, (undecided[level], j)]
-            if distance(scan, prediction, longer) < chi2.ppf(confidence, 2 * len(longer)):
+            if distance(scan, prediction, longer) < gate(2 * len(longer), confidence):
                 stack.append((level + 1, longer))
     rows = [NONE] * len(scan)
     for i, j in best[2]:

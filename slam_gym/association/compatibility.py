@@ -26,6 +26,7 @@ _FAULTS = (
     "prediction.covariances[{}] has a variance that is negative or not finite",
     "scan.covariances[{}] leaves the innovation covariance singular",
 )
+_EVERY_ROW = np.empty(0, np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,7 @@ def individual(
     if measurements is None:
         measurements = np.arange(len(scan.points))
     if eligible is None:
-        eligible = np.ones(len(prediction.features), np.bool_)
+        eligible = _EVERY_ROW
     gate = chi2_gate(2, confidence)
     fault, where, tests, starts, measured, slots, distances, innovations, rows = _individual(
         scan.points, scan.covariances, prediction.positions, prediction.covariances, measurements, eligible, gate
@@ -149,26 +150,20 @@ def _individual(
     starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(room, np.int64)
     slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
     offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
-    x, y = positions[offered, 0], positions[offered, 1]
-    xx, yy = covariances[offered, 0, 0], covariances[offered, 1, 1]
-    maybe = np.empty(len(offered), np.bool_)
     for level in range(len(measurements)):
         i = measurements[level]
-        # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings, several at a time
-        for k in range(len(offered)):
-            u, v = points[i, 0] - x[k], points[i, 1] - y[k]
-            maybe[k] = (u * u < gate * (xx[k] + noise[i, 0, 0])) & (v * v < gate * (yy[k] + noise[i, 1, 1]))
-        for k in range(len(offered)):
-            if not maybe[k]:
+        for j in offered:
+            x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
+            xx, yy = covariances[j, 0, 0] + noise[i, 0, 0], covariances[j, 1, 1] + noise[i, 1, 1]
+            # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings
+            if x * x >= gate * xx or y * y >= gate * yy:
                 continue
-            j = offered[k]
-            u, v = points[i, 0] - x[k], points[i, 1] - y[k]
-            a, b, d = xx[k] + noise[i, 0, 0], covariances[j, 0, 1] + noise[i, 0, 1], yy[k] + noise[i, 1, 1]
-            determinant = a * d - b * b
+            xy = covariances[j, 0, 1] + noise[i, 0, 1]
+            determinant = xx * yy - xy * xy
             if not determinant > 0.0:
                 fault, where = 5, i
                 continue
-            distance = (d * u * u - 2.0 * b * u * v + a * v * v) / determinant
+            distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
             if not distance < gate:
                 continue
             if count == len(slots):
@@ -181,10 +176,10 @@ def _individual(
                 innovations[place, 0], innovations[place, 1] = innovations[place - 1, 0], innovations[place - 1, 1]
                 place -= 1
             measured[count], slots[place], distances[place] = i, j, distance
-            innovations[place, 0], innovations[place, 1] = u, v
+            innovations[place, 0], innovations[place, 1] = x, y
             count += 1
         starts[level + 1] = count
-    rows = _number_distinct(slots[:count], len(eligible))
+    rows = _number_distinct(slots[:count], len(positions))
     tests = len(measurements) * len(offered)
     return fault, where, tests, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows
 
@@ -199,18 +194,21 @@ def _offered(
     eligible: BoolArray,
     gate: float,
 ) -> IntArray:
-    """Eligible rows whose gate reaches into the box around the measurements: the others are compatible with none."""
+    """Eligible rows whose gate reaches into the box around the measurements: the others are compatible with none.
+
+    An empty `eligible` stands for all rows.
+    """
     low, high, most = np.full(2, np.inf), np.full(2, -np.inf), np.zeros(2)
     for i in measurements:
         for axis in range(2):
             low[axis], high[axis] = min(low[axis], points[i, axis]), max(high[axis], points[i, axis])
             most[axis] = max(most[axis], noise[i, axis, axis])
-    offered, count = np.empty(len(eligible), np.int64), 0
-    for j in range(len(eligible)):
+    offered, count = np.empty(len(positions), np.int64), 0
+    for j in range(len(positions)):
         u = max(low[0] - positions[j, 0], positions[j, 0] - high[0], 0.0)
         v = max(low[1] - positions[j, 1], positions[j, 1] - high[1], 0.0)
         if (
-            eligible[j]
+            (len(eligible) == 0 or eligible[j])
             and u * u < gate * (covariances[j, 0, 0] + most[0])
             and v * v < gate * (covariances[j, 1, 1] + most[1])
         ):

@@ -20,6 +20,7 @@ from slam_gym.types import NONE, Array, BoolArray, Effort, Hypothesis, IntArray,
 
 _NO_PATH = np.empty(0, np.int64)
 _NO_COVARIANCE = np.empty((0, 0))
+_NO_INNOVATION = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,7 @@ def interpretation_tree(
 def root(tree: Tree) -> Node:
     """The root: nothing decided but the pairings given."""
     if not tree.pairings_given:
-        return Node(_NO_PATH, _NO_PATH, _NO_COVARIANCE, np.empty(0), 0.0)
+        return Node(_NO_PATH, _NO_PATH, _NO_COVARIANCE, _NO_INNOVATION, 0.0)
     paired = np.flatnonzero(tree.given != NONE)
     slots = np.arange(len(paired))
     innovations = tree.scan.points[paired] - tree.prediction.positions[tree.rows[slots]]
@@ -165,10 +166,8 @@ def hypothesis(tree: Tree, node: Node, effort: Effort) -> Hypothesis:
 
 def as_hypothesis(prediction: Prediction, rows: IntArray, distance: float, effort: Effort) -> Hypothesis:
     """Rows of the prediction (m,), or NONE, turned into map features."""
-    paired = rows != NONE
-    features = np.full(len(rows), NONE)
-    features[paired] = prediction.features[rows[paired]]
-    return Hypothesis(features, distance, 2 * int(np.count_nonzero(paired)), effort)
+    features, pairings = _features(prediction.features, rows)
+    return Hypothesis(features, distance, 2 * pairings, effort)
 
 
 def _child(tree: Tree, node: Node, candidate: int) -> Node:
@@ -237,3 +236,14 @@ def _factorise(covariance: Array, slots: IntArray, innovations: Array, noise: Ar
     for i in range(p):
         distance += append_pairing(factor, whitened, slots, i, covariance, slots[i], innovations[i], noise[i])
     return factor, whitened, distance
+
+
+@compiled
+def _features(features: IntArray, rows: IntArray) -> tuple[IntArray, int]:
+    """`features` (k,) at `rows` (m,), NONE where there is no row; and the number of rows."""
+    out, count = np.full(len(rows), NONE), 0
+    for i in range(len(rows)):
+        if rows[i] != NONE:
+            out[i] = features[rows[i]]
+            count += 1
+    return out, count
