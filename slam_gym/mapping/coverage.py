@@ -83,10 +83,9 @@ class CoverageGrid:
         that it cannot reach are left out. Without a field every free cell counts as reachable.
         """
         reachable = self._cells == FREE if field is None else np.isfinite(field.lengths)
-        cells, borders = find_frontiers(
-            self._cells, reachable, min_length / self.resolution - 1e-9, span / self.resolution
-        )
-        return Frontiers(self.origin + (cells + 0.5) * self.resolution, borders * np.float64(self.resolution))
+        borders = min_length / self.resolution - 1e-9
+        found = find_frontiers(self._cells, reachable, borders, span / self.resolution).astype(np.float64)
+        return Frontiers(self.origin + (found[:, :2] + 0.5) * self.resolution, found[:, 2] * self.resolution)
 
     def expected_area(self, points: Array, reach: float, rays: int = 32) -> Array:
         """Unknown area [m²] (q,) within `reach` [m] of each of `points` (q, 2) in B, in view past the known walls.

@@ -31,15 +31,14 @@ class Frontiers:
 
 
 @compiled
-def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: float) -> tuple[IntArray, IntArray]:
-    """Cells (q, 2) [column, row] that stand for the frontiers, and the number of unknown cells beside each (q,).
+def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: float) -> IntArray:
+    """Column and row of the cell that stands for each frontier, and the number of unknown cells beside it (q, 3).
 
     A frontier is a set of 8-connected free cells with an unknown 4-neighbour, none further than `span` from the first.
     """
     h, w = cells.shape
     labels, queue = _mark(cells), np.empty((h * w, 2), dtype=np.int32)
-    found, component = np.empty((h * w, 3), dtype=np.int64), 0
-    count = 0
+    found, count, component = np.empty((h * w, 3), dtype=np.int64), 0, 0
     for r in range(h):
         for c in range(w):
             if labels[r, c] == ON_FRONTIER:
@@ -51,7 +50,7 @@ def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: 
                     if row >= 0:
                         found[count, 0], found[count, 1], found[count, 2] = column, row, border
                         count += 1
-    return found[:count, :2].copy(), found[:count, 2].copy()
+    return found[:count]
 
 
 @compiled
@@ -111,17 +110,21 @@ def _stand_in(
 
     Where all of them are too near a wall to be reached, free cells around them will do.
     """
-    row, column = queue[:end, 0].mean(), queue[:end, 1].mean()
-    best, best_row, best_column, first = math.inf, -1, -1, 0
-    for _ in range(1 + _RINGS):
-        for i in range(first, end):
+    row, column = 0.0, 0.0
+    for i in range(end):
+        row, column = row + queue[i, 0] / end, column + queue[i, 1] / end
+    best, best_row, best_column = math.inf, -1, -1
+    bounds = np.zeros(_RINGS + 3, dtype=np.int64)  # ring k is queue[bounds[k]:bounds[k + 1]]
+    bounds[1] = end
+    for ring in range(1 + _RINGS):
+        for i in range(bounds[ring], bounds[ring + 1]):
             r, c = queue[i, 0], queue[i, 1]
             distance = math.hypot(r - row, c - column)
             if reachable[r, c] and distance < best:
                 best, best_row, best_column = distance, r, c
         if best_row >= 0:
             break
-        first, end = end, _next_ring(cells, labels, queue, first, end, component)
+        bounds[ring + 2] = _next_ring(cells, labels, queue, bounds[ring], bounds[ring + 1], component)
     return best_row, best_column
 
 
@@ -129,8 +132,8 @@ def _stand_in(
 def _next_ring(cells: Cells, labels: Labels, queue: Labels, first: int, end: int, component: int) -> int:
     """Append the free cells beside queue[first:end] that lie on no frontier; returns the new end of the queue."""
     h, w = cells.shape
-    seen = -1 - component
-    for i in range(first, end):
+    seen, last = -1 - component, end
+    for i in range(first, last):
         for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             r, c = queue[i, 0] + dr, queue[i, 1] + dc
             if not (0 <= r < h and 0 <= c < w) or cells[r, c] != FREE:

@@ -20,7 +20,10 @@ Evidence = NDArray[np.int8]  # (h, w) for a wall where > 0, for free space where
 Sweeps = NDArray[np.int32]  # (h, w) the sweep that last touched each cell
 Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
 
-HIT, MISS = 3, -1  # evidence that one sweep adds to the cell of an echo, and to a cell that a beam crossed
+HIT, MISS = (
+    np.int64(3),
+    np.int64(-1),
+)  # evidence that one sweep adds to the cell of an echo, and to a cell that a beam crossed
 SATURATION = 8  # |evidence| never exceeds it, so that nine crossings wash out a wall that has gone
 BLOCK = 2  # cells on a block's side
 SHADE = 85  # brightness that one feature adds to its pixel
@@ -40,7 +43,7 @@ def border_crossings(position: float, direction: float) -> tuple[int, float, flo
 
 
 @compiled
-def _weigh(cells: Cells, evidence: Evidence, blocks: Blocks, row: int, column: int, change: int) -> int:
+def _weigh(cells: Cells, evidence: Evidence, blocks: Blocks, row: int, column: int, change: np.int64) -> int:
     """Add evidence to a cell and reclassify it; returns the change in the number of free cells."""
     weight = min(SATURATION, max(-SATURATION, evidence[row, column] + change))
     evidence[row, column] = weight

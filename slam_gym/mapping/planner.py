@@ -20,7 +20,9 @@ MARGIN = 0.4  # [m] beyond the clearance, up to which paths pay for being near a
 CROWDING = 8.0  # what a metre right at a wall costs more than one in the open
 STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))  # rows, columns; straight ones first
 
+Levels = NDArray[np.int32]  # (h, w) 0 = impassable, else 1 + squared distance to the nearest wall [cells²]
 Steps = NDArray[np.int8]  # (h, w) index into STEPS of the step by which a path enters each cell
+_ROWS, _COLUMNS = zip(*STEPS)
 _LENGTHS = tuple(math.hypot(dr, dc) for dr, dc in STEPS)
 _BUCKETS = 1 << math.ceil(math.log2(math.sqrt(2.0) * (1.0 + CROWDING) + 2.0))  # hold the dearest step, and wrap around
 
@@ -32,7 +34,8 @@ class Field:
     start: Array  # (2,) [m] in B
     lengths: Array  # (h, w) [m] length of the path from the start; inf where none leads
     costs: Array  # (h, w) [cells] cost of that path; a cell's side costs 1 in the open
-    weights: Array  # (h, w) cost per length in each cell, ≥ 1; inf in walls and in the unknown
+    levels: Levels  # (h, w) index into `weights` of each cell
+    weights: Array  # what a length costs at each level, ≥ 1; inf at level 0: walls and the unknown
     steps: Steps  # (h, w) index into STEPS of the path's last step; −1 at the start and where no path leads
     origin: Array  # (2,) [m] in B
     resolution: float  # [m]
@@ -64,7 +67,8 @@ class Field:
         cell = self.cell(goal)
         if cell is None or not np.isfinite(self.costs[cell]):
             return np.empty((0, 2))
-        cells = _shortened(self.costs, self.weights, _trace(self.steps, *cell))
+        cells = _trace(self.steps, *cell)
+        cells = cells[_shortened(self.costs, self.levels, self.weights, cells)]
         inner = self.origin + (cells[1:-1, ::-1] + 0.5) * self.resolution
         return np.concatenate([self.start[None], inner, np.asarray(goal, dtype=np.float64)[None]])
 
@@ -80,12 +84,24 @@ def distance_field(grid: CoverageGrid, start: Array, clearance: float) -> Field:
     if not 0.0 <= clearance < math.inf:
         raise ValueError(f"clearance: expected a finite length ≥ 0 [m], got {clearance}")
     start = np.array(start, dtype=np.float64)
-    weights, closed = _crowding(grid.cells, clearance / grid.resolution, (clearance + MARGIN) / grid.resolution)
+    levels, weights = _levels(grid.cells, (clearance + MARGIN) / grid.resolution)
+    first_open = 1 + math.ceil((clearance / grid.resolution) ** 2 - 1e-9)
     cell = _cell_of(start, grid.origin, grid.resolution, grid.cells.shape)
     row, column = cell or (-1, -1)  # off the grid: a corner of the border, from which no step leads
-    lengths, costs, steps = _wavefront(weights, closed, row + 1, column + 1, grid.resolution)
-    inner = np.s_[1:-1, 1:-1]
-    return Field(start, lengths[inner], costs[inner], weights[inner], steps[inner], grid.origin, grid.resolution)
+    shape, stride = levels.shape, levels.shape[1]
+    offsets = np.array([dr * stride + dc for dr, dc in STEPS])
+    seed = (row + 1) * stride + column + 1
+    lengths, costs, steps = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution)
+    return Field(
+        start,
+        lengths.reshape(shape)[1:-1, 1:-1],
+        costs.reshape(shape)[1:-1, 1:-1],
+        levels[1:-1, 1:-1],
+        weights,
+        steps.reshape(shape)[1:-1, 1:-1],
+        grid.origin,
+        grid.resolution,
+    )
 
 
 def _cell_of(point: Array, origin: Array, resolution: float, shape: tuple[int, ...]) -> tuple[int, int] | None:
@@ -94,63 +110,67 @@ def _cell_of(point: Array, origin: Array, resolution: float, shape: tuple[int, .
 
 
 @compiled
-def _squares_to_walls(cells: Cells, radius: int) -> IntArray:
+def _squares_to_walls(cells: Cells, radius: int) -> NDArray[np.int32]:
     """Squared distance [cells²] (h, w) to the nearest wall cell, exact up to `radius`, larger beyond it.
 
-    First along the rows, then the least sum of squares over the column.
+    First the distances along each row, then the least sum of squares over each column.
     """
     h, w = cells.shape
-    gaps = np.full((h, w), radius + 1)
+    across = np.empty((h, w), dtype=np.int32)
     for r in range(h):
+        gap = radius + 1
         for c in range(w):
-            gaps[r, c] = 0 if cells[r, c] == WALL else (min(radius, gaps[r, c - 1]) + 1 if c > 0 else radius + 1)
-        for c in range(w - 2, -1, -1):
-            gaps[r, c] = min(gaps[r, c], gaps[r, c + 1] + 1)
-    squares = np.full((h, w), (radius + 1) ** 2)
+            gap = 0 if cells[r, c] == WALL else min(radius, gap) + 1
+            across[r, c] = gap
+        for c in range(w - 1, -1, -1):
+            gap = min(across[r, c], gap + 1)
+            across[r, c] = gap * gap
+    squares = np.full((h, w), (radius + 1) ** 2, dtype=np.int32)
     for r in range(h):
         for other in range(max(0, r - radius), min(h, r + radius + 1)):
+            along = np.int32((other - r) ** 2)
             for c in range(w):
-                squares[r, c] = min(squares[r, c], gaps[other, c] ** 2 + (other - r) ** 2)
+                squares[r, c] = min(squares[r, c], across[other, c] + along)
     return squares
 
 
 @compiled
-def _crowding(cells: Cells, clearance: float, reach: float) -> tuple[Array, BoolArray]:
-    """Cost of a metre in each cell and whether it is closed, within a border of impassable cells (h + 2, w + 2).
+def _levels(cells: Cells, reach: float) -> tuple[Levels, Array]:
+    """Levels of the cells, within a border of impassable ones (h + 2, w + 2), and weights of the levels.
 
-    Lengths in cells.
+    Walls crowd a path up to `reach` [cells] away.
     """
     h, w = cells.shape
-    squares = _squares_to_walls(cells, math.ceil(reach))
-    table = 1.0 + CROWDING * (1.0 - np.minimum(1.0, np.sqrt(np.arange((math.ceil(reach) + 1) ** 2 + 1)) / reach)) ** 2
-    weights, closed = np.full((h + 2, w + 2), math.inf), np.zeros((h + 2, w + 2), dtype=np.bool_)
+    radius = math.ceil(reach)
+    squares = _squares_to_walls(cells, radius)
+    levels = np.zeros((h + 2, w + 2), dtype=np.int32)
     for r in range(h):
         for c in range(w):
             if cells[r, c] == FREE:
-                weights[r + 1, c + 1] = table[squares[r, c]]
-                closed[r + 1, c + 1] = squares[r, c] < clearance * clearance - 1e-9
-    return weights, closed
+                levels[r + 1, c + 1] = 1 + squares[r, c]
+    weights = np.full((radius + 1) ** 2 + 2, math.inf)
+    for level in range(1, weights.shape[0]):
+        weights[level] = 1.0 + CROWDING * (1.0 - min(1.0, math.sqrt(level - 1) / reach)) ** 2
+    return levels, weights
 
 
 @compiled
 def _wavefront(
-    weights: Array, closed: BoolArray, row: int, column: int, resolution: float
+    levels: Levels, weights: Array, first_open: int, offsets: IntArray, start: int, resolution: float
 ) -> tuple[Array, Array, Steps]:
-    """Lengths [m], costs [cells] and last steps of the least-cost paths from a cell; arrays with a border.
+    """Lengths [m], costs [cells] and last steps of the least-cost paths from a cell. Flat arrays with a border.
 
     Dijkstra with buckets as wide as the cheapest step, 1: no step ends in the bucket that it started from, so the order
     within a bucket does not matter (Denardo and Fox 1979). A cell may wait in several buckets; the first one counts. A
     step costs its length times the mean weight of its ends; a diagonal one needs both cells that it passes between.
+    Levels below `first_open` are closed to paths from higher ones.
     """
-    shape, stride = weights.shape, weights.shape[1]
-    weights, closed = weights.ravel(), closed.ravel()
-    lengths, costs = np.full(weights.size, math.inf), np.full(weights.size, math.inf)
-    steps, settled = np.full(weights.size, -1, dtype=np.int8), np.zeros(weights.size, dtype=np.bool_)
-    offsets = np.array([dr * stride + dc for dr, dc in STEPS])
-    waiting = np.empty((8 * weights.size + 1, 2), dtype=np.int32)  # cell and the entry below it in its bucket
+    size = levels.shape[0]
+    lengths, costs = np.full(size, math.inf), np.full(size, math.inf)
+    steps, settled = np.full(size, -1, dtype=np.int8), np.zeros(size, dtype=np.bool_)
+    waiting = np.empty((8 * size + 1, 2), dtype=np.int32)  # cell and the entry below it in its bucket
     tops = np.full(_BUCKETS, -1)
-    start = row * stride + column
-    lengths[start] = costs[start] = 0.0
+    costs[start] = 0.0
     tops[0], waiting[0, 0], waiting[0, 1], entries = 0, start, -1, 1
     front, idle = 0, 0  # the bucket being emptied, and how many before it were empty
     while idle < _BUCKETS:
@@ -163,19 +183,22 @@ def _wavefront(
         if settled[node]:
             continue
         settled[node] = True
-        weight = min(weights[node], 1.0 + CROWDING)  # of a start in a wall or in the unknown
+        last = steps[node]
+        lengths[node] = 0.0 if last < 0 else lengths[node - offsets[last]] + _LENGTHS[last] * resolution
+        weight = min(weights[levels[node]], 1.0 + CROWDING)  # of a start in a wall or in the unknown
+        lowest = 1 if last < 0 or levels[node] < first_open else first_open
         for k in range(8):
-            length, other = _LENGTHS[k], node + offsets[k]
-            cost = costs[node] + 0.5 * length * (weight + weights[other])
-            if cost >= costs[other] or (closed[other] and not closed[node] and node != start):
+            other = node + offsets[k]
+            cost = costs[node] + 0.5 * _LENGTHS[k] * (weight + weights[levels[other]])
+            if cost >= costs[other] or levels[other] < lowest:
                 continue
-            if k >= 4 and max(weights[node + offsets[k - 4]], weights[node + offsets[(k - 3) % 4]]) == math.inf:
+            if k >= 4 and (levels[node + offsets[k - 4]] == 0 or levels[node + offsets[(k - 3) % 4]] == 0):
                 continue
-            costs[other], lengths[other], steps[other] = cost, lengths[node] + length * resolution, k
+            costs[other], steps[other] = cost, k
             bucket = int(cost) & (_BUCKETS - 1)
             waiting[entries, 0], waiting[entries, 1], tops[bucket] = other, tops[bucket], entries
             entries += 1
-    return lengths.reshape(shape), costs.reshape(shape), steps.reshape(shape)
+    return lengths, costs, steps
 
 
 @compiled
@@ -183,30 +206,30 @@ def _trace(steps: Steps, row: int, column: int) -> IntArray:
     """Cells (p, 2) [row, column] from the start of the wavefront to the cell given."""
     count, r, c = 1, row, column
     while steps[r, c] >= 0:
-        dr, dc = STEPS[steps[r, c]]
-        count, r, c = count + 1, r - dr, c - dc
+        k = steps[r, c]
+        count, r, c = count + 1, r - _ROWS[k], c - _COLUMNS[k]
     cells = np.empty((count, 2), dtype=np.int64)
+    r, c = row, column
     for i in range(count - 1, -1, -1):
-        cells[i, 0], cells[i, 1] = row, column
-        if i > 0:
-            dr, dc = STEPS[steps[row, column]]
-            row, column = row - dr, column - dc
+        cells[i, 0], cells[i, 1] = r, c
+        k = max(0, steps[r, c])
+        r, c = r - _ROWS[k], c - _COLUMNS[k]
     return cells
 
 
 @compiled
-def _line_cost(costs: Array, weights: Array, a: IntArray, b: IntArray) -> float:
+def _line_cost(costs: Array, levels: Levels, weights: Array, r0: int, c0: int, r1: int, c1: int) -> float:
     """Cost [cells] of the straight line between the centres of two cells; inf if it leaves the cells reached."""
-    dx, dy = float(b[1] - a[1]), float(b[0] - a[0])
+    dx, dy = float(c1 - c0), float(r1 - r0)
     length = math.hypot(dx, dy)
-    step_x, next_x, stride_x = border_crossings(a[1] + 0.5, dx / length)
-    step_y, next_y, stride_y = border_crossings(a[0] + 0.5, dy / length)
-    row, column, entered, cost = a[0], a[1], 0.0, 0.0
+    step_x, next_x, stride_x = border_crossings(c0 + 0.5, dx / length)
+    step_y, next_y, stride_y = border_crossings(r0 + 0.5, dy / length)
+    row, column, entered, cost = r0, c0, 0.0, 0.0
     while entered < length - 1e-9:
-        if max(costs[row, column], weights[row, column]) == math.inf:
+        if costs[row, column] == math.inf:
             return math.inf
         left = min(next_x, next_y, length)
-        cost += (left - entered) * weights[row, column]
+        cost += (left - entered) * weights[levels[row, column]]
         entered = left
         if next_x < next_y:
             column, next_x = column + step_x, next_x + stride_x
@@ -216,17 +239,14 @@ def _line_cost(costs: Array, weights: Array, a: IntArray, b: IntArray) -> float:
 
 
 @compiled
-def _shortened(costs: Array, weights: Array, cells: IntArray) -> IntArray:
-    """Of the cells (p, 2) of a path those that remain when straight lines replace whatever they do not make dearer."""
-    kept = np.empty_like(cells)
-    kept[0], count, anchor = cells[0], 1, 0
-    for i in range(1, len(cells)):
-        walked = costs[cells[i, 0], cells[i, 1]] - costs[cells[anchor, 0], cells[anchor, 1]]
-        if i > anchor + 1 and _line_cost(costs, weights, cells[anchor], cells[i]) > walked + 1e-9:
+def _shortened(costs: Array, levels: Levels, weights: Array, cells: IntArray) -> BoolArray:
+    """Which cells (p,) of a path (p, 2) remain when straight lines replace whatever they do not make dearer."""
+    kept = np.zeros(cells.shape[0], dtype=np.bool_)
+    kept[0] = kept[-1] = True
+    anchor = 0
+    for i in range(2, cells.shape[0]):
+        r0, c0, r1, c1 = cells[anchor, 0], cells[anchor, 1], cells[i, 0], cells[i, 1]
+        if _line_cost(costs, levels, weights, r0, c0, r1, c1) > costs[r1, c1] - costs[r0, c0] + 1e-9:
             anchor = i - 1
-            kept[count] = cells[anchor]
-            count += 1
-    if len(cells) > 1:
-        kept[count] = cells[-1]
-        count += 1
-    return kept[:count]
+            kept[anchor] = True
+    return kept

@@ -182,7 +182,8 @@ def test_frontiers_are_the_labelled_components(seed):
     noise = ndimage.gaussian_filter(rng.normal(size=(40, 60)), 1.5 + seed % 3)
     cells = np.digitize(noise, np.quantile(noise, [0.3, 0.8])).astype(np.uint8)
     reachable = (cells == FREE) & (rng.random(cells.shape) < 0.3)
-    centres, borders = find_frontiers(cells, reachable, 3.0, math.inf)
+    found = find_frontiers(cells, reachable, 3.0, math.inf)
+    centres, borders = found[:, :2], found[:, 2]
     expected, on_frontier = frontiers_by_labelling(cells, reachable, 3.0)
     assert all(reachable[row, column] for column, row in centres)
     labels, _ = ndimage.label(on_frontier, np.ones((3, 3)))
@@ -196,7 +197,8 @@ def test_frontiers_are_the_labelled_components(seed):
 def test_long_frontiers_are_split():
     cells = np.full((20, 200), FREE, dtype=np.uint8)
     cells[10:] = UNKNOWN
-    centres, borders = find_frontiers(cells, cells == FREE, 3.0, 15.0)
+    found = find_frontiers(cells, cells == FREE, 3.0, 15.0)
+    centres, borders = found[:, :2], found[:, 2]
     assert borders.sum() >= 200 and borders.max() <= 31
     assert np.diff(np.sort(centres[:, 0])).max() <= 31
 
