@@ -1,0 +1,158 @@
+"""A canvas in metres: antialiased shapes on a supersampled pygame surface. Needs the extra `render`."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym._compile import compiled
+from slam_gym.types import Array
+
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+try:
+    import pygame
+except ImportError as error:
+    raise ImportError('drawing needs pygame-ce: pip install "slam_gym[render]"') from error
+
+__all__ = ["Canvas", "Colour", "pygame", "text"]
+
+Colour = tuple[int, int, int]
+
+SUPERSAMPLING = 2
+_BROAD = 1.5  # [pixels] narrower lines are antialiased one by one, broader ones by the supersampling alone
+_CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 37)), np.sin(np.linspace(0, 2 * np.pi, 37))])[:, :-1]  # (2, 36)
+_SIGMAS_95 = math.sqrt(5.991)  # radius of the 95 % ellipse of a plane Gaussian: √χ²_{2, .95}
+
+
+class Canvas:
+    """A picture of the plane. Positions are in metres with y up, line widths and marker radii in final pixels.
+
+    `size` is (width, height) [pixels], `low` the position (x, y) [m] of the lower left corner.
+    """
+
+    def __init__(self, size: tuple[int, int], low: tuple[float, float], scale: float, background: Colour) -> None:
+        self.size = size
+        self.scale = scale  # [pixels/m]
+        self.surface = pygame.Surface((size[0] * SUPERSAMPLING, size[1] * SUPERSAMPLING), depth=32)
+        self.surface.fill(background)
+        self._low = np.array(low)
+
+    def picture(self) -> Any:
+        """The finished surface, of the canvas' size."""
+        return pygame.transform.smoothscale(self.surface, self.size)
+
+    def _pixels(self, points: Array) -> Array:
+        """Points (…, 2) [m] -> supersampled pixels, y down."""
+        pixels: Array = (points - self._low) * (self.scale * SUPERSAMPLING)
+        pixels[..., 1] = self.surface.get_height() - pixels[..., 1]
+        return np.clip(pixels, -1e5, 1e5, out=pixels)  # what lies far outside must not overflow pygame's integers
+
+    def polygons(self, shapes: Array, fill: Colour | None, line: Colour | None = None, width: float = 1.0) -> None:
+        """Closed polygons (k, v, 2)."""
+        for shape in self._pixels(shapes).tolist():
+            if fill is not None:
+                pygame.draw.polygon(self.surface, fill, shape)
+            if line is not None:
+                pygame.draw.polygon(self.surface, line, shape, max(1, round(SUPERSAMPLING * width)))
+
+    def segments(self, segments: Array, colour: Colour, width: float = 1.0) -> None:
+        """Straight lines (s, 4) x1 y1 x2 y2; the ends of broad ones are squared off half a width beyond."""
+        ends = self._pixels(segments.reshape(-1, 2, 2))
+        if width < _BROAD:
+            for start, end in ends.tolist():
+                pygame.draw.aaline(self.surface, colour, start, end, max(1, round(SUPERSAMPLING * width)))
+            return
+        along = ends[:, 1] - ends[:, 0]
+        along *= (0.5 * SUPERSAMPLING * width) / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        a, b = ends[:, 0] - along, ends[:, 1] + along
+        for quad in np.stack([a - across, b - across, b + across, a + across], axis=1).tolist():
+            pygame.draw.polygon(self.surface, colour, quad)
+
+    def polyline(self, points: Array, colour: Colour, width: float = 1.0) -> None:
+        """Line through points (k, 2)."""
+        self.segments(np.concatenate([points[:-1], points[1:]], axis=1), colour, width)
+
+    def dashes(self, points: Array, colour: Colour, width: float = 1.0, period: float = 9.0) -> None:
+        """Dashed line through points (k, 2), one dash each `period` [pixels], but at most 2 000."""
+        if len(points) < 2:
+            return
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        step = max(period / self.scale, along[-1] / 2000)
+        start = np.arange(0.0, along[-1], step)
+        end = np.minimum(start + 0.55 * step, along[-1])
+        ends = [np.interp(at, along, points[:, axis]) for at in (start, end) for axis in (0, 1)]
+        self.segments(np.stack(ends, axis=1), colour, width)
+
+    def discs(
+        self, points: Array, radius: float, fill: Colour | None, line: Colour | None = None, width: float = 1.0
+    ) -> None:
+        """Circles of `radius` [pixels] about points (k, 2)."""
+        r, w = SUPERSAMPLING * radius, max(1, round(SUPERSAMPLING * width))
+        for centre in self._pixels(points).tolist():
+            if fill is not None:
+                pygame.draw.circle(self.surface, fill, centre, r)
+            if line is not None:
+                pygame.draw.circle(self.surface, line, centre, r + w / 2, w)
+
+    def markers(self, points: Array, outline: Array, fill: Colour, line: Colour, width: float = 1.0) -> None:
+        """A small polygon, its outline (v, 2) [pixels, y up], about each of points (k, 2)."""
+        self.polygons(points[:, None] + outline / self.scale, fill, line, width)
+
+    def ellipses(
+        self, points: Array, covariances: Array, fill: Colour | None, line: Colour | None, width: float = 1.0
+    ) -> None:
+        """95 % ellipses of Gaussians with means (k, 2) and covariances (k, 2, 2)."""
+        values, vectors = np.linalg.eigh(covariances)
+        radii = _SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))
+        outlines = np.swapaxes(vectors @ (radii[:, :, None] * _CIRCLE), 1, 2)
+        self.polygons(points[:, None] + outlines, fill, line, width)
+
+    def cells(self, codes: NDArray[np.uint8], colours: list[Colour], pose: Array, resolution: float) -> None:
+        """A grid of cells (h, w), row 0 lowest, drawn under everything else.
+
+        `pose` (3,) is that of its lower left corner, `colours[code]` the colour of a cell.
+        """
+        palette = np.array([self.surface.map_rgb(colour) for colour in colours], np.uint32)
+        pixels = pygame.surfarray.pixels2d(self.surface)
+        _paint(pixels, codes, palette, self._low, 1.0 / (self.scale * SUPERSAMPLING), pose, resolution)
+
+
+@compiled
+def _paint(
+    pixels: NDArray[np.uint32],
+    codes: NDArray[np.uint8],
+    palette: NDArray[np.uint32],
+    low: Array,
+    metres: float,
+    pose: Array,
+    resolution: float,
+) -> None:
+    """Colour each of pixels (width, height), y down, `metres` wide, by the cell (h, w) in which its centre lies."""
+    width, height = pixels.shape
+    c, s = math.cos(pose[2]) / resolution, math.sin(pose[2]) / resolution
+    for j in range(height):
+        y = low[1] + metres * (height - j - 0.5) - pose[1]
+        for i in range(width):
+            x = low[0] + metres * (i + 0.5) - pose[0]
+            column, row = math.floor(c * x + s * y), math.floor(-s * x + c * y)
+            if 0 <= row < codes.shape[0] and 0 <= column < codes.shape[1]:
+                pixels[i, j] = palette[codes[row, column]]
+
+
+@functools.lru_cache(maxsize=16)
+def _font(size: int, bold: bool) -> Any:
+    pygame.font.init()
+    path = pygame.font.match_font("dejavusans,liberationsans,arial,helvetica", bold=bold)
+    return pygame.font.Font(path, size)
+
+
+@functools.lru_cache(maxsize=512)
+def text(words: str, size: int, colour: Colour, bold: bool = False) -> Any:
+    """A surface with one line of text, `size` [pixels] high."""
+    return _font(size, bold).render(words, True, colour)
