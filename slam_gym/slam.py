@@ -8,11 +8,25 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from slam_gym._compile import compiled
 from slam_gym.association.compatibility import has_compatible
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import NONE, Associator, Hypothesis, IntArray, Locality, Odometry, Prediction, Scan, SlamStep
+from slam_gym.types import (
+    NONE,
+    Associator,
+    BoolArray,
+    Hypothesis,
+    IntArray,
+    Locality,
+    Odometry,
+    Prediction,
+    Scan,
+    SlamStep,
+)
 from slam_gym.validation import check_scan
+
+_NO_FEATURES = np.empty(0, np.int64)
 
 Relocate = Callable[["Slam", Scan], Hypothesis | None]
 """Called when pairings collapse. It may move the map's pose, and returns the hypothesis to go on with, or None."""
@@ -68,7 +82,7 @@ class Slam:
 
     def _locality(self, features: IntArray) -> Locality:
         """Near: what was paired in recent scans, and all that was ever seen together with it."""
-        recent = np.concatenate(self._recent) if self._recent else np.empty(0, np.int64)
+        recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
         near = self.covisibility.local_to(recent)[features]
         return Locality(near, lambda rows: self.covisibility.among(features[rows]))
 
@@ -82,29 +96,23 @@ class Slam:
         confidence = self.spec.new_confidence or self.spec.map.confidence
         unpaired = hypothesis.features == NONE
         if not unpaired.any():
-            return np.empty(0, np.int64)
+            return _NO_FEATURES
         return np.flatnonzero(unpaired & ~has_compatible(scan, prediction, confidence))
 
     def _remember(self, prediction: Prediction, hypothesis: Hypothesis, new: IntArray, created: IntArray) -> SlamStep:
         """Covisibility of what was seen together, maintenance, and the record of the step."""
-        features = hypothesis.features.copy()
-        features[new] = created
-        seen = features[features != NONE]
-        ids = np.full(len(features), NONE, np.int64)
-        ids[features != NONE] = self.map.ids[seen]
+        seen, ids, made = _seen(hypothesis.features, new, created, self.map.ids)
         self.covisibility.add(len(created))
         self.covisibility.see_together(seen)
         self._recent.append(seen)
-        removed = self._maintain()
-        made = np.zeros(len(features), np.bool_)
-        made[new] = True
-        return SlamStep(prediction, hypothesis, ids, made, removed)
+        return SlamStep(prediction, hypothesis, ids, made, self._maintain())
 
     def _maintain(self) -> IntArray:
         """Drop features that were never confirmed; everything indexed by feature is renumbered. Returns their ids."""
         unconfirmed = self.map.unconfirmed()
-        removed = self.map.ids[unconfirmed]
+        removed = _NO_FEATURES
         if len(unconfirmed):
+            removed = self.map.ids[unconfirmed]
             count = self.map.n
             kept = self.map.remove(unconfirmed)
             self.covisibility.keep(kept)
@@ -122,3 +130,19 @@ class Slam:
         enough = len(scan) == 0 or self.map.n == 0 or paired >= self.spec.collapse * len(scan)
         self._starved = 0 if enough else self._starved + 1
         return self._starved >= self.spec.collapse_scans
+
+
+@compiled
+def _seen(
+    features: IntArray, new: IntArray, created: IntArray, map_ids: IntArray
+) -> tuple[IntArray, IntArray, BoolArray]:
+    """Features (s,) that the scan updated or started; id (m,) behind each measurement, or NONE; which started one."""
+    behind, made = features.copy(), np.zeros(len(features), np.bool_)
+    for k in range(len(new)):
+        behind[new[k]], made[new[k]] = created[k], True
+    seen, ids, s = np.empty(len(features), np.int64), np.full(len(features), NONE), 0
+    for i in range(len(features)):
+        if behind[i] != NONE:
+            seen[s], ids[i] = behind[i], map_ids[behind[i]]
+            s += 1
+    return seen[:s], ids, made

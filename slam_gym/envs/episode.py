@@ -94,6 +94,7 @@ class Episode:
         self.nees: list[float] = []  # of the pose
         self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
         self.ticks = -1  # the first look, from where the robot stands, is no tick
+        self._error, self._error_at = 1.0, -1  # map error, and the tick that it is of
         self._perceive(_AT_REST)
 
     def tick(self, forward: float, turn: float) -> None:
@@ -145,7 +146,10 @@ class Episode:
 
     def map_error(self) -> float:
         """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
-        return map_quality.map_error(self.landmarks, self.targets, self.scenario.prior_sigma)
+        if self._error_at != self.ticks:  # rewards and info both ask for it
+            self._error_at = self.ticks
+            self._error = map_quality.map_error(self.landmarks, self.targets, self.scenario.prior_sigma)
+        return self._error
 
     def coverage(self) -> float:
         """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""

@@ -255,7 +255,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
         raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
 
     def _begin_step(self) -> None:
-        self._tally_before = self.episode.identities.total
+        self._counts_before = self.episode.identities.counts
         self._ticks_before = max(self.episode.ticks, 0)
 
     def _after_tick(self) -> None:
@@ -283,16 +283,16 @@ class ExploreEnv(gym.Env[Observation, Any]):
         return observation
 
     def _info(self) -> Info:
-        episode, before = self.episode, self._tally_before
-        total = episode.identities.total
+        episode = self.episode
+        decided = Tally(*(episode.identities.counts - self._counts_before).tolist())
         sources = np.full(self.measurements, NONE)
         sources[: len(episode.truth)] = episode.truth.sources
         info: Info = {
             "map_error": episode.map_error(),
             "coverage": episode.coverage(),
-            "pairings_right": total.tp - before.tp,
-            "pairings_wrong": total.fp - before.fp,
-            "pairings_missed": total.fn - before.fn,
+            "pairings_right": decided.tp,
+            "pairings_wrong": decided.fp,
+            "pairings_missed": decided.fn,
             "pose_nees": episode.nees[-1],
             "ticks": episode.ticks - self._ticks_before,
             "pose": episode.estimates[-1].copy(),

@@ -58,42 +58,46 @@ def observation_space(measurements: int, goals: tuple[int, int] | None) -> space
 
 
 @compiled
-def _encode(points: Array, covariances: Array, attributes: Array, rows: int) -> Float32Array:
-    """The nearest `rows` points (k, 2) with covariances (k, 2, 2), nearest first, as `POINT_FIELDS`; then zeros."""
+def _encode(points: Array, covariances: Array, attributes: Array, scale: float, rows: int) -> Float32Array:
+    """The nearest `rows` points (k, 2) with covariances (k, 2, 2) as `POINT_FIELDS`, nearest first; then zeros.
+
+    Attributes are squashed by `scale`, unless that is 0; NaN shows as 0.
+    """
     order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2)
     out = np.zeros(rows * 7, np.float32)
     for place in range(min(rows, points.shape[0])):
         i, at = order[place], 7 * place
         sx, sy = math.sqrt(max(covariances[i, 0, 0], 0.0)), math.sqrt(max(covariances[i, 1, 1], 0.0))
         out[at] = 1.0
-        out[at + 1] = points[i, 0] / (abs(points[i, 0]) + 6.0)
-        out[at + 2] = points[i, 1] / (abs(points[i, 1]) + 6.0)
-        out[at + 3] = sx / (sx + 0.1)
+        out[at + 1] = points[i, 0] / (abs(points[i, 0]) + POSITION_SCALE)
+        out[at + 2] = points[i, 1] / (abs(points[i, 1]) + POSITION_SCALE)
+        out[at + 3] = sx / (sx + SIGMA_SCALE)
         out[at + 4] = 0.0 if sx * sy == 0.0 else max(-1.0, min(1.0, covariances[i, 0, 1] / (sx * sy)))
-        out[at + 5] = sy / (sy + 0.1)
-        out[at + 6] = attributes[i]
+        out[at + 5] = sy / (sy + SIGMA_SCALE)
+        if not math.isnan(attributes[i]):
+            out[at + 6] = attributes[i] if scale == 0.0 else attributes[i] / (abs(attributes[i]) + scale)
     return out
 
 
 def encode_scan(scan: Scan, measurements: int) -> Float32Array:
     """Measurements, nearest first; an unknown size shows as 0."""
-    sizes = np.nan_to_num(scan.sizes)
-    return _encode(scan.points, scan.covariances, sizes / (np.abs(sizes) + SIZE_SCALE), measurements)
+    return _encode(scan.points, scan.covariances, scan.sizes, SIZE_SCALE, measurements)
 
 
 def encode_features(prediction: Prediction, provisional: BoolArray) -> Float32Array:
     """The nearest map features in the robot frame; `provisional` (n,) is over the whole map."""
     attributes = provisional[prediction.features].astype(np.float64)
-    return _encode(prediction.positions, prediction.covariances, attributes, FEATURES)
+    return _encode(prediction.positions, prediction.covariances, attributes, 0.0, FEATURES)
 
 
+@compiled
 def encode_uncertainty(covariance: Array) -> Float32Array:
     """Standard deviations of the pose, squashed, from its (3, 3) covariance."""
-    sigmas = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-    return (sigmas / (sigmas + _UNCERTAINTY_SCALES)).astype(np.float32)
-
-
-_UNCERTAINTY_SCALES = np.array([SIGMA_SCALE, SIGMA_SCALE, HEADING_SCALE])
+    out = np.zeros(3, np.float32)
+    for i in range(3):
+        sigma = math.sqrt(max(covariance[i, i], 0.0))
+        out[i] = sigma / (sigma + (HEADING_SCALE if i == 2 else SIGMA_SCALE))
+    return out
 
 
 def encode_image(grid: CoverageGrid, pose: Array, features: Array) -> NDArray[np.uint8]:

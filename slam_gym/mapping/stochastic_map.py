@@ -88,7 +88,7 @@ class StochasticMap:
     @property
     def pose_covariance(self) -> Array:
         """(3, 3) [m², m·rad, rad²]."""
-        return _full(self._P[:3, :3])
+        return ekf.symmetric(self._P, 3)
 
     @property
     def positions(self) -> Array:
@@ -108,7 +108,7 @@ class StochasticMap:
     @property
     def covariance(self) -> Array:
         """(3 + 2n, 3 + 2n) of the state, symmetric to the last bit."""
-        return _full(self._P[: self._d, : self._d])
+        return ekf.symmetric(self._P, self._d)
 
     @property
     def ids(self) -> IntArray:
@@ -275,11 +275,6 @@ class _Joint:
         if self.map._version != self.version:
             raise RuntimeError("the map has changed since this prediction was made")
         return ekf.joint_covariance(self.map._at, self.map._P, self.features[rows])
-
-
-def _full(upper: Array) -> Array:
-    """The symmetric matrix of which the upper triangle is given."""
-    return np.triu(upper) + np.triu(upper, 1).T
 
 
 def _bad_measurement(scan: Scan, i: int) -> ValueError:

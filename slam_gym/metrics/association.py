@@ -102,6 +102,11 @@ class Identities:
         self._in_map: dict[int, list[int]] = {}  # source -> ids of the features the map has of it, oldest first
 
     @property
+    def counts(self) -> IntArray:
+        """(12,) fields of the tally of all steps so far."""
+        return self._counts.copy()
+
+    @property
     def total(self) -> Tally:
         """Tally of all steps so far."""
         return Tally(*self._counts.tolist())
