@@ -36,16 +36,15 @@ class Outlines:
     is_pillar: list[bool]  # per ring
 
 
-def trace(mask: Mask, pixel: float, tolerance: float = 0.8) -> Outlines:
+def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
     """Outlines of `mask` along the edges of its pixels of side `pixel` [m], simplified by at most `tolerance` [pixels].
 
     The mask is traced on a lattice of twice its density, on which the edges between free and blocked pixels are nodes
     of their own: passages keep their full width. Simplification is Douglas and Peucker's (1973).
     """
     cv2 = import_cv2()
-    rows, columns = np.nonzero(mask)
     lattice = np.zeros((2 * mask.shape[0] + 1, 2 * mask.shape[1] + 1), dtype=np.uint8)
-    lattice[2 * rows + 1, 2 * columns + 1] = 1
+    lattice[1::2, 1::2] = mask
     lattice = cv2.dilate(lattice, np.ones((3, 3), np.uint8))
     found, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings, pillars, is_pillar = [], [], []

@@ -29,10 +29,10 @@ _TRIES = 40  # draws for one thing to find its place
 class Contents:
     """What stands in the rooms. Each thing is drawn at random and left out where it does not fit."""
 
-    pilasters: float = 0.05  # [1/m] mean number along a wall; each adds four corners
+    pilasters: float = 0.04  # [1/m] mean number along a wall; each adds four corners
     pilaster_width: tuple[float, float] = (0.3, 0.6)  # [m] along the wall
     pilaster_depth: tuple[float, float] = (0.2, 0.4)  # [m] into the room
-    pillars: float = 0.5  # mean number in a room
+    pillars: float = 0.4  # mean number in a room
     pillar_diameter: tuple[float, float] = (0.25, 0.6)  # [m]
     furniture: float = 0.8  # mean number of movable boxes in a room
     furniture_side: tuple[float, float] = (0.4, 0.9)  # [m]
@@ -67,28 +67,27 @@ class _Draft:
         self.blocked: list[tuple[float, float, float, float]] = []
         self.pillars: list[tuple[float, float, float]] = []  # x, y, diameter
         self.furniture: list[tuple[float, float, float, float, float]] = []
-        self.occupied: list[tuple[float, float, float]] = []  # x, y, radius: what stands somewhere already
+        self.kept_free: list[tuple[float, float, float]] = []  # x, y, radius of the discs in which nothing may stand
 
     def add_room(self, name: str, x1: float, y1: float, x2: float, y2: float) -> None:
         self.floors.append((x1, y1, x2, y2))
         self.rooms.append(Room(name, np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]])))
+        self.kept_free.append(((x1 + x2) / 2, (y1 + y2) / 2, _CENTRE_AREA))
 
     def add_door(self, a: str, b: str, x1: float, y1: float, x2: float, y2: float, upright: bool) -> None:
         """A door as the rectangle that it cuts out of a wall; `upright`: the wall runs along y."""
         self.openings.append((x1, y1, x2, y2))
-        width = y2 - y1 if upright else x2 - x1
-        self.doors.append(Door(np.array([(x1 + x2) / 2, (y1 + y2) / 2]), round(width, 3), (a, b)))
+        x, y, width = (x1 + x2) / 2, (y1 + y2) / 2, round(y2 - y1 if upright else x2 - x1, 3)
+        self.doors.append(Door(np.array([x, y]), width, (a, b)))
+        self.kept_free.append((x, y, width / 2 + _DOOR_AREA))
 
     def fits(self, x: float, y: float, radius: float) -> bool:
         """A thing of this radius leaves doors, room centres and passages free."""
-        taken = [(*door.position, door.width / 2 + _DOOR_AREA) for door in self.doors]
-        taken += [(*room.centre, _CENTRE_AREA) for room in self.rooms]
-        taken += [(u, v, r + _PASSAGE) for u, v, r in self.occupied]
-        return all((x - u) ** 2 + (y - v) ** 2 >= (radius + r) ** 2 for u, v, r in taken)
+        return all((x - u) ** 2 + (y - v) ** 2 >= (radius + r) ** 2 for u, v, r in self.kept_free)
 
     def furnish(self, room: Room) -> None:
         """Pilasters, then pillars, then furniture, each where it finds a place."""
-        (x1, y1), (x2, y2) = room.polygon.min(axis=0), room.polygon.max(axis=0)
+        x1, y1, x2, y2 = self.floors[self.rooms.index(room)]
         things = self.contents
         for _ in range(self.rng.poisson(things.pilasters * 2 * (x2 - x1 + y2 - y1))):
             self._place_pilaster(x1, y1, x2, y2)
@@ -115,7 +114,7 @@ class _Draft:
         for _ in range(_TRIES):
             x, y = _draw(self.rng, (x1 + margin, x2 - margin)), _draw(self.rng, (y1 + margin, y2 - margin))
             if self.fits(x, y, radius):
-                self.occupied.append((x, y, radius))
+                self.kept_free.append((x, y, radius + _PASSAGE))
                 return x, y
         return None
 
@@ -139,7 +138,7 @@ class _Draft:
             x, y, radius = (block[0] + block[2]) / 2, (block[1] + block[3]) / 2, float(np.hypot(width, depth)) / 2
             if self.fits(x, y, radius):
                 self.blocked.append(block)
-                self.occupied.append((x, y, radius))
+                self.kept_free.append((x, y, radius + _PASSAGE))
                 return
 
     def finish(self, name: str) -> FloorPlan:
@@ -306,7 +305,7 @@ class HallGenerator:
     length: tuple[float, float] = (18.0, 22.0)  # [m]
     width: tuple[float, float] = (18.0, 22.0)  # [m]
     contents: Contents = field(
-        default_factory=lambda: Contents(pilasters=0.1, pillars=50, pillar_diameter=(0.25, 0.8), furniture=3)
+        default_factory=lambda: Contents(pilasters=0.06, pillars=42, pillar_diameter=(0.25, 0.8), furniture=3)
     )
 
     def __post_init__(self) -> None:

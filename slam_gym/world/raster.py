@@ -30,6 +30,7 @@ _MAX_CORNER_SIZE = 4.0  # [m]
 _MIN_ROOM = 1.0  # [m²]
 _SPECK = 0.05  # [m²] smaller obstacles in maps without labels are noise
 _SIZEABLE = 4.0  # [m²] an enclosed part of at least this area is a floor
+_DRAWN, _MEASURED = 0.8, 1.25  # [pixels] by how much outlines may be simplified in maps with and without labels
 _MIN_DOOR = 0.3  # [m]
 _MAX_DOOR = 3.0  # [m] rooms that meet along more than this are open to each other
 _JAMB_REACH = 0.4  # [m] from the end of a door line to the corners that frame it
@@ -130,12 +131,12 @@ def from_raster(
         free = _enclosed(free, resolution)
     if not free.any():
         raise FloorPlanError("occupancy", f"no free space: no pixel of a floor is lighter than {FREE_ABOVE}")
-    outlines = trace(free, resolution)
+    outlines = trace(free, resolution, _DRAWN if valid is not None else _MEASURED)
     frame = _Frame(free.shape[0], resolution, origin)
     rooms, doors = _rooms_and_doors(free, valid, frame) if valid is not None else (_one_room(outlines, frame), ())
     rings = [frame(ring) for ring in outlines.rings]
     walls = np.vstack([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
-    return FloorPlan(name, np.round(walls, 4), _features(outlines, rings, doors, frame), rooms, doors)
+    return FloorPlan(name, walls, _features(outlines, rings, doors, frame), rooms, doors)
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,7 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
         for part in range(1, count):
             if stats[part, cv2.CC_STAT_AREA] * frame.resolution**2 < _MIN_ROOM:
                 continue
-            rings = trace((parts == part).astype(np.uint8), frame.resolution).rings
+            rings = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN).rings
             outer = max((Room("outline", frame(ring + offset)) for ring in rings), key=lambda room: room.area)
             name = f"room {label}" if all(room.name != f"room {label}" for room in rooms) else f"room {label}.{part}"
             rooms.append(Room(name, outer.polygon))

@@ -1,0 +1,215 @@
+"""FloorPlan: what it accepts, what it refuses by name, and that a file gives back the same plan."""
+
+import copy
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from slam_gym.world.floor_plan import (
+    Door,
+    Features,
+    FloorPlan,
+    FloorPlanError,
+    Kind,
+    Room,
+    load_floor_plan,
+    save_floor_plan,
+)
+from slam_gym.world.generators import OfficeGenerator
+
+SQUARE = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
+CORNERS = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
+
+
+def square(**changes):
+    fields = {
+        "name": "square",
+        "walls": SQUARE,
+        "features": Features(CORNERS, [0, 0, 1, 2], [4.0, 4.0, 1.0, 0.5]),
+        "rooms": (Room("left", [[0, 0], [2, 0], [2, 4], [0, 4]]), Room("right", [[2, 0], [4, 0], [4, 4], [2, 4]])),
+        "doors": (Door([2.0, 2.0], 1.0, ("left", "right")),),
+        "furniture": [[1.0, 1.0, 0.6, 0.4, 0.3]],
+    }
+    return FloorPlan(**{**fields, **changes})
+
+
+def same(a, b):
+    """Bit for bit."""
+    assert a.name == b.name
+    for x, y in ((a.walls, b.walls), (a.furniture, b.furniture), (a.features.positions, b.features.positions)):
+        np.testing.assert_array_equal(x, y)
+        assert x.dtype == y.dtype == np.float64
+    np.testing.assert_array_equal(a.features.kinds, b.features.kinds)
+    np.testing.assert_array_equal(a.features.sizes, b.features.sizes)
+    assert [room.name for room in a.rooms] == [room.name for room in b.rooms]
+    for x, y in zip(a.rooms, b.rooms):
+        np.testing.assert_array_equal(x.polygon, y.polygon)
+    assert [(door.width, door.rooms) for door in a.doors] == [(door.width, door.rooms) for door in b.doors]
+    for x, y in zip(a.doors, b.doors):
+        np.testing.assert_array_equal(x.position, y.position)
+
+
+@pytest.mark.parametrize(
+    "plan", [square(), square(rooms=(), doors=(), furniture=()), OfficeGenerator()(np.random.default_rng(3))]
+)
+def test_json_and_pickle_give_back_the_same_plan(plan, tmp_path):
+    save_floor_plan(plan, tmp_path / "plan.json")
+    same(plan, load_floor_plan(tmp_path / "plan.json"))
+    same(plan, pickle.loads(pickle.dumps(plan)))
+
+
+def test_a_plan_without_features_is_a_plan():
+    assert len(square(features=Features([], [], [])).features) == 0
+
+
+def test_bounds():
+    np.testing.assert_array_equal(square().bounds, [0.0, 0.0, 4.0, 4.0])
+
+
+def test_arrays_are_contiguous_copies():
+    walls = np.asfortranarray(SQUARE)
+    plan = square(walls=walls)
+    walls[0, 0] = 99.0
+    assert plan.walls[0, 0] == 0.0
+    assert plan.walls.flags.c_contiguous and plan.features.kinds.dtype == np.int64
+
+
+@pytest.mark.parametrize(
+    ("build", "field", "reason"),
+    [
+        (lambda: square(walls=[]), "walls", "none"),
+        (lambda: square(walls=[[0, 0, 1]]), "walls", "shape"),
+        (lambda: square(walls=[[0, 0, 1], [0]]), "walls", "not a table of numbers"),
+        (lambda: square(walls=[["0", "0", "1", "1"]]), "walls", "not a table of numbers"),
+        (lambda: square(walls=[*SQUARE, [1, 1, 1, 1]]), "walls[4]", "no length"),
+        (lambda: square(walls=[*SQUARE, [1, 1, np.nan, 1]]), "walls[4]", "not finite"),
+        (lambda: square(walls=[*SQUARE, [1, 1, 1e4, 1]]), "walls[4]", "beyond"),
+        (lambda: square(walls=[[-1500, 0, 0, 0], [0, 0, 1500, 0]]), "walls", "longer"),
+        (lambda: Features([[np.inf, 0]], [0], [1]), "features.positions[0]", "not finite"),
+        (lambda: Features([[0, 0], [1, 1]], [0], [1]), "features", "2 positions, 1 kinds"),
+        (lambda: Features([[0, 0]], [7], [1]), "features.kinds[0]", "no known kind"),
+        (lambda: Features([[0, 0]], [0.5], [1]), "features.kinds[0]", "no known kind"),
+        (lambda: Features([[0, 0]], [0], [0.0]), "features.sizes[0]", "not in (0"),
+        (lambda: Features([[0, 0]], [0], [1e3]), "features.sizes[0]", "not in (0"),
+        (lambda: Features([[0, 0], [1, 1], [0, 0]], [0] * 3, [1] * 3), "features.positions[2]", "repeats"),
+        (lambda: square(features=Features([[50, 50]], [0], [1])), "features.positions[0]", "outside"),
+        (lambda: Room("sliver", [[0, 0], [1, 1], [2, 2]]), "room 'sliver': polygon", "no area"),
+        (lambda: Room("line", [[0, 0], [1, 1]]), "room 'line': polygon", "no area"),
+        (lambda: square(rooms=(square().rooms[0],) * 2, doors=()), "rooms[1]", "repeats a name"),
+        (lambda: square(rooms=()), "doors[0].rooms", "unknown room"),
+        (lambda: Door([0, 0], -1.0, ("a", "b")), "door: width[0]", "not in (0"),
+        (lambda: Door([0, 0], 1.0, ("a", "a")), "door: rooms", "not two different rooms"),
+        (lambda: square(furniture=[[1, 1, 0, 1, 0]]), "furniture.length[0]", "not in (0"),
+        (lambda: square(furniture=[[1, 1, 1, 500, 0]]), "furniture.width[0]", "not in (0"),
+        (lambda: square(furniture=[[1, 90, 1, 1, 0]]), "furniture[0]", "outside"),
+    ],
+)
+def test_bad_geometry_is_refused_by_name(build, field, reason):
+    with pytest.raises(ValueError) as caught:
+        build()
+    assert isinstance(caught.value, FloorPlanError)
+    assert caught.value.field == field
+    assert reason in caught.value.reason
+
+
+def edited(document, path, value):
+    """A copy with the value at `path` replaced, or removed where it is `...`."""
+    document = copy.deepcopy(document)
+    place = document
+    for key in path[:-1]:
+        place = place[key]
+    if value is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return document
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("surprise",), 1, "unknown key 'surprise'"),
+        (("features", 1, "colour"), "red", r"features\[1\]: unknown key 'colour'"),
+        (("walls",), ..., "'walls' is missing"),
+        (("doors", 0, "width"), ..., r"doors\[0\]: 'width' is missing"),
+        (("version",), 2, "format, version"),
+        (("format",), "something else", "format, version"),
+        (("name",), "", "name: is not a text"),
+        (("name",), 7, "name: is not a text"),
+        (("walls",), 5, "walls: is not|walls: has shape"),
+        (("walls", 0), [0, 0, 1], "walls: is not a table"),
+        (("walls", 0, 0), float("nan"), "NaN"),
+        (("walls", 0, 0), float("inf"), "Infinity"),
+        (("features",), {}, "features: is not a list"),
+        (("features", 2, "kind"), "tree", r"features\[2\].kind"),
+        (("features", 2, "kind"), ["corner"], r"features\[2\].kind"),
+        (("features", 2, "size"), -1, r"features.sizes\[2\]"),
+        (("features", 2, "size"), None, "features.sizes"),
+        (("rooms", 0), [], r"rooms\[0\]: is not an object"),
+        (("rooms", 0, "polygon"), [], "polygon: encloses no area"),
+        (("doors", 0, "rooms"), ["left"], r"doors\[0\].rooms: is not a pair"),
+        (("doors", 0, "rooms"), ["left", 3], r"doors\[0\].rooms: is not a text"),
+        (("doors", 0, "position"), [], "door: position"),
+        (("furniture", 0, "position"), [1, 2, 3], r"furniture\[0\].position: has shape"),
+        (("furniture", 0, "heading"), "north", r"furniture\[0\]: is not a table"),
+    ],
+)
+def test_bad_files_are_refused_by_file_field_and_reason(path, value, message, tmp_path):
+    file = tmp_path / "plan.json"
+    save_floor_plan(square(), file)
+    file.write_text(json.dumps(edited(json.loads(file.read_text()), path, value)))
+    with pytest.raises(FloorPlanError, match=message) as caught:
+        load_floor_plan(file)
+    assert str(caught.value).startswith(f"{file}: ")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe", b"null", b"[" * 100_000])
+def test_what_is_no_plan_at_all_is_refused(content, tmp_path):
+    (tmp_path / "plan.json").write_bytes(content)
+    with pytest.raises(FloorPlanError, match=r"plan\.json: file: "):
+        load_floor_plan(tmp_path / "plan.json")
+
+
+def test_missing_files_and_unknown_suffixes(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        load_floor_plan(tmp_path / "nowhere.json")
+    (tmp_path / "plan.docx").write_bytes(b"")
+    with pytest.raises(FloorPlanError, match="unknown suffix"):
+        load_floor_plan(tmp_path / "plan.docx", 0.1)
+
+
+def test_errors_survive_another_process():
+    error = pickle.loads(pickle.dumps(FloorPlanError("walls", "bad", "a.json")))
+    assert str(error) == "a.json: walls: bad"
+
+
+def winding(polygon, point):
+    """Turns of the outline around a point: ±1 inside a simple polygon, 0 outside."""
+    angles = np.arctan2(*(polygon - point).T[::-1])
+    turns = np.mod(np.diff(np.append(angles, angles[0])) + np.pi, 2 * np.pi) - np.pi
+    return round(float(turns.sum()) / (2 * np.pi))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_contains_agrees_with_the_winding_number(seed):
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 12))
+    polygon = rng.uniform(0.5, 3.0, 12)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    polygon = polygon[:: rng.choice([-1, 1])]
+    points = rng.uniform(-3, 3, (300, 2))
+    expected = [winding(polygon, point) != 0 for point in points]
+    np.testing.assert_array_equal(Room("star", polygon).contains(points), expected)
+
+
+def test_area_and_centre_of_a_room():
+    shape = Room("L", [[0, 0], [6, 0], [6, 2], [2, 2], [2, 6], [0, 6]])
+    assert shape.area == pytest.approx(20.0)
+    assert shape.contains(shape.centre[None])[0]
+    assert min(shape.centre) > 0.7
+    np.testing.assert_allclose(Room("corridor", [[0, 0], [20, 0], [20, 2], [0, 2]]).centre, [10.0, 1.0], atol=1e-9)
+
+
+def test_kinds_have_the_names_of_the_field():
+    assert [kind.name for kind in Kind] == ["CORNER", "DOOR_JAMB", "PILLAR"]

@@ -1,0 +1,155 @@
+"""Generated plans: reproducible, connected, full of features, and furnished without blocking anything."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from slam_gym.world import boxes
+from slam_gym.world.floor_plan import Kind
+from slam_gym.world.generators import AliasedGenerator, Contents, HallGenerator, OfficeGenerator
+from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.reachability import observable, reachable
+
+RADIUS = 0.2  # [m] of the robot
+CROWDED = Contents(pilasters=0.3, pillars=4.0, furniture=6.0)
+GENERATORS = {
+    "office": OfficeGenerator(),
+    "office-small": OfficeGenerator(rooms=4),
+    "office-crowded": OfficeGenerator(contents=CROWDED),
+    "one room": OfficeGenerator(rooms=1),
+    "aliased": AliasedGenerator(),
+    "aliased-crowded": AliasedGenerator(contents=CROWDED),
+    "hall": HallGenerator(),
+    "hall-crowded": HallGenerator(contents=Contents(pilasters=0.5, pillars=120.0, furniture=30.0)),
+}
+CASES = [
+    pytest.param(generator, seed, id=f"{name}-{seed}") for name, generator in GENERATORS.items() for seed in range(4)
+]
+
+
+def draw(generator, seed):
+    return generator(np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(("generator", "seed"), CASES)
+def test_same_seed_same_plan(generator, seed):
+    a, b, other = draw(generator, seed), draw(generator, seed), draw(generator, seed + 1_000)
+    for x, y in ((a.walls, b.walls), (a.features.positions, b.features.positions), (a.furniture, b.furniture)):
+        np.testing.assert_array_equal(x, y)
+    np.testing.assert_array_equal(a.features.sizes, b.features.sizes)
+    assert a.walls.shape != other.walls.shape or not np.array_equal(a.walls, other.walls)
+
+
+@pytest.mark.parametrize(("generator", "seed"), CASES)
+def test_every_room_can_be_driven_to_around_the_furniture(generator, seed):
+    plan = draw(generator, seed)
+    obstructed = dataclasses.replace(plan, walls=np.vstack([plan.walls, boxes.outlines(plan.furniture)]))
+    cells = reachable(obstructed, RADIUS, 0.1)
+    for room in plan.rooms:
+        assert np.hypot(*(cells - room.centre).T).min() < 0.15, room.name
+    for door in plan.doors:
+        assert np.hypot(*(cells - door.position).T).min() < 0.15
+
+
+@pytest.mark.parametrize(("generator", "seed"), CASES)
+def test_features_sit_on_the_walls_and_can_be_seen(generator, seed):
+    plan = draw(generator, seed)
+    features = plan.features
+    pillar = features.kinds == Kind.PILLAR
+    ends = plan.walls.reshape(-1, 2)
+    for position in features.positions[~pillar]:
+        assert np.count_nonzero((ends == position).all(axis=1)) == 2
+    for position, size in zip(features.positions[pillar], features.sizes[pillar]):
+        on_it = np.isclose(np.hypot(*(ends - position).T), size / 2, atol=1e-9)
+        assert np.count_nonzero(on_it) == 16  # the two ends of each side of an octagon
+    assert observable(plan, WallIndex(plan.walls), reachable(plan, RADIUS), 6.0).all()
+
+
+@pytest.mark.parametrize(("generator", "seed"), CASES)
+def test_each_door_has_four_jambs_of_its_width(generator, seed):
+    plan = draw(generator, seed)
+    features = plan.features
+    jamb = features.kinds == Kind.DOOR_JAMB
+    assert jamb.sum() == 4 * len(plan.doors)
+    for door in plan.doors:
+        assert 0.9 <= door.width <= 1.3
+        near = np.hypot(*(features.positions - door.position).T) < 0.5 * door.width + 0.2
+        assert near.sum() == 4 and jamb[near].all()
+        np.testing.assert_allclose(features.sizes[near], door.width)
+
+
+@pytest.mark.parametrize(
+    ("generator", "low", "high"),
+    [(OfficeGenerator(), 100, 150), (AliasedGenerator(), 80, 260), (HallGenerator(), 45, 85)],
+)
+def test_number_of_features(generator, low, high):
+    counts = [len(draw(generator, seed).features) for seed in range(40)]
+    assert low <= np.percentile(counts, 5) and np.percentile(counts, 95) <= high
+
+
+def test_feature_density_is_a_parameter():
+    def mean(density):
+        contents = Contents(pilasters=density, pillars=0.0)
+        return np.mean([len(draw(OfficeGenerator(contents=contents), seed).features) for seed in range(10)])
+
+    assert mean(0.0) < mean(0.05) - 20 < mean(0.15) - 40
+
+
+def test_an_office_is_as_large_as_promised():
+    sizes = np.array([np.subtract(*np.split(draw(OfficeGenerator(), seed).bounds, 2)[::-1]) for seed in range(40)])
+    np.testing.assert_allclose(sizes.mean(axis=0), [22.0, 13.5], atol=2.0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_aliased_rooms_are_identical_and_equally_spaced(seed):
+    plan = draw(AliasedGenerator(), seed)
+    rooms = [room for room in plan.rooms if room.name != "corridor"]
+    assert len(rooms) >= 8
+    corridor = plan.rooms[0].polygon[:, 1].max()
+    views = []
+    for room in rooms:
+        low, high = room.polygon.min(axis=0) - 0.05, room.polygon.max(axis=0) + 0.05
+        inside = ((plan.features.positions >= low) & (plan.features.positions <= high)).all(axis=1)
+        offset = plan.features.positions[inside] - room.polygon.min(axis=0)
+        if low[1] < 0.0:  # below the corridor: mirrored
+            offset[:, 1] = room.polygon[:, 1].max() - plan.features.positions[inside, 1]
+        view = np.column_stack([offset, plan.features.kinds[inside], plan.features.sizes[inside]])
+        views.append(view[np.lexsort(view.round(3).T)])
+    for view in views[1:]:
+        np.testing.assert_allclose(view, views[0], atol=2e-3)
+    for above in (True, False):
+        lefts = np.sort([room.polygon[:, 0].min() for room in rooms if (room.polygon[:, 1].min() > corridor) == above])
+        np.testing.assert_allclose(np.diff(lefts, 2), 0.0, atol=2e-3)
+
+
+@pytest.mark.parametrize(("generator", "seed"), CASES)
+def test_furniture_keeps_its_distance_from_doors_and_walls(generator, seed):
+    plan = draw(generator, seed)
+    for box in plan.furniture:
+        for door in plan.doors:
+            assert boxes.distance(*door.position, box[None]) > door.width / 2 + 0.5
+        for position in plan.features.positions:
+            assert boxes.distance(*position, box[None]) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("build", "field"),
+    [
+        (lambda: OfficeGenerator(rooms=0), "OfficeGenerator.rooms"),
+        (lambda: OfficeGenerator(door_width=(0.3, 1.0)), "OfficeGenerator.door_width"),
+        (lambda: OfficeGenerator(door_width=(1.2, 1.0)), "OfficeGenerator.door_width"),
+        (lambda: OfficeGenerator(room_width=(1.0, 5.0)), "OfficeGenerator.room_width"),
+        (lambda: OfficeGenerator(corridor_width=(0.5, 2.0)), "OfficeGenerator.corridor_width"),
+        (lambda: OfficeGenerator(wall_thickness=float("nan")), "OfficeGenerator.wall_thickness"),
+        (lambda: OfficeGenerator(joined=1.5), "OfficeGenerator.joined"),
+        (lambda: AliasedGenerator(rooms=1_000), "AliasedGenerator.rooms"),
+        (lambda: AliasedGenerator(room_depth=(4.0, 500.0)), "AliasedGenerator.room_depth"),
+        (lambda: HallGenerator(length=(0.0, 20.0)), "HallGenerator.length"),
+        (lambda: Contents(pillars=-1.0), "Contents.pillars"),
+        (lambda: Contents(pilaster_depth=(0.5, 0.2)), "Contents.pilaster_depth"),
+    ],
+)
+def test_impossible_parameters_are_refused_by_name(build, field):
+    with pytest.raises(ValueError, match=field):
+        build()
