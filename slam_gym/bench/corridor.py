@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.slam import Slam, SlamSpec
-from slam_gym.types import Array, Associator, IntArray, Odometry, Scan, Truth
+from slam_gym.types import Array, Hypothesis, IntArray, Odometry, Scan, Truth
 
 SIDE = 10.0  # [m]
 STEPS = 44
@@ -31,7 +32,7 @@ BEARING_SIGMA = math.radians(0.125)
 STRAIGHT_SIGMA = (0.01, 0.01, math.radians(2.0))  # [m, m, rad] of a step
 TURN_SIGMA = (0.03, 0.03, math.radians(2.5))
 
-ASSOCIATORS: dict[str, Associator | None] = {
+ASSOCIATORS: dict[str, Callable[..., Hypothesis] | None] = {
     "nearest_neighbour": nearest_neighbour,
     "singles": singles,
     "jcbb": jcbb,

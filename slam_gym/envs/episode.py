@@ -16,7 +16,7 @@ from slam_gym._compile import compiled
 from slam_gym.association import resolve, true_association
 from slam_gym.geometry import observe, relative, transform, wrap_angle
 from slam_gym.mapping.coverage import CoverageGrid
-from slam_gym.mapping.ekf import cholesky
+from slam_gym.mapping.linear_algebra import cholesky
 from slam_gym.mapping.virtual_map import VirtualMap
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities

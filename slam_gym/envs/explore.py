@@ -31,7 +31,7 @@ from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_seed
 from slam_gym.types import NONE, Associator
 
-Observation = dict[str, NDArray[Any]]
+Observation = dict[str, Any]
 Info = dict[str, Any]
 Snapshot = dict[str, Any]
 
@@ -101,15 +101,15 @@ class ExploreEnv(gym.Env[Observation, Any]):
             scenario = from_floor_plan(floor_plan, resolution)
         self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
         self.split, self.locality = split, locality
-        self.render_mode, self.render_covisibility = render_mode, render_covisibility
+        self.render_mode = render_mode
+        self.render_covisibility = render_covisibility
         self.goal_mode = action == "goal"
         self.associator = resolve(associator)
         self._error = get_reward(reward)
         self._virtual = reward != "map_error"
         self.measurements = self.scenario.sensor.max_features
-        self.observation_space = observation_space(
-            self.measurements, (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
-        )
+        goal_shape = (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
+        self.observation_space = observation_space(self.measurements, goal_shape)
         self.action_space = spaces.Discrete(SLOTS) if self.goal_mode else spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._site: Site | None = None
         self._episode: Episode | None = None
@@ -173,7 +173,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
 
         episode = self.episode
         if self._renderer is None:
-            self._renderer = Renderer(self.render_mode, episode.site.plan.bounds)
+            mode: Any = self.render_mode
+            self._renderer = Renderer(mode, episode.site.plan.bounds)
         self._renderer.bounds = episode.site.plan.bounds
         goals = self._goals.positions[1:][self._goals.legal[1:]] if self.goal_mode else np.empty((0, 2))
         frame = frame_of(episode, goals, covisibility=self.render_covisibility)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,8 +124,9 @@ def _best_revisits(places: Array, reductions: Array, lengths: Array) -> NDArray[
     return np.array(chosen, np.int64)
 
 
-def _scatter(slots: NDArray[np.int64], values: NDArray[np.generic]):  # type: ignore[no-untyped-def]
-    out = np.zeros((SLOTS, *values.shape[1:]), values.dtype)
+def _scatter(slots: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:
+    """`values` (q, …) at their slots, zeros elsewhere, (SLOTS, …)."""
+    out: NDArray[Any] = np.zeros((SLOTS, *values.shape[1:]), values.dtype)
     out[slots] = values
     return out
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 from slam_gym.envs.episode import Episode
+from slam_gym.mapping.virtual_map import VirtualMap
 
 
 def map_error(episode: Episode) -> float:
@@ -33,8 +34,9 @@ def entropy(episode: Episode) -> float:
     return _virtual(episode).entropy() - unseen
 
 
-def _virtual(episode: Episode):  # type: ignore[no-untyped-def]
-    assert episode.virtual_map is not None
+def _virtual(episode: Episode) -> VirtualMap:
+    if episode.virtual_map is None:
+        raise ValueError("the episode keeps no virtual map: ask for it with Episode(…, virtual=True)")
     return episode.virtual_map
 
 

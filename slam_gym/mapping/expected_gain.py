@@ -8,8 +8,8 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.mapping.coverage import CoverageGrid
-from slam_gym.mapping.ekf import cholesky
-from slam_gym.mapping.grid import WALL, border_crossings
+from slam_gym.mapping.grid import WALL, Cells, border_crossings
+from slam_gym.mapping.linear_algebra import cholesky
 from slam_gym.types import Array, IntArray
 
 MOST_FEATURES = 12  # nearest features in view that the foreseen update uses
@@ -33,9 +33,18 @@ def expected_reduction(
 
 
 @compiled
-def _expected_reduction(  # type: ignore[no-untyped-def]
-    x, P, cells, origin, resolution, places, reach, r, drift
+def _expected_reduction(
+    x: Array,
+    P: Array,
+    cells: Cells,
+    origin: Array,
+    resolution: float,
+    places: Array,
+    reach: float,
+    r: float,
+    drift: Array,
 ) -> Array:
+    """See `expected_reduction`; `r` and `drift` are variances."""
     out = np.zeros(places.shape[0])
     for q in range(places.shape[0]):
         features = _in_view(x, cells, origin, resolution, places[q], reach)
@@ -45,7 +54,7 @@ def _expected_reduction(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _in_view(x, cells, origin, resolution, place, reach) -> IntArray:  # type: ignore[no-untyped-def]
+def _in_view(x: Array, cells: Cells, origin: Array, resolution: float, place: Array, reach: float) -> IntArray:
     """The nearest features within reach of the place and in line of sight."""
     n = (len(x) - 3) // 2
     near, distances, k = np.empty(n, np.int64), np.empty(n), 0
@@ -63,7 +72,7 @@ def _in_view(x, cells, origin, resolution, place, reach) -> IntArray:  # type: i
 
 
 @compiled
-def _in_sight(cells, origin, resolution, place, target) -> bool:  # type: ignore[no-untyped-def]
+def _in_sight(cells: Cells, origin: Array, resolution: float, place: Array, target: Array) -> bool:
     """No wall cell between the two, but for the last two cells: features stand at walls."""
     dx, dy = target[0] - place[0], target[1] - place[1]
     distance = math.hypot(dx, dy)
@@ -87,7 +96,7 @@ def _in_sight(cells, origin, resolution, place, target) -> bool:  # type: ignore
 
 
 @compiled
-def _reduction(x, P, place, features, r, drift) -> float:  # type: ignore[no-untyped-def]
+def _reduction(x: Array, P: Array, place: Array, features: IntArray, r: float, drift: Array) -> float:
     """Σ of squares of the feature columns of L⁻¹ H P after the robot has moved to the place."""
     d, k = len(x), len(features)
     dx, dy = place[0] - x[0], place[1] - x[1]
