@@ -7,19 +7,17 @@ B, the frame of the robot's first pose.
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam_gym._compile import compiled
 from slam_gym.association import resolve, true_association
-from slam_gym.geometry import observe, relative, transform, wrap_angle
+from slam_gym.geometry import observe, relative, transform
 from slam_gym.mapping.coverage import CoverageGrid
-from slam_gym.mapping.linear_algebra import cholesky
 from slam_gym.mapping.virtual_map import VirtualMap
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities
+from slam_gym.metrics.consistency import pose_nees
 from slam_gym.scenarios import Scenario
 from slam_gym.slam import Slam, SlamSpec
 from slam_gym.types import Array, Associator, Beams, BoolArray, Truth
@@ -131,7 +129,7 @@ class Episode:
         self.ticks += 1
         self.poses.append(true_pose)
         self.estimates.append(pose)
-        self.nees.append(_pose_nees(pose, relative(self.base, true_pose), self.slam.map.pose_covariance))
+        self.nees.append(pose_nees(pose, self.slam.map.pose_covariance, relative(self.base, true_pose)))
 
     @property
     def over(self) -> bool:
@@ -166,20 +164,3 @@ def _bounds_in_base(bounds: Array, base: Array) -> Array:
     x0, y0, x1, y1 = bounds
     corners = observe(base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
     return np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])
-
-
-@compiled
-def _pose_nees(estimate: Array, true: Array, covariance: Array) -> float:
-    """eᵀ P⁻¹ e of a pose, (3,) and (3, 3), both in B; NaN while P is singular, as it is before the first motion."""
-    error = estimate - true
-    error[2] = wrap_angle(error[2])
-    factor = covariance.copy()
-    if not cholesky(factor):
-        return math.nan
-    total = 0.0
-    for i in range(3):
-        for j in range(i):
-            error[i] -= factor[i, j] * error[j]
-        error[i] /= factor[i, i]
-        total += error[i] * error[i]
-    return total
