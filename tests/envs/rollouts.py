@@ -1,0 +1,65 @@
+"""Random episodes of `Explore-v0`, and a comparison of what they hand out, bit for bit."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import slam_gym  # noqa: F401 (registers the environment)
+from slam_gym.envs.explore import ExploreEnv
+from slam_gym.scenarios import Scenario, get_scenario
+
+SCENARIOS = ("office-small", "office", "aliased", "hall", "crowd")
+Step = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
+
+
+def explore(scenario: str | Scenario = "office-small", **kwargs: Any) -> ExploreEnv:
+    """The bare environment, without the wrappers of `gym.make`."""
+    env = gym.make("slam_gym/Explore-v0", scenario=scenario, disable_env_checker=True, **kwargs).unwrapped
+    assert isinstance(env, ExploreEnv)
+    return env
+
+
+def short(budget: int, name: str = "office-small", **changes: Any) -> Scenario:
+    """A scenario whose episodes end early."""
+    return replace(get_scenario(name), budget=budget, **changes)
+
+
+def in_any_process(action: str) -> gym.Env:
+    """Short episodes for vector environments, under the id that imports its own module in a fresh process."""
+    return gym.make("slam_gym:slam_gym/Explore-v0", scenario=short(35), action=action, reward="entropy")
+
+
+def random_action(env: gym.Env, info: dict[str, Any], rng: np.random.Generator) -> Any:
+    """A legal goal, or a twist that leans forward, so that the robot gets somewhere."""
+    if "action_mask" in info:
+        return int(rng.choice(np.flatnonzero(info["action_mask"])))
+    return np.clip(rng.normal([0.5, 0.0], [0.6, 0.5]), -1.0, 1.0).astype(np.float32)
+
+
+def episode(env: gym.Env, steps: int = 10**6, seed: int = 0, options: dict[str, Any] | None = None) -> Iterator[Step]:
+    """What reset (with reward 0) and then at most `steps` random steps hand out. Same arguments, same actions."""
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed, options=options)
+    yield observation, 0.0, False, False, info
+    terminated = False
+    while steps > 0 and not terminated:
+        step = env.step(random_action(env, info, rng))
+        yield step
+        steps, terminated, info = steps - 1, step[2], step[4]
+
+
+def differences(a: Any, b: Any, at: str = "") -> list[str]:
+    """Places where two nested values differ, in type, shape or a single bit (NaN equals NaN)."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        if list(a) != list(b):
+            return [f"{at}: keys {list(a)} and {list(b)}"]
+        return [place for key in a for place in differences(a[key], b[key], f"{at}.{key}")]
+    if isinstance(a, (list, tuple)) and type(a) is type(b):
+        if len(a) != len(b):
+            return [f"{at}: lengths {len(a)} and {len(b)}"]
+        return [place for i, pair in enumerate(zip(a, b)) for place in differences(*pair, f"{at}[{i}]")]
+    same = type(a) is type(b) and np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
+    return [] if same and getattr(a, "dtype", None) == getattr(b, "dtype", None) else [f"{at}: {a!r} and {b!r}"]

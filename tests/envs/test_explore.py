@@ -1,0 +1,397 @@
+"""`Explore-v0` as Gymnasium knows it: checkers, spaces, twins, ends, snapshots, pictures; and no truth in sight."""
+
+import copy
+import pickle
+import warnings
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from rollouts import SCENARIOS, differences, episode, explore, in_any_process, random_action, short
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+from slam_gym.association import jcbb
+from slam_gym.envs.goals import LOOK, SLOTS
+from slam_gym.envs.observation import POINT_FIELDS
+from slam_gym.metrics.association import Tally
+from slam_gym.scenarios import get_scenario
+from slam_gym.types import Truth
+from slam_gym.world.floor_plan import save_floor_plan
+from slam_gym.world.generators import OfficeGenerator
+from slam_gym.world.sensor import Sensor
+
+INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_missed", "pose_nees", "ticks", "pose"]
+INFO += ["truth"]
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+# -- checkers ------------------------------------------------------------------------------------------------------
+
+
+OPTIONS = [  # every value of every option at least once
+    dict(scenario="office-small", action="goal", reward="map_error", associator="jcbb", split="train"),
+    dict(scenario="office-small", action="twist", reward="a_opt", associator="true_association", split="test"),
+    dict(scenario="office", action="twist", reward="map_error", associator="nearest_neighbour"),
+    dict(scenario="aliased", action="goal", reward="d_opt", associator="singles", locality=None),
+    dict(scenario="hall", action="twist", reward="entropy", associator=jcbb, locality="covisibility"),
+    dict(scenario="crowd", action="goal", reward="entropy", associator="slam_gym.association:nearest_neighbour"),
+    dict(scenario=short(40, "hall"), action="twist", reward="d_opt", render_mode="human"),
+    dict(floor_plan="plan.json", action="goal", reward="a_opt", render_mode="rgb_array", render_covisibility=True),
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=lambda o: "-".join(str(v) for v in o.values() if isinstance(v, str)))
+def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(options, tmp_path, monkeypatch) -> None:
+    if "floor_plan" in options:
+        monkeypatch.chdir(tmp_path)
+        save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(0)), "plan.json")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make("slam_gym/Explore-v0", **options).unwrapped)  # with all render modes
+        check_env_sb3(gym.make("slam_gym/Explore-v0", **options))
+
+
+# -- same seed, same episode, bit for bit --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", ["goal", "twist"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_twins_are_equal_bit_for_bit_whatever_one_did_before(scenario, action) -> None:
+    fresh, used = (explore(scenario, action=action, reward="d_opt") for _ in range(2))
+    steps = 6 if action == "goal" else 60
+    for _ in episode(used, steps, seed=3):
+        pass
+    for one, other in zip(episode(fresh, steps, seed=8), episode(used, steps, seed=8), strict=True):
+        assert not differences(one, other)
+
+
+def test_other_seeds_and_worlds_are_other_episodes() -> None:
+    env = explore(action="twist")
+    starts = [env.reset(seed=k, options=o)[0]["scan"] for k in range(3) for o in ({}, {"world": 0}, {"world": 1})]
+    assert all(not np.array_equal(a, b) for i, a in enumerate(starts) for b in starts[:i])
+
+
+def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
+    env = explore("office-small")
+    plans = []
+    for seed, world in ((0, 5), (1, 5), (0, 6)):
+        env.reset(seed=seed, options={"world": world})
+        plans.append((env.episode.site.plan.walls, env.episode.base))
+    np.testing.assert_array_equal(plans[0][0], plans[1][0])
+    assert not np.array_equal(plans[0][1], plans[1][1])
+    assert plans[0][0].shape != plans[2][0].shape or not np.array_equal(plans[0][0], plans[2][0])
+    drawn = env.scenario.generator(np.random.default_rng(6))
+    np.testing.assert_array_equal(plans[2][0], drawn.walls)  # world i of the training split has seed i
+
+
+def test_train_and_test_worlds_differ_under_the_same_options() -> None:
+    walls = []
+    for split in ("train", "test"):
+        env = explore("hall", split=split)
+        env.reset(seed=0, options={"world": 0})
+        walls.append(env.episode.site.plan.walls)
+    assert walls[0].shape != walls[1].shape or not np.array_equal(*walls)
+
+
+def _vector_rollout(envs: gym.vector.VectorEnv, steps: int) -> list:
+    """Everything that `steps` handed out, with the environments' own autoresets in between; and the actions."""
+    rng = np.random.default_rng(0)
+    observations, infos = envs.reset(seed=[7, 11])
+    record = [(copy.deepcopy(observations), infos)]
+    for _ in range(steps):
+        masks = [{"action_mask": mask} for mask in infos.get("action_mask", ())] or [{}, {}]
+        actions = np.array([random_action(envs, mask, rng) for mask in masks])
+        observations, *rest, infos = envs.step(actions)
+        record.append((copy.deepcopy(observations), *rest, dict(sorted(infos.items())), actions))
+    envs.close()
+    return record
+
+
+@pytest.mark.parametrize(("action", "steps"), [("goal", 8), ("twist", 80)])
+def test_vectorised_in_other_processes_and_over_autoresets(action, steps) -> None:
+    makers = [partial(in_any_process, action)] * 2
+    here = _vector_rollout(gym.vector.SyncVectorEnv(makers), steps)
+    there = _vector_rollout(gym.vector.AsyncVectorEnv(makers, context="spawn"), steps)
+    assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"
+    assert not differences(here[1:], there[1:])
+    alone, over = in_any_process(action), False
+    alone.reset(seed=11)
+    for observations, rewards, *_, actions in here[1:]:
+        observation, reward, over, *_ = (alone.reset()[0], 0.0, False) if over else alone.step(actions[1])
+        assert reward == rewards[1]
+        assert not differences(dict(sorted(observation.items())), {k: part[1] for k, part in observations.items()})
+
+
+# -- what is handed out --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", ["goal", "twist"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_observations_are_finite_and_inside_their_space_and_info_has_fixed_keys(scenario, action) -> None:
+    env = explore(scenario, action=action)
+    for observation, reward, terminated, truncated, info in episode(env, 400, seed=1, options={"world": 2}):
+        assert env.observation_space.contains(observation)
+        assert all(np.isfinite(part).all() for part in observation.values())
+        assert type(reward) is float and type(terminated) is bool and truncated is False
+        extra = ["action_mask"] * (action == "goal") + ["map_quality"] * terminated
+        assert list(info) == INFO + extra and list(info["truth"]) == ["pose", "sources"]
+        assert info["truth"]["sources"].shape == (env.scenario.sensor.max_features,)
+        numbers = [info[name] for name in INFO[:-1]]
+        assert all(np.isfinite(number).all() for number in numbers) and 0.0 <= info["coverage"] <= 1.0
+        assert action == "goal" or info["ticks"] <= 1
+
+
+@pytest.mark.parametrize("action", ["goal", "twist"])
+def test_the_agent_may_keep_and_scribble_on_all_that_it_is_given(action) -> None:
+    def arrays(value):
+        return [a for v in value.values() for a in arrays(v)] if isinstance(value, dict) else [np.asarray(value)]
+
+    kept = []
+    env, twin = explore(action=action), explore(action=action)
+    for one, other in zip(episode(env, 12), episode(twin, 12), strict=True):
+        assert not differences(one, other)
+        for array in [*one[0].values(), *arrays(one[4])]:
+            assert not any(np.shares_memory(array, before) for before in kept)
+            kept.append(array)
+        for part in (one[0]["image"], one[0]["scan"], one[4]["pose"], one[4]["truth"]["pose"]):
+            part.fill(7)
+        one[4]["truth"]["sources"].fill(0)
+    masks = env.unwrapped.action_masks if action == "goal" else None
+    if masks:
+        masks().fill(False)
+        assert masks()[LOOK]
+
+
+def test_the_scan_is_shown_nearest_first_and_the_features_are_those_of_the_map() -> None:
+    env = explore("office", action="twist")
+    *_, (observation, *_) = episode(env, 40)
+    scan, rows = env.episode.scan, observation["scan"].reshape(-1, len(POINT_FIELDS))
+    order = np.argsort(np.hypot(*scan.points.T))
+    assert rows[:, 0].sum() == len(scan)
+    x, y = rows[: len(scan), 1:3].T.astype(float)
+    np.testing.assert_allclose(6.0 * x / (1 - abs(x)), scan.points[order, 0], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(6.0 * y / (1 - abs(y)), scan.points[order, 1], rtol=1e-5, atol=1e-5)
+    sigma = rows[: len(scan), 3].astype(float)
+    np.testing.assert_allclose(0.1 * sigma / (1 - sigma), np.sqrt(scan.covariances[order, 0, 0]), rtol=1e-4)
+    near = env.episode.slam.map.prediction(env.scenario.sensor.range)
+    features = observation["features"].reshape(-1, len(POINT_FIELDS))
+    assert features[:, 0].sum() == min(len(near), len(features))
+    provisional = env.episode.slam.map.provisional[near.features]
+    order = np.argsort(np.hypot(*near.positions.T))[: len(features)]
+    np.testing.assert_array_equal(features[: len(order), 6], provisional[order])
+
+
+def test_info_sums_up_to_the_tally_and_the_ticks() -> None:
+    env = explore(short(120), associator="nearest_neighbour")
+    infos = [info for *_, info in episode(env)]
+    tally: Tally = env.tally
+    assert sum(info["pairings_right"] for info in infos) == tally.tp > 100
+    assert sum(info["pairings_wrong"] for info in infos) == tally.fp
+    assert sum(info["pairings_missed"] for info in infos) == tally.fn
+    assert sum(info["ticks"] for info in infos) == 120 == infos[-1]["map_quality"]["ticks"]
+    assert infos[-1]["map_quality"] == env.map_quality()
+
+
+def test_watchers_see_every_tick_also_within_goals() -> None:
+    env, ticks = explore(short(60)), []
+    env.watch(lambda watched: ticks.append((watched.episode.ticks, bool(watched.goals.legal[LOOK]))))
+    for _ in episode(env):
+        pass
+    assert ticks == [(tick, True) for tick in range(61)]
+
+
+# -- truth cannot leak ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("associator", ["jcbb", "nearest_neighbour", "singles"])
+@pytest.mark.parametrize(("action", "steps"), [("goal", 6), ("twist", 80)])
+def test_a_lying_truth_changes_no_observation_and_no_reward(associator, action, steps, monkeypatch) -> None:
+    env = explore("office", action=action, associator=associator, reward="a_opt", locality="covisibility")
+    honest = list(episode(env, steps, seed=2))
+    scan = Sensor.scan
+
+    def lie(self, *args):
+        seen, truth = scan(self, *args)
+        names = np.random.default_rng(0).permutation(1 + len(self._features)) - 1  # of NONE, too
+        return seen, Truth(truth.pose + np.array([3.0, -2.0, 1.0]), names[truth.sources + 1])
+
+    monkeypatch.setattr(Sensor, "scan", lie)
+    lied_to = list(episode(env, steps, seed=2))
+    for one, other in zip(honest, lied_to, strict=True):
+        assert not differences(one[:4], other[:4])
+        np.testing.assert_array_equal(one[4]["pose"], other[4]["pose"])
+        assert not np.array_equal(one[4]["truth"]["pose"], other[4]["truth"]["pose"])
+    assert lied_to[-1][4]["pose_nees"] > 100.0 * honest[-1][4]["pose_nees"]  # it did reach those whom it should
+
+
+def test_only_the_true_associator_is_handed_the_truth() -> None:
+    env = explore("aliased", action="twist", associator="true_association")
+    for _ in episode(env, 150):
+        pass
+    assert env.tally.fp == env.tally.fn == 0 and env.tally.tp > 100
+
+
+# -- ends ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", ["goal", "twist"])
+def test_spending_the_budget_terminates_and_is_seen_coming(action) -> None:
+    env, ticks = explore(short(70), action=action), 0
+    for observation, _, terminated, truncated, info in episode(env):
+        ticks += info["ticks"]
+        assert not truncated and terminated == (ticks == 70)
+        assert observation["budget"] == np.float32(1.0 - ticks / 70)
+        assert ("map_quality" in info) == terminated
+    assert terminated and observation["budget"] == 0.0
+    with pytest.raises(RuntimeError, match="over: call reset"):
+        env.step(env.action_space.sample())
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+
+
+def test_time_limit_truncates_and_does_not_terminate() -> None:
+    env = gym.make("slam_gym/Explore-v0", scenario="office-small", action="twist", max_episode_steps=3)
+    env.reset(seed=0)
+    ends = [env.step(env.action_space.sample())[2:4] for _ in range(3)]
+    assert ends == [(False, False), (False, False), (False, True)]
+
+
+def test_nothing_works_before_the_first_reset_and_says_so() -> None:
+    env = explore(render_mode="rgb_array")
+    for use in (lambda: env.step(0), env.render, env.map_quality, env.snapshot, lambda: env.tally):
+        with pytest.raises(RuntimeError, match="call reset"):
+            use()
+    env.close()
+
+
+# -- masked goals --------------------------------------------------------------------------------------------------
+
+
+def test_a_masked_goal_looks_around() -> None:
+    env, twin = explore(), explore()
+    _, info = env.reset(seed=4)
+    twin.reset(seed=4)
+    masked = int(np.flatnonzero(~info["action_mask"])[0])
+    assert not differences(env.step(masked), twin.step(LOOK))
+
+
+def test_masks_agree_everywhere_and_looking_around_is_always_legal() -> None:
+    env, seen = explore(short(150, "office")), np.zeros(SLOTS, bool)
+    for observation, *_, info in episode(env):
+        mask = info["action_mask"]
+        assert mask.dtype == bool and mask[LOOK]
+        np.testing.assert_array_equal(mask, env.action_masks())
+        np.testing.assert_array_equal(mask, observation["goals"].reshape(SLOTS, -1)[:, 0] == 1.0)
+        seen |= mask
+    assert seen[1:11].any() and seen[11:].any()
+    with pytest.raises(AttributeError, match="goal mode"):
+        explore(action="twist").action_masks()
+
+
+# -- snapshots -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("action", "steps"), [("goal", 3), ("twist", 40)])
+def test_a_snapshot_replays_bit_for_bit_in_the_same_and_in_another_env(action, steps) -> None:
+    env = explore("crowd", action=action, reward="entropy")
+    env.reset(seed=9)  # the generator has a past when the episode begins
+    rng = np.random.default_rng(1)
+    _, info = env.reset(options={"world": 77})
+    for _ in range(steps):
+        observation, *_, info = env.step(random_action(env, info, rng))
+    snapshot = pickle.loads(pickle.dumps(env.snapshot()))
+    after = [env.step(a) for a in _some_actions(env)]
+    for other in (env, explore("crowd", action=action, reward="entropy")):
+        assert not differences(other.restore(snapshot), (observation, info))
+        assert not differences(other.snapshot(), snapshot)
+        assert not differences([other.step(a) for a in _some_actions(other)], after)
+
+
+def _some_actions(env) -> list:
+    return [0, 1, 15] if env.goal_mode else [(1.0, 0.2)] * 10
+
+
+def test_a_snapshot_is_a_copy() -> None:
+    env = explore(action="twist")
+    env.reset(seed=0)
+    before = env.snapshot()
+    env.step((1.0, 0.0))
+    assert len(before["actions"]) == 0 and len(env.snapshot()["actions"]) == 1
+    before["generator"]["state"]["state"] = 0
+    assert env.snapshot()["generator"]["state"]["state"] != 0
+
+
+# -- specification, pictures, lifecycle ----------------------------------------------------------------------------
+
+
+def test_the_spec_survives_json() -> None:
+    kwargs = dict(scenario="hall", split="test", associator="slam_gym.association:singles", action="twist")
+    env = gym.make("slam_gym/Explore-v0", **kwargs, reward="d_opt", locality=None)
+    spec = gym.envs.registration.EnvSpec.from_json(env.spec.to_json())
+    assert spec.kwargs == env.spec.kwargs
+    again = gym.make(spec)
+    for one, other in zip(episode(env, 20), episode(again, 20), strict=True):
+        assert not differences(one, other)
+
+
+@pytest.mark.parametrize("action", ["goal", "twist"])
+def test_pictures_show_what_happens_and_change_nothing(action) -> None:
+    env = explore("crowd", action=action, render_mode="rgb_array", render_covisibility=True)
+    blind = explore("crowd", action=action)
+    pictures = []
+    for one, other in zip(episode(env, 4), episode(blind, 4), strict=True):
+        assert not differences(one, other)
+        pictures.append(env.render())
+    for picture in pictures:
+        assert picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3
+        assert picture.std() > 10.0, "blank"
+    assert all(not np.array_equal(a, b) for a, b in pairwise(pictures))
+    env.close()
+    env.close()
+    assert env.render().shape == pictures[0].shape  # a closed picture opens again
+    env.close()
+
+
+@pytest.mark.parametrize("action", ["goal", "twist"])
+def test_a_window_shows_every_tick_and_closes_twice(action) -> None:
+    pytest.importorskip("pygame")
+    env = explore(short(6), action=action, render_mode="human")
+    for _ in episode(env):
+        assert env.render() is None
+    env.close()
+    env.close()
+
+
+def test_render_without_a_mode_warns() -> None:
+    env = explore()
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert env.render() is None
+
+
+def test_a_given_floor_plan_is_surveyed_once(tmp_path) -> None:
+    plan = OfficeGenerator(rooms=2)(np.random.default_rng(1))
+    save_floor_plan(plan, tmp_path / "two.json")
+    env = explore(floor_plan=str(tmp_path / "two.json"))
+    env.reset(seed=0)
+    site = env.episode.site
+    env.reset(seed=1)
+    assert env.episode.site is site and env.scenario.name == plan.name
+    np.testing.assert_array_equal(site.plan.walls, plan.walls)
+
+
+def test_the_measurement_limit_shapes_the_space() -> None:
+    scenario = get_scenario("hall")
+    scenario = replace(scenario, sensor=replace(scenario.sensor, max_features=5))
+    env = explore(scenario, action="twist")
+    assert env.observation_space["scan"].shape == (5 * len(POINT_FIELDS),)
+    for observation, *_ in episode(env, 20):
+        assert env.observation_space.contains(observation)
