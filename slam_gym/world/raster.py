@@ -200,8 +200,7 @@ def _enclosed(free: Mask, resolution: float) -> Mask:
     speck = stats[:, cv2.CC_STAT_AREA] * resolution**2 < _SPECK
     speck[0] = False  # component 0 is what is free
     free = free | speck[parts].astype(np.uint8)
-    side = 2 * round((_OPENING / resolution - 1) / 2) + 1
-    free = cv2.morphologyEx(np.pad(free, side), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))[side:-side, side:-side]
+    free = _opened(free, _OPENING / resolution)
     _, parts, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
@@ -210,7 +209,26 @@ def _enclosed(free: Mask, resolution: float) -> Mask:
     inner[border] = 0
     if inner.max() * resolution**2 >= _SIZEABLE:
         areas = inner
-    return np.asarray((parts == np.argmax(areas)) & (free > 0), np.uint8)
+    return _opened(np.asarray((parts == np.argmax(areas)) & (free > 0), np.uint8), _OPENING / resolution, one_part=True)
+
+
+def _opened(free: Mask, width: float, one_part: bool = False) -> Mask:
+    """What a square of `width` [pixels] can cover, turned to any of four orientations, so that corners stay sharp.
+
+    With `one_part`, only what it covers from the largest connected part of its centre's places.
+    """
+    cv2 = import_cv2()
+    reach = max(1, round(0.75 * width))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    turned = [(np.cos(angle), np.sin(angle)) for angle in np.arange(4) * np.pi / 8]
+    squares = [np.maximum(np.abs(c * x + s * y), np.abs(c * y - s * x)) <= width / 2 for c, s in turned]
+    kernels = [square.astype(np.uint8) for square in squares]
+    centres = [cv2.erode(np.pad(free, reach), kernel) for kernel in kernels]
+    part = np.bitwise_or.reduce(centres)
+    if one_part:
+        part = _largest(part)
+    covered = [cv2.dilate(centre & part, kernel) for centre, kernel in zip(centres, kernels)]
+    return np.asarray(np.bitwise_or.reduce(covered)[reach:-reach, reach:-reach])
 
 
 def _one_room(outlines: Outlines, frame: _Frame) -> tuple[Room, ...]:

@@ -1,0 +1,282 @@
+"""Occupancy images become floor plans: exact where the image is, drivable where the building is real."""
+
+import gzip
+import sys
+
+import numpy as np
+import pytest
+
+from slam_gym.world import raster
+from slam_gym.world.contours import corners, thinned
+from slam_gym.world.floor_plan import FloorPlanError, Kind, load_floor_plan, save_floor_plan
+from slam_gym.world.generators import Contents, OfficeGenerator
+from slam_gym.world.raster import from_raster
+from slam_gym.world.reachability import reachable
+
+cv2 = pytest.importorskip("cv2", reason="needs the extra `maps`")
+
+KTH = ("50010535_PLAN1", "50010536_PLAN3", "50015847", "50037764_PLAN1", "50052748", "50052750", "50052752")
+PIXEL = 0.05  # [m]
+
+
+def blank(height=100, width=140):
+    """A room of free pixels within a wall 10 pixels thick."""
+    image = np.zeros((height, width), dtype=np.uint8)
+    image[10:-10, 10:-10] = 254
+    return image
+
+
+def drawn(plan):
+    """Image and room labels of a generated plan, free where a pixel's middle is, and their lower left corner [m]."""
+    low, high = plan.bounds[:2] - 1.0, plan.bounds[2:] + 1.0
+    width, height = np.ceil((high - low) / PIXEL).astype(int)
+    x, y = low[0] + (np.arange(width) + 0.5) * PIXEL, low[1] + (height - np.arange(height) - 0.5) * PIXEL
+    middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    labels = np.zeros(len(middles), dtype=np.int32)
+    for i, room in enumerate(plan.rooms):
+        labels[room.contains(middles)] = i + 1
+    free = labels > 0
+    for door in plan.doors:
+        upright = door.rooms[0] != "corridor"
+        half = np.array([0.101, door.width / 2] if upright else [door.width / 2, 0.101])
+        free |= (np.abs(middles - door.position) <= half).all(axis=1)
+    return np.where(free, 255, 0).astype(np.uint8).reshape(height, width), labels.reshape(height, width), low
+
+
+def matched(found, true, tolerance):
+    """Share of `found` within `tolerance` [m] of one of `true`."""
+    return np.mean(np.hypot(*(found[:, None] - true).T).min(axis=0) <= tolerance)
+
+
+def test_a_rectangle_is_exact_and_the_upper_row_lies_at_the_top():
+    image = blank(100, 140)
+    image[10:30, 10:40] = 0  # upper left corner of the image
+    plan = from_raster(image, PIXEL)
+    expected = np.array([[2.0, 4.5], [6.5, 4.5], [6.5, 0.5], [0.5, 0.5], [0.5, 3.5], [2.0, 3.5]])
+    assert len(plan.walls) == len(plan.features) == 6
+    for found in (plan.features.positions, plan.walls[:, :2]):
+        np.testing.assert_allclose(found[np.lexsort(found.T)], expected[np.lexsort(expected.T)], atol=1e-9)
+    assert plan.rooms[0].area == pytest.approx(6.0 * 4.0 - 1.5 * 1.0)
+    assert set(plan.features.kinds) == {Kind.CORNER}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("labelled", [True, False])
+def test_a_drawn_office_gives_back_its_rooms_doors_and_corners(seed, labelled):
+    truth = OfficeGenerator(contents=Contents(pillars=0.0, furniture=0.0))(np.random.default_rng(seed))
+    image, labels, low = drawn(truth)
+    plan = from_raster(image, PIXEL, valid=labels if labelled else None, origin=tuple(low))
+    assert matched(plan.features.positions, truth.features.positions, 1.5 * PIXEL) > 0.98
+    apart = 0.3 + 1.5 * PIXEL  # corners closer than 0.3 m are represented by one of them
+    blocks = truth.features.sizes < 0.45  # pilasters, of which these images were drawn without
+    assert matched(truth.features.positions[~blocks], plan.features.positions, apart) > 0.98
+    assert len(reachable(plan, 0.2)) == pytest.approx(len(reachable(truth, 0.2)), rel=0.04)
+    if not labelled:
+        assert len(plan.rooms) == 1 and not plan.doors
+        return
+    areas = sorted(room.area for room in truth.rooms)
+    np.testing.assert_allclose(sorted(room.area for room in plan.rooms), areas, rtol=0.03)
+    assert len(plan.doors) == len(truth.doors)
+    for door in plan.doors:
+        nearest = min(truth.doors, key=lambda other: np.hypot(*(other.position - door.position)))
+        np.testing.assert_allclose(door.position, nearest.position, atol=2 * PIXEL)
+        assert door.width == pytest.approx(nearest.width, abs=3 * PIXEL)
+    jamb = plan.features.kinds == Kind.DOOR_JAMB
+    true_jambs = truth.features.positions[truth.features.kinds == Kind.DOOR_JAMB]
+    assert matched(plan.features.positions[jamb], true_jambs, 1.5 * PIXEL) > 0.9
+    assert matched(true_jambs, plan.features.positions[jamb], apart) > 0.98
+
+
+@pytest.mark.parametrize("angle", [0.2, 0.5, 0.8])
+def test_slanted_rooms_have_four_corners(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    ring = np.array([[-4, -3], [4, -3], [4, 3], [-4, 3]]) @ np.array([[c, s], [-s, c]]) + 6.0
+    image = np.zeros((240, 240), dtype=np.uint8)
+    pixels = np.stack([ring[:, 0] / PIXEL, 240 - ring[:, 1] / PIXEL], axis=1)
+    cv2.fillPoly(image, [np.round(pixels).astype(np.int32)], 255)
+    plan = from_raster(image, PIXEL)
+    assert len(plan.features) == 4
+    assert matched(ring, plan.features.positions, 3 * PIXEL) == 1.0
+
+
+def test_islands_become_pillars_walls_keep_corners_specks_vanish():
+    image = blank()
+    cv2.circle(image, (40, 50), 5, 0, -1)
+    image[48:52, 70:110] = 0  # a free-standing wall of 2 m × 0.2 m
+    image[30, 90] = 0
+    plan = from_raster(image, PIXEL)
+    pillar = plan.features.kinds == Kind.PILLAR
+    np.testing.assert_allclose(plan.features.positions[pillar], [[40.5 * PIXEL, (100 - 50.5) * PIXEL]], atol=PIXEL)
+    assert plan.features.sizes[pillar][0] == pytest.approx(11 * PIXEL, abs=1.5 * PIXEL)
+    ends = np.array([[70, 50], [110, 50]]) * PIXEL
+    assert matched(ends, plan.features.positions[~pillar], 3 * PIXEL) == 1.0
+    assert len(plan.features) == 4 + 1 + 2
+
+
+def test_outside_and_unknown_do_not_count():
+    image = np.full((120, 160), 254, dtype=np.uint8)  # free all around
+    image[20:100, 20:140] = 0
+    image[24:96, 24:136] = 206  # unknown
+    image[30:90, 30:100] = 254
+    plan = from_raster(image, PIXEL)
+    np.testing.assert_allclose(plan.bounds, np.array([30, 30, 100, 90]) * PIXEL, atol=1e-9)
+    only = np.full((60, 60), 254, dtype=np.uint8)  # nothing but what touches the border
+    np.testing.assert_allclose(from_raster(only, PIXEL).bounds, [0, 0, 3, 3], atol=1e-9)
+
+
+def test_what_only_a_crack_joins_to_the_floor_is_dropped():
+    image = blank(200, 140)
+    image[100:110] = 0
+    image[100:110, 60:66] = 254  # 0.3 m wide
+    plan = from_raster(image, PIXEL)
+    assert plan.rooms[0].area == pytest.approx(6.0 * 4.5, abs=0.3)
+    image[100:110, 60:80] = 254
+    assert from_raster(image, PIXEL).rooms[0].area == pytest.approx(6.0 * 8.5 + 0.5)
+
+
+def test_bool_images_are_free_where_true():
+    np.testing.assert_array_equal(from_raster(blank() > 0, PIXEL).walls, from_raster(blank(), PIXEL).walls)
+
+
+@pytest.fixture(scope="module")
+def floors(data_dir):
+    return {name: load_floor_plan(data_dir / "kth_floorplans" / f"{name}_occ_map.npy.gz", 0.1) for name in KTH}
+
+
+@pytest.mark.parametrize("name", KTH)
+def test_real_floors_can_be_driven(name, floors, data_dir):
+    plan = floors[name]
+    images = []
+    for kind in ("occ_map", "valid_space"):
+        with gzip.open(data_dir / "kth_floorplans" / f"{name}_{kind}.npy.gz") as file:
+            images.append(np.load(file))
+    drawn = np.count_nonzero((images[0] > 0) & (images[1] > 0)) * 0.01  # [m²]
+    area = sum(room.area for room in plan.rooms)
+    assert 0.86 * drawn < area < 1.01 * drawn  # two floors have wings that no door joins to the rest
+    assert len(plan.rooms) >= 0.88 * (len(np.unique(images[1])) - 1)
+    cells = reachable(plan, 0.2)
+    assert sum(room.area for room in plan.rooms if room.contains(cells).any()) >= 0.95 * area
+    assert len(plan.doors) >= len(plan.rooms) - 15
+    assert 0.06 < len(plan.features) / area < 0.3
+    assert len(thinned(plan.features.positions, np.zeros(len(plan.features)))) == len(plan.features)
+
+
+def test_willow_garage_can_be_driven(data_dir):
+    plan = load_floor_plan(data_dir / "willow_garage" / "willow-full.pgm", 0.1)
+    image = cv2.imread(str(data_dir / "willow_garage" / "willow-full.pgm"), cv2.IMREAD_GRAYSCALE)
+    cells = reachable(plan, 0.2, 0.1)
+    pixels = np.floor(np.stack([587 - cells[:, 1] / 0.1, cells[:, 0] / 0.1], axis=1)).astype(int)
+    near = np.zeros(image.shape, dtype=np.uint8)
+    near[pixels[:, 0], pixels[:, 1]] = 1
+    seen_free = (image > 240).astype(np.uint8)
+    assert np.mean(seen_free[pixels[:, 0], pixels[:, 1]]) > 0.98  # nowhere through walls or the unknown
+    driven = cv2.dilate(near, np.ones((9, 9), np.uint8))
+    floor = cv2.morphologyEx(seen_free, cv2.MORPH_OPEN, np.ones((7, 7), np.uint8))
+    assert np.mean(driven[floor > 0]) > 0.95
+
+
+def test_raster_plans_survive_json(floors, tmp_path):
+    plan = floors["50052752"]
+    save_floor_plan(plan, tmp_path / "floor.json")
+    again = load_floor_plan(tmp_path / "floor.json")
+    np.testing.assert_array_equal(again.walls, plan.walls)
+    np.testing.assert_array_equal(again.features.sizes, plan.features.sizes)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "npy.gz", "png", "pgm", "yaml"])
+def test_every_format_gives_the_same_plan(suffix, tmp_path):
+    image, path = blank(), tmp_path / f"map.{suffix}"
+    if suffix == "npy":
+        np.save(path, image)
+    elif suffix == "npy.gz":
+        with gzip.open(path, "wb") as file:
+            np.save(file, image)
+    elif suffix == "yaml":
+        cv2.imwrite(str(tmp_path / "image.pgm"), image)
+        path.write_text(
+            "image: image.pgm\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+        )
+    else:
+        cv2.imwrite(str(path), image)
+    plan = load_floor_plan(path, None if suffix == "yaml" else PIXEL)
+    np.testing.assert_array_equal(plan.walls, from_raster(image, PIXEL).walls)
+    assert plan.name == "map"
+
+
+def test_ros_map_origin_and_negate(tmp_path):
+    cv2.imwrite(str(tmp_path / "image.png"), 255 - blank())
+    (tmp_path / "map.yaml").write_text("image: image.png\nresolution: 0.05\norigin: [-3.0, 2.0, 0.0]\nnegate: 1\n")
+    plan = load_floor_plan(tmp_path / "map.yaml")
+    np.testing.assert_allclose(plan.bounds, [-2.5, 2.5, 3.5, 6.5], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("image", "resolution", "valid", "message"),
+    [
+        (blank(), 0.0, None, "resolution"),
+        (blank(), float("nan"), None, "resolution"),
+        (blank(), 50.0, None, "resolution"),
+        (blank().astype(float), PIXEL, None, "occupancy: holds float64"),
+        (blank()[0], PIXEL, None, "occupancy: has shape"),
+        (np.zeros((50, 50), np.uint8), PIXEL, None, "occupancy: no free space"),
+        (np.full((50, 50), 205, np.uint8), PIXEL, None, "occupancy: no free space"),
+        (blank(), PIXEL, np.ones((3, 3), int), "valid"),
+        (blank(), PIXEL, blank() / 2.0, "valid"),
+        (blank(), PIXEL, np.zeros((100, 140), int), "no free space"),
+    ],
+)
+def test_bad_images_are_refused_by_name(image, resolution, valid, message):
+    with pytest.raises(FloorPlanError, match=message):
+        from_raster(image, resolution, valid=valid)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("map.png", b"not a picture", "image: is not a PGM or PNG"),
+        ("map.pgm", b"", "image"),
+        ("map.npy", b"\x93NUMPY broken", "image: is not a numpy array"),
+        ("map.npy.gz", b"not zipped", "image: is not a numpy array"),
+        ("map.yaml", b"[1, 2]", "image: the map names no image"),
+        ("map.yaml", b"image: gone.pgm\nresolution: 0.1\n", "image: no file at"),
+        ("map.yaml", b"image: a\nresolution: fine\n", "resolution: 'fine' is not a number"),
+        ("map.yaml", b"image: a\nresolution: 0.1\norigin: [0, 0, 1]\n", "origin"),
+        ("map.yaml", b"image: {\n", "file: is not YAML"),
+    ],
+)
+def test_bad_image_files_are_refused_by_file_and_reason(name, content, message, tmp_path):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(FloorPlanError, match=message) as caught:
+        load_floor_plan(path, 0.1 if name != "map.yaml" else None)
+    assert str(path) in str(caught.value)
+
+
+def test_pickled_arrays_are_not_unpickled(tmp_path):
+    np.save(tmp_path / "map.npy", np.array([print], dtype=object), allow_pickle=True)
+    with pytest.raises(FloorPlanError, match="is not a numpy array"):
+        load_floor_plan(tmp_path / "map.npy", 0.1)
+
+
+def test_an_image_needs_its_resolution_and_a_sane_size(tmp_path, monkeypatch):
+    np.save(tmp_path / "map.npy", blank())
+    with pytest.raises(FloorPlanError, match="resolution: an image needs"):
+        load_floor_plan(tmp_path / "map.npy")
+    monkeypatch.setattr(raster, "MAX_BYTES", 1_000)
+    with pytest.raises(FloorPlanError, match="unpacks to more"):
+        load_floor_plan(tmp_path / "map.npy", PIXEL)
+
+
+def test_without_opencv_the_error_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(ImportError, match=r"slam_gym\[maps\]"):
+        from_raster(blank(), PIXEL)
+
+
+def test_corners_ignore_small_steps_and_keep_thin_wall_ends():
+    stepped = np.array([[0, 0], [5, 0], [5, 0.1], [10, 0.1], [10, 5], [0, 5]])
+    assert len(corners(stepped)[0]) == 4
+    thin = np.array([[0, 0], [10, 0], [10, 5], [5.1, 5], [5.1, 3], [5.0, 3], [5.0, 5], [0, 5]])
+    found = corners(thin)[0]
+    assert len(found) == 7 - 1  # four corners of the room, the wall's end, and one of the two at its foot
+    assert matched(np.array([[5.05, 3.0]]), found, 0.06) == 1.0
