@@ -23,9 +23,10 @@ from rich.table import Table
 
 from agents.base import AGENTS, BASELINES, is_learned
 from agents.cli import CHECKOUT, add_world_options, command_line, run_main, setting_of, versions
-from agents.parallel import BACKENDS, Driver, Task, run_all
-from agents.results import TABLE, Journal, Record, cell, film_path, in_order, table, write_csv, write_json
+from agents.parallel import BACKENDS, Driver, Task, connect, run_all
+from agents.results import TABLE, Column, Journal, Record, cell, film_path, in_order, table, write_csv, write_json
 from agents.rollout import Setting, reset_arguments
+from slam_gym.metrics.statistics import Interval
 
 EPISODES = 40
 
@@ -68,9 +69,16 @@ def show(records: Sequence[Record], agents: Sequence[str], title: str, console: 
     for column in TABLE:
         shown.add_column(column.title, justify="right", no_wrap=True)
     for agent, row in table(records, agents).items():
-        cells = (cell(row[column.key], max(column.digits - narrow, 0)) for column in TABLE)
-        shown.add_row(agent, *(text.replace(" [", "\n").replace(", ", "–").rstrip("]") for text in cells))
+        shown.add_row(agent, *(_two_lines(row[column.key], column, narrow) for column in TABLE))
     console.print(shown)
+
+
+def _two_lines(value: Interval, column: Column, narrow: bool) -> str:
+    """The estimate, and under it the interval; without the interval of counts where the terminal is narrow."""
+    estimate, _, interval = cell(value, max(column.digits - narrow, 0)).partition(" ")
+    if narrow and column.digits == 0:
+        return estimate
+    return f"{estimate}\n{interval.strip('[]').replace(', ', '–')}"
 
 
 def summary(setting: Setting, drivers: Sequence[Driver], episodes: int, records: Sequence[Record]) -> dict[str, Any]:
@@ -113,6 +121,7 @@ def evaluate(
         {"command": command, "started": datetime.now().isoformat("T", "seconds")},
     ]
     wanted = [Task(driver, setting, k) for k in range(episodes) for driver in drivers]
+    connect(backend, jobs)
     _warm_up(drivers, setting)
     out.mkdir(parents=True, exist_ok=True)
     journal = Journal(out / "episodes.jsonl")

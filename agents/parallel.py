@@ -70,13 +70,29 @@ def run_task(task: Task) -> Record:
     return {"agent": task.driver.agent, "model": task.driver.model} | record
 
 
-def run_all(tasks: Sequence[Task], jobs: int, backend: str = "loky") -> Iterator[Record]:
-    """Records as they finish, in any order.
+def connect(backend: str, jobs: int) -> None:
+    """Make a cluster known to joblib, before `run_all`. ImportError names the extra that is missing.
 
-    `dask` uses the cluster that the caller is connected to, or starts one on this machine; `ray` likewise
-    (RAY_ADDRESS). Neither `ray` nor `multiprocessing` hands on single results, so these come in batches.
+    """Records as they finish, in any order. `ray` and `multiprocessing` hand on no single results: these batch."""
+    this machine. Machines of a cluster need this checkout, and a common file system for models and films.
     """
-    _connect(backend, jobs)
+    try:
+        if backend == "ray":
+            from ray.util.joblib import register_ray
+
+            register_ray()
+        elif backend == "dask":
+            import dask
+            from distributed import Client
+
+            remote = dask.config.get("scheduler-address", None)
+            Client() if remote else Client(n_workers=jobs, threads_per_worker=1)
+    except ImportError as error:
+        raise ImportError(f"--backend {backend} needs {error.name}: pip install -e '.[cluster]'") from error
+
+
+def run_all(tasks: Sequence[Task], jobs: int, backend: str = "loky") -> Iterator[Record]:
+    """Records as they finish, in any order. `ray` and `multiprocessing` do not hand on single results: these batch."""
     calls = [joblib.delayed(run_task)(task) for task in tasks]
     with joblib.parallel_config(backend=backend, n_jobs=jobs):
         if backend in ("ray", "multiprocessing"):
@@ -84,21 +100,3 @@ def run_all(tasks: Sequence[Task], jobs: int, backend: str = "loky") -> Iterator
                 yield from joblib.Parallel(batch_size=1)(calls[start : start + 4 * jobs])
         else:
             yield from joblib.Parallel(return_as="generator_unordered", batch_size=1)(calls)
-
-
-def _connect(backend: str, jobs: int) -> None:
-    """Make a cluster's backend known to joblib. ImportError names the extra."""
-    try:
-        if backend == "ray":
-            from ray.util.joblib import register_ray
-
-            register_ray()
-        elif backend == "dask":
-            from distributed import Client, get_client
-
-            try:
-                get_client()
-            except ValueError:  # not connected to any
-                Client(n_workers=jobs, threads_per_worker=1)
-    except ImportError as error:
-        raise ImportError(f"--backend {backend} needs {error.name}: pip install -e '.[cluster]'") from error
