@@ -73,7 +73,7 @@ def run_task(task: Task) -> Record:
 def connect(backend: str, jobs: int) -> None:
     """Make a cluster known to joblib, before `run_all`. ImportError names the extra that is missing.
 
-    """Records as they finish, in any order. `ray` and `multiprocessing` hand on no single results: these batch."""
+    `ray` goes to the cluster of RAY_ADDRESS, `dask` to that of DASK_SCHEDULER_ADDRESS; else each starts one on
     this machine. Machines of a cluster need this checkout, and a common file system for models and films.
     """
     try:
