@@ -79,7 +79,11 @@ def _out_of_date(episode: Episode, goal: Array) -> bool:
 
 
 def _length_left(path: Array, position: Array) -> float:
-    """[m] along the path from the waypoint nearest to `position`, and to it."""
-    nearest = int(np.argmin(((path - position) ** 2).sum(axis=1)))
-    rest = path[nearest:]
-    return float(np.hypot(*(rest[0] - position)) + np.hypot(*np.diff(rest, axis=0).T).sum())
+    """[m] to the point of the path (p, 2), p ≥ 2, that is nearest to `position` (2,), and along it from there."""
+    steps = np.diff(path, axis=0)
+    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
+    along = np.minimum(np.maximum(along, 0.0), 1.0)
+    gaps = np.hypot(*(position - path[:-1] - along[:, None] * steps).T)
+    nearest = int(np.argmin(gaps))
+    return float(gaps[nearest] + lengths[nearest:].sum() - along[nearest] * lengths[nearest])
