@@ -163,3 +163,19 @@ def jcbb(scan: Scan, prediction: Prediction, confidence: float, *, locality: boo
     first, _ = best_path(scan, prediction, confidence, allowed=near)
     related = prediction.locality.among(np.arange(len(prediction)))
     return best_path(scan, prediction, confidence, allowed=~near, given=first, related=related)
+
+
+def greedy(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
+    """The first legal branch at every level: the nearest unused feature that keeps the hypothesis compatible."""
+    pairs: list[tuple[int, int]] = []
+    for i, found in enumerate(compatible(scan, prediction, confidence)):
+        for _, j in found:
+            longer = [*pairs, (i, j)]
+            legal = distance(scan, prediction, longer) < gate(2 * len(longer), confidence)
+            if legal and all(j != used for _, used in pairs):
+                pairs = longer
+                break
+    rows = [NONE] * len(scan)
+    for i, j in pairs:
+        rows[i] = j
+    return rows

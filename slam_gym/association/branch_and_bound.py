@@ -20,8 +20,8 @@ from slam_gym.types import NONE, Array, BoolArray, Effort, IntArray
 _UNRESTRICTED = np.empty((0, 0), np.bool_)
 
 
-def complete(tree: Tree, node: Node, node_limit: int = 100_000) -> tuple[IntArray, float, Effort]:
-    """The completion of `node` with most pairings, then least D²_H, of all paths whose every prefix is compatible.
+def complete(tree: Tree, node: Node | None = None, node_limit: int = 100_000) -> tuple[IntArray, float, Effort]:
+    """The completion of `node` (default: the root) with most pairings, then least D²_H, every prefix being compatible.
 
     Returns the row of the prediction paired with each measurement (m,), or NONE; D²_H; and the effort.
 
@@ -32,12 +32,15 @@ def complete(tree: Tree, node: Node, node_limit: int = 100_000) -> tuple[IntArra
     the largest hypothesis that it could complete.
     """
     candidates = tree.candidates
-    rows, held, first = decided(tree, node), len(node.slots), candidates.starts[node.level]
+    if node is None:
+        rows, path, first = tree.given.copy(), np.arange(tree.pairings_given), 0
+    else:
+        rows, path, first = decided(tree, node), node.slots, int(candidates.starts[node.level])
     slots, innovations, measured = tree.slots[first:], candidates.innovations[first:], candidates.measured[first:]
-    if held:
-        paired = np.array([np.flatnonzero(rows == row)[0] for row in tree.rows[node.slots]])
+    if len(path):
+        paired = np.array([np.flatnonzero(rows == row)[0] for row in tree.rows[path]])
         before = tree.scan.points[paired] - tree.prediction.positions[rows[paired]]
-        slots, innovations = np.concatenate((node.slots, slots)), np.concatenate((before, innovations))
+        slots, innovations = np.concatenate((path, slots)), np.concatenate((before, innovations))
         measured = np.concatenate((paired, measured))
     distance, nodes, tests, limit_hit = _search(
         rows,
@@ -49,7 +52,7 @@ def complete(tree: Tree, node: Node, node_limit: int = 100_000) -> tuple[IntArra
         tree.covariance,
         _UNRESTRICTED if tree.local is None else tree.local,
         tree.pairings_given,
-        held,
+        len(path),
         tree.gates,
         node_limit,
     )
@@ -110,13 +113,13 @@ def _search(
     pairings = _Pairings(slots, innovations, measured, noise, covariance, local, given, held, gates)
     stack = _empty_stack(len(gates), len(slots), len(covariance) // 2)
     _start(pairings, stack)
-    path, position, level = np.arange(len(gates)), np.zeros(len(gates), np.int64), np.full(len(gates), NONE)
-    for p in range(held):
-        _pair(pairings, stack, p, p, 1, 0)
-    p, best, best_distance, best_path = held, held, stack.distance[held], path.copy()
-    nodes, tests, limit_hit = 0, 0, False
-    while p >= held:
-        if position[p] == stack.end[p] or not _promises(stack, p, best, best_distance):
+    path, position, level = np.empty(len(gates), np.int64), np.zeros(len(gates), np.int64), np.full(len(gates), NONE)
+    best_path, best, best_distance = np.empty(len(gates), np.int64), 0, 0.0
+    p, nodes, tests, limit_hit = 0, 0, 0, False
+    while p >= 0:
+        # a pairing held is the only branch of its level
+        done = position[p] == stack.end[p] or (p < held and position[p] > 0)
+        if done or not _promises(stack, p, best, best_distance):
             p -= 1
             continue
         if nodes == node_limit:
@@ -132,18 +135,20 @@ def _search(
             stack.floor[p], level[p] = stack.distance[p], measured[c]
             continue
         position[p] += 1
-        if not stack.total[p, c] < gates[p + 1]:
-            continue
-        nodes += 1
+        if c >= held:
+            if not stack.total[p, c] < gates[p + 1]:
+                continue
+            nodes += 1
         path[p] = c
         tests += _pair(pairings, stack, p, c, position[p], best)
         p += 1
         position[p], level[p] = 0, NONE
         if p > best or (p == best and stack.distance[p] < best_distance):
             best, best_distance = p, stack.distance[p]
-            best_path[:p] = path[:p]
-    for c in best_path[:best]:
-        decisions[measured[c]] = rows[slots[c]]
+            for q in range(p):
+                best_path[q] = path[q]
+    for q in range(best):
+        decisions[measured[best_path[q]]] = rows[slots[best_path[q]]]
     return best_distance, nodes, tests, limit_hit
 
 

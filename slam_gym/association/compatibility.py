@@ -90,10 +90,12 @@ def individual(
     return Candidates(measurements, starts, measured, slots, distances, innovations, rows, tests)
 
 
-def has_compatible(scan: Scan, prediction: Prediction, confidence: float = 0.99) -> BoolArray:
-    """Which measurements have an individually compatible feature at all, (m,)."""
-    candidates = individual(scan, prediction, confidence)
-    return candidates.starts[1:] > candidates.starts[:-1]
+def has_compatible(
+    scan: Scan, prediction: Prediction, confidence: float = 0.99, *, measurements: IntArray | None = None
+) -> BoolArray:
+    """Which of `measurements` (default: all) have an individually compatible feature at all, (l,)."""
+    starts = individual(scan, prediction, confidence, measurements=measurements).starts
+    return np.greater(starts[1:], starts[:-1])
 
 
 def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> tuple[float, int]:
@@ -129,7 +131,7 @@ def _fault(points: Array, noise: Array, positions: Array, covariances: Array) ->
     for j in range(positions.shape[0]):
         if not math.isfinite(positions[j, 0] + positions[j, 1]):
             return 3, j
-        if not (covariances[j, 0, 0] >= 0.0 and covariances[j, 1, 1] >= 0.0):
+        if not (0.0 <= covariances[j, 0, 0] < math.inf and 0.0 <= covariances[j, 1, 1] < math.inf):
             return 4, j
     return 0, -1
 
@@ -146,11 +148,11 @@ def _individual(
 ) -> tuple[int, int, int, IntArray, IntArray, IntArray, Array, Array, IntArray]:
     """Fault, entry at fault, pairings tested, and the arrays of `Candidates` from `starts` on."""
     fault, where = _fault(points, noise, positions, covariances)
-    count, room = 0, 8 * len(measurements) + 8
+    offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
+    count, room = 0, len(measurements) * len(offered)
     starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(room, np.int64)
     slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
-    offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
-    for level in range(len(measurements)):
+    for level in range(len(measurements) if fault == 0 else 0):
         i = measurements[level]
         for j in offered:
             x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
@@ -166,10 +168,6 @@ def _individual(
             distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
             if not distance < gate:
                 continue
-            if count == len(slots):
-                measured, slots = np.concatenate((measured, measured)), np.concatenate((slots, slots))
-                distances = np.concatenate((distances, distances))
-                innovations = np.concatenate((innovations, innovations))
             place = count
             while place > starts[level] and distances[place - 1] > distance:
                 slots[place], distances[place] = slots[place - 1], distances[place - 1]
@@ -198,20 +196,19 @@ def _offered(
 
     An empty `eligible` stands for all rows.
     """
-    low, high, most = np.full(2, np.inf), np.full(2, -np.inf), np.zeros(2)
+    left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
+    most_x, most_y = 0.0, 0.0
     for i in measurements:
-        for axis in range(2):
-            low[axis], high[axis] = min(low[axis], points[i, axis]), max(high[axis], points[i, axis])
-            most[axis] = max(most[axis], noise[i, axis, axis])
+        left, right = min(left, points[i, 0]), max(right, points[i, 0])
+        bottom, top = min(bottom, points[i, 1]), max(top, points[i, 1])
+        most_x, most_y = max(most_x, noise[i, 0, 0]), max(most_y, noise[i, 1, 1])
     offered, count = np.empty(len(positions), np.int64), 0
     for j in range(len(positions)):
-        u = max(low[0] - positions[j, 0], positions[j, 0] - high[0], 0.0)
-        v = max(low[1] - positions[j, 1], positions[j, 1] - high[1], 0.0)
-        if (
-            (len(eligible) == 0 or eligible[j])
-            and u * u < gate * (covariances[j, 0, 0] + most[0])
-            and v * v < gate * (covariances[j, 1, 1] + most[1])
-        ):
+        if len(eligible) > 0 and not eligible[j]:
+            continue
+        x = max(left - positions[j, 0], positions[j, 0] - right, 0.0)
+        y = max(bottom - positions[j, 1], positions[j, 1] - top, 0.0)
+        if x * x < gate * (covariances[j, 0, 0] + most_x) and y * y < gate * (covariances[j, 1, 1] + most_y):
             offered[count] = j
             count += 1
     return offered[:count]
@@ -220,12 +217,14 @@ def _offered(
 @compiled
 def _number_distinct(values: IntArray, bound: int) -> IntArray:
     """The distinct values (all in 0 … bound − 1), ascending; each value is replaced by its index among them."""
-    number = np.full(bound, -1)
+    number, count = np.zeros(bound, np.int64), 0
     for value in values:
-        number[value] = 0
-    distinct = np.flatnonzero(number == 0)
-    for index in range(len(distinct)):
-        number[distinct[index]] = index
+        number[value] = 1
+    distinct = np.empty(min(bound, len(values)), np.int64)
+    for value in range(bound):
+        if number[value] == 1:
+            distinct[count], number[value] = value, count
+            count += 1
     for i in range(len(values)):
         values[i] = number[values[i]]
-    return distinct
+    return distinct[:count]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from slam_gym.association.branch_and_bound import complete
-from slam_gym.association.tree import as_hypothesis, interpretation_tree, root
+from slam_gym.association.compatibility import individual
+from slam_gym.association.tree import as_hypothesis, interpretation_tree
 from slam_gym.types import NONE, Effort, Hypothesis, Prediction, Scan
 
 
@@ -30,15 +33,24 @@ def jcbb(
     if locality not in ("covisibility", None):
         raise ValueError(f"locality: {locality!r} is neither 'covisibility' nor None")
     near = prediction.locality.near if locality and prediction.locality else None
-    tree = interpretation_tree(scan, prediction, confidence, eligible=near)
-    rows, distance, effort = complete(tree, root(tree), node_limit)
-    if near is not None and not near.all() and (rows == NONE).any():
-        tree = interpretation_tree(scan, prediction, confidence, given=rows, eligible=~near, local=True)
-        rows, distance, more = complete(tree, root(tree), node_limit)
-        effort = Effort(
-            effort.nodes + more.nodes,
-            effort.individual_tests + more.individual_tests,
-            effort.joint_tests + more.joint_tests,
-            effort.limit_hit or more.limit_hit,
-        )
+    candidates = individual(scan, prediction, confidence, eligible=near)
+    tree = interpretation_tree(scan, prediction, candidates, confidence)
+    rows, distance, effort = complete(tree, node_limit=node_limit)
+    left = np.flatnonzero(rows == NONE)
+    if near is not None and len(left) and not near.all():
+        candidates = individual(scan, prediction, confidence, measurements=left, eligible=~near)
+        more = Effort(individual_tests=candidates.tests)
+        if len(candidates.slots):
+            tree = interpretation_tree(scan, prediction, candidates, confidence, given=rows, local=True)
+            rows, distance, more = complete(tree, node_limit=node_limit)
+        effort = _sum(effort, more)
     return as_hypothesis(prediction, rows, distance, effort)
+
+
+def _sum(a: Effort, b: Effort) -> Effort:
+    return Effort(
+        a.nodes + b.nodes,
+        a.individual_tests + b.individual_tests,
+        a.joint_tests + b.joint_tests,
+        a.limit_hit or b.limit_hit,
+    )

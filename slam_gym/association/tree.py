@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import Candidates, individual, joint_gates
+from slam_gym.association.compatibility import Candidates, joint_gates
 from slam_gym.types import NONE, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
 _NO_PATH = np.empty(0, np.int64)
@@ -80,36 +80,33 @@ class Branches:
 def interpretation_tree(
     scan: Scan,
     prediction: Prediction,
+    candidates: Candidates,
     confidence: float = 0.99,
     *,
     given: IntArray | None = None,
-    eligible: BoolArray | None = None,
     local: bool = False,
 ) -> Tree:
-    """The tree of the measurements that `given` (m,) leaves unpaired (default: all), over the `eligible` rows (k,).
+    """The tree that decides `candidates.measurements`, in that order, with `confidence` of the joint test.
 
-    With `local`, the first pairing below the root restricts those after it to its own locality.
-    Raises ValueError as `individual` does, where `local` is asked of a prediction without locality, or where a row
-    given is eligible again.
+    `given` (m,): rows paired before the root, NONE elsewhere. With `local`, the first pairing below the root restricts
+    those after it to its own locality. Raises ValueError where a row or a measurement is both given and a candidate, or
+    where `local` is asked of a prediction without locality.
     """
-    measurements, fixed = None, _NO_PATH
+    rows, slots, g = candidates.rows, candidates.slots, 0
     if given is None:
         given = np.full(len(scan.points), NONE)
     else:
-        measurements, fixed = np.flatnonzero(given == NONE), given[given != NONE]
-    if len(fixed) and (eligible is None or eligible[fixed].any()):
-        raise ValueError("eligible: rows that are given are used already")
-    candidates = individual(scan, prediction, confidence, measurements=measurements, eligible=eligible)
-    rows, slots = candidates.rows, candidates.slots
-    if len(fixed):
-        rows, slots = np.concatenate((fixed, rows)), slots + len(fixed)
+        fixed = given[given != NONE]
+        if (given[candidates.measurements] != NONE).any() or not set(fixed.tolist()).isdisjoint(rows.tolist()):
+            raise ValueError("given: pairs measurements or features that are to be decided")
+        g, rows, slots = len(fixed), np.concatenate((fixed, rows)), slots + len(fixed)
     covariance = prediction.joint(rows) if len(rows) else _NO_COVARIANCE
     among = None
     if local:
         if prediction.locality is None:
             raise ValueError("local: the prediction has no locality")
         among = prediction.locality.among(rows)
-    gates = joint_gates(len(fixed) + len(candidates.measurements), confidence)
+    gates = joint_gates(g + len(candidates.measurements), confidence)
     return Tree(scan, prediction, candidates, given, rows, slots, covariance, among, gates)
 
 
@@ -126,12 +123,22 @@ def root(tree: Tree) -> Node:
 
 def branches(tree: Tree, node: Node) -> Branches:
     """What may follow `node`. Raises ValueError at a leaf."""
-    if node.level >= tree.levels:
-        raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
-    first, last = tree.candidates.starts[node.level : node.level + 2]
-    joint = np.array([_child(tree, node, c).distance for c in range(first, last)])
-    rows = tree.rows[tree.slots[first:last]]
-    return Branches(rows, tree.candidates.distances[first:last], joint, joint < tree.gates[len(node.slots) + 1])
+    first, last = _next_level(tree, node)
+    slots, candidates = tree.slots[first:last], tree.candidates
+    joint = node.distance + _distances_added(
+        node.factor,
+        node.whitened,
+        node.slots,
+        tree.covariance,
+        slots,
+        candidates.innovations[first:last],
+        tree.scan.covariances[candidates.measurements[node.level]],
+    )
+    g = tree.pairings_given
+    joint[np.isin(slots, node.slots)] = np.inf
+    if tree.local is not None and len(node.slots) > g:
+        joint[~tree.local[node.slots[g], slots]] = np.inf
+    return Branches(tree.rows[slots], candidates.distances[first:last], joint, joint < tree.gates[len(node.slots) + 1])
 
 
 def extend(tree: Tree, node: Node, row: int) -> Node:
@@ -139,17 +146,19 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
 
     Raises ValueError at a leaf, and where the pairing is not legal.
     """
-    if node.level >= tree.levels:
-        raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
+    first, _ = _next_level(tree, node)
+    path = np.append(node.path, row)
     if row == NONE:
-        return Node(np.append(node.path, NONE), node.slots, node.factor, node.whitened, node.distance)
-    first, last = tree.candidates.starts[node.level : node.level + 2]
-    at = np.flatnonzero(tree.rows[tree.slots[first:last]] == row)
-    child = _child(tree, node, first + at[0]) if len(at) else None
-    if child is None or not child.distance < tree.gates[len(child.slots)]:
-        measurement = tree.candidates.measurements[node.level]
+        return Node(path, node.slots, node.factor, node.whitened, node.distance)
+    offer, measurement = branches(tree, node), tree.candidates.measurements[node.level]
+    chosen = np.flatnonzero((offer.rows == row) & offer.legal)
+    if not len(chosen):
         raise ValueError(f"row: measurement {measurement} may not be paired with row {row} after {node.path.tolist()}")
-    return child
+    c, slots = first + chosen[0], np.append(node.slots, tree.slots[first + chosen[0]])
+    factor, whitened = _with_room(node.factor, node.whitened)
+    innovation, noise = tree.candidates.innovations[c], tree.scan.covariances[measurement]
+    append_pairing(factor, whitened, slots, len(slots) - 1, tree.covariance, tree.slots[c], innovation, noise)
+    return Node(path, slots, factor, whitened, float(offer.joint[chosen[0]]))
 
 
 def decided(tree: Tree, node: Node) -> IntArray:
@@ -170,20 +179,11 @@ def as_hypothesis(prediction: Prediction, rows: IntArray, distance: float, effor
     return Hypothesis(features, distance, 2 * pairings, effort)
 
 
-def _child(tree: Tree, node: Node, candidate: int) -> Node:
-    """`node` with one more pairing; its distance is inf where the feature is taken or not local."""
-    slot, p, given = int(tree.slots[candidate]), len(node.slots), tree.pairings_given
-    path = np.append(node.path, tree.rows[slot])
-    strange = tree.local is not None and p > given and not tree.local[node.slots[given], slot]
-    if strange or slot in node.slots:
-        return Node(path, node.slots, node.factor, node.whitened, math.inf)
-    factor, whitened = np.zeros((2 * p + 2, 2 * p + 2)), np.empty(2 * p + 2)
-    factor[: 2 * p, : 2 * p], whitened[: 2 * p] = node.factor, node.whitened
-    slots = np.append(node.slots, slot)
-    noise = tree.scan.covariances[tree.candidates.measurements[node.level]]
-    innovation = tree.candidates.innovations[candidate]
-    added = append_pairing(factor, whitened, slots, p, tree.covariance, slot, innovation, noise)
-    return Node(path, slots, factor, whitened, node.distance + added)
+def _next_level(tree: Tree, node: Node) -> tuple[int, int]:
+    """Where the candidates of the level that decides next begin and end."""
+    if node.level >= tree.levels:
+        raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
+    return int(tree.candidates.starts[node.level]), int(tree.candidates.starts[node.level + 1])
 
 
 @compiled
@@ -236,6 +236,38 @@ def _factorise(covariance: Array, slots: IntArray, innovations: Array, noise: Ar
     for i in range(p):
         distance += append_pairing(factor, whitened, slots, i, covariance, slots[i], innovations[i], noise[i])
     return factor, whitened, distance
+
+
+@compiled
+def _with_room(factor: Array, whitened: Array) -> tuple[Array, Array]:
+    """L and y, with room for one more pairing."""
+    d = len(whitened)
+    larger, longer = np.zeros((d + 2, d + 2)), np.zeros(d + 2)
+    for i in range(d):
+        longer[i] = whitened[i]
+        for j in range(i + 1):
+            larger[i, j] = factor[i, j]
+    return larger, longer
+
+
+@compiled
+def _distances_added(
+    factor: Array,
+    whitened: Array,
+    path_slots: IntArray,
+    covariance: Array,
+    slots: IntArray,
+    innovations: Array,
+    noise: Array,
+) -> Array:
+    """What each of one measurement's candidates (b,) would add to D²_H of the pairings of `path_slots` (p,)."""
+    factor, whitened = _with_room(factor, whitened)
+    added = np.empty(len(slots))
+    for c in range(len(slots)):
+        added[c] = append_pairing(
+            factor, whitened, path_slots, len(path_slots), covariance, slots[c], innovations[c], noise
+        )
+    return added
 
 
 @compiled

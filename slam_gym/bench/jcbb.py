@@ -22,7 +22,6 @@ from scipy.optimize import linear_sum_assignment
 
 from slam_gym.association import jcbb
 from slam_gym.association.compatibility import Candidates, chi2_gate, individual
-from slam_gym.association.tree import interpretation_tree
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import NONE, Array, IntArray, Odometry, Prediction, Scan
@@ -137,8 +136,7 @@ def _scan(points: Array, rng: np.random.Generator) -> Scan:
 def measure(problem: Problem) -> dict[str, float]:
     """Timings [µs] and figures of one problem."""
     scan, prediction = problem.scan, problem.prediction
-    tree = interpretation_tree(scan, prediction)
-    candidates, gate = tree.candidates, chi2_gate(2, 0.99)
+    candidates, gate = individual(scan, prediction), chi2_gate(2, 0.99)
     answer = jcbb(scan, prediction)
     rows, n = candidates.rows[candidates.slots], len(prediction)
     dense = assignment_matrix(candidates, rows, n, gate)

@@ -1,0 +1,120 @@
+"""Gates, individual and joint compatibility against their definitions."""
+
+import dataclasses
+import math
+
+import numpy as np
+import oracles
+import pytest
+from scipy.stats import chi2
+
+from slam_gym.association.compatibility import chi2_gate, has_compatible, individual, joint_distance, joint_gates
+from slam_gym.geometry import rotate_covariances, transform
+from slam_gym.types import NONE
+
+
+@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.99, 0.999])
+def test_gates_are_quantiles_of_chi_square(confidence):
+    assert [chi2_gate(d, confidence) for d in range(1, 61)] == pytest.approx(chi2.ppf(confidence, np.arange(1, 61)))
+    assert joint_gates(20, confidence)[1:] == pytest.approx(chi2.ppf(confidence, np.arange(2, 41, 2)))
+
+
+@pytest.mark.parametrize(("dof", "confidence"), [(0, 0.99), (2, 0.0), (2, 1.0), (2, math.nan)])
+def test_meaningless_gates_are_refused(dof, confidence):
+    with pytest.raises(ValueError, match=r"dof|confidence"):
+        chi2_gate(dof, confidence)
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_candidates_are_the_individually_compatible_pairings(seed):
+    rng = np.random.default_rng(seed)
+    scan, prediction = oracles.problem(rng, int(rng.integers(0, 25)), int(rng.integers(0, 40)), spread=2.0)
+    confidence = [0.5, 0.95, 0.99][seed % 3]
+    candidates = individual(scan, prediction, confidence)
+    expected = oracles.compatible(scan, prediction, confidence)
+    rows = candidates.rows[candidates.slots]
+    for i, found in enumerate(expected):
+        here = slice(*candidates.starts[i : i + 2])
+        assert rows[here].tolist() == [j for _, j in found]
+        assert candidates.distances[here] == pytest.approx([d2 for d2, _ in found])
+        assert candidates.innovations[here] == pytest.approx(scan.points[i] - prediction.positions[rows[here]])
+        assert (candidates.measured[here] == i).all()
+    assert candidates.rows.tolist() == sorted(set(rows.tolist()))
+    assert has_compatible(scan, prediction, confidence).tolist() == [len(found) > 0 for found in expected]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_only_chosen_measurements_and_eligible_rows_are_offered(seed):
+    rng = np.random.default_rng(seed)
+    scan, prediction = oracles.problem(rng, 8, 12, spread=1.5)
+    chosen, eligible = rng.permutation(8)[:5], rng.random(12) < 0.5
+    expected = oracles.compatible(scan, prediction, 0.99)
+    candidates = individual(scan, prediction, measurements=chosen, eligible=eligible)
+    for level, i in enumerate(chosen):
+        here = candidates.slots[slice(*candidates.starts[level : level + 2])]
+        assert candidates.rows[here].tolist() == [j for _, j in expected[i] if eligible[j]]
+    some = has_compatible(scan, prediction, measurements=chosen)
+    assert some.tolist() == [len(expected[i]) > 0 for i in chosen]
+
+
+def test_compatibility_does_not_depend_on_the_axes():
+    scan, prediction = oracles.problem(np.random.default_rng(3), 10, 20)
+    turn = np.array([0.7, -0.2, 2.5])
+    turned_scan = dataclasses.replace(
+        scan, points=transform(turn, scan.points), covariances=rotate_covariances(turn[2], scan.covariances)
+    )
+    turned = dataclasses.replace(
+        prediction,
+        positions=transform(turn, prediction.positions),
+        covariances=rotate_covariances(turn[2], prediction.covariances),
+    )
+    before, after = individual(scan, prediction), individual(turned_scan, turned)
+    assert len(before.slots) > 10
+    np.testing.assert_array_equal(before.rows[before.slots], after.rows[after.slots])
+    np.testing.assert_allclose(before.distances, after.distances, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_joint_distance_is_that_of_all_pairings_stacked(seed):
+    rng = np.random.default_rng(seed)
+    scan, prediction = oracles.problem(rng, 6, 9)
+    rows = np.where(rng.random(6) < 0.7, rng.integers(0, 9, 6), NONE)
+    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != NONE]
+    distance, dof = joint_distance(scan, prediction, rows)
+    assert distance == pytest.approx(oracles.distance(scan, prediction, pairs))
+    assert dof == 2 * len(pairs)
+
+
+def broken(what, entry, value):
+    """A problem with one number spoilt."""
+    scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
+    owner = scan if what.startswith("scan") else prediction
+    array = getattr(owner, what.split(".")[1]).copy()
+    array[entry] = value
+    spoilt = dataclasses.replace(owner, **{what.split(".")[1]: array})
+    return (spoilt, prediction) if owner is scan else (scan, spoilt)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("what", ["scan.points", "scan.covariances", "prediction.positions", "prediction.covariances"])
+def test_numbers_that_are_not_finite_are_refused_by_name(what, value):
+    entry = (2, 0, 0) if what.endswith("covariances") else (2, 1)
+    with pytest.raises(ValueError, match=rf"{what}\[2\]"):
+        individual(*broken(what, entry, value))
+
+
+@pytest.mark.parametrize("value", [[[-1.0, 0.0], [0.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]])
+def test_noise_that_is_no_covariance_is_refused_by_name(value):
+    with pytest.raises(ValueError, match=r"scan.covariances\[1\] is not positive semi-definite"):
+        individual(*broken("scan.covariances", 1, value))
+
+
+def test_exact_measurements_of_exactly_known_features_are_refused():
+    scan, prediction = broken("scan.covariances", slice(None), 0.0)
+    certain = dataclasses.replace(
+        prediction,
+        positions=np.tile(scan.points[:1], (len(prediction), 1)),
+        covariances=np.tile([[1.0, 1.0], [1.0, 1.0]], (len(prediction), 1, 1)),
+    )
+    with pytest.raises(ValueError, match="singular"):
+        individual(scan, certain)
