@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
 from agents.results import Record, estimate, values_of
@@ -47,7 +47,8 @@ def interval_chart(records: Sequence[Record], agents: Sequence[str]) -> bytes:
             axis.plot(middle.estimate, row, "o", color="white", markersize=4.5, zorder=4)
         axis.set_xlabel(label)
         axis.grid(visible=False, axis="y")
-    axes[1].xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    axes[1].xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes[1].xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes[0].set_yticks(range(len(agents)), list(agents))
     axes[0].set_ylim(len(agents) - 0.5, -0.5)
     return _png(figure)

@@ -97,6 +97,7 @@ def _pairs(records: Sequence[Record], agents: Sequence[str]) -> str:
         for column in agents:
             value = None if row == column else paired(records, row, column, "map_error")
             text = "" if value is None else f"{value.estimate:+.3f}<small>[{value.low:+.3f}, {value.high:+.3f}]</small>"
+            text = text.replace("-", "−")
             apart = value is not None and (value.low > 0.0 or value.high < 0.0)
             cells.append(f"<td{' class=best' if apart else ''}>{text}</td>")
         lines.append(f"<tr><td>{_label(agents, row)}</td>{''.join(cells)}</tr>")
@@ -113,14 +114,15 @@ def _films(records: Sequence[Record], agents: Sequence[str], folder: Path) -> st
             continue
         errors = [r["map_error"] for r in records if r["agent"] == agent and r["episode"] == 0]
         said = f", with a map error of {errors[0]:.3f}" if errors else ""
-        source, poster = f"films/{html.escape(film.name)}", _data(film.with_suffix(".png").read_bytes())
+        source, picture = f"films/{html.escape(film.name)}", _data(film.with_suffix(".png").read_bytes())
         cards.append(
-            f'<div class="card"><h3>{_label(agents, agent)}</h3>'
-            f'<video controls muted loop preload="none" poster="{poster}" src="{source}"></video>'
-            f'<p class="soft">The end of the first episode{said}; press play for the whole of it '
-            f'(<a href="{source}">{html.escape(film.name)}</a>).</p></div>'
+            f'<div class="card"><h3>{_label(agents, agent)}</h3><div class="pair">'
+            f'<img alt="final map of {html.escape(agent)}" src="{picture}">'
+            f'<video controls muted preload="metadata" src="{source}"></video></div>'
+            f'<p class="soft">Left, the map at the end of the first episode{said}. Right, the film of it: '
+            f'<a href="{source}">{html.escape(film.name)}</a>.</p></div>'
         )
-    return f'<h2>Final maps and films</h2><div class="grid">{"".join(cards)}</div>' if cards else ""
+    return f"<h2>Final maps and films</h2>{''.join(cards)}" if cards else ""
 
 
 def _provenance(results: dict[str, Any]) -> str:
