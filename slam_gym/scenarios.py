@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -35,6 +36,13 @@ class Scenario:
     slam: SlamSpec = field(default_factory=lambda: SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6))
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
     grid_resolution: float = 0.2  # [m] of the explored grid
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.budget, int) and self.budget >= 1):
+            raise ValueError(f"Scenario.budget must be a whole number of ticks > 0, not {self.budget}")
+        for name in ("prior_sigma", "grid_resolution"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"Scenario.{name} must be a finite length > 0 [m], not {getattr(self, name)}")
 
 
 def world_seed(split: str, index: int) -> int:
