@@ -22,6 +22,7 @@ def problem(
     spread: float = 3.0,
     heading_sigma: float = 0.15,
     spurious: float = 0.3,
+    noise: float = 0.05,
     locality: bool = False,
 ) -> tuple[Scan, Prediction]:
     """A scan of m measurements before a map of n correlated features within ±`spread` m, ambiguous on purpose.
@@ -36,7 +37,7 @@ def problem(
     pose = np.diag([0.3, 0.3, heading_sigma]) ** 2
     mixing = 0.05 * rng.standard_normal((2 * n, 2 * n))
     P = jacobian @ pose @ jacobian.T + mixing @ mixing.T / max(n, 1) + 1e-3 * np.eye(2 * n)
-    R = np.array([_covariance(rng, 0.05) for _ in range(m)]).reshape(m, 2, 2)
+    R = np.array([_covariance(rng, noise) for _ in range(m)]).reshape(m, 2, 2)
     drawn = positions.ravel() + (np.linalg.cholesky(P) @ rng.standard_normal(2 * n) if n else 0.0)
     points = rng.uniform(-spread, spread, (m, 2))
     real = rng.permutation(min(m, n))[: round((1.0 - spurious) * min(m, n))]

@@ -128,6 +128,15 @@ def test_the_node_limit_is_reported_and_leaves_the_best_answer_so_far():
     assert answer.features.tolist() == free.features.tolist()
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_the_bound_counts_features_that_are_left_not_only_levels(seed):
+    """Ten measurements of the same three features: a bound by levels would visit more than a thousand hypotheses."""
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 10, 3, spread=0.2, noise=0.3)
+    answer = jcbb(scan, prediction)
+    assert answer.dof == 6
+    assert answer.effort.nodes < 500
+
+
 @pytest.mark.parametrize("options", [{"node_limit": 0}, {"locality": "distance"}, {"confidence": 1.5}])
 def test_meaningless_options_are_refused(options):
     scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3)

@@ -28,7 +28,8 @@ def test_meaningless_gates_are_refused(dof, confidence):
 @pytest.mark.parametrize("seed", range(100))
 def test_candidates_are_the_individually_compatible_pairings(seed):
     rng = np.random.default_rng(seed)
-    scan, prediction = oracles.problem(rng, int(rng.integers(0, 25)), int(rng.integers(0, 40)), spread=2.0)
+    m, n, noise = int(rng.integers(0, 25)), int(rng.integers(0, 40)), float(rng.choice([0.05, 0.5]))
+    scan, prediction = oracles.problem(rng, m, n, spread=2.0, noise=noise)
     confidence = [0.5, 0.95, 0.99][seed % 3]
     candidates = individual(scan, prediction, confidence)
     expected = oracles.compatible(scan, prediction, confidence)
@@ -55,6 +56,14 @@ def test_only_chosen_measurements_and_eligible_rows_are_offered(seed):
         assert candidates.rows[here].tolist() == [j for _, j in expected[i] if eligible[j]]
     some = has_compatible(scan, prediction, measurements=chosen)
     assert some.tolist() == [len(expected[i]) > 0 for i in chosen]
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_a_feature_outside_the_box_around_the_scan_may_be_compatible(seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 1, 30, noise=1.0)
+    candidates = individual(scan, prediction)
+    expected = [row for _, row in oracles.compatible(scan, prediction, 0.99)[0]]
+    assert candidates.rows[candidates.slots].tolist() == expected
 
 
 def test_compatibility_does_not_depend_on_the_axes():

@@ -113,8 +113,21 @@ def test_pairings_given_are_part_of_every_path(seed):
     leaf = best_leaf(tree, root(tree))
     assert decided(tree, leaf).tolist() == rows
     assert leaf.distance == pytest.approx(distance)
-    ours, our_distance, _ = complete(tree, root(tree))
+    ours, our_distance, _ = complete(tree)
     assert (ours.tolist(), our_distance) == (rows, pytest.approx(distance))
+
+
+def test_pairings_given_stay_even_where_they_are_not_compatible():
+    scan, prediction = oracles.problem(np.random.default_rng(4), 4, 6, spread=3.0)
+    far = np.argsort(-np.linalg.norm(prediction.positions - scan.points[0], axis=1))[:2]
+    given = np.array([far[0], far[1], NONE, NONE])
+    left = individual(scan, prediction, measurements=np.arange(2, 4), eligible=~np.isin(np.arange(6), far))
+    tree = interpretation_tree(scan, prediction, left, given=given)
+    rows, distance, _ = complete(tree)
+    assert rows[:2].tolist() == far.tolist()
+    pairs = [(i, int(row)) for i, row in enumerate(rows) if row != NONE]
+    assert distance == pytest.approx(oracles.distance(scan, prediction, pairs))
+    assert distance > oracles.gate(4, 0.99)
 
 
 def test_measurements_may_be_decided_in_any_order():
@@ -122,7 +135,7 @@ def test_measurements_may_be_decided_in_any_order():
     scan, prediction = oracles.problem(rng, 5, 6, spread=1.5)
     order = np.array([3, 0, 4, 1, 2])
     tree = interpretation_tree(scan, prediction, individual(scan, prediction, measurements=order))
-    rows, distance, _ = complete(tree, root(tree))
+    rows, distance, _ = complete(tree)
     leaf = best_leaf(tree, root(tree))
     assert rows.tolist() == decided(tree, leaf).tolist()
     assert distance == pytest.approx(oracles.distance(scan, prediction, [(i, j) for i, j in enumerate(rows) if j >= 0]))
