@@ -63,7 +63,8 @@ class Slam:
     def step(self, odometry: Odometry, scan: Scan, associate: Associator | None = None) -> SlamStep:
         """Move by `odometry`, then learn from `scan`. `associate` overrides the run's associator for this step.
 
-        Raises ValueError, before anything is changed, for non-finite numbers or covariances that are not PSD.
+        Raises ValueError, before anything is changed, for non-finite numbers or covariances that are not PSD; and for
+        a hypothesis that does not fit scan and map, when only the motion has been predicted.
         """
         check_scan(scan)
         self.map.predict(odometry)
@@ -71,6 +72,8 @@ class Slam:
         hypothesis = (associate or self.associate)(scan, prediction)
         if self._collapsed(scan, hypothesis) and self.relocate is not None:
             hypothesis = self.relocate(self, scan) or hypothesis
+        if len(hypothesis.features) != len(scan):
+            raise ValueError(f"hypothesis.features: {len(hypothesis.features)} decisions for {len(scan)} measurements")
         new = self.new_features(scan, prediction, hypothesis)
         self.map.update(scan, hypothesis.features)
         created = self.map.add(scan, new)
