@@ -12,6 +12,7 @@ from slam_gym.association import ASSOCIATORS, jcbb, nearest_neighbour, resolve, 
 from slam_gym.types import NONE
 
 CONFIDENCES = (0.9, 0.95, 0.99)
+BLIND = [associator for name, associator in ASSOCIATORS.items() if name != "true_association"]
 
 
 def small_problem(seed, **options):
@@ -144,12 +145,30 @@ def test_meaningless_options_are_refused(options):
         jcbb(scan, prediction, **options)
 
 
-@pytest.mark.parametrize("associator", [nearest_neighbour, singles, jcbb])
+@pytest.mark.parametrize("associator", BLIND)
 @pytest.mark.parametrize(("m", "n"), [(0, 0), (0, 4), (4, 0)])
 def test_nothing_to_associate(associator, m, n):
     answer = associator(*oracles.problem(np.random.default_rng(0), m, n))
     assert answer.features.tolist() == [NONE] * m
     assert (answer.joint_distance, answer.dof) == (0.0, 0)
+
+
+@pytest.mark.parametrize("associator", BLIND)
+@pytest.mark.parametrize("seed", range(20))
+def test_what_holds_of_every_associator(associator, seed):
+    """Pairings are individually compatible, the distance is theirs, and the arguments are left as they were."""
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 12, spread=2.0, locality=seed % 2 == 0)
+    before = pickle.dumps((scan, prediction.positions, prediction.covariances, prediction.features))
+    answer = associator(scan, prediction)
+    assert pickle.dumps((scan, prediction.positions, prediction.covariances, prediction.features)) == before
+    assert answer.features.dtype == np.int64 and answer.features.shape == (8,)
+    row_of = {int(feature): row for row, feature in enumerate(prediction.features)} | {NONE: NONE}
+    rows = [row_of[int(feature)] for feature in answer.features]
+    check(answer, scan, prediction, rows)
+    for row, found in zip(rows, oracles.compatible(scan, prediction, 0.99)):
+        assert row == NONE or row in [j for _, j in found]
+    again = associator(scan, prediction)
+    assert again.features.tolist() == answer.features.tolist() and again.effort == answer.effort
 
 
 @pytest.mark.parametrize("seed", range(20))
