@@ -238,7 +238,7 @@ def main(argv: list[str]) -> int:
             command=command_line("agents.evaluate", argv), resume=a.resume, console=console,
         )  # fmt: skip
     except KeyboardInterrupt:
-        console.print(f"interrupted; go on with the same command and --resume --out {out}")
+        console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise
     from agents.report import write_report  # matplotlib takes a second to import
 
@@ -248,7 +248,7 @@ def main(argv: list[str]) -> int:
         f"{setting.world}, {a.episodes} episodes",
         console,
     )
-    console.print(f"report: {write_report(out)}")
+    console.print(f"report: {write_report(out)}", soft_wrap=True)
     return 0
 
 

@@ -24,6 +24,7 @@ from sb3_contrib import MaskablePPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+from stable_baselines3.common.save_util import load_from_zip_file
 from torch import nn
 
 from agents.base import ActionKind, Info, Observation, legal_goals
@@ -206,8 +207,10 @@ class PolicyAgent:
 
 def _load_zip(path: Path) -> PolicyAgent:
     """Stable-Baselines3's own format: MaskablePPO where its policy scores goals, else PPO."""
-    for algorithm, action in ((MaskablePPO, "goal"), (PPO, "twist")):
-        policy = algorithm.load(path, device="cpu").policy
-        if isinstance(policy, GoalPolicy) == (action == "goal"):
-            return PolicyAgent(policy, action, deterministic=True)
-    raise ValueError(f"model {path}: neither a MaskablePPO with a GoalPolicy nor a PPO")
+    try:
+        data = load_from_zip_file(path, device="cpu")[0] or {}
+        goal = issubclass(data["policy_class"], GoalPolicy)
+        policy = (MaskablePPO if goal else PPO).load(path, device="cpu").policy
+    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pickle.UnpicklingError) as error:
+        raise ValueError(f"model {path}: no Stable-Baselines3 model of this package: {error}") from error
+    return PolicyAgent(policy, "goal" if goal else "twist", deterministic=goal)

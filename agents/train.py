@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import multiprocessing
+import signal
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -47,7 +50,9 @@ EPISODE_END = ("map_error", "coverage")
 
 def training_env(setting: Setting, action: ActionKind, reward_scale: float) -> gym.Env[Any, Any]:
     """One training environment: true returns are logged, scaled ones are learned from."""
-    threadpool_limits(1)  # each environment has a process of its own; BLAS threads on top of that only get in the way
+    if multiprocessing.parent_process() is not None:
+        threadpool_limits(1)  # BLAS threads on top of the processes would only get in the way
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the trainer, which ends its environments
     monitored = Monitor(setting.make(action), info_keywords=EPISODE_END)
     return gym.wrappers.TransformReward(monitored, partial(_scaled, reward_scale))
 
@@ -114,10 +119,18 @@ class Watch(BaseCallback):
         self._env.close()
 
 
-def vectorised(setting: Setting, action: ActionKind, hyper: Hyperparameters) -> VecEnv:
-    """The training environments, each in a process of its own."""
+@contextlib.contextmanager
+def vectorised(setting: Setting, action: ActionKind, hyper: Hyperparameters) -> Iterator[VecEnv]:
+    """The training environments, each in a process of its own; ended however the training ends."""
     makers = [partial(training_env, setting, action, hyper.reward_scale)] * hyper.envs
-    return SubprocVecEnv(makers) if hyper.envs > 1 else DummyVecEnv(makers)
+    envs = SubprocVecEnv(makers) if hyper.envs > 1 else DummyVecEnv(makers)
+    try:
+        yield envs
+    except BaseException:
+        for process in getattr(envs, "processes", []):
+            process.terminate()  # close() could wait for ever for the answer to a step that was interrupted
+        raise
+    envs.close()
 
 
 def resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, Any]:
@@ -148,8 +161,7 @@ def train(
     probe.reset(seed=seed)
     spec = ModelSpec.of(probe, action, hyper, training)
     probe.close()
-    envs = vectorised(setting, action, hyper)
-    with contextlib.closing(envs), progress_bar() as progress:
+    with vectorised(setting, action, hyper) as envs, progress_bar() as progress:
         model = make_algorithm(action, envs, hyper, seed)
         before = resume(model, out / "checkpoint.pt", spec) if resumed else {}
         spec.training["best"] = before.get("best", float("inf"))
@@ -163,6 +175,9 @@ def train(
             if watch.evaluated != model.num_timesteps:
                 watch.evaluate()
             model.logger.dump(model.num_timesteps)
+        except KeyboardInterrupt:
+            progress.console.print(f"interrupted; go on with the same command and --resume --out {out}")
+            raise
         finally:
             watch.save("checkpoint.pt")
             watch.save("model.pt")

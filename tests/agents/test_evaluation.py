@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 from agents import evaluate as command
+from agents import film as filming
 from agents.base import make_agent
 from agents.evaluate import default_out, drivers_of, evaluate, main
-from agents.film import film
 from agents.parallel import Driver
 from agents.results import Journal, in_order, table, write_json
 from agents.rollout import Setting, run_episode
@@ -205,12 +205,13 @@ def test_json_without_nan(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [None, 1.0, {"b": None}]}
 
 
-def test_a_film_shows_the_episode_that_was_evaluated(finished, tmp_path):
+def test_a_film_shows_the_episode_that_was_evaluated(tmp_path, monkeypatch):
+    monkeypatch.setattr(filming, "FRAMES", 30)
     imageio = pytest.importorskip("imageio.v2")
     pytest.importorskip("pygame")
-    picture = film(SMALL, make_agent("random"), 0, tmp_path / "random.mp4")
+    picture = filming.film(SMALL, make_agent("random"), 0, tmp_path / "random.mp4")
     frames = [frame for frame in imageio.get_reader(tmp_path / "random.mp4")]
-    assert 200 <= len(frames) <= 330
+    assert 30 <= len(frames) - filming.RATE <= 31
     shown = imageio.imread(picture)
     assert shown.shape == frames[-1].shape
     assert np.abs(shown.astype(int) - frames[-1].astype(int)).mean() < 6.0

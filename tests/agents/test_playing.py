@@ -62,7 +62,18 @@ def test_closing_the_window_ends_the_game(env):
     assert play(env, keyboard, keyboard, 0, steps=50) == "quit"
 
 
+class Spinner:
+    name, action = "spinner", "twist"
+
+    def reset(self, seed):
+        pass
+
+    def act(self, observation, info):
+        return np.array([0.0, 1.0], np.float32)
+
+
 def test_an_agent_is_watched(monkeypatch, capsys):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    assert main(["--scenario", "office-small", "--agent", "random", "--steps", "1"]) == 0
-    assert "random" in capsys.readouterr().out
+    assert main(["--scenario", "office-small", "--agent", f"{__name__}:Spinner", "--steps", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "spinner" in said and "no display" in said

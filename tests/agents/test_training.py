@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from agents.base import make_agent
 from agents.evaluate import main as evaluate_main
-from agents.ppo import load_hyperparameters, read_model
+from agents.ppo import load_hyperparameters, make_algorithm, read_model
 from agents.rollout import Setting, run_episode
 from agents.train import HELD_OUT, main, train
 from slam_gym.scenarios import SPLITS
@@ -105,6 +107,18 @@ def test_twist_is_trained_by_ppo(tmp_path):
     assert np.isfinite(run_episode(Setting("office-small").make("twist"), agent, 0)["map_error"])
 
 
+@pytest.mark.parametrize("action", ["goal", "twist"])
+def test_a_trusted_zip_of_stable_baselines3_is_read(tmp_path, action):
+    envs = DummyVecEnv([lambda: Setting("office-small", split="train").make(action)])
+    make_algorithm(action, envs, short(action), seed=0).save(tmp_path / "model.zip")
+    agent = make_agent("ppo", tmp_path / "model.zip", trust=True)
+    assert agent.action == action
+    observation = {key: value[0] for key, value in envs.reset().items()}
+    assert envs.action_space.contains(agent.act(observation, {"action_mask": np.ones(16, bool)}))
+    with pytest.raises(ValueError, match=r"--trust"):
+        make_agent("ppo", tmp_path / "model.zip")
+
+
 def test_worlds_watched_in_training_are_neither_trained_nor_reported_on():
     first, count = SPLITS["test"]
     assert SPLITS["train"][0] + SPLITS["train"][1] <= first
@@ -113,7 +127,8 @@ def test_worlds_watched_in_training_are_neither_trained_nor_reported_on():
 
 @pytest.mark.slow
 def test_the_command_trains_in_processes_and_evaluate_reads_its_model(tmp_path):
-    toml = (ROOT / "agents" / "hyperparameters.toml").read_text().replace("steps = 256", "steps = 16")
+    toml = (ROOT / "agents" / "hyperparameters.toml").read_text()
+    toml = re.sub(r"^steps = \d+", "steps = 16", toml, flags=re.MULTILINE)
     (tmp_path / "short.toml").write_text(toml)
     line = ["--scenario", "office-small", "--timesteps", "32", "--envs", "2", "--eval-episodes", "1"]
     line += ["--hyperparameters", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run")]
