@@ -39,7 +39,7 @@ class InformationGain:
 
     def act(self, observation: Observation, info: Info) -> int:
         goals, spec = unsquash_goals(observation["goals"]), self._spec
-        ticks = spec.overhead + goals["path"] / spec.speed
+        ticks = np.maximum(spec.overhead + goals["path"] / spec.speed, 1.0)
         ticks[LOOK_AROUND] = spec.look
         gain = 2.0 * spec.prior_sigma**2 * spec.density * goals["area"] + goals["reduction"]
         return int(np.argmax(np.where(legal_goals(info), gain / ticks, -np.inf)))
