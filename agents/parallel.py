@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -94,6 +95,8 @@ def connect(backend: str, jobs: int) -> None:
 def run_all(tasks: Sequence[Task], jobs: int, backend: str = "loky") -> Iterator[Record]:
     """Records as they finish, in any order. `ray` and `multiprocessing` do not hand on single results: these batch."""
     calls = [joblib.delayed(run_task)(task) for task in tasks]
+    # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     with joblib.parallel_config(backend=backend, n_jobs=jobs):
         if backend in ("ray", "multiprocessing"):
             for start in range(0, len(calls), 4 * jobs):
