@@ -203,12 +203,9 @@ def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list
     names = list(dict.fromkeys(names))
     if models and not any(is_learned(name) for name in names):
         names.append("ppo")
-    files = [str(Path(model).resolve()) for model in models]
-    return [
-        Driver(name, file, trust)
-        for name in names
-        for file in ((files or [None]) if is_learned(name) else [None])
-    ]  # fmt: skip
+    files: list[str | None] = [str(Path(model).resolve()) for model in models]
+    none: list[str | None] = [None]
+    return [Driver(name, file, trust) for name in names for file in (is_learned(name) and files) or none]
 
 
 def default_out(world: str, resume: bool) -> Path:

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.base import AGENTS, Agent, Info, Observation, make_agent, visible
+from agents.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
 from agents.cli import add_world_options, run_main, setting_of
 from agents.rollout import reset_arguments
 
@@ -27,7 +27,7 @@ class Keyboard:
     """The human's hands: which keys are down, and what they ask for."""
 
     name = "you"
-    action = "twist"
+    action: ActionKind = "twist"
 
     def __init__(self) -> None:
         import pygame  # extra `render`; the environment's window delivers the keys

@@ -116,6 +116,9 @@ def save_model(path: Path, spec: ModelSpec, policy: Any) -> None:
     os.replace(partial, path)
 
 
+_UNREADABLE = (RuntimeError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pickle.UnpicklingError)
+
+
 def read_model(path: Path) -> tuple[ModelSpec, dict[str, Any]]:
     """Spec and contents (`policy`, `optimizer`) of a model file, read without running code from it.
 
@@ -128,17 +131,11 @@ def read_model(path: Path) -> tuple[ModelSpec, dict[str, Any]]:
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f"not a {FORMAT!r} file")
         return ModelSpec(**json.loads(content["spec"])), content
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        EOFError,
-        KeyError,
-        TypeError,
-        ValueError,
-        zipfile.BadZipFile,
-    ) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        hint = " (a Stable-Baselines3 .zip can run code when read: --trust allows it)" if path.suffix == ".zip" else ""
+    except _UNREADABLE as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        if isinstance(error, pickle.UnpicklingError):  # torch's own words advise to read it all the same
+            reason = "it is no model file, or holds code beside weights and text"
+        hint = " (a Stable-Baselines3 .zip is a pickle: --trust reads it)" if path.suffix == ".zip" else ""
         raise ValueError(f"model {path}: refused, {reason}{hint}") from error
 
 
@@ -211,6 +208,6 @@ def _load_zip(path: Path) -> PolicyAgent:
         data = load_from_zip_file(path, device="cpu")[0] or {}
         goal = issubclass(data["policy_class"], GoalPolicy)
         policy = (MaskablePPO if goal else PPO).load(path, device="cpu").policy
-    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pickle.UnpicklingError) as error:
+    except (OSError, *_UNREADABLE) as error:
         raise ValueError(f"model {path}: no Stable-Baselines3 model of this package: {error}") from error
     return PolicyAgent(policy, "goal" if goal else "twist", deterministic=goal)

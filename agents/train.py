@@ -97,11 +97,10 @@ class Watch(BaseCallback):
         deterministic = bool(self._spec.hyperparameters["deterministic"])
         agent = PolicyAgent(self.model.policy, self._spec.action, deterministic=deterministic)
         records = [run_episode(self._env, agent, HELD_OUT + k) for k in range(self._episodes)]
-        score = interquartile_mean(np.array([record["map_error"] for record in records]))
-        self.logger.record("held_out/map_error", score)
-        self.logger.record(
-            "held_out/coverage", interquartile_mean(np.array([record["coverage"] for record in records]))
-        )
+        scores = {key: float(interquartile_mean(np.array([record[key] for record in records]))) for key in EPISODE_END}
+        for key, value in scores.items():
+            self.logger.record(f"held_out/{key}", value)
+        score = scores["map_error"]
         self._progress.console.print(
             f"{self.model.num_timesteps:>9} decisions: map error {score:.3f} on held-out worlds"
         )
