@@ -1,0 +1,106 @@
+"""The notebooks run from top to bottom, and what they show is what their text says."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+LARGEST = 1_500_000  # [bytes]
+
+
+@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
+def committed(request: pytest.FixtureRequest) -> Any:
+    return nbformat.read(request.param, as_version=4)
+
+
+@pytest.fixture
+def headless(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+def executed(name: str) -> Any:
+    """The notebook, run afresh; nbclient raises where a cell does."""
+    notebook = nbformat.read(ROOT / "notebooks" / name, as_version=4)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            cell.outputs, cell.execution_count = [], None
+    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}).execute()
+    return notebook
+
+
+def outputs(notebook: Any) -> Iterator[Any]:
+    for cell in notebook.cells:
+        yield from cell.get("outputs", [])
+
+
+def text(notebook: Any) -> str:
+    """Everything that the cells printed or showed as a table."""
+    parts = []
+    for output in outputs(notebook):
+        data = output.get("data", {})
+        parts.append(output.get("text", "") or data.get("text/markdown", ""))
+    return "\n".join(parts)
+
+
+def pictures(notebook: Any) -> int:
+    return sum("image/png" in output.get("data", {}) for output in outputs(notebook))
+
+
+def row(shown: str, name: str) -> list[float]:
+    """Numbers in the last table row of that name."""
+    line = [line for line in shown.splitlines() if line.startswith(f"| {name} |")][-1]
+    return [float(number) for number in re.findall(r"-?\d+\.?\d*", line.removeprefix(f"| {name} |"))]
+
+
+def test_both_notebooks_are_there() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["01_quickstart", "02_why_joint_compatibility"]
+
+
+def test_committed_with_their_outputs_and_nothing_of_a_machine(committed: Any) -> None:
+    assert len(nbformat.writes(committed)) < LARGEST
+    assert committed.metadata.kernelspec.name == "python3"
+    assert pictures(committed) >= 4
+    words = "\n".join(cell.source for cell in committed.cells) + text(committed)
+    assert not re.search(r"/(home|root|Users|tmp)/|[A-Z]:\\", words) and str(ROOT) not in words
+    for cell in committed.cells:
+        assert cell.cell_type != "code" or cell.execution_count is not None
+    for output in outputs(committed):
+        assert output.output_type != "error" and output.get("name") != "stderr"
+
+
+@pytest.mark.slow
+def test_quickstart(headless: None) -> None:
+    notebook = executed("01_quickstart.ipynb")
+    shown = text(notebook)
+    assert not [output for output in outputs(notebook) if output.output_type == "error"]
+    assert pictures(notebook) == 4
+    assert re.search(r"goal \d+ took \d+ ticks and earned 0\.\d+", shown)
+    assert "action_mask" in shown and "a legal sample" in shown
+    assert 0.0 < row(shown, "greedy")[0] < 0.7
+    assert row(shown, "information_gain")[0] < row(shown, "random")[0]
+    assert row(shown, "true_association")[0] == 1.0
+    assert row(shown, "nearest_neighbour")[0] < row(shown, "jcbb")[0]
+
+
+@pytest.mark.slow
+def test_why_joint_compatibility(headless: None) -> None:
+    notebook = executed("02_why_joint_compatibility.ipynb")
+    shown = text(notebook)
+    assert not [output for output in outputs(notebook) if output.output_type == "error"]
+    assert pictures(notebook) == 7
+    assert re.search(r"nearest neighbour +12 pairings, +8 right", shown)
+    assert re.search(r"JCBB +12 pairings, 12 right", shown)
+    for fate in ("visited", "incompatible", "cut by its bound"):
+        assert fate in shown
+    assert row(shown, "true association") == pytest.approx([88, 0, 0, 1, 1.0], abs=0.3)
+    nearest, joint = row(shown, "nearest neighbour"), row(shown, "JCBB")
+    assert nearest[0] >= 103 and 88 <= joint[0] <= 91
+    assert nearest[1] >= 10 * joint[1] and joint[3] >= 0.98
+    assert nearest[4] > 10 > 2 > joint[4]
