@@ -1,0 +1,306 @@
+"""Bad input and faults: refused by name, nothing corrupted; and a long random run over everything."""
+
+import gc
+import itertools
+import math
+import resource
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rollouts import SCENARIOS, differences, episode, explore, random_action, short
+
+from slam_gym.association import jcbb
+from slam_gym.envs.explore import ExploreEnv
+from slam_gym.scenarios import SPLITS, Scenario, get_scenario
+from slam_gym.types import NONE, Effort, Hypothesis, Scan
+from slam_gym.world.floor_plan import Features, FloorPlan
+from slam_gym.world.sensor import Sensor, SensorSpec
+
+# -- unknown names -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "known"),
+    [
+        ({"scenario": "warehouse"}, "'warehouse'.*office-small, office, aliased, hall, crowd"),
+        ({"split": "validation"}, "split='validation'.*train, test"),
+        ({"action": "drive"}, "action='drive'.*goal, twist"),
+        ({"reward": "coverage"}, "'coverage'.*map_error, a_opt, d_opt, entropy"),
+        ({"locality": "distance"}, "locality='distance'.*covisibility, None"),
+        ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, human"),
+        ({"associator": "icp"}, "'icp'.*jcbb, nearest_neighbour, singles, true_association"),
+        ({"associator": "no_such_module:f"}, "no_such_module.*known: jcbb"),
+        ({"associator": "slam_gym.association:no_such"}, "no_such.*known: jcbb"),
+        ({"associator": "slam_gym.types:NONE"}, "not callable.*known: jcbb"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_known_ones(arguments, known) -> None:
+    with pytest.raises(ValueError, match=known):
+        ExploreEnv(**arguments)
+
+
+# -- actions and resets --------------------------------------------------------------------------------------------
+
+BAD_TWISTS = [
+    (math.nan, 0.0),
+    (0.0, math.inf),
+    (-math.inf, 0.0),
+    (1.0001, 0.0),
+    (0.0, -1.5),
+    (0.5,),
+    (0.1, 0.2, 0.3),
+    [[0.1, 0.2]],
+    0.5,
+    None,
+    "forward",
+]
+BAD_GOALS = [-1, 16, 1.5, math.nan, None, "look", [0, 1], np.array([3])]
+
+
+@pytest.mark.parametrize(("action", "bad"), [("twist", BAD_TWISTS), ("goal", BAD_GOALS)])
+def test_a_bad_action_is_refused_and_changes_nothing(action, bad) -> None:
+    env, twin = explore("office", action=action), explore("office", action=action)
+    rng = np.random.default_rng(0)
+    _, info = env.reset(seed=0)
+    twin.reset(seed=0)
+    for wrong in bad:
+        with pytest.raises(ValueError, match="action"):
+            env.step(wrong)
+        right = random_action(env, info, rng)
+        one = env.step(right)
+        assert not differences(one, twin.step(right))
+        info = one[-1]
+    assert not differences(env.snapshot(), twin.snapshot())
+
+
+@pytest.mark.parametrize("right", [(1.0, -1.0), [0.0, 0.5], np.array([0.2, 0.1], np.float32), np.zeros(2)])
+def test_twists_may_come_as_any_pair(right) -> None:
+    env = explore(action="twist")
+    env.reset(seed=0)
+    assert env.step(right)[-1]["ticks"] == 1
+
+
+@pytest.mark.parametrize("right", [0, np.int64(0), np.array(0), np.int32(0)])
+def test_goals_may_come_as_any_integer(right) -> None:
+    env = explore()
+    env.reset(seed=0)
+    assert env.step(right)[-1]["ticks"] > 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"wrold": 3}, "unknown reset option 'wrold'; known: world"),
+        ({"world": -1}, "world -1 of split 'train': expected a whole number 0 … 999999"),
+        ({"world": SPLITS["train"][1]}, "world 1000000 of split"),
+        ({"world": 0.5}, "world 0.5 of split"),
+    ],
+)
+def test_a_bad_reset_is_refused_and_the_episode_goes_on(options, message) -> None:
+    env, twin = explore(action="twist"), explore(action="twist")
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=5, options=options)
+    assert not differences(env.step((1.0, 0.3)), twin.step((1.0, 0.3)))
+    assert not differences(env.snapshot(), twin.snapshot())
+
+
+# -- scans and associators -----------------------------------------------------------------------------------------
+
+
+def spoiled(monkeypatch: pytest.MonkeyPatch, spoil) -> None:
+    """From now on every scan with a measurement is spoiled."""
+    scan = Sensor.scan
+
+    def spoiled_scan(self, *args):
+        seen, truth = scan(self, *args)
+        if len(seen):
+            spoil(seen)
+        return seen, truth
+
+    monkeypatch.setattr(Sensor, "scan", spoiled_scan)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda scan: scan.points.__setitem__((0, 1), np.nan), "Scan: measurement 0: points are not finite"),
+        (lambda scan: scan.covariances.__setitem__((0, 0, 0), np.nan), "covariance is not finite"),
+        (lambda scan: scan.covariances.__setitem__(0, np.diag([1.0, -1.0])), "covariance is not PSD"),
+        (lambda scan: scan.covariances.__setitem__(0, [[1.0, 2.0], [2.0, 1.0]]), "covariance is not PSD"),
+    ],
+)
+def test_a_scan_that_would_corrupt_the_map_is_refused_by_name(spoil, message, monkeypatch) -> None:
+    env = explore(action="twist")
+    for _ in episode(env, 20):
+        pass
+    mean, covariance = env.episode.slam.map.mean, env.episode.slam.map.covariance
+    spoiled(monkeypatch, spoil)
+    with pytest.raises(ValueError, match=message):
+        env.step((0.0, 0.0))
+    np.testing.assert_array_equal(env.episode.slam.map.mean, mean)
+    np.testing.assert_array_equal(env.episode.slam.map.covariance, covariance)
+
+
+def hypothesis(features: list[int]) -> Hypothesis:
+    return Hypothesis(np.array(features, np.int64), 0.0, 0, Effort())
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda scan, prediction: hypothesis([10**6] * len(scan)),
+        lambda scan, prediction: hypothesis([-7] * len(scan)),
+        lambda scan, prediction: hypothesis([NONE] * (len(scan) + 1)),
+        lambda scan, prediction: hypothesis([NONE]),
+    ],
+    ids=["beyond the map", "below none", "too many", "too few"],
+)
+def test_an_associator_that_answers_nonsense_is_refused_and_corrupts_nothing(answer) -> None:
+    def faulty(scan: Scan, prediction) -> Hypothesis:
+        return answer(scan, prediction) if prediction.features.size > 5 and len(scan) > 5 else jcbb(scan, prediction)
+
+    env = explore("office", action="twist", associator=faulty)
+    with pytest.raises(ValueError, match="features"):
+        for _ in episode(env, 50):
+            pass
+    assert sound(env.episode.slam.map.covariance) and np.isfinite(env.episode.slam.map.mean).all()
+
+
+def test_an_associator_that_pairs_nothing_leaves_an_empty_map() -> None:
+    env = explore(short(80), associator=lambda scan, prediction: hypothesis([NONE] * len(scan)))
+    *_, (*_, info) = episode(env)
+    assert info["map_error"] == 1.0 and info["map_quality"]["features"] == 0.0
+
+
+def test_an_associator_that_pairs_at_random_does_not_break_the_filter() -> None:
+    """The worst that a learner can do: the map is worthless, but it stays one."""
+    rng = np.random.default_rng(0)
+
+    def reckless(scan: Scan, prediction) -> Hypothesis:
+        choices = np.append(prediction.features, NONE)
+        return hypothesis(rng.choice(choices, len(scan)).tolist())
+
+    env = explore(short(300), action="twist", associator=reckless)
+    for observation, reward, *_ in episode(env):
+        assert math.isfinite(reward) and env.observation_space.contains(observation)
+    assert sound(env.episode.slam.map.covariance) and np.isfinite(env.episode.slam.map.mean).all()
+
+
+# -- floor plans ---------------------------------------------------------------------------------------------------
+
+
+def box(width: float, height: float, x: float = 0.0, y: float = 0.0) -> list[list[float]]:
+    """Walls of a rectangle."""
+    corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
+    return [[*a, *b] for a, b in zip(corners, corners[1:] + corners[:1])]
+
+
+def world_of(walls, features=(), furniture=(), **changes) -> Scenario:
+    """A scenario on one given plan."""
+    points = np.array(list(features), float).reshape(-1, 2)
+    plan = FloorPlan(
+        "little",
+        np.array(walls, float),
+        Features(points, np.zeros(len(points), np.int64), np.full(len(points), 0.5)),
+        furniture=np.array(furniture, float).reshape(-1, 5),
+    )
+    return replace(get_scenario("office-small"), generator=lambda rng: plan, budget=60, **changes)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        (world_of(box(0.3, 0.3), [[0.0, 0.0]]), "'little': no free space for a robot of radius 0.2 m"),
+        (world_of(box(5, 5)), "'little': has no features"),
+        (world_of(box(9, 9) + box(2, 2, 4, 4), [[5, 5]]), "'little': none of its 1 features can be seen"),
+        (world_of(box(30, 3), [[0.0, 0.0]], [[x, 1.5, 4.0, 2.4, 0.0] for x in range(2, 30, 3)]), "furniture"),
+    ],
+    ids=["no free space", "no features", "none visible", "furniture everywhere"],
+)
+@pytest.mark.parametrize("action", ["goal", "twist"])
+def test_a_plan_that_cannot_be_mapped_says_why(scenario, message, action) -> None:
+    env = explore(scenario, action=action)
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize("action", ["goal", "twist"])
+@pytest.mark.parametrize("reward", ["map_error", "entropy"])
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        world_of(box(4, 4), [[0.0, 0.0]]),  # one feature
+        world_of(box(0.8, 0.8), [[0.0, 0.0], [0.8, 0.8]]),  # hardly room to turn
+        world_of(box(30, 30), [[0.0, 0.0]]),  # more space than the sensor spans
+        world_of(box(4, 4), [[0.0, 0.0]], sensor=SensorSpec(detection=0.0, clutter=0.0)),  # blind
+        world_of(box(4, 4), [[0.0, 0.0]], sensor=SensorSpec(detection=0.0, clutter=8.0)),  # nothing but clutter
+        world_of(box(6, 6), itertools.product(np.arange(0.0, 6.1, 0.5), (0.0, 6.0)), sensor=SensorSpec(max_features=1)),
+    ],
+    ids=["one feature", "closet", "field", "blind", "clutter", "one measurement"],
+)
+def test_odd_worlds_work(scenario, reward, action) -> None:
+    env = explore(scenario, action=action, reward=reward)
+    for observation, paid, _, _, info in episode(env, seed=1):
+        assert env.observation_space.contains(observation)
+        assert math.isfinite(paid) and math.isfinite(info["map_error"])
+    assert info["map_quality"]["ticks"] == 60
+
+
+def test_a_blind_robot_maps_nothing_and_is_paid_nothing() -> None:
+    env = explore(world_of(box(4, 4), [[0.0, 0.0]], sensor=SensorSpec(detection=0.0, clutter=0.0)))
+    for _, paid, *_, info in episode(env):
+        assert paid == 0.0 and info["map_error"] == 1.0
+
+
+# -- the long run --------------------------------------------------------------------------------------------------
+
+
+def sound(covariance: np.ndarray) -> bool:
+    """Symmetric, finite, and positive semidefinite up to λ_min ≥ −1e-9 λ_max."""
+    if not (np.isfinite(covariance).all() and np.array_equal(covariance, covariance.T)):
+        return False
+    eigenvalues = np.linalg.eigvalsh(covariance)
+    return bool(eigenvalues[0] >= -1e-9 * eigenvalues[-1])
+
+
+def memory() -> float:
+    """[MB] that this process holds now; where there is no /proc, the most that it has ever held."""
+    statm = Path("/proc/self/statm")
+    if statm.exists():
+        return int(statm.read_text().split()[1]) * resource.getpagesize() / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+STEPS = 100_000
+ASSOCIATORS = ("jcbb", "nearest_neighbour", "singles", "true_association")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_hundred_thousand_random_steps_break_nothing_and_leak_nothing(scenario) -> None:
+    rng, warm, share = np.random.default_rng(0), 0.0, STEPS // len(SCENARIOS)
+    envs = itertools.cycle([explore(scenario, action="twist", associator=name) for name in ASSOCIATORS])
+    steps = episodes = largest = 0
+    while steps < share:
+        env = next(envs)
+        observation, info = env.reset(seed=episodes)
+        for ticks in itertools.count(1):
+            observation, reward, terminated, _, info = env.step(random_action(env, info, rng))
+            assert math.isfinite(reward) and math.isfinite(info["map_error"]) and math.isfinite(info["pose_nees"])
+            if ticks % 100 == 0 or terminated:
+                assert env.observation_space.contains(observation)
+                assert sound(env.episode.slam.map.covariance) and np.isfinite(env.episode.slam.map.mean).all()
+            if terminated:
+                break
+        steps, episodes, largest = steps + ticks, episodes + 1, max(largest, env.episode.slam.map.n)
+        if episodes % len(ASSOCIATORS) == 0:
+            gc.collect()  # physics spaces refer to themselves, and would pile up for a while
+        if episodes == 2 * len(ASSOCIATORS):
+            warm = memory()
+    assert episodes > 3 * len(ASSOCIATORS) and largest > 30
+    assert memory() - warm < 5.0, f"{warm:.0f} MB became {memory():.0f} MB"
