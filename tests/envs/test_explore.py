@@ -20,7 +20,7 @@ from slam_gym.envs.observation import POINT_FIELDS
 from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import get_scenario
 from slam_gym.types import Truth
-from slam_gym.world.floor_plan import save_floor_plan
+from slam_gym.world.floor_plan import Door, Features, FloorPlan, Room, save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.sensor import Sensor
 
@@ -230,6 +230,33 @@ def test_a_lying_truth_changes_no_observation_and_no_reward(associator, action, 
         np.testing.assert_array_equal(one[4]["pose"], other[4]["pose"])
         assert not np.array_equal(one[4]["truth"]["pose"], other[4]["truth"]["pose"])
     assert lied_to[-1][4]["pose_nees"] > 100.0 * honest[-1][4]["pose_nees"]  # it did reach those whom it should
+
+
+def moved(plan: FloorPlan, by: np.ndarray) -> FloorPlan:
+    """The same floor elsewhere in W."""
+    features, far = plan.features, np.array([*by, 0.0, 0.0, 0.0])
+    return FloorPlan(
+        plan.name,
+        plan.walls + np.tile(by, 2),
+        Features(features.positions + by, features.kinds, features.sizes),
+        tuple(Room(room.name, room.polygon + by) for room in plan.rooms),
+        tuple(Door(door.position + by, door.width, door.rooms) for door in plan.doors),
+        plan.furniture + far,
+    )
+
+
+@pytest.mark.parametrize(("action", "steps"), [("goal", 4), ("twist", 80)])
+def test_where_the_building_stands_in_the_world_is_nowhere_to_be_seen(action, steps) -> None:
+    office = get_scenario("crowd")
+    elsewhere = replace(office, generator=lambda rng: moved(office.generator(rng), np.array([64.0, -32.0])))
+    env, twin = (explore(scenario, action=action, reward="d_opt") for scenario in (office, elsewhere))
+    for one, other in zip(episode(env, steps, seed=1), episode(twin, steps, seed=1), strict=True):
+        for name in one[0]:
+            np.testing.assert_allclose(one[0][name].astype(float), other[0][name], rtol=0.0, atol=1e-5, err_msg=name)
+        assert one[1] == pytest.approx(other[1], abs=1e-9)
+        np.testing.assert_allclose(one[4]["pose"], other[4]["pose"], atol=1e-9)
+        apart = other[4]["truth"]["pose"] - one[4]["truth"]["pose"]
+        np.testing.assert_allclose(apart, [64.0, -32.0, 0.0], atol=1e-9)
 
 
 def test_only_the_true_associator_is_handed_the_truth() -> None:
