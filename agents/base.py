@@ -40,6 +40,7 @@ AGENTS: dict[str, str] = {
     "nearest_frontier": "agents.frontier:NearestFrontier",
     "lawnmower": "agents.lawnmower:Lawnmower",
     "information_gain": "agents.information_gain:InformationGain",
+    "information_gain_no_revisits": "agents.information_gain:InformationGainNoRevisits",
     "ppo": "agents.ppo:PolicyAgent",
 }
 

@@ -43,3 +43,13 @@ class InformationGain:
         ticks[LOOK_AROUND] = spec.look
         gain = 2.0 * spec.prior_sigma**2 * spec.density * goals["area"] + goals["reduction"]
         return int(np.argmax(np.where(legal_goals(info), gain / ticks, -np.inf)))
+
+
+class InformationGainNoRevisits(InformationGain):
+    """The same without revisits: what it scores less is what they are worth."""
+
+    name = "information_gain_no_revisits"
+
+    def act(self, observation: Observation, info: Info) -> int:
+        mask = legal_goals(info) & ~(unsquash_goals(observation["goals"])["revisit"] > 0.5)
+        return super().act(observation, {**info, "action_mask": mask})

@@ -74,17 +74,22 @@ _folders: set[Path | None] = set()
 _announced = False
 
 
-def announce_compilation() -> None:
-    """Say once, on stderr, that the inner loops are about to be compiled; silent when they come from the cache."""
+def announce_compilation() -> bool:
+    """Say once, on stderr, that the inner loops are about to be compiled; silent when they come from the cache.
+
+    Returns whether it was said and what is compiled will be kept.
+    """
     global _announced
     if _announced:
-        return
+        return False
     _announced = True
-    cached = [folder is not None and any(folder.iterdir()) for folder in _folders]
-    if 2 * sum(cached) < len(cached):
+    cached = [folder is not None and any(folder.rglob("*.nbi")) for folder in _folders]
+    due = 2 * sum(cached) < len(cached)
+    if due:
         kept = "at every start: the cache folder is not writable" if None in _folders else "once, then cached"
         print(f"slam_gym: compiling its inner loops, up to half a minute ({kept}) …", file=sys.stderr, flush=True)
     _forget_old_versions()
+    return due and None not in _folders
 
 
 def _forget_old_versions() -> None:

@@ -133,6 +133,6 @@ def test_files_that_are_no_floor_plans_are_refused_by_name(tmp_path) -> None:
 
 @pytest.mark.parametrize("file", ["kth_floorplans/50052750_occ_map.npy.gz", "willow_garage/willow-full.pgm"])
 def test_real_floors_can_be_driven_and_mapped(data_dir, file) -> None:
-    quality = drive(from_floor_plan(data_dir / file, resolution=0.1), 12)
+    quality = drive(from_floor_plan(data_dir / file, resolution=0.1), 20)
     assert quality["features"] > 20 and quality["precision"] > 0.8
     assert 0.0 < quality["coverage"] < 1.0 and quality["map_error"] < 1.0

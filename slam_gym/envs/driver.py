@@ -9,11 +9,12 @@ import numpy as np
 
 from slam_gym.envs.episode import Episode
 from slam_gym.envs.goals import CLEARANCE, FRONTIERS, LOOK, WORTH_SEEING
-from slam_gym.mapping.planner import distance_field, follow
+from slam_gym.mapping.planner import PursuitSpec, distance_field, follow
 from slam_gym.types import Array
 
 ARRIVED = 0.4  # [m] from the goal
 REPLAN = 10  # [ticks] at most between looks at whether the path still holds
+KEEP = 1.1  # a path is kept until a fresh one is shorter by more than this factor
 STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] no nearer than this in so many ticks: lost
 
 AfterTick = Callable[[], None]
@@ -47,13 +48,15 @@ def _look_around(episode: Episode, after_tick: AfterTick) -> None:
 
 
 def _drive(episode: Episode, goal: Array, frontier: bool, after_tick: AfterTick) -> None:
+    robot = episode.scenario.robot
+    pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
     path = np.empty((0, 2))
     nearest, since = math.inf, 0
     ticks = 0
     while not episode.over:
         pose = episode.slam.map.pose
         if ticks % REPLAN == 0:
-            path = _plan(episode, pose, goal)
+            path = _plan(episode, pose, goal, path)
             if len(path) == 0 or (frontier and ticks and _out_of_date(episode, goal)):
                 break
         left = _length_left(path, pose[:2])
@@ -61,16 +64,35 @@ def _drive(episode: Episode, goal: Array, frontier: bool, after_tick: AfterTick)
         if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
             break
         episode.path = path
-        _tick(episode, *follow(pose, path), after_tick)
+        _tick(episode, *follow(pose, path, pursuit), after_tick)
         ticks += 1
     episode.path = np.empty((0, 2))
     if ticks == 0 and not episode.over:
         _tick(episode, 0.0, 0.0, after_tick)  # a step always costs time, or a lost goal could be asked for for ever
 
 
-def _plan(episode: Episode, pose: Array, goal: Array) -> Array:
+def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
+    """A path (p, 2) to the goal, or (0, 2). The one that is followed stays, as long as it is open and not much longer.
+
+    Otherwise two ways round an obstacle that cost the same would take turns, and the robot would go neither.
+    """
     field = distance_field(episode.grid, pose[:2], episode.scenario.robot.radius + CLEARANCE)
-    return field.path(goal)
+    fresh = field.path(goal)
+    if len(path) and len(fresh):
+        open_ = all(math.isfinite(field.length_to(point)) for point in _ahead(path, pose[:2]))
+        if open_ and _length_left(path, pose[:2]) < KEEP * _length_left(fresh, pose[:2]):
+            return path
+    return fresh
+
+
+def _ahead(path: Array, position: Array) -> Array:
+    """Points (q, 2) along the path from the waypoint nearest to `position`, 0.2 m apart."""
+    rest = path[int(np.argmin(((path - position) ** 2).sum(axis=1))) :]
+    if len(rest) < 2:
+        return rest
+    lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rest, axis=0).T))])
+    along = np.arange(0.0, lengths[-1], 0.2)
+    return np.column_stack([np.interp(along, lengths, rest[:, axis]) for axis in range(2)])
 
 
 def _out_of_date(episode: Episode, goal: Array) -> bool:

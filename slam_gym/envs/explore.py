@@ -12,7 +12,6 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym._compile import announce_compilation
 from slam_gym.association import resolve
 from slam_gym.envs import goals as goals_module
 from slam_gym.envs.driver import carry_out
@@ -27,8 +26,9 @@ from slam_gym.envs.observation import (
 )
 from slam_gym.envs.quality import quality
 from slam_gym.envs.rewards import get_reward
+from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.metrics.association import Tally
-from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_seed
+from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_generator, world_seed
 from slam_gym.types import NONE, Associator
 
 Observation = dict[str, Any]
@@ -71,7 +71,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
 
     ## Arguments
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS` or a `Scenario`; `floor_plan` (a file) with `resolution`
-      [m per pixel] for occupancy images puts the robot on that floor instead.
+      [m per pixel] for occupancy images puts the scenario's robot on that floor instead.
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
@@ -97,9 +97,11 @@ class ExploreEnv(gym.Env[Observation, Any]):
         _one_of("action", action, ("goal", "twist"))
         _one_of("locality", locality, ("covisibility", None))
         _one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        if floor_plan is not None:
-            scenario = from_floor_plan(floor_plan, resolution)
+        if resolution is not None and floor_plan is None:
+            raise ValueError(f"resolution={resolution} goes with a floor_plan, and there is none")
         self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
+        if floor_plan is not None:
+            self.scenario = from_floor_plan(floor_plan, resolution, self.scenario)
         self.split, self.locality = split, locality
         self.render_mode = render_mode
         self.render_covisibility = render_covisibility
@@ -131,7 +133,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
             "actions": [],
         }
         world = options.get("world", int(self.np_random.integers(SPLITS[self.split][1])))
-        announce_compilation()
+        compile_on_two_cores()
         site = self._draw_site(world)
         locality = self.locality is not None
         self._episode = Episode(
@@ -238,7 +240,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
     # -- parts of a step ---------------------------------------------------------------------------------------------
 
     def _draw_site(self, world: int) -> Site:
-        plan = self.scenario.generator(np.random.default_rng(world_seed(self.split, world)))
+        plan = self.scenario.generator(world_generator(self.split, world))
         if self._site is None or self._site.plan is not plan:  # a given floor plan is surveyed once
             self._site = survey(plan, self.scenario)
         return self._site

@@ -77,6 +77,6 @@ def _panel(episode: Episode) -> tuple[tuple[str, str], ...]:
         ("map error", f"{episode.map_error():.2f}"),
         ("explored", f"{100.0 * episode.coverage():.0f} %"),
         ("features mapped", f"{confirmed} of {len(episode.targets)}"),
-        ("pairings right", f"{100.0 * tally.precision:.1f} %"),
+        ("pairings right", f"{100.0 * tally.precision:.1f} %" if tally.tp + tally.fp else "–"),
         ("pose error", f"{100.0 * np.hypot(*(compose(episode.base, slam_map.pose) - episode.world.pose)[:2]):.0f} cm"),
     )

@@ -272,11 +272,11 @@ def keep(x: Array, at: Array, P: Array, kept: IntArray) -> None:
 
 
 @compiled
-def stale(seen: IntArray, first_seen: IntArray, n: int, before: int) -> IntArray:
-    """Features seen in one step only, which came before step `before`."""
+def stale(seen: IntArray, first_seen: IntArray, n: int, confirmations: int, before: int) -> IntArray:
+    """Features seen in fewer steps than `confirmations`, which came before step `before`."""
     out, k = np.empty(n, np.int64), 0
     for j in range(n):
-        if seen[j] == 1 and first_seen[j] < before:
+        if seen[j] < confirmations and first_seen[j] < before:
             out[k] = j
             k += 1
     return out[:k]

@@ -25,11 +25,14 @@ class MapSpec:
 
     confidence: float = 0.99  # of the χ² gates in data association
     first_estimate_jacobians: bool = False  # evaluate Jacobians at first estimates (Huang et al. 2010)
-    unconfirmed_age: int | None = 2  # [steps] a feature seen once is dropped when older than this; None: never
+    confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
+    unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
 
     def __post_init__(self) -> None:
         if not 0.0 < self.confidence < 1.0:
             raise ValueError(f"MapSpec.confidence: {self.confidence} is not between 0 and 1")
+        if self.confirmations < 1:
+            raise ValueError(f"MapSpec.confirmations: {self.confirmations} is less than 1")
         if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
             raise ValueError(f"MapSpec.unconfirmed_age: {self.unconfirmed_age} is negative")
 
@@ -142,8 +145,8 @@ class StochasticMap:
 
     @property
     def provisional(self) -> BoolArray:
-        """(n,) seen in one step only."""
-        return np.equal(self._seen[: self.n], 1)
+        """(n,) seen in fewer steps than confirm a feature: by default, in one only."""
+        return np.less(self._seen[: self.n], self.spec.confirmations)
 
     # the filter
 
@@ -233,11 +236,11 @@ class StochasticMap:
         return kept
 
     def unconfirmed(self) -> IntArray:
-        """Indices of the features that maintenance drops: seen once, more than `unconfirmed_age` steps ago."""
+        """Indices of the features that maintenance drops: provisional, first seen over `unconfirmed_age` steps ago."""
         age = self.spec.unconfirmed_age
         if age is None:
             return np.empty(0, dtype=np.int64)
-        return ekf.stale(self._seen, self._first_seen, self.n, self.step - age)
+        return ekf.stale(self._seen, self._first_seen, self.n, self.spec.confirmations, self.step - age)
 
     def end_of_step(self) -> None:
         """Advance the step number."""

@@ -1,0 +1,65 @@
+"""Compiling on two cores: the first run ever has a process of its own compile half of the inner loops into the cache.
+
+The main process compiles what an episode needs first (world, senses, filter), this one what it needs last.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import subprocess
+import sys
+
+import numpy as np
+
+from slam_gym._compile import announce_compilation
+from slam_gym.association import jcbb
+from slam_gym.mapping.coverage import CoverageGrid
+from slam_gym.mapping.expected_gain import expected_reduction
+from slam_gym.mapping.planner import distance_field, follow
+from slam_gym.metrics.map_quality import map_error
+from slam_gym.types import Beams, Locality, Prediction, Scan
+
+
+def compile_on_two_cores() -> None:
+    """Announce a compilation that is due, and start the second process for it; nothing where the cache is filled."""
+    if announce_compilation() and multiprocessing.parent_process() is None:
+        try:
+            subprocess.Popen([sys.executable, "-m", __name__], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        except OSError:  # no second process to be had: this one compiles everything
+            return
+
+
+def main() -> None:
+    """Call every loop of the second half once, on the least data that reaches it."""
+    points = np.array([[1.0, 0.0], [1.0, 1.0]])
+    _associate(points)
+    map_error(points, points, 0.5)
+    pose, grid = np.zeros(3), CoverageGrid(np.array([-4.0, -4.0, 4.0, 4.0]))
+    bearings = np.linspace(-3.0, 3.0, 60)
+    grid.integrate(pose, Beams(bearings, np.full(60, 2.0), 6.0))
+    grid.egocentric(pose, points)
+    field = distance_field(grid, pose[:2], 0.25)
+    grid.expected_area(grid.frontiers(field).centres, 6.0)
+    follow(pose, field.path(field.nearest(points[0])))
+    mean, covariance = np.concatenate([pose, points.ravel()]), 0.01 * np.eye(7)
+    expected_reduction(mean, covariance, grid, points, reach=6.0, sigma=0.1, drift=np.full(3, 0.01))
+
+
+def _associate(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> None:
+    """One search near, one far."""
+    covariances, unknown = np.tile(0.01 * np.eye(2), (2, 1, 1)), np.full(2, np.nan)
+    locality = Locality(np.array([True, False]), lambda rows: np.ones((len(rows), len(rows)), np.bool_))
+    prediction = Prediction(
+        np.arange(2),
+        points,
+        covariances,
+        unknown,
+        unknown,
+        lambda rows: 0.01 * np.eye(2 * len(rows)),
+        locality,
+    )
+    jcbb(Scan(points, covariances, unknown, unknown), prediction)
+
+
+if __name__ == "__main__":
+    main()
