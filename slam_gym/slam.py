@@ -76,7 +76,7 @@ class Slam:
             raise ValueError(f"hypothesis.features: {len(hypothesis.features)} decisions for {len(scan)} measurements")
         new = self.new_features(scan, prediction, hypothesis)
         self.map.update(scan, hypothesis.features)
-        created = self.map.add(scan, new)
+        created = self.map.add(scan, new) if len(new) else _NO_FEATURES
         return self._remember(prediction, hypothesis, new, created)
 
     def predict_features(self) -> Prediction:
@@ -100,7 +100,8 @@ class Slam:
         unpaired = hypothesis.features == NONE
         if not unpaired.any():
             return _NO_FEATURES
-        return np.flatnonzero(unpaired & ~has_compatible(scan, prediction, confidence))
+        left = np.flatnonzero(unpaired)
+        return left[~has_compatible(scan, prediction, confidence, measurements=left)]
 
     def _remember(self, prediction: Prediction, hypothesis: Hypothesis, new: IntArray, created: IntArray) -> SlamStep:
         """Covisibility of what was seen together, maintenance, and the record of the step."""
@@ -129,7 +130,7 @@ class Slam:
 
     def _collapsed(self, scan: Scan, hypothesis: Hypothesis) -> bool:
         """Too few pairings, for too many scans in a row, in a map that should have given some."""
-        paired = int((hypothesis.features != NONE).sum())
+        paired = hypothesis.dof // 2
         enough = len(scan) == 0 or self.map.n == 0 or paired >= self.spec.collapse * len(scan)
         self._starved = 0 if enough else self._starved + 1
         return self._starved >= self.spec.collapse_scans

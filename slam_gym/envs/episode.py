@@ -86,7 +86,8 @@ class Episode:
         self.virtual_map = VirtualMap(bounds, 1.0, scenario.prior_sigma) if virtual else None
         self.identities = Identities()
         self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
-        self._cells = observe(self.base, site.cells)
+        in_base, grid = observe(self.base, site.cells), self.grid
+        self._places = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
         self.poses: list[Array] = []  # true, in W, one per tick
         self.estimates: list[Array] = []  # in B
         self.nees: list[float] = []  # of the pose
@@ -139,8 +140,7 @@ class Episode:
     @property
     def landmarks(self) -> Array:
         """(e, 2) [m] confirmed features of the map, in W."""
-        slam_map = self.slam.map
-        return transform(self.base, slam_map.positions[~slam_map.provisional])
+        return transform(self.base, self.slam.map.confirmed)
 
     def map_error(self) -> float:
         """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
@@ -151,7 +151,7 @@ class Episode:
 
     def coverage(self) -> float:
         """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""
-        return map_quality.coverage(self.grid.cells, self.grid.origin, self.grid.resolution, self._cells)
+        return map_quality.coverage(self.grid.cells, self._places)
 
 
 def _slam_spec(scenario: Scenario, locality: bool) -> SlamSpec:

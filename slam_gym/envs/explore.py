@@ -54,9 +54,10 @@ class ExploreEnv(gym.Env[Observation, Any]):
 
     ## Observation space
     A flat `Dict` of float32 vectors, scaled into [−1, 1] or [0, 1], and one image; all of it in the estimate's frame:
-    `scan`, `features` (`observation.POINT_FIELDS` per row, nearest first), `uncertainty` (σ of x, y, θ), `budget`
-    (share left), `image` (3, 48, 48) uint8: free, wall, feature density, the robot in the middle heading up; and, in
-    goal mode, `goals` (`goals.GOAL_FIELDS` per slot; `goals.unsquash_goals` gives the numbers back in their units).
+    `scan` and `features` (what the map expected to see in it), nearest first, `observation.POINT_FIELDS` per row;
+    `uncertainty` (σ of x, y, θ), `budget` (share left), `image` (3, 48, 48) uint8: free, wall, feature density, the
+    robot in the middle heading up; and, in goal mode, `goals` (`goals.GOAL_FIELDS` per slot; `goals.unsquash_goals`
+    gives the numbers back in their units).
 
     ## Rewards
     The decrease, since the last step, of `map_error` (uses the truth) or of `a_opt`, `d_opt`, `entropy` of a virtual
@@ -275,7 +276,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
         pose = slam_map.pose
         observation: Observation = {
             "scan": encode_scan(episode.scan, self.measurements),
-            "features": encode_features(slam_map.prediction(self.scenario.sensor.range), slam_map.provisional),
+            "features": encode_features(episode.last_step.prediction),
             "uncertainty": encode_uncertainty(slam_map.pose_covariance),
             "budget": np.array([1.0 - episode.ticks / self.scenario.budget], np.float32),
             "image": encode_image(episode.grid, pose, slam_map.positions),

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
 from slam_gym.mapping.coverage import CoverageGrid
-from slam_gym.types import Array, BoolArray, Prediction, Scan
+from slam_gym.types import Array, Prediction, Scan
 
 Float32Array = NDArray[np.float32]
 
-POINT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", "attribute")
-"""Columns of a measurement (attribute: its size) and of a map feature (attribute: 1 while seen only once)."""
+POINT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", "size")
+"""Columns of a measurement, and of a map feature as the last prediction had it."""
 
 FEATURES = 32  # nearest map features shown
 PIXELS = 48
@@ -58,10 +58,10 @@ def observation_space(measurements: int, goals: tuple[int, int] | None) -> space
 
 
 @compiled
-def _encode(points: Array, covariances: Array, attributes: Array, scale: float, rows: int) -> Float32Array:
+def _encode(points: Array, covariances: Array, sizes: Array, rows: int) -> Float32Array:
     """The nearest `rows` points (k, 2) with covariances (k, 2, 2) as `POINT_FIELDS`, nearest first; then zeros.
 
-    Attributes are squashed by `scale`, unless that is 0; NaN shows as 0.
+    An unknown size, NaN, shows as 0.
     """
     order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2)
     out = np.zeros(rows * 7, np.float32)
@@ -74,20 +74,19 @@ def _encode(points: Array, covariances: Array, attributes: Array, scale: float, 
         out[at + 3] = sx / (sx + SIGMA_SCALE)
         out[at + 4] = 0.0 if sx * sy == 0.0 else max(-1.0, min(1.0, covariances[i, 0, 1] / (sx * sy)))
         out[at + 5] = sy / (sy + SIGMA_SCALE)
-        if not math.isnan(attributes[i]):
-            out[at + 6] = attributes[i] if scale == 0.0 else attributes[i] / (abs(attributes[i]) + scale)
+        if not math.isnan(sizes[i]):
+            out[at + 6] = sizes[i] / (abs(sizes[i]) + SIZE_SCALE)
     return out
 
 
 def encode_scan(scan: Scan, measurements: int) -> Float32Array:
-    """Measurements, nearest first; an unknown size shows as 0."""
-    return _encode(scan.points, scan.covariances, scan.sizes, SIZE_SCALE, measurements)
+    """The measurements in the robot frame."""
+    return _encode(scan.points, scan.covariances, scan.sizes, measurements)
 
 
-def encode_features(prediction: Prediction, provisional: BoolArray) -> Float32Array:
-    """The nearest map features in the robot frame; `provisional` (n,) is over the whole map."""
-    attributes = provisional[prediction.features].astype(np.float64)
-    return _encode(prediction.positions, prediction.covariances, attributes, 0.0, FEATURES)
+def encode_features(prediction: Prediction) -> Float32Array:
+    """The nearest map features in the robot frame, where they were expected before the scan."""
+    return _encode(prediction.positions, prediction.covariances, prediction.sizes, FEATURES)
 
 
 @compiled

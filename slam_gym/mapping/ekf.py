@@ -272,6 +272,17 @@ def keep(x: Array, at: Array, P: Array, kept: IntArray) -> None:
 
 
 @compiled
+def confirmed(x: Array, seen: IntArray, n: int, confirmations: int) -> Array:
+    """Positions (e, 2) of the features seen in at least `confirmations` steps."""
+    out, e = np.empty((n, 2)), 0
+    for j in range(n):
+        if seen[j] >= confirmations:
+            out[e, 0], out[e, 1] = x[3 + 2 * j], x[4 + 2 * j]
+            e += 1
+    return out[:e]
+
+
+@compiled
 def stale(seen: IntArray, first_seen: IntArray, n: int, confirmations: int, before: int) -> IntArray:
     """Features seen in fewer steps than `confirmations`, which came before step `before`."""
     out, k = np.empty(n, np.int64), 0

@@ -144,6 +144,11 @@ class StochasticMap:
         return self._size_variances[: self.n].copy()
 
     @property
+    def confirmed(self) -> Array:
+        """(e, 2) [m] positions in B of the features that are not provisional."""
+        return ekf.confirmed(self._x, self._seen, self.n, self.spec.confirmations)
+
+    @property
     def provisional(self) -> BoolArray:
         """(n,) seen in fewer steps than confirm a feature: by default, in one only."""
         return np.less(self._seen[: self.n], self.spec.confirmations)

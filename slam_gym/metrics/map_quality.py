@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slam_gym._compile import compiled
 from slam_gym.geometry import transform
 from slam_gym.metrics.assignment import assign
-from slam_gym.types import Array
+from slam_gym.types import Array, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,21 +87,24 @@ def align_se2(source: Array, target: Array) -> Array:
     return np.array([*(target_mean - turned), heading])
 
 
-@compiled
-def coverage(cells: NDArray[np.uint8], origin: Array, resolution: float, points: Array) -> float:
-    """Share of `points` (c, 2) [m] whose grid cell is known (not 0); NaN without points.
+def cells_of(points: Array, shape: tuple[int, ...], origin: Array, resolution: float) -> IntArray:
+    """Flat index (c,) of the cell that holds each of `points` (c, 2) [m], −1 off the grid.
 
-    `cells` (h, w) uint8 with its lower left corner at `origin` (2,) [m], row 0 lowest, `resolution` [m] a cell; points
-    off the grid are not known. All in one frame.
+    The grid of `shape` (h, w) has its lower left corner at `origin` (2,) [m], row 0 lowest, `resolution` [m] a cell.
     """
-    height, width = cells.shape
-    known = 0
-    for k in range(len(points)):
-        column = math.floor((points[k, 0] - origin[0]) / resolution)
-        row = math.floor((points[k, 1] - origin[1]) / resolution)
-        if 0 <= row < height and 0 <= column < width and cells[row, column] != 0:
+    columns, rows = np.floor((points - origin) / resolution).astype(np.int64).T
+    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    return np.where(inside, rows * shape[1] + columns, -1)
+
+
+@compiled
+def coverage(cells: NDArray[np.uint8], places: IntArray) -> float:
+    """Share of the `places` (c,), as `cells_of` gives them, whose cell (h, w) is known (not 0); NaN without places."""
+    flat, known = cells.ravel(), 0
+    for place in places:
+        if place >= 0 and flat[place] != 0:
             known += 1
-    return known / len(points) if len(points) else math.nan
+    return known / len(places) if len(places) else math.nan
 
 
 def _points(name: str, points: Array) -> Array:

@@ -181,12 +181,13 @@ def test_the_scan_is_shown_nearest_first_and_the_features_are_those_of_the_map()
     np.testing.assert_allclose(6.0 * y / (1 - abs(y)), scan.points[order, 1], rtol=1e-5, atol=1e-5)
     sigma = rows[: len(scan), 3].astype(float)
     np.testing.assert_allclose(0.1 * sigma / (1 - sigma), np.sqrt(scan.covariances[order, 0, 0]), rtol=1e-4)
-    near = env.episode.slam.map.prediction(env.scenario.sensor.range)
+    near = env.episode.last_step.prediction
     features = observation["features"].reshape(-1, len(POINT_FIELDS))
     assert features[:, 0].sum() == min(len(near), len(features))
-    provisional = env.episode.slam.map.provisional[near.features]
     order = np.argsort(np.hypot(*near.positions.T))[: len(features)]
-    np.testing.assert_array_equal(features[: len(order), 6], provisional[order])
+    x, size = features[: len(order), 1].astype(float), features[: len(order), 6].astype(float)
+    np.testing.assert_allclose(6.0 * x / (1 - abs(x)), near.positions[order, 0], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(size / (1 - abs(size)), near.sizes[order], rtol=1e-5, atol=1e-5)
 
 
 def test_info_sums_up_to_the_tally_and_the_ticks() -> None:

@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from slam_gym.geometry import transform
 from slam_gym.metrics.assignment import assign
-from slam_gym.metrics.map_quality import align_se2, coverage, gospa, landmark_rmse, map_error
+from slam_gym.metrics.map_quality import align_se2, cells_of, coverage, gospa, landmark_rmse, map_error
 from slam_gym.types import NONE
 
 
@@ -117,5 +117,5 @@ def test_coverage_counts_points_in_known_cells():
     cells = np.zeros((3, 4), np.uint8)
     cells[0, 0], cells[2, 3] = 1, 2
     points = np.array([[-0.9, 2.1], [0.9, 3.4], [0.0, 2.6], [-1.1, 2.1], [5.0, 5.0]])
-    assert coverage(cells, np.array([-1.0, 2.0]), 0.5, points) == 2 / 5
-    assert math.isnan(coverage(cells, np.zeros(2), 0.5, np.empty((0, 2))))
+    assert coverage(cells, cells_of(points, cells.shape, np.array([-1.0, 2.0]), 0.5)) == 2 / 5
+    assert math.isnan(coverage(cells, cells_of(np.empty((0, 2)), cells.shape, np.zeros(2), 0.5)))
