@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -29,7 +30,8 @@ from slam_gym.validation import check_scan
 _NO_FEATURES = np.empty(0, np.int64)
 
 Relocate = Callable[["Slam", Scan], Hypothesis | None]
-"""Called when pairings collapse. It may move the map's pose, and returns the hypothesis to go on with, or None."""
+"""Called when pairings collapse. It returns None and leaves the map alone, or moves the map's pose and returns the
+hypothesis to go on with."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,16 @@ class SlamSpec:
     recent: int = 5  # [scans] whose pairings define the locality to look in first
     collapse: float = 0.2  # share of a scan's measurements that must be paired …
     collapse_scans: int = 5  # … in at least one of so many consecutive scans, or relocation is called
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.reach < math.inf:
+            raise ValueError(f"SlamSpec.reach: expected a finite length > 0 [m], got {self.reach}")
+        if self.new_confidence is not None and not 0.0 < self.new_confidence < 1.0:
+            raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
+        if not 0.0 <= self.collapse <= 1.0:
+            raise ValueError(f"SlamSpec.collapse: {self.collapse} is no share")
+        if self.recent < 1 or self.collapse_scans < 1:
+            raise ValueError(f"SlamSpec.recent, collapse_scans: {self.recent}, {self.collapse_scans}: less than 1")
 
 
 class Slam:
@@ -70,8 +82,10 @@ class Slam:
         self.map.predict(odometry)
         prediction = self.predict_features()
         hypothesis = (associate or self.associate)(scan, prediction)
-        if self._collapsed(scan, hypothesis) and self.relocate is not None:
-            hypothesis = self.relocate(self, scan) or hypothesis
+        if self._collapsed(scan, prediction, hypothesis) and self.relocate is not None:
+            relocated = self.relocate(self, scan)
+            if relocated is not None:
+                hypothesis, prediction, self._starved = relocated, self.predict_features(), 0
         if len(hypothesis.features) != len(scan):
             raise ValueError(f"hypothesis.features: {len(hypothesis.features)} decisions for {len(scan)} measurements")
         new = self.new_features(scan, prediction, hypothesis)
@@ -96,7 +110,8 @@ class Slam:
         of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate: where scans come by
         the hundred, this test deserves a wider gate (`new_confidence`) than the pairings do.
         """
-        confidence = self.spec.new_confidence or self.spec.map.confidence
+        given = self.spec.new_confidence
+        confidence = self.spec.map.confidence if given is None else given
         unpaired = hypothesis.features == NONE
         if not unpaired.any():
             return _NO_FEATURES
@@ -128,10 +143,10 @@ class Slam:
         self.map.end_of_step()
         return removed
 
-    def _collapsed(self, scan: Scan, hypothesis: Hypothesis) -> bool:
-        """Too few pairings, for too many scans in a row, in a map that should have given some."""
+    def _collapsed(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        """Too few pairings, for too many scans in a row, where the map should have given some."""
         paired = hypothesis.dof // 2
-        enough = len(scan) == 0 or self.map.n == 0 or paired >= self.spec.collapse * len(scan)
+        enough = len(scan) == 0 or len(prediction) == 0 or paired >= self.spec.collapse * len(scan)
         self._starved = 0 if enough else self._starved + 1
         return self._starved >= self.spec.collapse_scans
 

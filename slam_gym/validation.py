@@ -7,7 +7,7 @@ import math
 from slam_gym._compile import compiled
 from slam_gym.types import Array, Scan
 
-_PSD_TOLERANCE = 1e-9  # relative to the largest eigenvalue
+_TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, to the variances' product
 
 
 @compiled
@@ -22,7 +22,7 @@ def _first_bad_measurement(points: Array, covariances: Array, tolerance: float) 
         scale = abs(a) + abs(d)
         if abs(b - c) > tolerance * scale:
             return i, 3
-        if a < 0.0 or d < 0.0 or a * d - b * c < -tolerance * scale * scale or (scale == 0.0 and b != 0.0):
+        if a < 0.0 or d < 0.0 or a * d - b * b < -tolerance * a * d:
             return i, 4
     return -1, 0
 
@@ -45,6 +45,6 @@ def check_scan(scan: Scan) -> None:
         raise ValueError(f"Scan.covariances: shape {scan.covariances.shape}, expected ({m}, 2, 2)")
     if scan.sizes.shape != (m,) or scan.size_variances.shape != (m,):
         raise ValueError(f"Scan.sizes, Scan.size_variances: shapes {scan.sizes.shape}, {scan.size_variances.shape}")
-    index, fault = _first_bad_measurement(scan.points, scan.covariances, _PSD_TOLERANCE)
+    index, fault = _first_bad_measurement(scan.points, scan.covariances, _TOLERANCE)
     if fault:
         raise ValueError(f"Scan: measurement {index}: {_FAULTS[fault]}")

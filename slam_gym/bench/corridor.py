@@ -21,6 +21,7 @@ from slam_gym.association import jcbb, nearest_neighbour, singles, true_associat
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.metrics.association import Identities, Tally
+from slam_gym.metrics.consistency import pose_nees
 from slam_gym.slam import Slam, SlamSpec
 from slam_gym.types import Array, Hypothesis, IntArray, Odometry, Scan, Truth
 
@@ -97,7 +98,7 @@ def run(associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, lo
         if step == 0:
             nees = [0.0]
         else:
-            nees.append(_nees(pose, slam))
+            nees.append(pose_nees(slam.map.pose, slam.map.pose_covariance, pose))
     errors = np.array(estimates) - np.array(poses)
     errors[:, 2] = np.arctan2(np.sin(errors[:, 2]), np.cos(errors[:, 2]))
     return Run(slam, tally, errors, np.array(nees), np.array(poses), np.array(estimates))
@@ -139,12 +140,6 @@ def polar_scan(ranges: Array, bearings: Array, range_sigmas: Array, bearing_sigm
     covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
     unknown = np.full(len(ranges), np.nan)
     return Scan(np.column_stack([ranges * c, ranges * s]), covariances, unknown, unknown)
-
-
-def _nees(pose: Array, slam: Slam) -> float:
-    error = slam.map.pose - pose
-    error[2] = math.remainder(error[2], 2.0 * math.pi)
-    return float(error @ np.linalg.solve(slam.map.pose_covariance, error))
 
 
 def summary(associator: str, seeds: IntArray, q: float, confidence: float) -> dict[str, float]:

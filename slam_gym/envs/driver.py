@@ -23,6 +23,8 @@ AfterTick = Callable[[], None]
 def carry_out(episode: Episode, slot: int, goal: Array, after_tick: AfterTick) -> None:
     """Look around (slot `LOOK`), or drive to `goal` (2,) in B until it is reached, lost or out of date.
 
+    A frontier is out of date once there is little left to see from it; a revisit is driven to its end.
+
     Ends at once when the budget is spent. `after_tick` is called after every tick.
     """
     if slot == LOOK:

@@ -7,12 +7,13 @@ B, the frame of the robot's first pose.
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam_gym.association import resolve, true_association
-from slam_gym.geometry import observe, relative, transform
+from slam_gym.association import ASSOCIATORS, resolve
+from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.mapping.coverage import CoverageGrid
 from slam_gym.mapping.virtual_map import VirtualMap
 from slam_gym.metrics import map_quality
@@ -28,6 +29,7 @@ from slam_gym.world.reachability import free_start, observable, reachable
 from slam_gym.world.sensor import Sensor
 
 _GRID_MARGIN = 2.0  # [m] of explored grid around the plan, for estimates that drift out of it
+_TRUE = ASSOCIATORS["true_association"]
 _AT_REST = Motion(moved=np.zeros(3), wheels=np.zeros(3), contact=False)
 
 
@@ -79,11 +81,12 @@ class Episode:
         self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
-        self.associate = resolve(associator)
+        self.associate = _gated(resolve(associator), scenario.slam.map.confidence)
         self.slam = Slam(_slam_spec(scenario, locality), self.associate)
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = CoverageGrid(bounds, scenario.grid_resolution)
-        self.virtual_map = VirtualMap(bounds, 1.0, scenario.prior_sigma) if virtual else None
+        # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
+        self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
         self.identities = Identities()
         self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
         in_base, grid = observe(self.base, site.cells), self.grid
@@ -114,16 +117,18 @@ class Episode:
 
     def _associator(self, truth: Truth) -> Associator:
         """The run's associator; the true one is handed the truth of this scan."""
-        if self.associate is not true_association:
+        if self.associate is not _TRUE:
             return self.associate
         known = self.identities.source_of(self.slam.map.ids)
-        return functools.partial(true_association, sources=truth.sources, identities=known)
+        return functools.partial(_TRUE, sources=truth.sources, identities=known)
 
     def _explore(self, beams: Beams) -> None:
         pose = self.slam.map.pose
         self.grid.integrate(pose, beams)
         if self.virtual_map is not None:
-            self.virtual_map.observe(pose, self.slam.map.pose_covariance, beams, self.scenario.sensor.range_sigma)
+            covariance = turned(self.base, self.slam.map.pose_covariance)
+            sigma = self.scenario.sensor.sigma_halfway
+            self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
 
     def _log(self, true_pose: Array) -> None:
         pose = self.slam.map.pose
@@ -152,6 +157,23 @@ class Episode:
     def coverage(self) -> float:
         """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""
         return map_quality.coverage(self.grid.cells, self._places)
+
+
+def _gated(associator: Associator, confidence: float) -> Associator:
+    """The associators that ship are told the confidence of the filter's gates; others know their own."""
+    for known in ASSOCIATORS.values():
+        if associator is known and known is not _TRUE:
+            return functools.partial(known, confidence=confidence)
+    return associator
+
+
+def turned(base: Array, covariance: Array) -> Array:
+    """Covariance (3, 3) of a pose given in B, turned into W."""
+    turn = np.eye(3)
+    c, s = math.cos(base[2]), math.sin(base[2])
+    turn[:2, :2] = [[c, -s], [s, c]]
+    out: Array = turn @ covariance @ turn.T
+    return out
 
 
 def _slam_spec(scenario: Scenario, locality: bool) -> SlamSpec:

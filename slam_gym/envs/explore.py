@@ -64,7 +64,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
     map (use none, and so pay for overconfidence): see `rewards`.
 
     ## Starting state
-    A world drawn from the seeds of the `split`, and a free place and heading in it. `reset(options={"world": i})`
+    A world drawn from the seeds of the `split`, and a free place and heading in it; with `floor_plan` always that
+    floor. `reset(options={"world": i})`
     takes the i-th world of the split. Same seed and options, same episode.
 
     ## Episode end
@@ -201,7 +202,9 @@ class ExploreEnv(gym.Env[Observation, Any]):
 
     @property
     def goals(self) -> Goals:
-        """The goals on offer, in goal mode."""
+        """The goals on offer. Raises RuntimeError in twist mode, where there are none, and before the first reset."""
+        if not self.goal_mode or self._episode is None:
+            raise RuntimeError("goals exist in goal mode, after reset()")
         return self._goals
 
     @property

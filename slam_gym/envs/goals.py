@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +34,7 @@ CLEARANCE = 0.05  # [m] beyond the robot's radius that paths keep from walls
 PLACE_SPACING = 1.5  # [m] between the remembered places along the robot's way
 _PLACES = 32  # at most so many are weighed at a decision
 _REVISIT_SPACING = 3.0  # [m] between the revisits on offer
-_LOOKS = 5  # scans that a look is worth
+_LOOKS = 5  # independent scans that a look is taken to be worth, a rule of thumb
 WORTH_SEEING = 0.5  # [m²] a frontier from which less than this is to be seen is none, or has become out of date
 
 
@@ -104,11 +105,12 @@ def _ends(grid: CoverageGrid, field: Field, reach: float) -> Array:
 
 
 def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: CoverageGrid, spots: Array) -> Array:
-    sensor, odometry = scenario.sensor, scenario.odometry
-    sigma = np.hypot(sensor.range_sigma, sensor.bearing_sigma * sensor.range / 2.0) / np.sqrt(_LOOKS)
-    drift = np.array([odometry.forward, odometry.forward, odometry.turn_per_metre])  # of the last metre
+    """Foreseen from each spot; on the way there the known map is taken to hold the drift down to that of a metre."""
+    sigma = scenario.sensor.sigma_halfway / math.sqrt(_LOOKS)
+    odometry = scenario.odometry
+    drift = np.array([odometry.forward, odometry.forward, odometry.turn_per_metre])
     return expected_reduction(
-        slam_map.mean, slam_map.covariance, grid, spots, reach=sensor.range, sigma=float(sigma), drift=drift
+        slam_map.mean, slam_map.covariance, grid, spots, reach=scenario.sensor.range, sigma=sigma, drift=drift
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam_gym.envs.episode import Episode
+from slam_gym.envs.episode import Episode, turned
 from slam_gym.envs.rendering import Frame
 from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.types import NONE, Array
@@ -26,7 +26,7 @@ def frame_of(episode: Episode, goals: Array, *, covisibility: bool = False) -> F
         true_pose=episode.world.pose,
         true_trail=_trail(episode.poses),
         pose=pose,
-        pose_covariance=_turned(base, slam_map.pose_covariance),
+        pose_covariance=turned(base, slam_map.pose_covariance),
         trail=transform(base, _trail(episode.estimates)),
         landmarks=landmarks,
         landmark_covariances=rotate_covariances(base[2], slam_map.covariances),
@@ -50,15 +50,6 @@ def _trail(poses: list[Array]) -> Array:
     """Positions (≤ _TRAIL, 2) of the poses so far, the last among them."""
     every = max(1, len(poses) // _TRAIL)
     return np.array([pose[:2] for pose in poses[::-1][::every][::-1]])
-
-
-def _turned(base: Array, covariance: Array) -> Array:
-    """Pose covariance (3, 3) turned from B into W."""
-    turn = np.eye(3)
-    c, s = np.cos(base[2]), np.sin(base[2])
-    turn[:2, :2] = [[c, -s], [s, c]]
-    turned: Array = turn @ covariance @ turn.T
-    return turned
 
 
 def _paired(episode: Episode, landmarks: Array) -> Array:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from slam_gym.envs.episode import Episode
 from slam_gym.geometry import transform
+from slam_gym.metrics.consistency import anees
 from slam_gym.metrics.map_quality import gospa, landmark_rmse
 from slam_gym.metrics.trajectory import ate
-from slam_gym.types import Array
 
 _CUTOFF = 1.0  # [m] of the GOSPA that is reported
 
 
 def quality(episode: Episode) -> dict[str, float]:
-    """Measures of the episode so far; provisional features (seen once) count nowhere.
+    """Measures of the episode so far; provisional features (seen too seldom to be confirmed) count nowhere.
 
     `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
     duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `ate` [m] is that of the positions,
@@ -44,12 +42,7 @@ def quality(episode: Episode) -> dict[str, float]:
         "recall": tally.recall,
         "duplicates": float((sources >= 0).sum() - len(real)),
         "features": float(len(landmarks)),
-        "anees": _anees(np.array(episode.nees)),
+        "anees": anees(np.array(episode.nees[1:]), 3),
         "ate": ate(transform(episode.base, np.array(episode.estimates)[:, :2]), np.array(episode.poses)[:, :2]),
         "ticks": float(episode.ticks),
     }
-
-
-def _anees(nees: Array) -> float:
-    known = nees[np.isfinite(nees)]
-    return float(known.mean() / 3.0) if len(known) else math.nan

@@ -37,6 +37,11 @@ class SensorSpec:
     person_detection: float = 0.5  # probability that a person in sight yields a spurious measurement
     max_features: int = 20  # measurements in a scan; the nearest are kept
 
+    @property
+    def sigma_halfway(self) -> float:
+        """[m] what a measurement at half the range is off by, along and across the view together."""
+        return math.hypot(self.range_sigma, self.bearing_sigma * self.range / 2.0)
+
     def __post_init__(self) -> None:
         _check(self, positive=("bearing_sigma", "size_sigma"), shares=("detection", "person_detection"))
         if not 0.0 < self.min_range < self.range:
