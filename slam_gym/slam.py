@@ -19,7 +19,7 @@ from slam_gym.types import (
     BoolArray,
     Hypothesis,
     IntArray,
-    Locality,
+    Nearby,
     Odometry,
     Prediction,
     Scan,
@@ -97,11 +97,11 @@ class Slam:
         """What should be seen from the predicted pose, with the localities to search first."""
         return self.map.prediction(self.spec.reach, self._locality if self.spec.locality else None)
 
-    def _locality(self, features: IntArray) -> Locality:
+    def _locality(self, features: IntArray) -> Nearby:
         """Near: what was paired in recent scans, and all that was ever seen together with it."""
         recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
         near = self.covisibility.local_to(recent)[features]
-        return Locality(near, lambda rows: self.covisibility.among(features[rows]))
+        return Nearby(near, lambda rows: self.covisibility.among(features[rows]))
 
     def new_features(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> IntArray:
         """Measurements that start a feature: unpaired *and* individually compatible with nothing in the map.

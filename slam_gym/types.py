@@ -20,7 +20,7 @@ NONE = -1
 """The branch `*` of the interpretation tree: paired with nothing; as the source of a measurement: spurious."""
 
 UNKNOWN = -2
-"""The source of a measurement that nobody has labelled (recordings only)."""
+"""The source of a measurement that nobody has labelled (recordings only); the kind of what could not be classified."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,7 @@ class Scan:
     covariances: Array  # (m, 2, 2) [m²] in R
     sizes: Array  # (m,) [m] measured intrinsic attribute, NaN where unknown
     size_variances: Array  # (m,) [m²], NaN where unknown
+    kinds: IntArray | None = None  # (m,) class that the detector reports, UNKNOWN where it cannot tell; None: never
 
     def __len__(self) -> int:
         return len(self.points)
@@ -66,6 +67,25 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Locality:
+    """Which features of a map are local to which: L(j) for every feature j, in compressed rows.
+
+    It is symmetric, and every feature is local to itself. Where all features are local to all, there is no `Locality`
+    but None: n² of them would have to be written down.
+    """
+
+    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]
+    members: IntArray  # (e,) ascending within each row
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def of(self, feature: int) -> IntArray:
+        """L(feature), ascending."""
+        return self.members[self.starts[feature] : self.starts[feature + 1]]
+
+
+@dataclass(frozen=True, slots=True)
+class Nearby:
     """Which of the predicted features are worth looking at, for a search that starts from what was just seen.
 
     Rows are rows of the `Prediction` that carries it.
@@ -90,10 +110,35 @@ class Prediction:
     sizes: Array  # (k,) [m] mapped intrinsic attribute, NaN where unknown
     size_variances: Array  # (k,) [m²]
     joint: Callable[[IntArray], Array]  # rows (j,) -> (2j, 2j) [m²] H P Hᵀ of those features together
-    locality: Locality | None = None
+    locality: Nearby | None = None
+    ages: IntArray | None = None  # (k,) [steps] since each feature was first seen
+    visibility: Array | None = None  # (k,) probability that the sensor has each in its view, walls considered
+    kinds: IntArray | None = None  # (k,) class of each feature, UNKNOWN where it has none; None: no feature has one
 
     def __len__(self) -> int:
         return len(self.features)
+
+
+@dataclass(frozen=True, slots=True)
+class Landmarks:
+    """The features of a map, for searches without a prior on the robot's pose. In B.
+
+    Cross-covariances come in one of three ways: all of them (`covariance`), those of some pairs (`block_…`, as large
+    maps keep them), or none. Features without one are taken for independent.
+    """
+
+    positions: Array  # (n, 2) [m]
+    covariances: Array  # (n, 2, 2) [m²] marginals
+    sizes: Array  # (n,) [m] mapped intrinsic attribute, NaN where unknown
+    size_variances: Array  # (n,) [m²]
+    kinds: IntArray  # (n,) class, UNKNOWN where there is none
+    covariance: Array  # (2n, 2n) [m²] of all features together, or (0, 0)
+    block_starts: IntArray  # (n + 1,) the pairs (j, l) of j are entries block_starts[j]:block_starts[j + 1]; or (0,)
+    block_columns: IntArray  # (e,) l, ascending for each j; both (j, l) and (l, j) are there
+    blocks: Array  # (e, 2, 2) [m²] P_jl
+
+    def __len__(self) -> int:
+        return len(self.positions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +149,21 @@ class Effort:
     individual_tests: int = 0  # pairings tested for individual compatibility
     joint_tests: int = 0  # joint compatibility tests
     limit_hit: bool = False  # the node limit ended the search: the hypothesis may not be the best
+    unary_tests: int = 0  # pairings tested by what the features are, wherever they are
+    binary_tests: int = 0  # pairs of pairings tested by their relation
+    leaves: int = 0  # hypotheses complete enough to be located
+    tries: int = 0  # random samples drawn
+    seconds: float = 0.0  # wall time, where the search takes it
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """How probable a hypothesis is, among those that the search came across."""
+
+    log_density: float  # unnormalised, of the hypothesis
+    probability: float  # of the hypothesis
+    runner_up: IntArray  # (m,) map features of the next most probable one
+    runner_up_probability: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,10 +174,39 @@ class Hypothesis:
     joint_distance: float  # D²_H of all its pairings together
     dof: int  # degrees of freedom of that distance: 2 per pairing
     effort: Effort
+    posterior: Posterior | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Relocation:
+    """The answer of a search without a prior: a hypothesis and the pose that it puts the robot at."""
+
+    features: IntArray  # (m,) map feature paired with each measurement, NONE for `*`
+    pose: Array  # (3,) [m, m, rad] of the robot in B; NaN with fewer than two pairings
+    covariance: Array  # (3, 3) [m², m·rad, rad²] of that pose; NaN likewise
+    joint_distance: float  # D²_H at that pose
+    dof: int  # 2k − 3 for k pairings, since the pose was fitted from them
+    min_pairings: int  # what the rule asks for, given scan and map
+    ambiguous: bool  # another pose explains as many measurements, or nearly: the scan does not decide
+    ties: int  # hypotheses at other poses with as many pairings
+    effort: Effort
+
+    @property
+    def pairings(self) -> int:
+        """Number of measurements that are paired."""
+        return int((self.features != NONE).sum())
+
+    @property
+    def accepted(self) -> bool:
+        """Enough pairings, at one pose only."""
+        return self.pairings >= self.min_pairings and not self.ambiguous
 
 
 Associator = Callable[[Scan, Prediction], Hypothesis]
 """The narrow waist: whatever decides where measurements come from."""
+
+Relocator = Callable[[Scan, Landmarks, Locality | None], Relocation]
+"""Whatever finds the robot in a map without a prior. Locality None: all features are local to all."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 from scipy.stats import chi2
 
-from slam_gym.types import NONE, Array, IntArray, Locality, Prediction, Scan
+from slam_gym.types import NONE, Array, IntArray, Nearby, Prediction, Scan
 
 
 def problem(
@@ -57,7 +57,7 @@ def problem(
         related = (group[:, None] == group) | stray | stray.T
         near = (group == 0) & (rng.random(n) < 0.9)
         prediction = dataclasses.replace(
-            prediction, locality=Locality(near, lambda rows: np.ascontiguousarray(related[np.ix_(rows, rows)]))
+            prediction, locality=Nearby(near, lambda rows: np.ascontiguousarray(related[np.ix_(rows, rows)]))
         )
     return Scan(points, R, np.full(m, np.nan), np.full(m, np.nan)), prediction
 

@@ -17,7 +17,7 @@ from slam_gym.mapping.coverage import CoverageGrid
 from slam_gym.mapping.expected_gain import expected_reduction
 from slam_gym.mapping.planner import distance_field, follow
 from slam_gym.metrics.map_quality import map_error
-from slam_gym.types import Beams, Locality, Prediction, Scan
+from slam_gym.types import Beams, Nearby, Prediction, Scan
 
 
 def compile_on_two_cores() -> None:
@@ -48,7 +48,7 @@ def main() -> None:
 def _associate(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> None:
     """One search near, one far."""
     covariances, unknown = np.tile(0.01 * np.eye(2), (2, 1, 1)), np.full(2, np.nan)
-    locality = Locality(np.array([True, False]), lambda rows: np.ones((len(rows), len(rows)), np.bool_))
+    locality = Nearby(np.array([True, False]), lambda rows: np.ones((len(rows), len(rows)), np.bool_))
     prediction = Prediction(
         np.arange(2),
         points,

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
-from slam_gym.types import Array, BoolArray, IntArray, Locality, Odometry, Prediction, Scan
+from slam_gym.types import Array, BoolArray, IntArray, Nearby, Odometry, Prediction, Scan
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class StochasticMap:
         if not ekf.predict(self._x, self._at, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
-    def prediction(self, reach: float, locality: Callable[[IntArray], Locality] | None = None) -> Prediction:
+    def prediction(self, reach: float, locality: Callable[[IntArray], Nearby] | None = None) -> Prediction:
         """Features within `reach` [m] + 3σ of the robot, as it would measure them; valid until the map next changes.
 
         `locality` is given the map indices (k,) of those features and returns what the Prediction is to carry.
