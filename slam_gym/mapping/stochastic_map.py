@@ -16,7 +16,18 @@ from numpy.typing import ArrayLike
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
-from slam_gym.types import Array, BoolArray, IntArray, Nearby, Odometry, Prediction, Scan
+from slam_gym.types import (
+    NONE,
+    UNKNOWN,
+    Array,
+    BoolArray,
+    IntArray,
+    Landmarks,
+    Nearby,
+    Odometry,
+    Prediction,
+    Scan,
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +48,16 @@ class MapSpec:
             raise ValueError(f"MapSpec.unconfirmed_age: {self.unconfirmed_age} is negative")
 
 
-_COLUMNS = ("_ids", "_seen", "_first_seen", "_last_seen", "_sizes", "_size_variances")  # one entry per feature
+_COLUMNS = (
+    "_ids",
+    "_seen",
+    "_first_seen",
+    "_last_seen",
+    "_sizes",
+    "_size_variances",
+    "_kinds",
+)  # one entry per feature
+_NO_BLOCKS = np.empty((0, 2, 2))
 
 
 class StochasticMap:
@@ -59,12 +79,9 @@ class StochasticMap:
         pose_covariance: ArrayLike | None = None,
         capacity: int = 64,
     ) -> None:
-        start = np.array([0.0, 0.0, 0.0] if pose is None else pose, dtype=np.float64)
-        covariance = np.array(np.zeros((3, 3)) if pose_covariance is None else pose_covariance, dtype=np.float64)
-        if start.shape != (3,) or not np.all(np.isfinite(start)):
-            raise ValueError(f"pose: expected 3 finite numbers, got {start.tolist()}")
-        if covariance.shape != (3, 3) or not is_covariance(covariance):
-            raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {covariance.tolist()}")
+        start, covariance = _checked_pose(
+            np.zeros(3) if pose is None else pose, np.zeros((3, 3)) if pose_covariance is None else pose_covariance
+        )
         if capacity < 1:
             raise ValueError(f"capacity: {capacity} is less than 1")
         self.spec = spec or MapSpec()
@@ -77,7 +94,7 @@ class StochasticMap:
         self._at = np.zeros(side) if self.spec.first_estimate_jacobians else self._x
         self._ids, self._seen, self._first_seen, self._last_seen = (np.zeros(capacity, np.int64) for _ in range(4))
         self._sizes, self._size_variances = np.zeros(capacity), np.zeros(capacity)
-        start[2] = wrap_angle(start[2])
+        self._kinds = np.full(capacity, UNKNOWN)
         self._x[:3] = self._at[:3] = start
         self._P[:3, :3] = covariance
 
@@ -144,6 +161,11 @@ class StochasticMap:
         return self._size_variances[: self.n].copy()
 
     @property
+    def kinds(self) -> IntArray:
+        """(n,) class that the detector reported, UNKNOWN where it never did."""
+        return self._kinds[: self.n].copy()
+
+    @property
     def confirmed(self) -> Array:
         """(e, 2) [m] positions in B of the features that are not provisional."""
         return ekf.confirmed(self._x, self._seen, self.n, self.spec.confirmations)
@@ -171,7 +193,36 @@ class StochasticMap:
         )
         joint = _Joint(self, features, self._version)
         near = None if locality is None else locality(features)
-        return Prediction(features, positions, covariances, sizes, variances, joint, near)
+        ages, kinds = self.step - self._first_seen[features], self._kinds[features]
+        return Prediction(features, positions, covariances, sizes, variances, joint, near, ages, kinds=kinds)
+
+    def landmarks(self) -> Landmarks:
+        """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""
+        covariance = np.ascontiguousarray(self.covariance[3:, 3:])
+        none = np.empty(0, np.int64)
+        return Landmarks(
+            self.positions,
+            self.covariances,
+            self.sizes,
+            self.size_variances,
+            self.kinds,
+            covariance,
+            none,
+            none,
+            _NO_BLOCKS.copy(),
+        )
+
+    def place(self, pose: ArrayLike, covariance: ArrayLike) -> None:
+        """Put the robot at `pose` (3,) with `covariance` (3, 3), independent of the features: all it knew is forgotten.
+
+        For relocation: place with a covariance that says nothing, then `update` with the pairings that were found.
+        Raises ValueError, the map unchanged, where the pose is not finite or the covariance is none.
+        """
+        at, P = _checked_pose(pose, covariance)
+        self._version += 1
+        self._x[:3] = self._at[:3] = at
+        self._P[:3, : self._d] = 0.0
+        self._P[:3, :3] = P
 
     def update(self, scan: Scan, features: IntArray) -> None:
         """Joint EKF update with every pairing (measurement i, feature features[i] ≠ NONE); features (m,) map indices.
@@ -200,6 +251,9 @@ class StochasticMap:
             self._sizes,
             self._size_variances,
         )
+        if scan.kinds is not None:
+            told = (features != NONE) & (scan.kinds != UNKNOWN)
+            self._kinds[features[told]] = scan.kinds[told]
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
         """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
@@ -216,6 +270,7 @@ class StochasticMap:
             self._seen[self.n] = 1
             self._first_seen[self.n] = self._last_seen[self.n] = self.step
             self._sizes[self.n], self._size_variances[self.n] = scan.sizes[i], scan.size_variances[i]
+            self._kinds[self.n] = UNKNOWN if scan.kinds is None else scan.kinds[i]
             self._next_id += 1
             self._version += 1
             self.n += 1
@@ -283,6 +338,17 @@ class _Joint:
         if self.map._version != self.version:
             raise RuntimeError("the map has changed since this prediction was made")
         return ekf.joint_covariance(self.map._at, self.map._P, self.features[rows])
+
+
+def _checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
+    """Fresh arrays (3,), its heading wrapped, and (3, 3)."""
+    at, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
+    if at.shape != (3,) or not np.all(np.isfinite(at)):
+        raise ValueError(f"pose: expected 3 finite numbers, got {at.tolist()}")
+    if P.shape != (3, 3) or not is_covariance(P):
+        raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {P.tolist()}")
+    at[2] = wrap_angle(at[2])
+    return at, P
 
 
 def _bad_measurement(scan: Scan, i: int) -> ValueError:
