@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,10 +13,13 @@ from slam_gym._compile import compiled
 from slam_gym.association.compatibility import has_compatible
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.tracking import Tracking
 from slam_gym.types import (
     NONE,
+    Array,
     Associator,
     BoolArray,
+    Effort,
     Hypothesis,
     IntArray,
     Nearby,
@@ -30,8 +33,11 @@ from slam_gym.validation import check_scan
 _NO_FEATURES = np.empty(0, np.int64)
 
 Relocate = Callable[["Slam", Scan], Hypothesis | None]
-"""Called when pairings collapse. It returns None and leaves the map alone, or moves the map's pose and returns the
-hypothesis to go on with."""
+"""Called scan by scan while the robot is lost. It returns None and leaves the map alone, or moves the map's pose and
+returns the hypothesis to go on with (`slam_gym.relocation.relocate_by`)."""
+
+Visible = Callable[[Array, Prediction], Array]
+"""From the robot's pose (3,) in B and a prediction of k features: probability (k,) that the sensor has each in view."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +49,9 @@ class SlamSpec:
     new_confidence: float | None = None  # of the gate that a new feature must miss everything by; None: as `map`
     locality: bool = True  # offer covisibility localities to the associator
     recent: int = 5  # [scans] whose pairings define the locality to look in first
-    collapse: float = 0.2  # share of a scan's measurements that must be paired …
-    collapse_scans: int = 5  # … in at least one of so many consecutive scans, or relocation is called
+    collapse: float = 0.3  # a scan that pairs a lesser share of the features that should be in view is doubted …
+    collapse_scans: int = 5  # … and so many of them in a row have lost the robot
+    collapse_least: int = 4  # features that should be in view, without which no scan is doubted
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reach < math.inf:
@@ -53,24 +60,40 @@ class SlamSpec:
             raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
         if not 0.0 <= self.collapse <= 1.0:
             raise ValueError(f"SlamSpec.collapse: {self.collapse} is no share")
-        if self.recent < 1 or self.collapse_scans < 1:
-            raise ValueError(f"SlamSpec.recent, collapse_scans: {self.recent}, {self.collapse_scans}: less than 1")
+        for name in ("recent", "collapse_scans", "collapse_least"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is less than 1")
 
 
 class Slam:
     """A robot's map and pose estimate, and the step that updates them.
 
-    `associate` decides where measurements come from; `relocate`, if given, is asked when pairings collapse.
+    `associate` decides where measurements come from. With `relocate`, scans that pair too little of what should be in
+    view are not learned from, and it is asked where the robot is once there were too many of them in a row. `visible`
+    tells what should be in view.
     """
 
-    def __init__(self, spec: SlamSpec, associate: Associator, relocate: Relocate | None = None) -> None:
+    def __init__(
+        self,
+        spec: SlamSpec,
+        associate: Associator,
+        relocate: Relocate | None = None,
+        visible: Visible | None = None,
+    ) -> None:
         self.spec = spec
         self.associate = associate
         self.relocate = relocate
+        self.visible = visible
         self.map = StochasticMap(spec.map)
         self.covisibility = CovisibilityGraph()
         self._recent: deque[IntArray] = deque(maxlen=spec.recent)
-        self._starved = 0
+        self.tracking = Tracking(spec.collapse, spec.collapse_scans, spec.collapse_least)
+        self.relocations = 0  # so far
+
+    @property
+    def lost(self) -> bool:
+        """The robot is not where the map has it, and waits for relocation."""
+        return self.tracking.lost
 
     def step(self, odometry: Odometry, scan: Scan, associate: Associator | None = None) -> SlamStep:
         """Move by `odometry`, then learn from `scan`. `associate` overrides the run's associator for this step.
@@ -82,10 +105,13 @@ class Slam:
         self.map.predict(odometry)
         prediction = self.predict_features()
         hypothesis = (associate or self.associate)(scan, prediction)
-        if self._collapsed(scan, prediction, hypothesis) and self.relocate is not None:
-            relocated = self.relocate(self, scan)
-            if relocated is not None:
-                hypothesis, prediction, self._starved = relocated, self.predict_features(), 0
+        if self.relocate is not None and self._doubts(prediction, hypothesis):
+            found = self.relocate(self, scan) if self.lost else None
+            if found is None:
+                return self._learn_nothing(prediction, scan)
+            hypothesis, prediction = found, self.predict_features()
+            self.tracking.believe(hypothesis)
+            self.relocations += 1
         if len(hypothesis.features) != len(scan):
             raise ValueError(f"hypothesis.features: {len(hypothesis.features)} decisions for {len(scan)} measurements")
         new = self.new_features(scan, prediction, hypothesis)
@@ -95,7 +121,10 @@ class Slam:
 
     def predict_features(self) -> Prediction:
         """What should be seen from the predicted pose, with the localities to search first."""
-        return self.map.prediction(self.spec.reach, self._locality if self.spec.locality else None)
+        prediction = self.map.prediction(self.spec.reach, self._locality if self.spec.locality else None)
+        if self.visible is None:
+            return prediction
+        return replace(prediction, visibility=self.visible(self.map.pose, prediction))
 
     def _locality(self, features: IntArray) -> Nearby:
         """Near: what was paired in recent scans, and all that was ever seen together with it."""
@@ -143,12 +172,16 @@ class Slam:
         self.map.end_of_step()
         return removed
 
-    def _collapsed(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
-        """Too few pairings, for too many scans in a row, where the map should have given some."""
-        paired = hypothesis.dof // 2
-        enough = len(scan) == 0 or len(prediction) == 0 or paired >= self.spec.collapse * len(scan)
-        self._starved = 0 if enough else self._starved + 1
-        return self._starved >= self.spec.collapse_scans
+    def _doubts(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        """Too few pairings where the map should have given more: the robot may have been carried away."""
+        return self.tracking.doubts(prediction, hypothesis, ~self.map.provisional[prediction.features])
+
+    def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
+        """The step of a scan that is not believed: the map stays as the odometry left it."""
+        undecided = np.full(len(scan), NONE)
+        self.map.end_of_step()
+        hypothesis = Hypothesis(undecided, 0.0, 0, Effort())
+        return SlamStep(prediction, hypothesis, undecided, np.zeros(len(scan), np.bool_), _NO_FEATURES)
 
 
 @compiled

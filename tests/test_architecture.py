@@ -15,13 +15,16 @@ ALLOWED = {
     "world": BASE | {"world"},
     "mapping": BASE | {"mapping"},
     "association": BASE | {"association"},
-    "slam": BASE | {"mapping", "association"},
+    "tracking": BASE,
+    "slam": BASE | {"mapping", "association", "tracking"},
+    "relocation": BASE | {"mapping", "association", "slam"},
     "metrics": BASE | {"metrics"},
     "scenarios": BASE | {"world", "mapping", "slam"},
-    "envs": BASE | {"world", "mapping", "association", "slam", "metrics", "scenarios", "envs"},
-    "bench": BASE | {"world", "mapping", "association", "slam", "metrics", "scenarios", "envs", "bench", "__init__"},
+    "envs": BASE | {"world", "mapping", "association", "slam", "relocation", "metrics", "scenarios", "envs"},
+    "bench": {"__init__", "envs", "bench"},
     "__init__": set(),
 }
+ALLOWED["bench"] |= ALLOWED["envs"]
 
 
 def imports(path: Path) -> set[str]:

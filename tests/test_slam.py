@@ -134,7 +134,7 @@ def test_relocation_is_called_when_pairings_collapse_and_only_then() -> None:
         calls.append(slam.map.step)
         return Hypothesis(np.array([1, 0]), 0.0, 4, Effort())
 
-    slam = Slam(SlamSpec(collapse_scans=3), jcbb, relocate)
+    slam = Slam(SlamSpec(collapse_scans=3, collapse_least=2), jcbb, relocate)
     here, elsewhere = scan_of([[1, 0], [2, 1]]), scan_of([[4, 4], [5, 3]])
     for _ in range(5):
         slam.step(STILL, here)
@@ -210,7 +210,7 @@ def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pos
         slam.map.predict(Odometry(-moved.motion, 1e-4 * np.eye(3)))  # back to where the scan makes sense
         return Hypothesis(np.array([0, NONE]), 0.0, 2, Effort())
 
-    slam = Slam(SlamSpec(collapse_scans=1, reach=20.0), jcbb, relocate)
+    slam = Slam(SlamSpec(collapse_scans=1, collapse_least=2, reach=20.0), jcbb, relocate)
     slam.step(STILL, here)
     slam.step(STILL, here)
     step = slam.step(moved, here)
@@ -218,7 +218,15 @@ def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pos
 
 
 @pytest.mark.parametrize(
-    "settings", [{"reach": np.nan}, {"new_confidence": 1.0}, {"collapse": 1.5}, {"recent": 0}, {"collapse_scans": 0}]
+    "settings",
+    [
+        {"reach": np.nan},
+        {"new_confidence": 1.0},
+        {"collapse": 1.5},
+        {"recent": 0},
+        {"collapse_scans": 0},
+        {"collapse_least": 0},
+    ],
 )
 def test_settings_that_cannot_be_are_refused_by_name(settings) -> None:
     with pytest.raises(ValueError, match=next(iter(settings))):
