@@ -1,0 +1,217 @@
+"""Localities against their definitions, and what each of the three cannot do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.locality import covisible, locality_sizes, same_local_map, with_blocks, within
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Locality
+from slam_gym.world.generators import OfficeGenerator
+from slam_gym.world.ray_casting import WallIndex, pull_back
+from slam_gym.world.reachability import reachable
+
+RANGE = 6.0  # [m] of the sensor in the worlds below
+
+
+def dense(locality: Locality) -> BoolArray:
+    """(n, n), and that each row is ascending without repetitions."""
+    n = len(locality)
+    out = np.zeros((n, n), np.bool_)
+    for j in range(n):
+        assert np.all(np.diff(locality.of(j)) > 0)
+        out[j, locality.of(j)] = True
+    return out
+
+
+def random_graph(rng: np.random.Generator, n: int) -> tuple[CovisibilityGraph, IntArray]:
+    """A graph and its counts (n, n)."""
+    graph, counts = CovisibilityGraph(), np.zeros((n, n), np.int64)
+    graph.add(n)
+    for _ in range(int(rng.integers(0, n + 1))):
+        seen = rng.choice(n, int(rng.integers(0, min(n, 5) + 1)), replace=False)
+        graph.see_together(seen)
+        counts[np.ix_(seen, seen)] += 1
+    return graph, counts
+
+
+def test_covisibility_equals_powers_of_the_relation() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        n = int(rng.integers(1, 25))
+        graph, counts = random_graph(rng, n)
+        at_least, hops = int(rng.integers(1, 4)), int(rng.integers(1, 5))
+        once = ((counts >= at_least) | np.eye(n, dtype=np.bool_)).astype(np.int64)
+        expected = np.linalg.matrix_power(once, hops) > 0
+        np.testing.assert_array_equal(dense(covisible(graph, at_least, hops)), expected)
+
+
+def test_distance_equals_all_pairs() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        positions = rng.uniform(-5, 5, (int(rng.integers(0, 40)), 2))
+        distance = rng.uniform(0.0, 6.0)
+        apart = np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1))
+        np.testing.assert_array_equal(dense(within(positions, distance)), apart <= distance)
+    twice = np.ones((3, 2))
+    assert dense(within(twice, 0.0)).all()  # features in one place
+
+
+def test_local_maps_equal_the_definition() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        map_of = rng.choice([0, 1, 5, 7], int(rng.integers(0, 30)))
+        np.testing.assert_array_equal(dense(same_local_map(map_of)), map_of[:, None] == map_of)
+
+
+def test_every_locality_is_symmetric_and_reflexive_and_sizes_are_counted() -> None:
+    rng = np.random.default_rng(3)
+    graph, _ = random_graph(rng, 60)
+    for locality in (
+        covisible(graph),
+        covisible(graph, at_least=2),
+        covisible(graph, hops=2),
+        within(rng.uniform(0, 9, (60, 2)), 2.0),
+        same_local_map(rng.integers(0, 6, 60)),
+    ):
+        related = dense(locality)
+        assert np.array_equal(related, related.T) and related.diagonal().all()
+        np.testing.assert_array_equal(locality_sizes(locality, 60), related.sum(axis=1))
+    np.testing.assert_array_equal(locality_sizes(None, 4), [4, 4, 4, 4])
+
+
+def some_landmarks(rng: np.random.Generator, n: int) -> Landmarks:
+    factor = rng.standard_normal((2 * n, 2 * n))
+    covariance = factor @ factor.T
+    marginals = np.array([covariance[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
+    none, unknown = np.empty(0, np.int64), np.full(n, np.nan)
+    kinds, blocks = np.full(n, UNKNOWN), np.empty((0, 2, 2))
+    return Landmarks(rng.uniform(0, 9, (n, 2)), marginals, unknown, unknown, kinds, covariance, none, none, blocks)
+
+
+def test_blocks_are_those_of_the_full_covariance() -> None:
+    rng = np.random.default_rng(4)
+    for n in (0, 1, 2, 17):
+        landmarks = some_landmarks(rng, n)
+        locality = within(landmarks.positions, 3.0)
+        kept = with_blocks(landmarks, locality)
+        assert kept.covariance.shape == (0, 0)
+        np.testing.assert_array_equal(kept.block_starts, locality.starts)
+        for j in range(n):
+            for e in range(kept.block_starts[j], kept.block_starts[j + 1]):
+                i = kept.block_columns[e]
+                block = landmarks.covariance[2 * j : 2 * j + 2, 2 * i : 2 * i + 2]
+                np.testing.assert_array_equal(kept.blocks[e], block)
+        np.testing.assert_array_equal(kept.covariances, landmarks.covariances)
+
+
+def test_nothing_handed_out_is_shared() -> None:
+    graph, _ = random_graph(np.random.default_rng(5), 20)
+    first = covisible(graph)
+    first.members[:] = 0
+    assert dense(covisible(graph)).diagonal().all()
+    landmarks = some_landmarks(np.random.default_rng(6), 8)
+    locality = within(landmarks.positions, 3.0)
+    before = locality.members.copy()
+    with_blocks(landmarks, locality).block_columns[:] = 0
+    np.testing.assert_array_equal(locality.members, before)
+
+
+# --- what each cannot do ----------------------------------------------------------------------------------------------
+
+
+def office() -> tuple[Array, list[IntArray]]:
+    """Features (n, 2) of an office, and the features in view from each place that a robot can get to."""
+    plan = OfficeGenerator()(np.random.default_rng(7))
+    index, offsets = WallIndex(plan.walls), pull_back(plan.features)
+    positions, views = plan.features.positions, []
+    for cell in reachable(plan, 0.2)[::2]:
+        clear = index.visible(cell, positions, offsets)
+        views.append(np.flatnonzero(clear & (np.hypot(*(positions - cell).T) <= RANGE)))
+    return positions, views
+
+
+def graph_of(n: int, views: list[IntArray]) -> CovisibilityGraph:
+    graph = CovisibilityGraph()
+    graph.add(n)
+    for view in views:
+        graph.see_together(view)
+    return graph
+
+
+def test_distance_takes_features_behind_walls_for_local() -> None:
+    """Two sides of one wall: a hand's breadth apart, and never in one view, from wherever one looks."""
+    positions, views = office()
+    near = dense(within(positions, 2 * RANGE))
+    together = dense(covisible(graph_of(len(positions), views)))
+    assert np.all(near[together])  # two features of one view are at most two ranges apart
+    apart = np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1))
+    assert (near & ~together & (apart < 0.5)).any()
+    assert near.sum() > 1.5 * together.sum()
+
+
+def test_one_range_is_too_short_a_distance() -> None:
+    """Features on opposite sides of the robot are seen together at up to twice the range."""
+    positions, views = office()
+    together = dense(covisible(graph_of(len(positions), views)))
+    assert (together & ~dense(within(positions, RANGE))).any()
+
+
+def test_covisibility_misses_pairs_never_seen_together_and_two_hops_find_them() -> None:
+    """One pass along a row of features 1 m apart, a look every 4 m at the 6 ahead; then a robot comes the other way.
+
+    Half-way between two looks it sees features of both, some of which never met in one scan of the first pass.
+    """
+    graph = graph_of(40, [np.arange(first, first + 6) for first in range(0, 35, 4)])
+    later = np.arange(6, 12)
+    one, two = dense(covisible(graph)), dense(covisible(graph, hops=2))
+    missed = ~one[np.ix_(later, later)]
+    assert missed.any()
+    assert two[np.ix_(later, later)].all()
+    assert not two.all()  # still a locality
+
+
+def test_local_maps_fail_at_the_border() -> None:
+    """A scan that straddles two maps has no locality that holds more than half of it; covisibility holds all."""
+    map_of = np.arange(40) // 10
+    graph = graph_of(40, [np.arange(first, first + 6) for first in range(35)])
+    maps, together = same_local_map(map_of), covisible(graph)
+    within_map, at_border = np.arange(12, 18), np.arange(17, 23)
+    assert max(np.isin(within_map, maps.of(j)).sum() for j in within_map) == 6
+    assert max(np.isin(at_border, maps.of(j)).sum() for j in at_border) == 3
+    assert max(np.isin(at_border, together.of(j)).sum() for j in at_border) == 6
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    graph, _ = random_graph(np.random.default_rng(8), 5)
+    for arguments in ({"at_least": 0}, {"hops": 0}):
+        with pytest.raises(ValueError, match="at_least, hops"):
+            covisible(graph, **arguments)
+    for distance in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="distance"):
+            within(np.zeros((2, 2)), distance)
+    with pytest.raises(ValueError, match=r"positions\[1\]"):
+        within(np.array([[0.0, 0.0], [np.nan, 0.0]]), 1.0)
+    with pytest.raises(ValueError, match="positions"):
+        within(np.zeros((2, 3)), 1.0)
+    with pytest.raises(ValueError, match=r"map_of\[1\]"):
+        same_local_map([0, -1])
+    landmarks = some_landmarks(np.random.default_rng(9), 4)
+    with pytest.raises(ValueError, match="locality"):
+        locality_sizes(within(np.zeros((3, 2)), 1.0), 4)
+    with pytest.raises(ValueError, match="locality"):
+        with_blocks(landmarks, within(np.zeros((3, 2)), 1.0))
+    with pytest.raises(ValueError, match="covariance"):
+        with_blocks(with_blocks(landmarks, within(landmarks.positions, 1.0)), within(landmarks.positions, 1.0))
+
+
+def test_an_empty_map_has_an_empty_locality() -> None:
+    for locality in (covisible(CovisibilityGraph()), within(np.empty((0, 2)), 1.0), same_local_map([])):
+        assert len(locality) == 0 and len(locality.members) == 0
+    landmarks = StochasticMap().landmarks()
+    assert len(with_blocks(landmarks, same_local_map([])).blocks) == 0
