@@ -22,6 +22,21 @@ SPLITS = {"train": (0, 1_000_000), "test": (1_000_000, 10_000)}
 
 
 @dataclass(frozen=True)
+class KidnappingSpec:
+    """Somebody carries the robot elsewhere; neither its wheels nor anything else tell it."""
+
+    at: float = 0.5  # share of the budget after which it happens
+    inside: bool = True  # to a place where it has been before; False: to one as far from all those as there is
+    distance: float = 5.0  # [m] from where it was, if there is such a place
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.at < 1.0:
+            raise ValueError(f"KidnappingSpec.at: {self.at} is not between 0 and 1")
+        if not 0.0 <= self.distance < math.inf:
+            raise ValueError(f"KidnappingSpec.distance: {self.distance} is no length [m]")
+
+
+@dataclass(frozen=True)
 class Scenario:
     """Everything that defines an episode but its seed."""
 
@@ -36,6 +51,7 @@ class Scenario:
     slam: SlamSpec = field(default_factory=lambda: SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6))
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
     grid_resolution: float = 0.2  # [m] of the explored grid
+    kidnapping: KidnappingSpec | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.budget, int) and self.budget >= 1):
@@ -96,6 +112,12 @@ SCENARIOS: dict[str, Scenario] = {
             dynamics=DynamicsSpec(people=6),
             sensor=SensorSpec(person_detection=0.3),
             slam=SlamSpec(MapSpec(confirmations=6, unconfirmed_age=12), new_confidence=1.0 - 1e-6),
+        ),
+        Scenario(
+            "kidnapped",  # carried away at half time, to where it has been: pass relocation="gcbb" to find back
+            OfficeGenerator(),
+            budget=800,
+            kidnapping=KidnappingSpec(),
         ),
     )
 }

@@ -13,10 +13,10 @@ from slam_gym.world.generators import OfficeGenerator
 
 
 def test_the_known_scenarios_are_found_by_name() -> None:
-    assert list(SCENARIOS) == ["office-small", "office", "aliased", "hall", "crowd"]
+    assert list(SCENARIOS) == ["office-small", "office", "aliased", "hall", "crowd", "kidnapped"]
     for name, scenario in SCENARIOS.items():
         assert get_scenario(name) is scenario and scenario.name == name
-    with pytest.raises(ValueError, match=r"'offices'; known: office-small, office, aliased, hall, crowd"):
+    with pytest.raises(ValueError, match=r"'offices'; known: office-small, office, aliased, hall, crowd, kidnapped"):
         get_scenario("offices")
 
 

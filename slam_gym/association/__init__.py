@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from slam_gym.association.ground_truth import true_association
 from slam_gym.association.jcbb import jcbb
 from slam_gym.association.nearest import nearest_neighbour, singles
-from slam_gym.types import Hypothesis
+from slam_gym.types import Hypothesis, Relocator
 
-__all__ = ["ASSOCIATORS", "jcbb", "nearest_neighbour", "resolve", "singles", "true_association"]
+__all__ = [
+    "ASSOCIATORS",
+    "RELOCATORS",
+    "jcbb",
+    "nearest_neighbour",
+    "resolve",
+    "resolve_relocator",
+    "singles",
+    "true_association",
+]
 
 ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
     "jcbb": jcbb,
@@ -21,24 +31,38 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
 """Associators by name, called with (scan, prediction); only `true_association` also needs the truth of the scan."""
 
 
+RELOCATORS: dict[str, Relocator] = {}
+"""Searches without a prior by name, called with (scan, landmarks, locality)."""
+
+
 def resolve(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypothesis]:
     """An associator from its name, `"module:function"`, or itself.
 
     Raises ValueError, listing the known names, where there is none such.
     """
-    if callable(associator):
-        return associator
-    if associator in ASSOCIATORS:
-        return ASSOCIATORS[associator]
-    known = f"known: {', '.join(ASSOCIATORS)}, or 'module:function'"
-    module, colon, name = str(associator).partition(":")
+    found: Callable[..., Hypothesis] = _resolve("associator", associator, ASSOCIATORS)
+    return found
+
+
+def resolve_relocator(relocator: str | Relocator) -> Relocator:
+    """A search without a prior from its name, `"module:function"`, or itself. Raises as `resolve`."""
+    found: Relocator = _resolve("relocator", relocator, RELOCATORS)
+    return found
+
+
+def _resolve(what: str, given: Any, table: Mapping[str, Any]) -> Any:
+    if callable(given):
+        return given
+    if given in table:
+        return table[given]
+    known = f"known: {', '.join(table)}, or 'module:function'"
+    module, colon, name = str(given).partition(":")
     if not colon:
-        raise ValueError(f"unknown associator {associator!r}; {known}")
+        raise ValueError(f"unknown {what} {given!r}; {known}")
     try:
         found = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"associator {associator!r}: {error}; {known}") from error
+        raise ValueError(f"{what} {given!r}: {error}; {known}") from error
     if not callable(found):
-        raise ValueError(f"associator {associator!r} is not callable; {known}")
-    resolved: Callable[..., Hypothesis] = found
-    return resolved
+        raise ValueError(f"{what} {given!r} is not callable; {known}")
+    return found

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.association import ASSOCIATORS, resolve
+from slam_gym.envs.kidnapping import Kidnapping
 from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.mapping.coverage import CoverageGrid
 from slam_gym.mapping.virtual_map import VirtualMap
@@ -20,7 +21,7 @@ from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.scenarios import Scenario
-from slam_gym.slam import Slam, SlamSpec
+from slam_gym.slam import Relocate, Slam, SlamSpec
 from slam_gym.types import Array, Associator, Beams, BoolArray, Truth
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
@@ -62,7 +63,7 @@ class Episode:
     """The state of one episode, moved on by `tick`.
 
     `associator` is a name, `"module:function"` or a callable. `virtual` asks for the virtual map, which only the
-    uncertainty rewards need.
+    uncertainty rewards need. Without `relocate`, a robot that was carried away never finds back.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Episode:
         *,
         locality: bool = True,
         virtual: bool = False,
+        relocate: Relocate | None = None,
     ) -> None:
         self.scenario = scenario
         self.site = site
@@ -82,7 +84,8 @@ class Episode:
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         self.associate = _gated(resolve(associator), scenario.slam.map.confidence)
-        self.slam = Slam(_slam_spec(scenario, locality), self.associate)
+        self.slam = Slam(_slam_spec(scenario, locality), self.associate, relocate)
+        self.kidnapping = Kidnapping()
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = CoverageGrid(bounds, scenario.grid_resolution)
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
@@ -101,7 +104,9 @@ class Episode:
 
     def tick(self, forward: float, turn: float) -> None:
         """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and update the map."""
-        self._perceive(self.world.tick(forward, turn))
+        motion = self.world.tick(forward, turn)
+        self.kidnapping.happens(self)
+        self._perceive(motion)
 
     def _perceive(self, motion: Motion) -> None:
         """What every tick ends with: sense, one SLAM step, explored space, and the judgement of it all."""
@@ -112,8 +117,10 @@ class Episode:
         self.odometry, self.scan, self.truth, self.beams = odometry, scan, truth, beams
         self.last_step = self.slam.step(odometry, scan, self._associator(truth))
         self.tally = self.identities.update(self.last_step, truth)
-        self._explore(beams)
+        if not self.slam.tracking.doubted:  # from a pose that cannot be right, walls would be drawn where none are
+            self._explore(beams)
         self._log(truth.pose)
+        self.kidnapping.judge(self)
 
     def _associator(self, truth: Truth) -> Associator:
         """The run's associator; the true one is handed the truth of this scan."""

@@ -28,8 +28,9 @@ from slam_gym.envs.quality import quality
 from slam_gym.envs.rewards import get_reward
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.metrics.association import Tally
+from slam_gym.relocation import Localities, relocate_by
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_generator, world_seed
-from slam_gym.types import NONE, Associator
+from slam_gym.types import NONE, Associator, Relocator
 
 Observation = dict[str, Any]
 Info = dict[str, Any]
@@ -77,6 +78,9 @@ class ExploreEnv(gym.Env[Observation, Any]):
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
+    - `relocation`: the search that finds a lost robot again, by name (`slam_gym.association.RELOCATORS`),
+      `"module:function"` or a callable; None: a robot that was carried away never finds back. `relocation_locality`:
+      `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
     - `render_mode`: `"rgb_array"` or `"human"`; `render_covisibility` adds the edges of the covisibility graph.
     """
 
@@ -92,6 +96,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
         floor_plan: str | Path | None = None,
         resolution: float | None = None,
         locality: Literal["covisibility"] | None = "covisibility",
+        relocation: str | Relocator | None = None,
+        relocation_locality: Localities | None = "covisibility",
         render_mode: Literal["rgb_array", "human"] | None = None,
         render_covisibility: bool = False,
     ) -> None:
@@ -109,6 +115,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
         self.render_covisibility = render_covisibility
         self.goal_mode = action == "goal"
         self.associator = resolve(associator)
+        self.relocate = None if relocation is None else relocate_by(relocation, relocation_locality)
         self._error = get_reward(reward)
         self._virtual = reward != "map_error"
         self.measurements = self.scenario.sensor.max_features
@@ -139,7 +146,13 @@ class ExploreEnv(gym.Env[Observation, Any]):
         site = self._draw_site(world)
         locality = self.locality is not None
         self._episode = Episode(
-            self.scenario, site, self.associator, self.np_random, locality=locality, virtual=self._virtual
+            self.scenario,
+            site,
+            self.associator,
+            self.np_random,
+            locality=locality,
+            virtual=self._virtual,
+            relocate=self.relocate,
         )
         self._places = Places()
         self._begin_step()
@@ -303,6 +316,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
             "pose_nees": episode.nees[-1],
             "ticks": episode.ticks - self._ticks_before,
             "pose": episode.estimates[-1].copy(),
+            "lost": episode.slam.lost,
             "truth": {"pose": episode.truth.pose.copy(), "sources": sources},
         }
         if self.goal_mode:

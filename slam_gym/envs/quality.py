@@ -19,8 +19,9 @@ def quality(episode: Episode) -> dict[str, float]:
     `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
     duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `ate` [m] is that of the positions,
     without alignment, since both start from one known pose. `anees` is the pose NEES over its 3 degrees of freedom,
-    averaged over the ticks.
+    averaged over the ticks. `recovered`: after a kidnapping, the pose was right again; `ticks_astray` until then.
     """
+    kidnapping = episode.kidnapping
     slam_map, tally = episode.slam.map, episode.identities.total
     confirmed = np.flatnonzero(~slam_map.provisional)
     sources = episode.identities.source_of(slam_map.ids[confirmed])
@@ -45,4 +46,17 @@ def quality(episode: Episode) -> dict[str, float]:
         "anees": anees(np.array(episode.nees[1:]), 3),
         "ate": ate(transform(episode.base, np.array(episode.estimates)[:, :2]), np.array(episode.poses)[:, :2]),
         "ticks": float(episode.ticks),
+        "kidnapped": float(kidnapping.happened is not None),
+        "recovered": float(kidnapping.recovered is not None),
+        "ticks_astray": _ticks_astray(episode),
+        "relocations_right": float(kidnapping.right),
+        "relocations_wrong": float(kidnapping.wrong),
     }
+
+
+def _ticks_astray(episode: Episode) -> float:
+    """From the kidnapping until the pose was right again, or until now."""
+    kidnapping = episode.kidnapping
+    if kidnapping.happened is None:
+        return 0.0
+    return float((episode.ticks if kidnapping.recovered is None else kidnapping.recovered) - kidnapping.happened)

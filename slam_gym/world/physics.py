@@ -153,6 +153,15 @@ class World:
         self.pose = np.array([position.x, position.y, wrap_angle(self._body.angle)])
         return Motion(relative(before, self.pose), np.array([x, y, heading]), self._touch.robot_in_tick)
 
+    def place(self, pose: Array) -> None:
+        """Carry the robot to `pose` (3,) W and put it down at rest. Raises ValueError where that is not finite."""
+        if np.shape(pose) != (3,) or not np.isfinite(pose).all():
+            raise ValueError(f"pose must be a finite pose (3,), not {pose}")
+        self._body.position, self._body.angle = (float(pose[0]), float(pose[1])), float(pose[2])
+        self._body.velocity, self._body.angular_velocity, self._rim = (0.0, 0.0), 0.0, (0.0, 0.0)
+        self._space.reindex_shapes_for_body(self._body)
+        self.pose = np.array([pose[0], pose[1], wrap_angle(pose[2])])
+
     def _drive(self, speed: float, turning: float) -> None:
         """Push the robot towards the wheels' next speeds, as hard as their traction allows.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slam_gym.types import Array, Beams, Odometry, Scan, Truth
+from slam_gym.types import NONE, UNKNOWN, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.world.detection import PackedSettings, in_sight, measure, noisy_ranges
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
@@ -36,6 +36,7 @@ class SensorSpec:
     clutter: float = 0.3  # mean number of spurious measurements a scan (Poisson), anywhere in sight
     person_detection: float = 0.5  # probability that a person in sight yields a spurious measurement
     max_features: int = 20  # measurements in a scan; the nearest are kept
+    kinds: bool = False  # the detector tells corners from door jambs and pillars
 
     @property
     def sigma_halfway(self) -> float:
@@ -113,7 +114,7 @@ class Sensor:
         self.spec = sensor or SensorSpec()
         self.beam_spec = beams or BeamSpec()
         self.odometry_spec = odometry or OdometrySpec()
-        *reals, max_features = astuple(self.spec)
+        *reals, max_features, _ = astuple(self.spec)
         self._settings: PackedSettings = (*map(float, reals), int(max_features))  # type: ignore[assignment]
         self._walls = index.packed
         self._features = plan.features
@@ -148,7 +149,15 @@ class Sensor:
             normal,
             settings,
         )
-        return Scan(points, covariances, sizes, size_variances), Truth(pose.copy(), sources)
+        kinds = self._kinds(sources, rng) if self.spec.kinds else None
+        return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
+
+    def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
+        """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, UNKNOWN where it has none."""
+        known = self._features.kinds
+        if len(known) == 0:
+            return np.full(len(sources), UNKNOWN)
+        return np.where(sources == NONE, known[rng.integers(len(known), size=len(sources))], known[sources])
 
     def beams(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS

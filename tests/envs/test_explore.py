@@ -25,7 +25,7 @@ from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.sensor import Sensor
 
 INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_missed", "pose_nees", "ticks", "pose"]
-INFO += ["truth"]
+INFO += ["lost", "truth"]
 
 
 @pytest.fixture(autouse=True)

@@ -25,7 +25,7 @@ from slam_gym.world.sensor import Sensor, SensorSpec
 @pytest.mark.parametrize(
     ("arguments", "known"),
     [
-        ({"scenario": "warehouse"}, "'warehouse'.*office-small, office, aliased, hall, crowd"),
+        ({"scenario": "warehouse"}, "'warehouse'.*office-small, office, aliased, hall, crowd, kidnapped"),
         ({"split": "validation"}, "split='validation'.*train, test"),
         ({"action": "drive"}, "action='drive'.*goal, twist"),
         ({"reward": "coverage"}, "'coverage'.*map_error, a_opt, d_opt, entropy"),
