@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from slam_gym.geometry import compose, observe, wrap_angle
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import NONE, Array, Odometry, Scan
+from slam_gym.types import NONE, UNKNOWN, Array, Odometry, Scan
 
 KEEP = MapSpec(unconfirmed_age=None)
 FEJ = MapSpec(first_estimate_jacobians=True, unconfirmed_age=None)
@@ -527,3 +527,48 @@ def test_a_map_that_cannot_start_says_why(arguments: dict[str, object]) -> None:
 def test_settings_out_of_range_are_refused(field: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(field))):
         MapSpec(**field)
+
+
+NOISE = np.tile(0.01 * np.eye(2), (3, 1, 1))
+
+# -- relocation ----------------------------------------------------------------------------------------------------
+
+
+def test_landmarks_are_the_features_with_all_their_covariance_and_stay_as_they_were() -> None:
+    slam_map = mapped(seed=5)[0]
+    features = slam_map.landmarks()
+    np.testing.assert_array_equal(features.positions.ravel(), slam_map.mean[3:])
+    np.testing.assert_array_equal(features.covariance, slam_map.covariance[3:, 3:])
+    for j in range(len(features)):
+        block = features.covariance[2 * j : 2 * j + 2, 2 * j : 2 * j + 2]
+        np.testing.assert_array_equal(features.covariances[j], block)
+    before = features.covariance.copy()
+    slam_map.update(make_scan(np.array([[1.0, 0.0]]), NOISE[:1]), np.array([0]))
+    np.testing.assert_array_equal(features.covariance, before)
+
+
+def test_a_robot_that_was_placed_knows_nothing_of_the_features_and_leaves_them_alone() -> None:
+    slam_map = mapped(seed=6)[0]
+    features, P = slam_map.mean[3:], slam_map.covariance[3:, 3:]
+    covariance = np.diag([4.0, 4.0, 1.0])
+    slam_map.place([1.0, 2.0, 7.0], covariance)
+    np.testing.assert_allclose(slam_map.pose, [1.0, 2.0, 7.0 - 2.0 * np.pi])
+    np.testing.assert_array_equal(slam_map.covariance[:3, :3], covariance)
+    np.testing.assert_array_equal(slam_map.covariance[:3, 3:], 0.0)
+    np.testing.assert_array_equal(slam_map.mean[3:], features)
+    np.testing.assert_array_equal(slam_map.covariance[3:, 3:], P)
+    with pytest.raises(ValueError, match="pose: expected 3 finite"):
+        slam_map.place([0.0, np.nan, 0.0], covariance)
+    with pytest.raises(ValueError, match="pose_covariance: not a 3 x 3"):
+        slam_map.place([0.0, 0.0, 0.0], -covariance)
+
+
+def test_kinds_are_those_last_reported_and_unknown_before() -> None:
+    slam_map = StochasticMap()
+    points = np.array([[1.0, 0.0], [2.0, 1.0], [0.0, 3.0]])
+    slam_map.add(replace(make_scan(points, NOISE), kinds=np.array([1, UNKNOWN, 2])), np.arange(2))
+    slam_map.add(make_scan(points, NOISE), np.array([2]))
+    assert slam_map.kinds.tolist() == [1, UNKNOWN, UNKNOWN]
+    told = replace(make_scan(points, NOISE), kinds=np.array([UNKNOWN, 0, 3]))
+    slam_map.update(told, np.array([0, 1, NONE]))
+    assert slam_map.kinds.tolist() == [1, 0, UNKNOWN] == slam_map.prediction(9.0).kinds.tolist()
