@@ -254,3 +254,21 @@ def test_actions_beyond_the_limits_are_clipped():
     world, clipped = world_in(HALL, 5, 5), world_in(HALL, 5, 5)
     for _ in range(5):
         np.testing.assert_array_equal(world.tick(7.0, -3.0).moved, clipped.tick(1.0, -1.0).moved)
+
+
+def test_a_robot_that_is_carried_away_starts_from_rest_where_it_is_put_down() -> None:
+    world = world_in(TWO_ROOMS, 2.0, 2.0)
+    for _ in range(10):
+        world.tick(1.0, 0.2)
+    world.place(np.array([9.0, 6.0, 7.0]))
+    np.testing.assert_allclose(world.pose, [9.0, 6.0, 7.0 - 2.0 * np.pi])
+    motion = world.tick(0.0, 0.0)
+    np.testing.assert_allclose(motion.moved, 0.0, atol=1e-12)
+    fresh = world_in(TWO_ROOMS, 9.0, 6.0, 7.0)
+    moved, same = [w.tick(1.0, 0.5).moved for w in (world, fresh)]
+    np.testing.assert_allclose(moved, same, atol=1e-9)
+    for _ in range(100):  # walls hold where it is now
+        world.tick(1.0, 0.0)
+    assert clearance(TWO_ROOMS, world.pose[:2]) > 0.9 * world.robot.radius
+    with pytest.raises(ValueError, match="pose must be a finite pose"):
+        world.place(np.array([0.0, np.nan, 0.0]))

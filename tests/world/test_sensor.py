@@ -294,3 +294,24 @@ def test_odometry_stays_credible_while_the_robot_pushes():
 def test_bad_specs_are_refused_by_name(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_kinds_are_those_of_the_features_and_tell_nothing_of_what_is_spurious():
+    kinds = np.array([Kind.CORNER, Kind.PILLAR, Kind.DOOR_JAMB, Kind.PILLAR])
+    plan = plan_with([(22, 20), (20, 22), (18, 20), (20, 18)], kinds=kinds)
+    sensor, rng = sensor_in(plan, SensorSpec(clutter=3.0, kinds=True)), np.random.default_rng(0)
+    spurious = []
+    for _ in range(300):
+        scan, truth = sensor.scan(POSE, rng)
+        real = truth.sources != NONE
+        np.testing.assert_array_equal(scan.kinds[real], kinds[truth.sources[real]])
+        spurious += scan.kinds[~real].tolist()
+    shares = np.bincount(spurious, minlength=3) / len(spurious)
+    np.testing.assert_allclose(shares, np.bincount(kinds, minlength=3) / len(kinds), atol=0.06)
+
+
+def test_a_detector_that_cannot_tell_kinds_hands_out_the_same_scans_without_them():
+    plan = scattered()
+    plain, told = (sensor_in(plan, SensorSpec(kinds=k)).scan(POSE, np.random.default_rng(3))[0] for k in (False, True))
+    assert plain.kinds is None
+    np.testing.assert_array_equal(plain.points, told.points)
