@@ -1,0 +1,378 @@
+"""Location-independent constraints: what may be paired with what, whatever the robot's pose.
+
+Unary constraints compare what a measurement is with what a feature is, binary ones the distance between two
+measurements with that between two features, and orientation the sense in which three of each go round: distances alone
+cannot tell a mirror image. The map's cross-covariances count: features mapped together share most of their errors, and
+with marginals alone the gate of their distance would be far too loose.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Scan
+from slam_gym.validation import check_scan
+
+_CLOSE = 16.0  # points are close when nearer than √16 = 4 σ to each other
+_TOLERANCE = 1e-9  # of a negative determinant, relative to the variances' product
+
+_FAULTS = (
+    "",
+    "positions[{}] is not finite",
+    "covariances[{}] is not finite",
+    "covariances[{}] is not PSD",
+    "size_variances[{}] is negative",
+)
+
+ScanArrays = tuple[Array, Array, Array, Array, IntArray]
+MapArrays = tuple[Array, Array, Array, Array, IntArray, Array, IntArray, IntArray, Array]
+
+
+class Measured(NamedTuple):
+    """A scan as the compiled constraints take it: `measured` makes it, within a kernel, from `scan_arrays`."""
+
+    points: Array  # (m, 2) [m] in R
+    noise: Array  # (m, 2, 2) [m²]
+    distances: Array  # (m, m) [m] between measurements
+    variances: Array  # (m, m) [m²] of those, uᵀ(R_i + R_k)u
+    spreads: Array  # (m, m) [m²] largest eigenvalue of R_i + R_k
+
+
+class Mapped(NamedTuple):
+    """A map as the compiled constraints take it: `mapped` makes it, within a kernel, from `map_arrays`."""
+
+    positions: Array  # (n, 2) [m] in B
+    covariances: Array  # (n, 2, 2) [m²]
+    covariance: Array  # (2n, 2n) [m²] or (0, 0)
+    block_starts: IntArray  # (n + 1,) or (0,)
+    block_columns: IntArray  # (e,)
+    blocks: Array  # (e, 2, 2) [m²]
+
+
+class Gates(NamedTuple):
+    """χ² at one confidence."""
+
+    one: float  # χ²_1: distances, areas, sizes
+    two: float  # χ²_2: distances of what is closer than its noise
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """Measurement i of the scan comes from feature j of the map."""
+
+    measurement: int
+    feature: int
+
+
+def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArray:
+    """Which measurement may be which feature by size and kind alone, (m, n).
+
+    Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j); kinds, when they are equal. A size that is NaN and a kind
+    that is UNKNOWN say nothing and agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
+    """
+    return _unary_table(*scan_arrays(scan)[2:], *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
+
+
+def binary(scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, confidence: float = 0.99) -> bool:
+    """Whether two pairings agree in the distance between their measurements and that between their features.
+
+    With g the distance, (g_scan − g_map)² < χ²_{1,conf} (σ²_scan + σ²_map), where σ²_scan = uᵀ(R_i + R_k)u and
+    σ²_map = uᵀ(P_jj + P_ll − P_jl − P_lj)u, u being the unit vector from one point to the other. Points closer than 4 σ
+    have no such direction: there |g_scan − g_map|, which never exceeds the error e of the difference vector, is held
+    against χ²_{2,conf} times the largest variance that e may have. Raises ValueError as `scan_arrays` and
+    `map_arrays` do, and where a measurement or a feature does not exist.
+    """
+    rows = _checked(scan, landmarks, (first, second))
+    return bool(_binary(*scan_arrays(scan)[:2], *_geometry(landmarks), rows, *gates(confidence)))
+
+
+def orientation(
+    scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, third: Pairing, confidence: float = 0.99
+) -> bool:
+    """Whether three pairings go round in the same sense in scan and map, or the noise leaves it open.
+
+    The signed areas of the two triangles must have the same sign, unless noise explains the difference:
+    (A_scan − A_map)² < χ²_{1,conf} (σ²_scan + σ²_map), by linearisation with full cross-covariances. Raises ValueError
+    as `binary` does.
+    """
+    rows = _checked(scan, landmarks, (first, second, third))
+    return bool(_orientation(*scan_arrays(scan)[:2], *_geometry(landmarks), rows, *gates(confidence)))
+
+
+def gates(confidence: float) -> tuple[float, float]:
+    """χ²_1 and χ²_2 at `confidence`, as `Gates` holds them. Raises ValueError unless 0 < confidence < 1."""
+    return chi2_gate(1, confidence), chi2_gate(2, confidence)
+
+
+def scan_arrays(scan: Scan) -> ScanArrays:
+    """Points, noise, sizes, size variances and kinds (all UNKNOWN where there are none), fit for kernels.
+
+    Raises ValueError naming the field and measurement that is not finite, or no covariance.
+    """
+    check_scan(scan)
+    m = len(scan)
+    kinds = np.full(m, UNKNOWN) if scan.kinds is None else integers(scan.kinds)
+    if kinds.shape != (m,):
+        raise ValueError(f"Scan.kinds: shape {kinds.shape}, expected ({m},)")
+    if np.any(scan.size_variances < 0.0):
+        raise ValueError(f"Scan.size_variances: measurement {int(np.argmax(scan.size_variances < 0.0))}: negative")
+    return floats(scan.points), floats(scan.covariances), floats(scan.sizes), floats(scan.size_variances), kinds
+
+
+def map_arrays(landmarks: Landmarks) -> MapArrays:
+    """Positions, covariances, sizes, size variances, kinds, covariance and the three of the blocks, fit for kernels.
+
+    Raises ValueError naming the field of a wrong shape, or that holds what is not finite or no covariance. The joint
+    covariance is not looked through: at 1 000 features that would cost more than the search.
+    """
+    n, e = len(landmarks.positions), len(landmarks.blocks)
+    shapes = {
+        "positions": (n, 2),
+        "covariances": (n, 2, 2),
+        "sizes": (n,),
+        "size_variances": (n,),
+        "kinds": (n,),
+        "blocks": (e, 2, 2),
+        "block_columns": (e,),
+    }
+    for name, shape in shapes.items():
+        if getattr(landmarks, name).shape != shape:
+            raise ValueError(f"Landmarks.{name}: shape {getattr(landmarks, name).shape}, expected {shape}")
+    if landmarks.covariance.shape not in ((2 * n, 2 * n), (0, 0)):
+        raise ValueError(f"Landmarks.covariance: shape {landmarks.covariance.shape}, expected {(2 * n, 2 * n)}")
+    if len(landmarks.block_starts) not in (0, n + 1) or (
+        len(landmarks.block_starts) and landmarks.block_starts[-1] != e
+    ):
+        raise ValueError(f"Landmarks.block_starts: does not delimit {e} blocks of {n} features")
+    arrays = (
+        floats(landmarks.positions),
+        floats(landmarks.covariances),
+        floats(landmarks.sizes),
+        floats(landmarks.size_variances),
+        integers(landmarks.kinds),
+        floats(landmarks.covariance),
+        integers(landmarks.block_starts),
+        integers(landmarks.block_columns),
+        floats(landmarks.blocks),
+    )
+    fault, where = _first_bad_feature(arrays[0], arrays[1], arrays[3])
+    if fault:
+        raise ValueError(f"Landmarks.{_FAULTS[fault].format(where)}")
+    return arrays
+
+
+def _geometry(landmarks: Landmarks) -> tuple[Array, Array, Array, IntArray, IntArray, Array]:
+    arrays = map_arrays(landmarks)
+    return arrays[0], arrays[1], arrays[5], arrays[6], arrays[7], arrays[8]
+
+
+def _checked(scan: Scan, landmarks: Landmarks, pairings: tuple[Pairing, ...]) -> IntArray:
+    for pairing in pairings:
+        if not (0 <= pairing.measurement < len(scan) and 0 <= pairing.feature < len(landmarks)):
+            raise ValueError(f"{pairing}: there are {len(scan)} measurements and {len(landmarks)} features")
+    return np.array([(pairing.measurement, pairing.feature) for pairing in pairings])
+
+
+def floats(array: Array) -> Array:
+    """As the kernels were compiled for: float64, C-contiguous, writeable."""
+    if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.writeable:
+        return array
+    return np.array(array, np.float64, order="C")
+
+
+def integers(array: IntArray) -> IntArray:
+    if array.dtype == np.int64 and array.flags.c_contiguous and array.flags.writeable:
+        return array
+    return np.array(array, np.int64, order="C")
+
+
+@compiled
+def _first_bad_feature(positions: Array, covariances: Array, size_variances: Array) -> tuple[int, int]:
+    """(index into _FAULTS, feature) of the first bad number; (0, −1) where all are good."""
+    for j in range(len(positions)):
+        if not math.isfinite(positions[j, 0] + positions[j, 1]):
+            return 1, j
+        a, b, d = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 1]
+        if not math.isfinite(a + b + d):
+            return 2, j
+        if a < 0.0 or d < 0.0 or a * d - b * b < -_TOLERANCE * a * d:
+            return 3, j
+        if size_variances[j] < 0.0:
+            return 4, j
+    return 0, -1
+
+
+@compiled
+def measured(points: Array, noise: Array) -> Measured:
+    """Distances between all measurements, with their variances."""
+    m = len(points)
+    distances, variances, spreads = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
+    for i in range(m):
+        for k in range(m):
+            x, y = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
+            xx, yy = noise[i, 0, 0] + noise[k, 0, 0], noise[i, 1, 1] + noise[k, 1, 1]
+            xy = noise[i, 0, 1] + noise[k, 0, 1]
+            square = x * x + y * y
+            distances[i, k], spreads[i, k] = math.sqrt(square), largest_eigenvalue(xx, xy, yy)
+            variances[i, k] = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else spreads[i, k]
+    return Measured(points, noise, distances, variances, spreads)
+
+
+@compiled
+def largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
+    """Of a symmetric 2 × 2 matrix."""
+    half = 0.5 * (xx - yy)
+    return 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
+
+
+@compiled
+def cross_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, float, float]:
+    """P_jl: xx, xy, yx, yy [m²]; zero where the map keeps none."""
+    if j == l:
+        own = mapped.covariances[j]
+        return own[0, 0], own[0, 1], own[1, 0], own[1, 1]
+    if len(mapped.covariance) > 0:
+        P, a, b = mapped.covariance, 2 * j, 2 * l
+        return P[a, b], P[a, b + 1], P[a + 1, b], P[a + 1, b + 1]
+    if len(mapped.block_starts) > 0:
+        low, high = mapped.block_starts[j], mapped.block_starts[j + 1]
+        end = high
+        while low < high:
+            middle = (low + high) // 2
+            if mapped.block_columns[middle] < l:
+                low = middle + 1
+            else:
+                high = middle
+        if low < end and mapped.block_columns[low] == l:
+            block = mapped.blocks[low]
+            return block[0, 0], block[0, 1], block[1, 0], block[1, 1]
+    return 0.0, 0.0, 0.0, 0.0
+
+
+@compiled
+def difference_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, float]:
+    """P_jj + P_ll − P_jl − P_lj: what is not known of F_l − F_j. Its xx, xy, yy [m²]."""
+    P, Q = mapped.covariances[j], mapped.covariances[l]
+    xx, xy, yx, yy = cross_covariance(mapped, j, l)
+    return P[0, 0] + Q[0, 0] - 2.0 * xx, P[0, 1] + Q[0, 1] - xy - yx, P[1, 1] + Q[1, 1] - 2.0 * yy
+
+
+@compiled
+def unary_test(
+    size: float, variance: float, kind: int, of_size: float, of_variance: float, of_kind: int, gate: float
+) -> bool:
+    """`unary` for one measurement and one feature; gate χ²_1."""
+    if kind != of_kind and kind != UNKNOWN and of_kind != UNKNOWN:
+        return False
+    difference = size - of_size
+    return not difference * difference > gate * (variance + of_variance)  # NaN passes
+
+
+@compiled
+def binary_test(scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k: int, l: int) -> bool:
+    """`binary` for the pairings (i, j) and (k, l)."""
+    x, y = mapped.positions[l, 0] - mapped.positions[j, 0], mapped.positions[l, 1] - mapped.positions[j, 1]
+    square, spread = x * x + y * y, scan.spreads[i, k]
+    error = scan.distances[i, k] - math.sqrt(square)
+    # The covariance of a difference is at most twice the sum of the marginals: this settles most pairs
+    P, Q = mapped.covariances[j], mapped.covariances[l]
+    if error * error >= gates.two * (spread + 2.0 * (P[0, 0] + P[1, 1] + Q[0, 0] + Q[1, 1])):
+        return False
+    xx, xy, yy = difference_covariance(mapped, j, l)
+    widest = spread + max(largest_eigenvalue(xx, xy, yy), 0.0)
+    if min(square, scan.distances[i, k] ** 2) < _CLOSE * widest:
+        return error * error < gates.two * widest
+    variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
+    return error * error < gates.one * (scan.variances[i, k] + max(variance, 0.0))
+
+
+@compiled
+def orientation_test(
+    scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k: int, l: int, p: int, q: int
+) -> bool:
+    """`orientation` for the pairings (i, j), (k, l) and (p, q)."""
+    z, F = scan.points, mapped.positions
+    seen = _twice_area(z[i, 0], z[i, 1], z[k, 0], z[k, 1], z[p, 0], z[p, 1])
+    known = _twice_area(F[j, 0], F[j, 1], F[l, 0], F[l, 1], F[q, 0], F[q, 1])
+    if seen * known >= 0.0:
+        return True
+    variance = 0.0
+    for a, b, c in ((i, k, p), (k, p, i), (p, i, k)):
+        gx, gy = z[b, 1] - z[c, 1], z[c, 0] - z[b, 0]
+        R = scan.noise[a]
+        variance += gx * gx * R[0, 0] + 2.0 * gx * gy * R[0, 1] + gy * gy * R[1, 1]
+    of_map = 0.0
+    for a, b, c in ((j, l, q), (l, q, j), (q, j, l)):
+        gx, gy = F[b, 1] - F[c, 1], F[c, 0] - F[b, 0]
+        hx, hy = F[c, 1] - F[a, 1], F[a, 0] - F[c, 0]
+        P = mapped.covariances[a]
+        xx, xy, yx, yy = cross_covariance(mapped, a, b)
+        of_map += gx * gx * P[0, 0] + 2.0 * gx * gy * P[0, 1] + gy * gy * P[1, 1]
+        of_map += 2.0 * (gx * (xx * hx + xy * hy) + gy * (yx * hx + yy * hy))
+    return (seen - known) ** 2 < gates.one * (variance + max(of_map, 0.0))
+
+
+@compiled
+def _twice_area(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> float:
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+@compiled
+def _unary_table(
+    sizes: Array,
+    variances: Array,
+    kinds: IntArray,
+    of_sizes: Array,
+    of_variances: Array,
+    of_kinds: IntArray,
+    gate: float,
+) -> BoolArray:
+    table = np.empty((len(sizes), len(of_sizes)), np.bool_)
+    for i in range(len(sizes)):
+        for j in range(len(of_sizes)):
+            table[i, j] = unary_test(sizes[i], variances[i], kinds[i], of_sizes[j], of_variances[j], of_kinds[j], gate)
+    return table
+
+
+@compiled
+def _binary(
+    points: Array,
+    noise: Array,
+    positions: Array,
+    covariances: Array,
+    covariance: Array,
+    starts: IntArray,
+    columns: IntArray,
+    blocks: Array,
+    pairings: IntArray,
+    one: float,
+    two: float,
+) -> bool:
+    (i, j), (k, l) = pairings[0], pairings[1]
+    mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
+    return binary_test(measured(points, noise), mapped, Gates(one, two), i, j, k, l)
+
+
+@compiled
+def _orientation(
+    points: Array,
+    noise: Array,
+    positions: Array,
+    covariances: Array,
+    covariance: Array,
+    starts: IntArray,
+    columns: IntArray,
+    blocks: Array,
+    pairings: IntArray,
+    one: float,
+    two: float,
+) -> bool:
+    (i, j), (k, l), (p, q) = pairings[0], pairings[1], pairings[2]
+    mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
+    return orientation_test(measured(points, noise), mapped, Gates(one, two), i, j, k, l, p, q)

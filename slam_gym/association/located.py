@@ -1,0 +1,261 @@
+"""Where a hypothesis puts the robot, without a prior: the pose, its covariance, and how well it explains the pairings.
+
+For pairings of measurements z_a (noise R_a, in R) with features F_a (joint covariance P, in B) and a pose (t, θ), the
+errors e_a = F_a − t − C(θ) z_a have the joint covariance S = P + diag(C R_a Cᵀ). With A = ∂(t + C z)/∂(t, θ) stacked,
+the pose that minimises D² = eᵀS⁻¹e is found by Gauss–Newton steps δ = (AᵀS⁻¹A)⁻¹AᵀS⁻¹e, and (AᵀS⁻¹A)⁻¹ is its
+covariance: what a joint EKF update leaves of an uninformative prior on the robot, iterated to convergence. Three
+numbers were fitted to 2k, so D² follows χ² with 2k − 3 degrees of freedom. The first guess is the closed form of
+Umeyama (IEEE TPAMI 13(4), 1991) without scale, each pairing weighted by the inverse of its variances' sum.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.association.constraints import Mapped, cross_covariance, floats, integers
+from slam_gym.geometry import wrap_angle
+from slam_gym.types import NONE, Array, IntArray, Landmarks, Scan
+from slam_gym.validation import check_scan
+
+_ITERATIONS = 50
+_STEP = 1e-9  # [m, rad] converged when no component of a step is larger
+_FLOOR = 1e-12  # [m²] added to every variance, so that error-free points can be located too
+
+_DONE, _NO_FEATURE, _NO_COVARIANCE = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """The pose that explains a hypothesis best."""
+
+    pose: Array  # (3,) [m, m, rad] of the robot in B; NaN where the pairings do not determine it
+    covariance: Array  # (3, 3) [m², m·rad, rad²]; NaN likewise
+    joint_distance: float  # D²_H there; 0 with fewer than two pairings; inf where the pose is not determined
+    dof: int  # 2k − 3 for k pairings; 0 with fewer than two
+
+
+def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
+    """The pose of the robot in B under the hypothesis that pairs measurement i with features[i], (m,) or NONE.
+
+    Two pairings at least are needed, of measurements at different points. Raises ValueError where the scan is bad (as
+    `check_scan` does), where there is no such feature, and where the covariance of the pairings is none.
+    """
+    check_scan(scan)
+    if len(features) != len(scan):
+        raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
+    fault, pose, covariance, distance, pairings = _locate(
+        floats(scan.points),
+        floats(scan.covariances),
+        floats(landmarks.positions),
+        floats(landmarks.covariances),
+        floats(landmarks.covariance),
+        integers(landmarks.block_starts),
+        integers(landmarks.block_columns),
+        floats(landmarks.blocks),
+        integers(features),
+    )
+    if fault == _NO_FEATURE:
+        raise ValueError(f"features: {features.tolist()} for a map of {len(landmarks)} features")
+    if fault == _NO_COVARIANCE:
+        raise ValueError(f"landmarks: the joint covariance of features {features.tolist()} is none, or not finite")
+    return Located(pose, covariance, distance, max(2 * pairings - 3, 0))
+
+
+@compiled
+def _locate(
+    points: Array,
+    noise: Array,
+    positions: Array,
+    covariances: Array,
+    covariance: Array,
+    starts: IntArray,
+    columns: IntArray,
+    blocks: Array,
+    features: IntArray,
+) -> tuple[int, Array, Array, float, int]:
+    """Fault, pose, covariance, D², number of pairings."""
+    paired, of, k = np.empty(len(features), np.int64), np.empty(len(features), np.int64), 0
+    pose, pose_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
+    for i in range(len(features)):
+        if features[i] == NONE:
+            continue
+        if not 0 <= features[i] < len(positions):
+            return _NO_FEATURE, pose, pose_covariance, 0.0, 0
+        paired[k], of[k] = i, features[i]
+        k += 1
+    if k < 2:
+        return _DONE, pose, pose_covariance, 0.0, k
+    mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
+    distance = locate_pairings(points, noise, mapped, paired, of, k, pose, pose_covariance)
+    return (_NO_COVARIANCE if math.isnan(distance) else _DONE), pose, pose_covariance, distance, k
+
+
+@compiled
+def locate_pairings(
+    points: Array,
+    noise: Array,
+    mapped: Mapped,
+    paired: IntArray,
+    of: IntArray,
+    k: int,
+    pose: Array,
+    pose_covariance: Array,
+) -> float:
+    """D² of the k ≥ 2 pairings (paired[a], of[a]); `pose` (3,) and `pose_covariance` (3, 3) are written.
+
+    NaN where S is not positive definite; inf where the pose is not determined. The pose is NaN with either.
+    """
+    P = _joint_covariance(mapped, of, k)
+    _closed_form(points, noise, mapped, paired, of, k, pose)
+    L, columns = np.empty((2 * k, 2 * k)), np.empty((2 * k, 4))
+    distance, normal, step = math.nan, np.empty((3, 3)), np.empty(3)
+    for _ in range(_ITERATIONS):
+        _linearise(points, noise, mapped, paired, of, k, pose, P, L, columns)
+        distance = math.nan
+        if not _whiten(L, columns):
+            break
+        distance = _solve(columns, normal, pose_covariance, step)
+        if distance == math.inf:
+            break
+        pose += step
+        if max(abs(step[0]), abs(step[1]), abs(step[2])) < _STEP:
+            break
+    if not distance < math.inf:
+        pose[:], pose_covariance[:] = math.nan, math.nan
+        return distance
+    pose[2] = wrap_angle(pose[2])
+    return distance
+
+
+@compiled
+def _joint_covariance(mapped: Mapped, of: IntArray, k: int) -> Array:
+    """P (2k, 2k) [m²] of the features `of[:k]`."""
+    P = np.empty((2 * k, 2 * k))
+    for a in range(k):
+        own = mapped.covariances[of[a]]
+        P[2 * a, 2 * a], P[2 * a + 1, 2 * a + 1] = own[0, 0] + _FLOOR, own[1, 1] + _FLOOR
+        P[2 * a, 2 * a + 1] = P[2 * a + 1, 2 * a] = own[0, 1]
+        for b in range(a):
+            xx, xy, yx, yy = cross_covariance(mapped, of[a], of[b])
+            P[2 * a, 2 * b], P[2 * a, 2 * b + 1] = xx, xy
+            P[2 * a + 1, 2 * b], P[2 * a + 1, 2 * b + 1] = yx, yy
+    return P
+
+
+@compiled
+def _closed_form(
+    points: Array, noise: Array, mapped: Mapped, paired: IntArray, of: IntArray, k: int, pose: Array
+) -> None:
+    """Weighted Umeyama without scale: θ from the weighted sums of products about the centroids, then t."""
+    total, zx, zy, fx, fy = 0.0, 0.0, 0.0, 0.0, 0.0
+    weights = np.empty(k)
+    for a in range(k):
+        R, P, z, F = noise[paired[a]], mapped.covariances[of[a]], points[paired[a]], mapped.positions[of[a]]
+        weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[0, 0] + P[1, 1] + _FLOOR)
+        total += weights[a]
+        zx, zy, fx, fy = zx + weights[a] * z[0], zy + weights[a] * z[1], fx + weights[a] * F[0], fy + weights[a] * F[1]
+    zx, zy, fx, fy = zx / total, zy / total, fx / total, fy / total
+    along, across = 0.0, 0.0
+    for a in range(k):
+        z, F = points[paired[a]], mapped.positions[of[a]]
+        x, y, u, v = z[0] - zx, z[1] - zy, F[0] - fx, F[1] - fy
+        along += weights[a] * (x * u + y * v)
+        across += weights[a] * (x * v - y * u)
+    pose[2] = math.atan2(across, along)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    pose[0], pose[1] = fx - c * zx + s * zy, fy - s * zx - c * zy
+
+
+@compiled
+def _linearise(
+    points: Array,
+    noise: Array,
+    mapped: Mapped,
+    paired: IntArray,
+    of: IntArray,
+    k: int,
+    pose: Array,
+    P: Array,
+    S: Array,
+    columns: Array,
+) -> None:
+    """The lower triangle of S, and in `columns` (2k, 4) A and e, all at `pose`."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for a in range(k):
+        x, y = points[paired[a], 0], points[paired[a], 1]
+        u, v = c * x - s * y, s * x + c * y
+        p, q = 2 * a, 2 * a + 1
+        columns[p, 0], columns[p, 1], columns[p, 2], columns[p, 3] = (
+            1.0,
+            0.0,
+            -v,
+            mapped.positions[of[a], 0] - pose[0] - u,
+        )
+        columns[q, 0], columns[q, 1], columns[q, 2], columns[q, 3] = (
+            0.0,
+            1.0,
+            u,
+            mapped.positions[of[a], 1] - pose[1] - v,
+        )
+        for b in range(p):
+            S[p, b], S[q, b] = P[p, b], P[q, b]
+        xx, xy, yy = noise[paired[a], 0, 0], noise[paired[a], 0, 1], noise[paired[a], 1, 1]
+        S[p, p] = P[p, p] + c * c * xx - 2.0 * c * s * xy + s * s * yy
+        S[q, p] = P[q, p] + c * s * (xx - yy) + (c * c - s * s) * xy
+        S[q, q] = P[q, q] + s * s * xx + 2.0 * c * s * xy + c * c * yy
+
+
+@compiled
+def _whiten(S: Array, columns: Array) -> bool:
+    """Cholesky factor in place of the lower triangle of S, and L⁻¹ in place of `columns`; False: S is none."""
+    d = len(S)
+    for r in range(d):
+        for q in range(r + 1):
+            value = S[r, q]
+            for t in range(q):
+                value -= S[r, t] * S[q, t]
+            if q < r:
+                S[r, q] = value / S[q, q]
+            elif value > 0.0 and value < math.inf:
+                S[r, r] = math.sqrt(value)
+            else:
+                return False
+        for column in range(4):
+            value = columns[r, column]
+            for t in range(r):
+                value -= S[r, t] * columns[t, column]
+            columns[r, column] = value / S[r, r]
+    return True
+
+
+@compiled
+def _solve(columns: Array, normal: Array, inverse: Array, step: Array) -> float:
+    """(AᵀS⁻¹A)⁻¹ into `inverse`, δ into `step`; D² after the step, inf where AᵀS⁻¹A is singular."""
+    right, distance = np.zeros(3), 0.0
+    normal[:] = 0.0
+    for r in range(len(columns)):
+        distance += columns[r, 3] * columns[r, 3]
+        for a in range(3):
+            right[a] += columns[r, a] * columns[r, 3]
+            for b in range(3):
+                normal[a, b] += columns[r, a] * columns[r, b]
+    a, b, c = normal[0, 0], normal[0, 1], normal[0, 2]
+    d, e, f = normal[1, 1], normal[1, 2], normal[2, 2]
+    determinant = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    if not determinant > 1e-12 * a * d * f:
+        return math.inf
+    inverse[0, 0], inverse[1, 1], inverse[2, 2] = d * f - e * e, a * f - c * c, a * d - b * b
+    inverse[0, 1] = inverse[1, 0] = c * e - b * f
+    inverse[0, 2] = inverse[2, 0] = b * e - c * d
+    inverse[1, 2] = inverse[2, 1] = b * c - a * e
+    for r in range(3):
+        step[r] = 0.0
+        for q in range(3):
+            inverse[r, q] /= determinant
+            step[r] += inverse[r, q] * right[q]
+        distance -= step[r] * right[r]
+    return max(distance, 0.0)
