@@ -1,0 +1,116 @@
+"""Map joining: two statistically independent stochastic maps become one (Tardós, Neira, Newman and Leonard, IJRR 2002).
+
+Map A, in base B_A, ends with its robot at R_A; map B has its base there: x_B is given in the frame of R_A. The joined
+state, all in B_A, with x_R the robot of B, is
+
+    x = (R_A ⊕ R_B; F_A; R_A ⊕ F_B),    P = J_A P_A J_Aᵀ + J_B P_B J_Bᵀ,
+
+where J_A, J_B are the Jacobians of x by x_A and x_B. Features that both maps hold are then matched, made equal by an
+update with the noise-free measurement F_a − F_b = 0, and one of each pair is deleted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from slam_gym.geometry import wrap_angle
+from slam_gym.mapping.linear_algebra import cholesky
+from slam_gym.mapping.map_state import MapState, map_of_state, state_of
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import Array, IntArray
+
+_ROUNDING = 1e-13  # share of what cancels in S that is given back to its diagonal: keeps it definite
+
+
+def join(a: StochasticMap, b: StochasticMap, *, renumber: bool = False) -> StochasticMap:
+    """Both maps in the base of `a`: the features of `a`, then those of `b`, none of them matched yet.
+
+    The robot is that of `b`, whose base is the robot of `a`; the settings are those of `a`. With `renumber` the ids of
+    `b` are raised by the number of ids that `a` has given. Raises ValueError where an id would be given twice.
+    """
+    first, second = state_of(a), state_of(b)
+    ours, theirs = first.columns, second.columns
+    given = second.next_id
+    if renumber:
+        theirs, given = replace(theirs, ids=theirs.ids + first.next_id), given + first.next_id
+    twice = np.intersect1d(ours.ids, theirs.ids)
+    if len(twice):
+        raise ValueError(f"ids: both maps have features {twice[:5].tolist()}; join with renumber=True")
+    mean, covariance = joined_estimate(first.mean, first.covariance, second.mean, second.covariance)
+    step, ids = max(first.step, second.step), max(first.next_id, given)
+    return map_of_state(a.spec, MapState(mean, covariance, ours.followed_by(theirs), step, ids))
+
+
+def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tuple[Array, Array]:
+    """x (3 + 2(n_a + n_b),) and P of the joined state, from x_A (3 + 2n_a,), x_B (3 + 2n_b,) and their covariances."""
+    (x0, y0, heading), d, rest = mean_a[:3], len(mean_b), len(mean_a) - 3
+    c, s = math.cos(heading), math.sin(heading)
+    along = np.concatenate([[0], np.arange(3, d, 2)])  # where x coordinates of the robot and features of B are
+    across = along + 1
+    moved = mean_b.copy()
+    moved[along] = x0 + c * mean_b[along] - s * mean_b[across]
+    moved[across] = y0 + s * mean_b[along] + c * mean_b[across]
+    moved[2] = wrap_angle(heading + mean_b[2])
+    M = np.zeros((d, 3))  # ∂(R_A ⊕ x_B)/∂R_A; by x_B it is the rotation of each point
+    M[along, 0] = M[across, 1] = M[2, 2] = 1.0
+    M[along, 2], M[across, 2] = y0 - moved[across], moved[along] - x0
+    turned = P_b.copy()
+    turned[along], turned[across] = c * P_b[along] - s * P_b[across], s * P_b[along] + c * P_b[across]
+    x_columns, y_columns = turned[:, along].copy(), turned[:, across].copy()
+    turned[:, along], turned[:, across] = c * x_columns - s * y_columns, s * x_columns + c * y_columns
+    of_b = M @ P_a[:3, :3] @ M.T + turned
+    between = M @ P_a[:3, 3:]
+    mean = np.concatenate([moved[:3], mean_a[3:], moved[3:]])
+    P = np.empty((rest + d, rest + d))
+    P[:rest, :rest] = P_a[3:, 3:]
+    P[rest:, :rest], P[:rest, rest:], P[rest:, rest:] = between, between.T, of_b
+    order = np.concatenate([rest + np.arange(3), np.arange(rest), np.arange(rest + 3, rest + d)])
+    P = P[np.ix_(order, order)]
+    return mean, 0.5 * (P + P.T)
+
+
+def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
+    """The map in which features pairs[i, 0] and pairs[i, 1], (k, 2), are one: the first of each is left.
+
+    Equality update, then the second features are deleted; what was known of them (sightings, size, kind) goes to the
+    first. Raises ValueError where a feature does not exist or is to be deleted twice, or where S is singular.
+    """
+    pairs = np.ascontiguousarray(pairs, dtype=np.int64).reshape(-1, 2)
+    kept, dropped = pairs[:, 0], pairs[:, 1]
+    if len(pairs) and (pairs.min() < 0 or pairs.max() >= m.n):
+        raise ValueError(f"pairs: {pairs.tolist()} in a map of {m.n} features")
+    if len(np.unique(dropped)) < len(dropped) or len(np.intersect1d(kept, dropped)):
+        raise ValueError(f"pairs: {pairs.tolist()} delete a feature twice, or one that is to be kept")
+    state = state_of(m)
+    mean, covariance = equality_update(state.mean, state.covariance, pairs)
+    columns = state.columns.fused(kept, dropped)
+    equal = map_of_state(m.spec, MapState(mean, covariance, columns, state.step, state.next_id))
+    equal.remove(dropped)
+    return equal
+
+
+def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Array]:
+    """x (d,) and P (d, d) given F_a = F_b for all pairs (k, 2) at once; P is left singular, for they are equal now.
+
+    H = [… I … −I …], S = H P Hᵀ, K = P Hᵀ S⁻¹; x ← x − K H x, P ← (I − K H) P (I − K H)ᵀ. Raises ValueError
+    where S is not positive definite, as when two features are known exactly.
+    """
+    if not len(pairs):
+        return mean.copy(), P.copy()
+    first, second = (3 + 2 * pairs[:, column, None] + np.arange(2) for column in (0, 1))
+    first, second = first.ravel(), second.ravel()
+    HP = P[first] - P[second]
+    S = HP[:, first] - HP[:, second]
+    S[np.diag_indices(len(S))] += _ROUNDING * (P[first, first] + P[second, second])
+    L = np.ascontiguousarray(S)
+    if not cholesky(L):
+        raise ValueError("pairs: the covariance of what is to be equal is singular")
+    K = np.linalg.solve(S, HP).T
+    out = mean - K @ (mean[first] - mean[second])
+    out[2] = wrap_angle(out[2])
+    left = P - K @ HP
+    left -= (left[:, first] - left[:, second]) @ K.T
+    return out, 0.5 * (left + left.T)

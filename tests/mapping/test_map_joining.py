@@ -1,0 +1,297 @@
+"""Map joining against finite differences, the null-space form of a constraint, and one EKF over everything."""
+
+import math
+
+import numpy as np
+import pytest
+from oracles_map import SIGMA, KnownAssociation, Q, Step, make_scan, random_covariance, wander
+
+from slam_gym.geometry import compose, transform, wrap_angle
+from slam_gym.mapping.map_joining import equality_update, equate, join, joined_estimate
+from slam_gym.mapping.map_state import successor
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.metrics.consistency import anees_interval, nees
+from slam_gym.types import UNKNOWN, Array, IntArray, Odometry, Scan
+
+KEEP = MapSpec(unconfirmed_age=None)
+
+
+def random_estimate(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
+    """x (3 + 2n,) and P of a map: anything."""
+    d = 3 + 2 * n
+    mean = rng.uniform(-5, 5, d)
+    mean[2] = rng.uniform(-math.pi, math.pi)
+    factor = 0.3 * rng.standard_normal((d, d))
+    return mean, factor @ factor.T
+
+
+def joined_by_geometry(x_a: Array, x_b: Array) -> Array:
+    """The joined state, by the composition of poses and points."""
+    robot = compose(x_a[:3], x_b[:3])
+    features = transform(x_a[:3].copy(), np.ascontiguousarray(x_b[3:].reshape(-1, 2)))
+    return np.concatenate([robot, x_a[3:], features.ravel()])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_joined_estimate_is_first_order_propagation(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    (x_a, P_a), (x_b, P_b) = random_estimate(rng, seed % 4), random_estimate(rng, seed % 5)
+    mean, P = joined_estimate(x_a, P_a, x_b, P_b)
+    np.testing.assert_allclose(mean, joined_by_geometry(x_a, x_b), rtol=0, atol=1e-12)
+    both, step, columns = np.concatenate([x_a, x_b]), 1e-6, []
+    for i in range(len(both)):
+        e = np.zeros(len(both))
+        e[i] = step
+        plus, minus = (joined_by_geometry(x[: len(x_a)], x[len(x_a) :]) for x in (both + e, both - e))
+        difference = plus - minus
+        difference[2] = wrap_angle(difference[2])
+        columns.append(difference / (2 * step))
+    J = np.column_stack(columns)
+    zero = np.zeros((len(x_a), len(x_b)))
+    expected = J @ np.block([[P_a, zero], [zero.T, P_b]]) @ J.T
+    np.testing.assert_allclose(P, expected, rtol=0, atol=1e-7)
+    assert np.array_equal(P, P.T)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_equality_update_is_the_estimate_on_the_subspace_of_equal_features(seed: int) -> None:
+    """With x = N y, N a basis of {F_a = F_b}: y = (Nᵀ P⁻¹ N)⁻¹ Nᵀ P⁻¹ x, generalised least squares."""
+    rng = np.random.default_rng(50 + seed)
+    n = 8
+    mean, P = random_estimate(rng, n)
+    mean[2] = 0.3
+    P += 0.01 * np.eye(len(P))
+    chosen = rng.permutation(n)
+    pairs = chosen[: 2 * (1 + seed % 4)].reshape(-1, 2)
+    constraint = np.zeros((2 * len(pairs), len(mean)))
+    for row, (a, b) in enumerate(pairs):
+        for axis in range(2):
+            constraint[2 * row + axis, 3 + 2 * a + axis] = 1.0
+            constraint[2 * row + axis, 3 + 2 * b + axis] = -1.0
+    N = np.linalg.svd(constraint)[2][len(constraint) :].T
+    information = np.linalg.inv(P)
+    expected = N @ np.linalg.inv(N.T @ information @ N) @ N.T
+    x, after = equality_update(mean, P, pairs)
+    estimate = expected @ information @ mean
+    estimate[2] = wrap_angle(estimate[2])
+    np.testing.assert_allclose(x, estimate, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(after, expected, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(x[3 + 2 * pairs[:, 0]], x[3 + 2 * pairs[:, 1]], atol=1e-9)
+
+
+# --- against one EKF over everything ----------------------------------------------------------------------------------
+
+
+def halves(steps: list[Step], at: list[int]) -> tuple[StochasticMap, list[int]]:
+    """Local maps of the steps between the cuts `at`, joined under known association; landmark behind each feature."""
+    whole, sources = None, []
+    previous = StochasticMap(KEEP)
+    for first, last in zip([0, *at], [*at, len(steps)]):
+        local = KnownAssociation(successor(previous))
+        for step in steps[first:last]:
+            local.step(step)
+        if whole is None:
+            whole, sources = local.map, list(local.sources)
+        else:
+            count, older = whole.n, {source: j for j, source in enumerate(sources)}
+            pairs = [(older[s], count + j) for j, s in enumerate(local.sources) if s in older]
+            whole = equate(join(whole, local.map), np.array(pairs))
+            sources += [s for s in local.sources if s not in older]
+        previous = local.map
+    assert whole is not None
+    return whole, sources
+
+
+def by_source(m: StochasticMap, sources: list[int]) -> tuple[Array, Array]:
+    """x and P with the features in the order of their landmarks."""
+    order = np.argsort(sources)
+    entries = np.concatenate([np.arange(3), (3 + 2 * order[:, None] + np.arange(2)).ravel()])
+    return m.mean[entries], m.covariance[np.ix_(entries, entries)]
+
+
+@pytest.mark.parametrize("at", [[15], [10, 20], [7, 14, 21, 28]])
+def test_equals_one_ekf_where_the_heading_is_known(at: list[int]) -> None:
+    """Without heading noise everything is linear: the order in which independent information comes in is immaterial."""
+    rng = np.random.default_rng(11)
+    landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (30, 2))
+    q = np.diag([0.05, 0.03, 0.0]) ** 2
+    steps = list(wander(rng, 36, landmarks, reach=4.0, q=q))
+    one = KnownAssociation(StochasticMap(KEEP))
+    for step in steps:
+        one.step(step)
+    joined, sources = halves(steps, at)
+    assert sorted(sources) == sorted(one.sources) and len(sources) > 15
+    for ours, theirs in zip(by_source(joined, sources), by_source(one.map, one.sources)):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+
+
+def test_joined_maps_are_consistent() -> None:
+    """NEES of the whole state (robot and all features) over many runs of a drifting robot, three maps each."""
+    values, dofs = [], 0
+    for seed in range(60):
+        rng = np.random.default_rng(1000 + seed)
+        landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (20, 2))
+        steps = list(wander(rng, 45, landmarks))
+        joined, sources = halves(steps, [15, 30])
+        x, P = by_source(joined, sources)
+        error = x - np.concatenate([steps[-1].pose, landmarks[np.sort(sources)].ravel()])
+        error[2] = wrap_angle(error[2])
+        values.append(nees(error, P))
+        dofs += len(x)
+    low, high = anees_interval(1, dofs, 0.999)
+    assert low < sum(values) / dofs < high
+
+
+def test_stays_psd_through_many_joins() -> None:
+    rng = np.random.default_rng(5)
+    landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (30, 2))
+    steps = list(wander(rng, 150, landmarks))
+    joined, _ = halves(steps, list(range(5, 150, 5)))
+    eigenvalues = np.linalg.eigvalsh(joined.covariance)
+    assert np.array_equal(joined.covariance, joined.covariance.T)
+    assert eigenvalues[0] > -1e-9 * eigenvalues[-1]
+    assert np.all(np.diagonal(joined.covariance) > 0.0)
+
+
+def test_joining_never_makes_a_feature_of_the_older_map_less_certain() -> None:
+    rng = np.random.default_rng(6)
+    landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (25, 2))
+    steps = list(wander(rng, 40, landmarks))
+    alone, sources = halves(steps[:20], [])
+    both, more = halves(steps, [20])
+    assert more[: len(sources)] == sources
+    before, after = alone.covariances, both.covariances[: len(sources)]
+    assert np.linalg.eigvalsh(before - after).min() > -1e-12
+    assert np.trace(after.sum(axis=0)) < 0.99 * np.trace(before.sum(axis=0))
+
+
+def test_a_joined_map_goes_on_as_a_map() -> None:
+    """The filter can be run on from it: predict, update, add, remove."""
+    rng = np.random.default_rng(7)
+    landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (25, 2))
+    steps = list(wander(rng, 60, landmarks))
+    joined, sources = halves(steps[:40], [20])
+    on = KnownAssociation(joined)
+    on.sources = sources
+    for step in steps[40:]:
+        on.step(step)
+    x, P = by_source(on.map, on.sources)
+    error = x - np.concatenate([steps[-1].pose, landmarks[np.sort(on.sources)].ravel()])
+    assert nees(error, P) < 2.0 * len(x)
+    assert len(set(on.map.ids.tolist())) == on.map.n
+
+
+# --- bookkeeping ------------------------------------------------------------------------------------------------------
+
+
+def sized(points: list[list[float]], sizes: list[float], variances: list[float], kinds: list[int]) -> Scan:
+    scan = make_scan(np.array(points), np.tile(0.01 * np.eye(2), (len(points), 1, 1)))
+    return Scan(scan.points, scan.covariances, np.array(sizes), np.array(variances), np.array(kinds))
+
+
+def two_small_maps() -> tuple[StochasticMap, StochasticMap]:
+    """Three features each; the robot of the first stands 1 m ahead of its base."""
+    a = StochasticMap(KEEP)
+    a.add(sized([[2, 0], [2, 1], [2, 2]], [0.5, np.nan, 0.3], [0.01, np.nan, 0.02], [3, UNKNOWN, 2]), np.arange(3))
+    a.end_of_step()
+    a.predict(Odometry(np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3)))
+    b = successor(a)
+    b.add(sized([[1, 0], [1, 1], [9, 9]], [0.7, 0.4, 0.6], [0.03, 0.05, 0.01], [3, 1, UNKNOWN]), np.arange(3))
+    b.end_of_step()
+    return a, b
+
+
+def test_what_is_known_of_a_duplicate_goes_to_the_older_feature() -> None:
+    a, b = two_small_maps()
+    m = equate(join(a, b), np.array([[0, 3], [1, 4]]))
+    np.testing.assert_array_equal(m.ids, [0, 1, 2, 5])
+    np.testing.assert_array_equal(m.seen, [2, 2, 1, 1])
+    np.testing.assert_array_equal(m.first_seen, [0, 0, 0, 1])
+    np.testing.assert_array_equal(m.last_seen, [1, 1, 0, 1])
+    np.testing.assert_allclose(m.sizes, [(0.5 / 0.01 + 0.7 / 0.03) / (1 / 0.01 + 1 / 0.03), 0.4, 0.3, 0.6])
+    np.testing.assert_allclose(m.size_variances, [0.0075, 0.05, 0.02, 0.01])
+    np.testing.assert_array_equal(m.kinds, [3, 1, 2, UNKNOWN])
+    np.testing.assert_allclose(m.positions, [[2, 0], [2, 1], [2, 2], [10, 9]], atol=1e-9)
+    assert m.step == 2
+    m.add(sized([[1, 1]], [1.0], [1.0], [0]), np.array([0]))
+    assert m.ids[-1] == 6  # given by nobody before
+
+
+def test_the_maps_that_are_joined_stay_as_they_were() -> None:
+    a, b = two_small_maps()
+    before = a.mean, a.covariance, b.mean, b.covariance
+    m = join(a, b)
+    equate(m, np.array([[0, 3]]))
+    for old, new in zip(before, (a.mean, a.covariance, b.mean, b.covariance)):
+        np.testing.assert_array_equal(old, new)
+    assert m.n == 6
+
+
+def test_ids_of_independent_robots_are_renumbered() -> None:
+    a, _ = two_small_maps()
+    with pytest.raises(ValueError, match="ids"):
+        join(a, a)
+    np.testing.assert_array_equal(join(a, a, renumber=True).ids, [0, 1, 2, 3, 4, 5])
+
+
+def test_joining_with_an_empty_map_is_a_change_of_base() -> None:
+    a, b = two_small_maps()
+    alone = join(a, StochasticMap(KEEP))
+    np.testing.assert_allclose(alone.mean, a.mean, atol=1e-12)
+    np.testing.assert_allclose(alone.covariance, a.covariance, atol=1e-12)
+    same = join(StochasticMap(KEEP), b)
+    np.testing.assert_allclose(same.mean, b.mean, atol=1e-12)
+    np.testing.assert_allclose(same.covariance, b.covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize("pairs", [[[0, 6]], [[-1, 2]], [[0, 3], [1, 3]], [[0, 1], [1, 2]], [[2, 2]]])
+def test_pairs_that_make_no_sense_are_refused(pairs: list[list[int]]) -> None:
+    a, b = two_small_maps()
+    with pytest.raises(ValueError, match="pairs"):
+        equate(join(a, b), np.array(pairs))
+
+
+def test_two_features_known_exactly_cannot_be_made_equal() -> None:
+    m, exact = StochasticMap(KEEP), make_scan(np.array([[1.0, 0.0], [2.0, 0.0]]), np.zeros((2, 2, 2)))
+    m.add(exact, np.arange(2))
+    with pytest.raises(ValueError, match="singular"):
+        equate(m, np.array([[0, 1]]))
+
+
+def test_no_pairs_change_nothing() -> None:
+    a, b = two_small_maps()
+    m = join(a, b)
+    same = equate(m, np.empty((0, 2), np.int64))
+    np.testing.assert_array_equal(same.mean, m.mean)
+    np.testing.assert_array_equal(same.covariance, m.covariance)
+
+
+def random_pairs(rng: np.random.Generator, n: int) -> IntArray:
+    chosen = rng.permutation(n)
+    return chosen[: 2 * int(rng.integers(1, n // 2))].reshape(-1, 2)
+
+
+def test_equality_stays_psd_for_certainties_of_very_different_sizes() -> None:
+    rng = np.random.default_rng(9)
+    for _ in range(100):
+        m = StochasticMap(KEEP)
+        m.predict(Odometry(rng.normal(0, 1, 3), np.diag(10.0 ** rng.uniform(-6, 2, 3))))
+        scale = 10.0 ** rng.uniform(-4, 0)
+        covariances = np.array([random_covariance(rng, scale) for _ in range(10)])
+        m.add(make_scan(rng.uniform(-5, 5, (10, 2)), covariances), np.arange(10))
+        after = equate(m, random_pairs(rng, 10))
+        eigenvalues = np.linalg.eigvalsh(after.covariance)
+        assert eigenvalues[0] >= -1e-9 * eigenvalues[-1]
+
+
+def test_first_estimates_of_a_joined_map_are_those_of_the_join() -> None:
+    rng = np.random.default_rng(10)
+    spec = MapSpec(first_estimate_jacobians=True, unconfirmed_age=None)
+    a = StochasticMap(spec)
+    a.add(make_scan(rng.uniform(-3, 3, (4, 2)), np.tile(SIGMA**2 * np.eye(2), (4, 1, 1))), np.arange(4))
+    a.predict(Odometry(np.array([0.3, 0.0, 0.2]), Q))
+    plain = StochasticMap(KEEP)
+    plain.add(make_scan(rng.uniform(-3, 3, (2, 2)), np.tile(SIGMA**2 * np.eye(2), (2, 1, 1))), np.arange(2))
+    m = join(a, plain, renumber=True)
+    joint = m.prediction(100.0).joint(np.arange(m.n))
+    assert m.spec == spec and np.linalg.eigvalsh(joint).min() > 0.0
