@@ -5,15 +5,11 @@ Nothing here calls the package's own constraints, location or searches.
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from slam_gym.types import NONE, UNKNOWN, Array, IntArray, Landmarks, Locality, Scan
-
-FREE_PAIRS = 2  # a pose needs so many pairings
+from slam_gym.types import UNKNOWN, Array, Landmarks, Scan
 
 
 def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
@@ -82,6 +78,60 @@ def errors(pose: Array, z: Array, F: Array) -> Array:
     return F - pose[:2] - z @ rotation(pose[2]).T
 
 
+def gate(dof: int, confidence: float) -> float:
+    """χ²_{dof,conf}."""
+    return float(chi2.ppf(confidence, dof))
+
+
+def agree_in_what_they_are(scan: Scan, landmarks: Landmarks, i: int, j: int, confidence: float) -> bool:
+    """The unary constraint."""
+    kinds = {UNKNOWN if scan.kinds is None else scan.kinds[i], landmarks.kinds[j]} - {UNKNOWN}
+    if len(kinds) == 2:
+        return False
+    variance = scan.size_variances[i] + landmarks.size_variances[j]
+    difference = scan.sizes[i] - landmarks.sizes[j]
+    return bool(np.isnan(difference + variance) or difference**2 <= gate(1, confidence) * variance)
+
+
+def agree_in_distance(
+    scan: Scan, landmarks: Landmarks, P: Array, first: tuple[int, int], second: tuple[int, int], confidence: float
+) -> bool:
+    """The binary constraint; P (2n, 2n) is the joint covariance of the map."""
+    (i, j), (k, l) = first, second
+    along, between = scan.points[k] - scan.points[i], landmarks.positions[l] - landmarks.positions[j]
+    D = np.zeros((2, len(P)))
+    D[:, 2 * l : 2 * l + 2] += np.eye(2)
+    D[:, 2 * j : 2 * j + 2] -= np.eye(2)
+    of_scan, of_map = scan.covariances[i] + scan.covariances[k], D @ P @ D.T
+    error = np.linalg.norm(along) - np.linalg.norm(between)
+    widest = np.linalg.eigvalsh(of_scan).max() + np.linalg.eigvalsh(of_map).max()
+    if min(along @ along, between @ between) < 16.0 * widest:
+        return bool(error**2 < gate(2, confidence) * widest)
+    u, v = along / np.linalg.norm(along), between / np.linalg.norm(between)
+    return bool(error**2 < gate(1, confidence) * (u @ of_scan @ u + v @ of_map @ v))
+
+
+def area(points: Array) -> float:
+    """Signed, of a triangle (3, 2)."""
+    return float(0.5 * np.linalg.det(np.column_stack([np.ones(3), points])))
+
+
+def same_sense(scan: Scan, landmarks: Landmarks, P: Array, pairs: list[tuple[int, int]], confidence: float) -> bool:
+    """Orientation of three pairings, its gradients by central differences (the area is quadratic: they are exact)."""
+    rows, columns = [i for i, _ in pairs], np.array([j for _, j in pairs])
+    entries = (2 * columns[:, None] + np.arange(2)).ravel()
+    z, F, R = scan.points[rows], landmarks.positions[columns], np.zeros((6, 6))
+    for a, i in enumerate(rows):
+        R[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] = scan.covariances[i]
+    if area(z) * area(F) >= 0.0:
+        return True
+    steps = np.eye(6).reshape(6, 3, 2)
+    of_scan = np.array([area(z + s) - area(z - s) for s in steps]) / 2.0
+    of_map = np.array([area(F + s) - area(F - s) for s in steps]) / 2.0
+    variance = of_scan @ R @ of_scan + of_map @ P[np.ix_(entries, entries)] @ of_map
+    return bool((area(z) - area(F)) ** 2 < gate(1, confidence) * variance)
+
+
 def fit(scan: Scan, landmarks: Landmarks, P: Array, pairs: list[tuple[int, int]]) -> tuple[Array, Array, float]:
     """Pose, covariance and D² of pairings (measurement, feature), by a library's least squares from many starts.
 
@@ -90,7 +140,7 @@ def fit(scan: Scan, landmarks: Landmarks, P: Array, pairs: list[tuple[int, int]]
     rows = np.array([j for _, j in pairs])
     z, F = scan.points[[i for i, _ in pairs]], landmarks.positions[rows]
     entries = (2 * rows[:, None] + np.arange(2)).ravel()
-    P, k = P[np.ix_(entries, entries)], len(pairs)
+    P = P[np.ix_(entries, entries)]
     best: tuple[float, Array, Array] = (np.inf, np.full(3, np.nan), np.full((3, 3), np.nan))
     for heading in np.arange(4) * np.pi / 2.0:
         pose = np.array([*(F.mean(0) - rotation(heading) @ z.mean(0)), heading])
@@ -107,5 +157,4 @@ def fit(scan: Scan, landmarks: Landmarks, P: Array, pairs: list[tuple[int, int]]
             pose = found.x
         if 2.0 * found.cost < best[0]:
             best = (2.0 * found.cost, found.x, np.linalg.inv(found.jac.T @ found.jac))
-    assert k >= FREE_PAIRS
     return best[1], best[2], best[0]

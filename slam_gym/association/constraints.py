@@ -15,27 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
+from slam_gym.association.arrays import map_arrays, scan_arrays
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Scan
-from slam_gym.validation import check_scan
 
 _CLOSE = 16.0  # points are close when nearer than √16 = 4 σ to each other
-_TOLERANCE = 1e-9  # of a negative determinant, relative to the variances' product
-
-_FAULTS = (
-    "",
-    "positions[{}] is not finite",
-    "covariances[{}] is not finite",
-    "covariances[{}] is not PSD",
-    "size_variances[{}] is negative",
-)
-
-ScanArrays = tuple[Array, Array, Array, Array, IntArray]
-MapArrays = tuple[Array, Array, Array, Array, IntArray, Array, IntArray, IntArray, Array]
 
 
 class Measured(NamedTuple):
-    """A scan as the compiled constraints take it: `measured` makes it, within a kernel, from `scan_arrays`."""
+    """A scan as the compiled constraints take it: `measured` makes it within a kernel."""
 
     points: Array  # (m, 2) [m] in R
     noise: Array  # (m, 2, 2) [m²]
@@ -45,7 +33,7 @@ class Measured(NamedTuple):
 
 
 class Mapped(NamedTuple):
-    """A map as the compiled constraints take it: `mapped` makes it, within a kernel, from `map_arrays`."""
+    """A map as the compiled constraints take it, made within a kernel from some of `map_arrays`."""
 
     positions: Array  # (n, 2) [m] in B
     covariances: Array  # (n, 2, 2) [m²]
@@ -89,7 +77,7 @@ def binary(scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, co
     `map_arrays` do, and where a measurement or a feature does not exist.
     """
     rows = _checked(scan, landmarks, (first, second))
-    return bool(_binary(*scan_arrays(scan)[:2], *_geometry(landmarks), rows, *gates(confidence)))
+    return bool(_binary(scan_arrays(scan)[:2], rows, gates(confidence), *_geometry(landmarks)))
 
 
 def orientation(
@@ -102,69 +90,12 @@ def orientation(
     as `binary` does.
     """
     rows = _checked(scan, landmarks, (first, second, third))
-    return bool(_orientation(*scan_arrays(scan)[:2], *_geometry(landmarks), rows, *gates(confidence)))
+    return bool(_orientation(scan_arrays(scan)[:2], rows, gates(confidence), *_geometry(landmarks)))
 
 
 def gates(confidence: float) -> tuple[float, float]:
     """χ²_1 and χ²_2 at `confidence`, as `Gates` holds them. Raises ValueError unless 0 < confidence < 1."""
     return chi2_gate(1, confidence), chi2_gate(2, confidence)
-
-
-def scan_arrays(scan: Scan) -> ScanArrays:
-    """Points, noise, sizes, size variances and kinds (all UNKNOWN where there are none), fit for kernels.
-
-    Raises ValueError naming the field and measurement that is not finite, or no covariance.
-    """
-    check_scan(scan)
-    m = len(scan)
-    kinds = np.full(m, UNKNOWN) if scan.kinds is None else integers(scan.kinds)
-    if kinds.shape != (m,):
-        raise ValueError(f"Scan.kinds: shape {kinds.shape}, expected ({m},)")
-    if np.any(scan.size_variances < 0.0):
-        raise ValueError(f"Scan.size_variances: measurement {int(np.argmax(scan.size_variances < 0.0))}: negative")
-    return floats(scan.points), floats(scan.covariances), floats(scan.sizes), floats(scan.size_variances), kinds
-
-
-def map_arrays(landmarks: Landmarks) -> MapArrays:
-    """Positions, covariances, sizes, size variances, kinds, covariance and the three of the blocks, fit for kernels.
-
-    Raises ValueError naming the field of a wrong shape, or that holds what is not finite or no covariance. The joint
-    covariance is not looked through: at 1 000 features that would cost more than the search.
-    """
-    n, e = len(landmarks.positions), len(landmarks.blocks)
-    shapes = {
-        "positions": (n, 2),
-        "covariances": (n, 2, 2),
-        "sizes": (n,),
-        "size_variances": (n,),
-        "kinds": (n,),
-        "blocks": (e, 2, 2),
-        "block_columns": (e,),
-    }
-    for name, shape in shapes.items():
-        if getattr(landmarks, name).shape != shape:
-            raise ValueError(f"Landmarks.{name}: shape {getattr(landmarks, name).shape}, expected {shape}")
-    if landmarks.covariance.shape not in ((2 * n, 2 * n), (0, 0)):
-        raise ValueError(f"Landmarks.covariance: shape {landmarks.covariance.shape}, expected {(2 * n, 2 * n)}")
-    if len(landmarks.block_starts) not in (0, n + 1) or (
-        len(landmarks.block_starts) and landmarks.block_starts[-1] != e
-    ):
-        raise ValueError(f"Landmarks.block_starts: does not delimit {e} blocks of {n} features")
-    arrays = (
-        floats(landmarks.positions),
-        floats(landmarks.covariances),
-        floats(landmarks.sizes),
-        floats(landmarks.size_variances),
-        integers(landmarks.kinds),
-        floats(landmarks.covariance),
-        integers(landmarks.block_starts),
-        integers(landmarks.block_columns),
-        floats(landmarks.blocks),
-    )
-    fault, where = _first_bad_feature(arrays[0], arrays[1], arrays[3])
-    if fault:
-        raise ValueError(f"Landmarks.{_FAULTS[fault].format(where)}")
-    return arrays
 
 
 def _geometry(landmarks: Landmarks) -> tuple[Array, Array, Array, IntArray, IntArray, Array]:
@@ -177,35 +108,6 @@ def _checked(scan: Scan, landmarks: Landmarks, pairings: tuple[Pairing, ...]) ->
         if not (0 <= pairing.measurement < len(scan) and 0 <= pairing.feature < len(landmarks)):
             raise ValueError(f"{pairing}: there are {len(scan)} measurements and {len(landmarks)} features")
     return np.array([(pairing.measurement, pairing.feature) for pairing in pairings])
-
-
-def floats(array: Array) -> Array:
-    """As the kernels were compiled for: float64, C-contiguous, writeable."""
-    if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.writeable:
-        return array
-    return np.array(array, np.float64, order="C")
-
-
-def integers(array: IntArray) -> IntArray:
-    if array.dtype == np.int64 and array.flags.c_contiguous and array.flags.writeable:
-        return array
-    return np.array(array, np.int64, order="C")
-
-
-@compiled
-def _first_bad_feature(positions: Array, covariances: Array, size_variances: Array) -> tuple[int, int]:
-    """(index into _FAULTS, feature) of the first bad number; (0, −1) where all are good."""
-    for j in range(len(positions)):
-        if not math.isfinite(positions[j, 0] + positions[j, 1]):
-            return 1, j
-        a, b, d = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 1]
-        if not math.isfinite(a + b + d):
-            return 2, j
-        if a < 0.0 or d < 0.0 or a * d - b * b < -_TOLERANCE * a * d:
-            return 3, j
-        if size_variances[j] < 0.0:
-            return 4, j
-    return 0, -1
 
 
 @compiled
@@ -287,9 +189,9 @@ def binary_test(scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k:
     xx, xy, yy = difference_covariance(mapped, j, l)
     widest = spread + max(largest_eigenvalue(xx, xy, yy), 0.0)
     if min(square, scan.distances[i, k] ** 2) < _CLOSE * widest:
-        return error * error < gates.two * widest
+        return bool(error * error < gates.two * widest)
     variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
-    return error * error < gates.one * (scan.variances[i, k] + max(variance, 0.0))
+    return bool(error * error < gates.one * (scan.variances[i, k] + max(variance, 0.0)))
 
 
 @compiled
@@ -342,37 +244,33 @@ def _unary_table(
 
 @compiled
 def _binary(
-    points: Array,
-    noise: Array,
+    seen: tuple[Array, Array],
+    pairings: IntArray,
+    chi2: tuple[float, float],
     positions: Array,
     covariances: Array,
     covariance: Array,
     starts: IntArray,
     columns: IntArray,
     blocks: Array,
-    pairings: IntArray,
-    one: float,
-    two: float,
 ) -> bool:
     (i, j), (k, l) = pairings[0], pairings[1]
     mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
-    return binary_test(measured(points, noise), mapped, Gates(one, two), i, j, k, l)
+    return binary_test(measured(seen[0], seen[1]), mapped, Gates(chi2[0], chi2[1]), i, j, k, l)
 
 
 @compiled
 def _orientation(
-    points: Array,
-    noise: Array,
+    seen: tuple[Array, Array],
+    pairings: IntArray,
+    chi2: tuple[float, float],
     positions: Array,
     covariances: Array,
     covariance: Array,
     starts: IntArray,
     columns: IntArray,
     blocks: Array,
-    pairings: IntArray,
-    one: float,
-    two: float,
 ) -> bool:
     (i, j), (k, l), (p, q) = pairings[0], pairings[1], pairings[2]
     mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
-    return orientation_test(measured(points, noise), mapped, Gates(one, two), i, j, k, l, p, q)
+    return orientation_test(measured(seen[0], seen[1]), mapped, Gates(chi2[0], chi2[1]), i, j, k, l, p, q)
