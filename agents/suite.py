@@ -1,0 +1,212 @@
+"""The association suite: one question, one sweep and one number in [0, 1] per capability, in the manner of bsuite.
+
+An experiment is a sweep over one knob. Each of its levels is a frozen setting with an id such as `closure/3`, to be had
+from `load`; its `scenario` can be driven like any other. What is done with a level is in `suite_problems`: maps are built
+by SLAM with true associations, and then every associator is asked about the same scans.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam_gym.scenarios import Scenario
+from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
+from slam_gym.world.generators import AliasedGenerator, Contents, OfficeGenerator
+from slam_gym.world.physics import DynamicsSpec
+from slam_gym.world.sensor import OdometrySpec, SensorSpec
+
+
+@dataclass(frozen=True)
+class Level:
+    """A frozen setting: the world and its sensor, and what the robot knows of its pose when it looks."""
+
+    experiment: str
+    number: int
+    knob: float  # where the level lies on the experiment's axis
+    scenario: Scenario
+    blind: tuple[float, float]  # [m], [rad] σ of position and heading after driving on without a look
+    spacing: float = 1.5  # [m] between the places from which the map is made
+
+    @property
+    def id(self) -> str:
+        """`experiment/number`, as `load` takes it."""
+        return f"{self.experiment}/{self.number}"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A capability, the knob that strains it, and its levels from easy to hard."""
+
+    name: str
+    question: str
+    why: str  # what turning the knob does to an association problem
+    axis: str  # what the knob is, with its unit
+    levels: tuple[Level, ...]
+
+
+@dataclass(frozen=True)
+class PostsGenerator:
+    """A bare square room with a hundred posts anywhere in it, so thin that they hide nothing."""
+
+    density: float  # [1/m²]
+
+    def __call__(self, rng: np.random.Generator) -> FloorPlan:
+        side = math.sqrt(_POSTS / self.density)
+        corners = np.array([[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]])
+        positions, kinds = rng.uniform(0.0, side, (_POSTS, 2)), np.full(_POSTS, int(Kind.PILLAR))
+        posts = Features(positions, kinds, np.full(_POSTS, 0.05))
+        return FloorPlan("posts", np.hstack([corners, np.roll(corners, -1, axis=0)]), posts, (Room("room", corners),))
+
+
+_POSTS = 100
+_IN_SIGHT = 12  # posts within reach of the sensor, on average
+_SENSOR = SensorSpec(detection=0.95, clutter=0.0, max_features=60)
+_ODOMETRY = OdometrySpec(forward=0.01, lateral=0.005, turn_per_radian=0.01, turn_per_metre=0.005)
+_OFFICE = Scenario(
+    "office",
+    OfficeGenerator(rooms=6, contents=Contents(pilasters=0.15)),
+    budget=600,
+    sensor=_SENSOR,
+    odometry=_ODOMETRY,  # so good that what the robot knows of its pose is decided by `Level.blind`
+)
+_FAIR = (0.15, math.radians(2.0))
+
+
+def _sweep(
+    name: str, knobs: Sequence[float], scenarios: Sequence[Scenario], blind: Sequence[tuple[float, float]]
+) -> tuple[Level, ...]:
+    return tuple(
+        Level(name, i, knob, replace(scenario, name=f"{name}/{i}"), at)
+        for i, (knob, scenario, at) in enumerate(zip(knobs, scenarios, blind, strict=True))
+    )
+
+
+def _with_sensor(knobs: Sequence[float], field: str, **fixed: float) -> list[Scenario]:
+    sensors = [replace(_SENSOR, **{**fixed, field: knob}) for knob in knobs]
+    return [replace(_OFFICE, sensor=sensor) for sensor in sensors]
+
+
+def _closure() -> Experiment:
+    knobs = (0.02, 0.1, 0.3, 0.6, 1.0)
+    blind = [(sigma, math.radians(12.0 * sigma)) for sigma in knobs]
+    return Experiment(
+        "closure",
+        "How lost may the robot be and still recognise what it sees?",
+        "The gates grow with the uncertainty of the pose, so that each measurement has more compatible features; but all "
+        "errors share one cause, the pose, and so the innovations of a right hypothesis agree with each other.",
+        "σ of position before the look [m]; heading 12° per metre",
+        _sweep("closure", knobs, [_OFFICE] * len(knobs), blind),
+    )
+
+
+def _aliasing() -> Experiment:
+    knobs = (6.0, 4.5, 3.5, 2.8, 2.2)
+    scenarios = []
+    for pitch in knobs:
+        width = pitch - 0.2
+        generator = AliasedGenerator(rooms=12, room_width=(width, width), room_depth=(4.4, 4.8), door_width=(0.8, 0.9))
+        scenarios.append(replace(_OFFICE, generator=generator))
+    return Experiment(
+        "aliasing",
+        "Are identical rooms told apart, when the pose does not quite say which one it is?",
+        "Rooms repeat at the pitch. A hypothesis that is off by a room pairs as many measurements as the right one and "
+        "is consistent in itself: only the prior on the pose, and what is at the ends of the corridor, speak against it.",
+        "pitch of identical rooms [m]; σ of position 0.8 m",
+        _sweep("aliasing", knobs, scenarios, [(0.8, math.radians(3.0))] * len(knobs)),
+    )
+
+
+def _clutter() -> Experiment:
+    knobs = (0.0, 3.0, 6.0, 12.0, 24.0)
+    return Experiment(
+        "clutter",
+        "How much that is not there may the detector report?",
+        "Spurious measurements fall among the gates. An associator that pairs whatever is compatible pairs them too.",
+        "spurious measurements a scan",
+        _sweep("clutter", knobs, _with_sensor(knobs, "clutter"), [_FAIR] * len(knobs)),
+    )
+
+
+def _detection() -> Experiment:
+    knobs = (1.0, 0.85, 0.7, 0.5, 0.35)
+    return Experiment(
+        "detection",
+        "How much of what is there may the detector miss?",
+        "Fewer measurements of one scan support each other, while the features that were missed still offer themselves "
+        "to those that are there, spurious ones among them.",
+        "probability of detection; 3 spurious measurements a scan",
+        _sweep("detection", knobs, _with_sensor(knobs, "detection", clutter=3.0), [_FAIR] * len(knobs)),
+    )
+
+
+def _density() -> Experiment:
+    knobs = (0.3, 1.0, 3.0, 8.0, 16.0)
+    scenarios = []
+    for density in knobs:
+        seen = math.sqrt(_IN_SIGHT / (0.5 * _SENSOR.field_of_view * density))
+        scenarios.append(replace(_OFFICE, generator=PostsGenerator(density), sensor=replace(_SENSOR, range=seen)))
+    levels = _sweep("density", knobs, scenarios, [(0.1, math.radians(1.0))] * len(knobs))
+    return Experiment(
+        "density",
+        "How close together may features stand?",
+        "Posts at random in a bare room, ever closer, and a sensor that reaches a dozen of them: what the pose and the "
+        "sensor are off by stays the same, and more and more neighbours fall into one gate.",
+        "features per m²",
+        tuple(replace(level, spacing=min(level.spacing, level.scenario.sensor.range / 4.0)) for level in levels),
+    )
+
+
+def _dynamics() -> Experiment:
+    knobs = (0.0, 6.0, 12.0, 24.0, 40.0)
+    sensor = replace(_SENSOR, person_detection=0.9)
+    scenarios = [replace(_OFFICE, sensor=sensor, dynamics=DynamicsSpec(people=int(k))) for k in knobs]
+    return Experiment(
+        "dynamics",
+        "How many people may walk about?",
+        "People hide features and are taken for some, in other places each time.",
+        "people in the building",
+        _sweep("dynamics", knobs, scenarios, [_FAIR] * len(knobs)),
+    )
+
+
+def _kidnapped() -> Experiment:
+    knobs = (0.0, 2.0, 4.0, 8.0, 16.0)
+    return Experiment(
+        "kidnapped",
+        "Does a search without any prior find the robot in its map, and does it notice when it is in another building?",
+        "Without a pose only what features are to each other can be compared. Spurious measurements thin out what a "
+        "scan says, and let a hypothesis arise by chance.",
+        "spurious measurements a scan",
+        _sweep("kidnapped", knobs, _with_sensor(knobs, "clutter"), [(0.0, 0.0)] * len(knobs)),
+    )
+
+
+EXPERIMENTS: dict[str, Experiment] = {
+    experiment.name: experiment
+    for experiment in (
+        _closure(),
+        _aliasing(),
+        _clutter(),
+        _detection(),
+        _density(),
+        _dynamics(),
+        _kidnapped(),
+    )
+}
+RELOCATION = "kidnapped"
+"""The experiment that asks relocators; all others ask associators."""
+
+
+def load(id: str) -> Level:
+    """The frozen setting behind an id such as `closure/3`. Raises ValueError that lists what there is."""
+    name, slash, number = id.partition("/")
+    if name not in EXPERIMENTS:
+        raise ValueError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
+    levels = EXPERIMENTS[name].levels
+    if not slash or not number.isdecimal() or int(number) >= len(levels):
+        raise ValueError(f"setting {id!r}: expected {name}/0 … {name}/{len(levels) - 1}")
+    return levels[int(number)]
