@@ -25,7 +25,7 @@ from slam_gym.types import Array
 
 _QUANTILES = (-1.2815515655446004, -0.5244005127080407, 0.0, 0.5244005127080407, 1.2815515655446004)
 _SHORT = 2.0  # [cells] lines of sight end so much before the feature: it may stand on a wall
-_BLUR = 0.5  # [cells] σ of where the wall lies that a cell shows
+_BLUR = 1.0  # [cells] σ of where the wall lies that a cell shows
 _NO_CELLS = np.empty((0, 0), np.uint8)
 _NOWHERE = np.zeros(3)
 
