@@ -19,8 +19,9 @@ ALLOWED = {
     "slam": BASE | {"mapping", "association", "tracking"},
     "relocation": BASE | {"mapping", "association", "slam"},
     "metrics": BASE | {"metrics"},
+    "recordings": BASE | {"recordings"},
     "scenarios": BASE | {"world", "mapping", "slam"},
-    "envs": BASE | {"world", "mapping", "association", "slam", "relocation", "metrics", "scenarios", "envs"},
+    "envs": BASE | {"world", "mapping", "association", "slam", "relocation", "metrics", "scenarios", "recordings", "envs"},
     "bench": {"__init__", "envs", "bench"},
     "__init__": set(),
 }

@@ -17,12 +17,13 @@ from slam_gym.envs.kidnapping import Kidnapping
 from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.mapping.coverage import CoverageGrid
 from slam_gym.mapping.virtual_map import VirtualMap
+from slam_gym.mapping.visibility import in_view
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.scenarios import Scenario
 from slam_gym.slam import Relocate, Slam, SlamSpec
-from slam_gym.types import Array, Associator, Beams, BoolArray, Truth
+from slam_gym.types import Array, Associator, Beams, BoolArray, Prediction, Truth
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
 from slam_gym.world.ray_casting import WallIndex
@@ -31,6 +32,7 @@ from slam_gym.world.sensor import Sensor
 
 _GRID_MARGIN = 2.0  # [m] of explored grid around the plan, for estimates that drift out of it
 _TRUE = ASSOCIATORS["true_association"]
+_LOOK_AT_MEASUREMENTS = {known for name, known in ASSOCIATORS.items() if name != "map_hypothesis"}
 _AT_REST = Motion(moved=np.zeros(3), wheels=np.zeros(3), contact=False)
 
 
@@ -84,7 +86,8 @@ class Episode:
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         self.associate = _gated(resolve(associator), scenario.slam.map.confidence)
-        self.slam = Slam(_slam_spec(scenario, locality), self.associate, relocate)
+        visible = self._visible if relocate or _wants_visibility(self.associate) else None
+        self.slam = Slam(_slam_spec(scenario, locality), self.associate, relocate, visible)
         self.kidnapping = Kidnapping()
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = CoverageGrid(bounds, scenario.grid_resolution)
@@ -121,6 +124,19 @@ class Episode:
             self._explore(beams)
         self._log(truth.pose)
         self.kidnapping.judge(self)
+
+    def _visible(self, pose: Array, prediction: Prediction) -> Array:
+        """Probability (k,) that the sensor has each predicted feature in view, as far as walls are known."""
+        sensor = self.scenario.sensor
+        return in_view(
+            prediction.positions,
+            prediction.covariances,
+            sensor.field_of_view,
+            sensor.range,
+            min_range=sensor.min_range,
+            grid=self.grid,
+            pose=pose,
+        )
 
     def _associator(self, truth: Truth) -> Associator:
         """The run's associator; the true one is handed the truth of this scan."""
@@ -172,6 +188,11 @@ def _gated(associator: Associator, confidence: float) -> Associator:
         if associator is known and known is not _TRUE:
             return functools.partial(known, confidence=confidence)
     return associator
+
+
+def _wants_visibility(associator: Associator) -> bool:
+    """Whoever is not known to ignore it: most associators only look at what was measured."""
+    return getattr(associator, "func", associator) not in _LOOK_AT_MEASUREMENTS
 
 
 def turned(base: Array, covariance: Array) -> Array:
