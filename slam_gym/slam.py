@@ -101,10 +101,17 @@ class Slam:
         Raises ValueError, before anything is changed, for non-finite numbers or covariances that are not PSD; and for
         a hypothesis that does not fit scan and map, when only the motion has been predicted.
         """
+        prediction = self.expect(odometry, scan)
+        return self.learn(scan, prediction, (associate or self.associate)(scan, prediction))
+
+    def expect(self, odometry: Odometry, scan: Scan) -> Prediction:
+        """First half of a step: move by `odometry`; what `scan` should then show. Raises as `step`."""
         check_scan(scan)
         self.map.predict(odometry)
-        prediction = self.predict_features()
-        hypothesis = (associate or self.associate)(scan, prediction)
+        return self.predict_features()
+
+    def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
+        """Second half: the `hypothesis` on the scan that `prediction` was made for. Raises as `step`."""
         if self.relocate is not None and self._doubts(prediction, hypothesis):
             found = self.relocate(self, scan) if self.lost else None
             if found is None:

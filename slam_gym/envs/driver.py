@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -18,38 +18,38 @@ KEEP = 1.1  # a path is kept until a fresh one is shorter by more than this fact
 STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] no nearer than this in so many ticks: lost
 
 AfterTick = Callable[[], None]
+Command = tuple[float, float]  # fractions in [−1, 1] of the greatest forward and turning speed
 
 
 def carry_out(episode: Episode, slot: int, goal: Array, after_tick: AfterTick) -> None:
+    """Carry a goal out, tick by tick (see `commands`). `after_tick` is called after every tick."""
+    for forward, turn in commands(episode, slot, goal):
+        episode.tick(forward, turn)
+        after_tick()
+
+
+def commands(episode: Episode, slot: int, goal: Array) -> Iterator[Command]:
     """Look around (slot `LOOK`), or drive to `goal` (2,) in B until it is reached, lost or out of date.
 
-    A frontier is out of date once there is little left to see from it; a revisit is driven to its end.
-
-    Ends at once when the budget is spent. `after_tick` is called after every tick.
+    Yields forward and turning speed for one tick after the other; each is to be carried out before the next is asked
+    for. A frontier is out of date once there is little left to see from it; a revisit is driven to its end. Ends at
+    once when the budget is spent.
     """
-    if slot == LOOK:
-        _look_around(episode, after_tick)
-    else:
-        _drive(episode, goal, slot <= FRONTIERS, after_tick)
+    return _look_around(episode) if slot == LOOK else _drive(episode, goal, slot <= FRONTIERS)
 
 
-def _tick(episode: Episode, forward: float, turn: float, after_tick: AfterTick) -> None:
-    episode.tick(forward, turn)
-    after_tick()
-
-
-def _look_around(episode: Episode, after_tick: AfterTick) -> None:
+def _look_around(episode: Episode) -> Iterator[Command]:
     """One full turn on the spot, as the odometry tells it; given up after twice the time that it takes."""
     robot, tick = episode.scenario.robot, episode.scenario.dynamics.tick
     turned = 0.0
     for _ in range(math.ceil(4.0 * math.pi / (robot.max_turn * tick))):
         if episode.over or turned >= 2.0 * math.pi:
             return
-        _tick(episode, 0.0, 1.0, after_tick)
+        yield 0.0, 1.0
         turned += abs(float(episode.odometry.motion[2]))
 
 
-def _drive(episode: Episode, goal: Array, frontier: bool, after_tick: AfterTick) -> None:
+def _drive(episode: Episode, goal: Array, frontier: bool) -> Iterator[Command]:
     robot = episode.scenario.robot
     pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
     path = np.empty((0, 2))
@@ -66,11 +66,11 @@ def _drive(episode: Episode, goal: Array, frontier: bool, after_tick: AfterTick)
         if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
             break
         episode.path = path
-        _tick(episode, *follow(pose, path, pursuit), after_tick)
+        yield follow(pose, path, pursuit)
         ticks += 1
     episode.path = np.empty((0, 2))
     if ticks == 0 and not episode.over:
-        _tick(episode, 0.0, 0.0, after_tick)  # a step always costs time, or a lost goal could be asked for for ever
+        yield 0.0, 0.0  # a step always costs time, or a lost goal could be asked for for ever
 
 
 def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:

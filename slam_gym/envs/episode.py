@@ -23,7 +23,7 @@ from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.scenarios import Scenario
 from slam_gym.slam import Relocate, Slam, SlamSpec
-from slam_gym.types import Array, Associator, Beams, BoolArray, Prediction, Truth
+from slam_gym.types import Array, Associator, Beams, BoolArray, Hypothesis, Prediction, Truth
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
 from slam_gym.world.ray_casting import WallIndex
@@ -103,26 +103,34 @@ class Episode:
         self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
         self.ticks = -1  # the first look, from where the robot stands, is no tick
         self._error, self._error_at = 1.0, -1  # map error, and the tick that it is of
-        self._perceive(_AT_REST)
+        self._sense(_AT_REST)
+        self.learn(self._associator(self.truth)(self.scan, self.prediction))
 
     def tick(self, forward: float, turn: float) -> None:
         """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and update the map."""
+        self.look(forward, turn)
+        self.learn(self._associator(self.truth)(self.scan, self.prediction))
+
+    def look(self, forward: float, turn: float) -> None:
+        """First half of a tick, for those who associate from outside: drive, look, and predict what the scan shows."""
         motion = self.world.tick(forward, turn)
         self.kidnapping.happens(self)
-        self._perceive(motion)
+        self._sense(motion)
 
-    def _perceive(self, motion: Motion) -> None:
-        """What every tick ends with: sense, one SLAM step, explored space, and the judgement of it all."""
+    def _sense(self, motion: Motion) -> None:
         world, rng = self.world, self.rng
-        odometry = self.sensor.odometry(motion, rng)
-        scan, truth = self.sensor.scan(world.pose, rng, world.people, world.furniture_segments)
-        beams = self.sensor.beams(world.pose, rng, world.people, world.furniture_segments)
-        self.odometry, self.scan, self.truth, self.beams = odometry, scan, truth, beams
-        self.last_step = self.slam.step(odometry, scan, self._associator(truth))
-        self.tally = self.identities.update(self.last_step, truth)
+        self.odometry = self.sensor.odometry(motion, rng)
+        self.scan, self.truth = self.sensor.scan(world.pose, rng, world.people, world.furniture_segments)
+        self.beams = self.sensor.beams(world.pose, rng, world.people, world.furniture_segments)
+        self.prediction = self.slam.expect(self.odometry, self.scan)
+
+    def learn(self, hypothesis: Hypothesis) -> None:
+        """Second half: the map updated by a `hypothesis` on the scan, explored space, and the judgement of it all."""
+        self.last_step = self.slam.learn(self.scan, self.prediction, hypothesis)
+        self.tally = self.identities.update(self.last_step, self.truth)
         if not self.slam.tracking.doubted:  # from a pose that cannot be right, walls would be drawn where none are
-            self._explore(beams)
-        self._log(truth.pose)
+            self._explore(self.beams)
+        self._log(self.truth.pose)
         self.kidnapping.judge(self)
 
     def _visible(self, pose: Array, prediction: Prediction) -> Array:
