@@ -35,7 +35,7 @@ class Noise:
     forward: float = 0.05  # [m/√s] at 1 m/s
     lateral: float = 0.02  # [m/√s] likewise
     turn: float = 0.15  # [rad/√s] at 1 rad/s
-    drift: float = 0.02  # [m/√s] and [rad/√s] in addition, while it moves
+    drift: float = 0.025  # [m/√s] and [rad/√s] in addition, since robots also move when their wheels report nothing
     range: float = 0.15  # [m]
     bearing: float = 0.02  # [rad]
     together: float = 0.05  # [s] measurements that are no farther apart make one scan
@@ -122,10 +122,9 @@ def _integrate(
             x += dt * v * math.cos(theta + 0.5 * dt * w)
             y += dt * v * math.sin(theta + 0.5 * dt * w)
             theta += dt * w
-            moving = drift**2 if v != 0.0 or w != 0.0 else 0.0
-            along += dt * ((forward * v) ** 2 + moving)
-            across += dt * ((lateral * v) ** 2 + moving)
-            around += dt * ((turn * w) ** 2 + moving)
+            along += dt * ((forward * v) ** 2 + drift**2)
+            across += dt * ((lateral * v) ** 2 + drift**2)
+            around += dt * ((turn * w) ** 2 + drift**2)
             now = end
         motions[k, 0], motions[k, 1], motions[k, 2] = x, y, wrap_angle(theta)
         covariances[k, 0, 0], covariances[k, 1, 1], covariances[k, 2, 2] = along, across, around

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -112,7 +113,7 @@ def load(path: str | Path) -> Recording:
             content = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, KeyError) as error:
         raise RecordingError(f"{path}: no readable .npz file without pickles: {error}") from error
     _check_version(path, content)
     known = {field.name for field in fields(Recording)}
