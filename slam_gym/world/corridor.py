@@ -1,0 +1,88 @@
+"""The reference corridor: a robot loops once through a square corridor and comes back with a drifted heading.
+
+The simulator of Neira and Tardós' teaching material, re-created; it has no walls that would hide anything. Spelt out,
+since the figures depend on it: the square has sides of 10 m; each side carries 22 point features; the robot makes 44
+steps of 1 m from (0, 0) along +x, turning left by 90° at the end of steps 10, 20, 30 and 40, so that the last four
+repeat the first side. It scans at step 0 and after every step. All features in range and field of view are measured,
+without clutter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from slam_gym.geometry import compose, observe
+from slam_gym.types import Array, Odometry, Scan, Truth
+
+SIDE = 10.0  # [m]
+STEPS = 44
+RANGE = 5.0  # [m]
+RANGE_SIGMA = 0.01  # of the range
+BEARING_SIGMA = math.radians(0.125)
+STRAIGHT_SIGMA = (0.01, 0.01, math.radians(2.0))  # [m, m, rad] of a step
+TURN_SIGMA = (0.03, 0.03, math.radians(2.5))
+
+
+def features() -> Array:
+    """The 88 point features of the corridor, (88, 2) [m]."""
+    even, odd = np.arange(0.0, 11.0, 2.0), np.arange(1.0, 10.0, 2.0)
+    side = np.concatenate([np.column_stack([x, np.full(len(x), y)]) for y, x in _walls(even, odd)])
+    corners = np.array([[0.0, 0.0, 0.0], [SIDE, 0.0, 90.0], [SIDE, SIDE, 180.0], [0.0, SIDE, 270.0]])
+    turned = []
+    for x, y, degrees in corners:
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        turned.append(side @ np.array([[c, s], [-s, c]]) + (x, y))
+    return np.concatenate(turned)
+
+
+def _walls(even: Array, odd: Array) -> list[tuple[float, Array]]:
+    return [(-0.6, even), (-0.35, even), (0.35, odd), (0.6, odd)]
+
+
+def walk_round(rng: np.random.Generator, q: float = 1.0) -> Iterator[tuple[Odometry, Scan, Truth]]:
+    """The 45 looks of one loop, each with the motion before it; `q` scales the covariance told of the motion."""
+    world, pose = features(), np.zeros(3)
+    for step in range(STEPS + 1):
+        pose, odometry = _move(step, pose, q, rng)
+        yield odometry, *_scan(world, pose, rng)
+
+
+def _move(step: int, pose: Array, q: float, rng: np.random.Generator) -> tuple[Array, Odometry]:
+    """True pose after `step`, and the odometry that tells of it. Step 0 stands still and knows it."""
+    if step == 0:
+        return pose, Odometry(np.zeros(3), np.zeros((3, 3)))
+    turning = step % int(SIDE) == 0
+    sigma = np.array(TURN_SIGMA if turning else STRAIGHT_SIGMA)
+    intended = np.array([1.0, 0.0, math.pi / 2 if turning else 0.0])
+    measured = intended + sigma * rng.standard_normal(3)
+    return compose(pose, intended), Odometry(measured, q * np.diag(sigma**2))
+
+
+def _scan(world: Array, pose: Array, rng: np.random.Generator) -> tuple[Scan, Truth]:
+    """Range and bearing of what is within 5 m and ±90°, handed on in Cartesian form."""
+    local = observe(pose, world)
+    seen = np.flatnonzero((np.hypot(local[:, 0], local[:, 1]) <= RANGE) & (local[:, 0] >= 0.0))
+    ranges = np.hypot(local[seen, 0], local[seen, 1])
+    bearings = np.arctan2(local[seen, 1], local[seen, 0])
+    order = np.argsort(bearings)
+    seen, ranges, bearings = seen[order], ranges[order], bearings[order]
+    measured = ranges + RANGE_SIGMA * ranges * rng.standard_normal(len(seen))
+    angles = bearings + BEARING_SIGMA * rng.standard_normal(len(seen))
+    return polar_scan(measured, angles, RANGE_SIGMA * measured, np.full(len(seen), BEARING_SIGMA)), Truth(pose, seen)
+
+
+def polar_scan(ranges: Array, bearings: Array, range_sigmas: Array, bearing_sigmas: Array) -> Scan:
+    """A scan (sizes unknown) from polar measurements, all (m,) [m, rad]: Σ = J diag(σ_ρ², σ_φ²) Jᵀ."""
+    c, s = np.cos(bearings), np.sin(bearings)
+    jacobian = np.empty((len(ranges), 2, 2))
+    jacobian[:, 0, 0], jacobian[:, 0, 1] = c, -ranges * s
+    jacobian[:, 1, 0], jacobian[:, 1, 1] = s, ranges * c
+    noise = np.zeros_like(jacobian)
+    noise[:, 0, 0], noise[:, 1, 1] = range_sigmas**2, bearing_sigmas**2
+    covariances = jacobian @ noise @ jacobian.transpose(0, 2, 1)
+    covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
+    unknown = np.full(len(ranges), np.nan)
+    return Scan(np.column_stack([ranges * c, ranges * s]), covariances, unknown, unknown)
