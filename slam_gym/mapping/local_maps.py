@@ -46,7 +46,7 @@ class LocalMaps:
         return self._maps[-1]
 
     def begin(self) -> StochasticMap:
-        """Close the current map and begin one whose base is its robot pose. Returns the new map."""
+        """Close the current map, not to be changed any more; returns a new one that has its base at the robot."""
         fresh = successor(self.current)
         self._maps.append(fresh)
         self._first_ids.append(next_id(fresh))
