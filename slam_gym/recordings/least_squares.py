@@ -34,8 +34,9 @@ def least_squares(
     """The least-squares optimum of a log, its first pose held where `motions[0]` puts it.
 
     `initial`: poses (T, 3) to start from, such as a filter's; by default those of dead reckoning, from which a long log
-    ends in a local minimum. Landmarks start where they were first seen from there. Ends once an iteration gains less than `tolerance` of χ². Measurements without an identity are left
-    out. Raises ValueError where nothing is measured, or the iterations run out.
+    ends in a local minimum. Landmarks start where they were first seen from there. Ends once an iteration gains less
+    than `tolerance` of χ². Measurements without an identity are left out. Raises ValueError where there are no others,
+    or the iterations run out.
     """
     problem = _Problem(log)
     x = problem.start(problem.dead_reckoning() if initial is None else initial)
