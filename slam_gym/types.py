@@ -114,6 +114,8 @@ class Prediction:
     ages: IntArray | None = None  # (k,) [steps] since each feature was first seen
     visibility: Array | None = None  # (k,) probability that the sensor has each in its view, walls considered
     kinds: IntArray | None = None  # (k,) class of each feature, UNKNOWN where it has none; None: no feature has one
+    heading: Callable[[IntArray], tuple[float, Array]] | None = None
+    # rows (j,) -> [rad²] variance of the robot's heading θ, and (j, 2) [m·rad] Cov(h_j, θ) = H_j P e_θ
 
     def __len__(self) -> int:
         return len(self.features)
@@ -154,6 +156,7 @@ class Effort:
     leaves: int = 0  # hypotheses complete enough to be located
     tries: int = 0  # random samples drawn
     seconds: float = 0.0  # wall time, where the search takes it
+    orientation_tests: int = 0  # triples of pairings tested for their sense
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ _ROUNDING = 1e-13  # share of what cancels in S and in P that is given back to t
 
 
 @compiled
-def _turned(c: float, s: float, xx: float, xy: float, yy: float) -> tuple[float, float, float]:
+def turned(c: float, s: float, xx: float, xy: float, yy: float) -> tuple[float, float, float]:
     """C Σ Cᵀ for the symmetric Σ = [xx xy; xy yy] and the rotation with cosine c and sine s: entries xx, xy, yy."""
     across = c * s * (xx - yy) + (c * c - s * s) * xy
     return c * c * xx - 2.0 * c * s * xy + s * s * yy, across, s * s * xx + 2.0 * c * s * xy + c * c * yy
@@ -51,7 +51,7 @@ def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> b
     x[0], x[1], x[2] = x_new, y_new, wrap_angle(x[2] + motion[2])
     at[0], at[1], at[2] = x[0], x[1], x[2]
     xt, yt, tt = P[0, 2], P[1, 2], P[2, 2]
-    qxx, qxy, qyy = _turned(c, s, Q[0, 0], Q[0, 1], Q[1, 1])
+    qxx, qxy, qyy = turned(c, s, Q[0, 0], Q[0, 1], Q[1, 1])
     P[0, 0] += dy * (dy * tt - 2.0 * xt) + qxx
     P[0, 1] += dx * xt - dy * yt - dx * dy * tt + qxy
     P[1, 1] += dx * (dx * tt + 2.0 * yt) + qyy
@@ -72,75 +72,6 @@ def symmetric(P: Array, d: int) -> Array:
     for i in range(d):
         for j in range(i, d):
             out[i, j] = out[j, i] = P[i, j]
-    return out
-
-
-@compiled
-def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, float, float, float]:
-    """G_a P G_bᵀ with G_j = C H_j, for the features that start at a ≤ b: entries xx, xy, yx, yy."""
-    ax, ay = at[a] - at[0], at[a + 1] - at[1]
-    bx, by = at[b] - at[0], at[b + 1] - at[1]
-    # rows x, y and θ of P G_bᵀ for the robot, then the same two columns for feature a
-    xx, xy = P[0, b] - P[0, 0] + P[0, 2] * by, P[0, b + 1] - P[0, 1] - P[0, 2] * bx
-    yx, yy = P[1, b] - P[0, 1] + P[1, 2] * by, P[1, b + 1] - P[1, 1] - P[1, 2] * bx
-    tx, ty = P[2, b] - P[0, 2] + P[2, 2] * by, P[2, b + 1] - P[1, 2] - P[2, 2] * bx
-    across = P[a, b + 1] if a == b else P[a + 1, b]
-    fxx, fxy = P[a, b] - P[0, a] + P[2, a] * by, P[a, b + 1] - P[1, a] - P[2, a] * bx
-    fyx, fyy = across - P[0, a + 1] + P[2, a + 1] * by, P[a + 1, b + 1] - P[1, a + 1] - P[2, a + 1] * bx
-    return fxx - xx + ay * tx, fxy - xy + ay * ty, fyx - yx - ax * tx, fyy - yy - ax * ty
-
-
-@compiled
-def features_in_reach(
-    x: Array, at: Array, P: Array, n: int, reach: float, sizes: Array, size_variances: Array
-) -> tuple[IntArray, Array, Array, Array, Array]:
-    """Features with ‖h_j(x)‖ ≤ reach + 3σ: their indices (k,), h_j (k, 2), H_j P H_jᵀ (k, 2, 2), sizes, size variances.
-
-    σ² is the largest eigenvalue of H_j P H_jᵀ.
-    """
-    features, k = np.empty(n, np.int64), 0
-    positions, covariances = np.empty((n, 2)), np.empty((n, 2, 2))
-    kept_sizes, kept_variances = np.empty(n), np.empty(n)
-    c, s = math.cos(x[2]), math.sin(x[2])
-    ca, sa = math.cos(at[2]), math.sin(at[2])
-    for j in range(n):
-        f = 3 + 2 * j
-        dx, dy = x[f] - x[0], x[f + 1] - x[1]
-        beyond = math.sqrt(dx * dx + dy * dy) - reach
-        xx, xy, _, yy = _relative_covariance(at, P, f, f)
-        # 9σ² is compared; the trace bounds σ² and spares most features the root
-        if beyond > 0.0 and beyond * beyond > 9.0 * (xx + yy):
-            continue
-        largest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
-        if beyond > 0.0 and beyond * beyond > 9.0 * largest:
-            continue
-        features[k] = j
-        positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
-        covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1] = _turned(ca, -sa, xx, xy, yy)
-        covariances[k, 1, 0] = covariances[k, 0, 1]
-        kept_sizes[k], kept_variances[k] = sizes[j], size_variances[j]
-        k += 1
-    return features[:k], positions[:k], covariances[:k], kept_sizes[:k], kept_variances[:k]
-
-
-@compiled
-def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
-    """H P Hᵀ (2j, 2j) of the features (j,) together, with all cross-covariances."""
-    m = len(features)
-    out = np.empty((2 * m, 2 * m))
-    c, s = math.cos(at[2]), math.sin(at[2])
-    for i in range(m):
-        for j in range(i, m):
-            first, second = (i, j) if features[i] <= features[j] else (j, i)
-            xx, xy, yx, yy = _relative_covariance(at, P, 3 + 2 * features[first], 3 + 2 * features[second])
-            # Cᵀ · C, columns first
-            top_x, top_y = c * xx + s * xy, -s * xx + c * xy
-            low_x, low_y = c * yx + s * yy, -s * yx + c * yy
-            a, b = 2 * first, 2 * second
-            out[a, b], out[a, b + 1] = c * top_x + s * low_x, c * top_y + s * low_y
-            out[a + 1, b], out[a + 1, b + 1] = -s * top_x + c * low_x, -s * top_y + c * low_y
-            out[b, a], out[b + 1, a + 1], out[b + 1, a] = out[a, b], out[a + 1, b + 1], out[a, b + 1]
-            out[b, a + 1] = out[a + 1, b]
     return out
 
 
@@ -171,7 +102,7 @@ def _innovation(
         ex, ey = points[z, 0] - (c * hx + s * hy), points[z, 1] - (-s * hx + c * hy)
         nu[a], nu[b] = ca * ex - sa * ey, sa * ex + ca * ey
         _rows_of_HP(at, P, d, f, robot, HP[a], HP[b])
-        S[a, a], S[b, a], S[b, b] = _turned(ca, sa, covariances[z, 0, 0], covariances[z, 0, 1], covariances[z, 1, 1])
+        S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[z, 0, 0], covariances[z, 0, 1], covariances[z, 1, 1])
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
         dx, dy = at[f] - at[0], at[f + 1] - at[1]
@@ -250,7 +181,7 @@ def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
     for j in range(d):
         xj, yj, tj = P[min(0, j), max(0, j)], P[min(1, j), max(1, j)], P[min(2, j), max(2, j)]
         P[j, d], P[j, d + 1] = xj - dy * tj, yj + dx * tj
-    rxx, rxy, ryy = _turned(c, s, R[0, 0], R[0, 1], R[1, 1])
+    rxx, rxy, ryy = turned(c, s, R[0, 0], R[0, 1], R[1, 1])
     P[d, d], P[d, d + 1] = P[0, d] - dy * P[2, d] + rxx, P[0, d + 1] - dy * P[2, d + 1] + rxy
     P[d + 1, d + 1] = P[1, d + 1] + dx * P[2, d + 1] + ryy
     return True

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_gym.geometry import wrap_angle
-from slam_gym.mapping import ekf
+from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
 from slam_gym.types import (
     NONE,
@@ -188,13 +188,15 @@ class StochasticMap:
 
         `locality` is given the map indices (k,) of those features and returns what the Prediction is to carry.
         """
-        features, positions, covariances, sizes, variances = ekf.features_in_reach(
+        features, positions, covariances, sizes, variances = measurement.features_in_reach(
             self._x, self._at, self._P, self.n, float(reach), self._sizes, self._size_variances
         )
         joint = _Joint(self, features, self._version)
         near = None if locality is None else locality(features)
         ages, kinds = self.step - self._first_seen[features], self._kinds[features]
-        return Prediction(features, positions, covariances, sizes, variances, joint, near, ages, kinds=kinds)
+        return Prediction(
+            features, positions, covariances, sizes, variances, joint, near, ages, kinds=kinds, heading=joint.heading
+        )
 
     def landmarks(self) -> Landmarks:
         """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""
@@ -335,9 +337,18 @@ class _Joint:
     version: int
 
     def __call__(self, rows: IntArray) -> Array:
+        self._check()
+        return measurement.joint_covariance(self.map._at, self.map._P, self.features[rows])
+
+    def heading(self, rows: IntArray) -> tuple[float, Array]:
+        """`Prediction.heading`."""
+        self._check()
+        P = self.map._P
+        return float(P[2, 2]), measurement.heading_covariances(self.map._at, P, self.features[rows])
+
+    def _check(self) -> None:
         if self.map._version != self.version:
             raise RuntimeError("the map has changed since this prediction was made")
-        return ekf.joint_covariance(self.map._at, self.map._P, self.features[rows])
 
 
 def _checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:

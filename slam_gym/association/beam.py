@@ -1,0 +1,158 @@
+"""Beam search of the interpretation tree for the hypotheses of greatest density, level by level.
+
+A hypothesis H scores log N(ν_H; 0, S_H) + Σ gain over its features + `unpaired` for every measurement decided `*`. With
+S_H = L Lᵀ kept as in `tree.append_pairing`, log N(ν_H; 0, S_H) = −½ D²_H − Σ log L_ii − |H| log 2π, so each pairing
+adds a term of its own, and hypotheses over the same measurements compare at every level.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.association.anchors import Arrays
+from slam_gym.association.tree import append_pairing
+from slam_gym.types import NONE, Array, IntArray
+
+_LOG_TWO_PI = math.log(2.0 * math.pi)
+
+
+class _Beam(NamedTuple):
+    """Hypotheses kept, best first."""
+
+    chosen: IntArray  # (B, l) candidate taken at each level, NONE for `*`
+    path: IntArray  # (B, P) slots paired, the given ones first
+    pairings: IntArray  # (B,)
+    factor: Array  # (B, 2P, 2P) L
+    whitened: Array  # (B, 2P) y
+    score: Array  # (B,)
+
+
+@compiled
+def search(
+    levels: IntArray,
+    candidates: Arrays,
+    path: IntArray,
+    factor: Array,
+    whitened: Array,
+    given: int,
+    gain: Array,
+    unpaired: float,
+    width: int,
+    margin: float,
+) -> tuple[IntArray, Array, int, int, bool]:
+    """The best hypotheses: their candidates (b, l) by level, or NONE; scores (b,) descending; nodes; tests; cut off.
+
+    `levels` (l, 2) bounds the candidates of each level, in the order of decision. `path`, `factor` and `whitened` hold
+    the given pairings, with room for one more than can follow. gain (u,) by slot. At each level at most `width`
+    hypotheses are kept, and none that scores `margin` less than the best; cut off: the width turned some away.
+    """
+    slots, measured, innovations, noise, covariance, _ = candidates
+    depth, room = len(levels), len(path)
+    beam, other = _room_for(width, depth, room), _room_for(width, depth, room)
+    beam.path[0], beam.factor[0], beam.whitened[0] = path, factor, whitened
+    beam.pairings[0], beam.score[0] = given, 0.0
+    most = 1
+    for level in range(depth):
+        most = max(most, levels[level, 1] - levels[level, 0] + 1)
+    parents, offered = np.empty(width * most, np.int64), np.empty(width * most, np.int64)
+    scores = np.empty(width * most)
+    kept, nodes, tests, cut = 1, 0, 0, False
+    for level in range(depth):
+        count, best = 0, -math.inf
+        for b in range(kept):
+            parents[count], offered[count], scores[count] = b, NONE, beam.score[b] + unpaired
+            best = max(best, scores[count])
+            count += 1
+            for c in range(levels[level, 0], levels[level, 1]):
+                if not _may_follow(beam, b, given, slots[c], candidates):
+                    continue
+                tests += 1
+                score = beam.score[b] + gain[slots[c]] + _log_density(beam, b, c, candidates)
+                if score > best - margin:
+                    parents[count], offered[count], scores[count] = b, c, score
+                    best = max(best, score)
+                    count += 1
+        order = np.argsort(-scores[:count], kind="mergesort")
+        kept = 0
+        for k in order:
+            if scores[k] < best - margin:
+                break
+            if kept == width:
+                cut = True
+                break
+            _inherit(beam, other, parents[k], kept, level)
+            other.chosen[kept, level], other.score[kept] = offered[k], scores[k]
+            if offered[k] != NONE:
+                c, p = offered[k], other.pairings[kept]
+                append_pairing(
+                    other.factor[kept],
+                    other.whitened[kept],
+                    other.path[kept],
+                    p,
+                    covariance,
+                    slots[c],
+                    innovations[c],
+                    noise[measured[c]],
+                )
+                other.path[kept, p] = slots[c]
+                other.pairings[kept] = p + 1
+            kept += 1
+        nodes += kept
+        beam, other = other, beam
+    return beam.chosen[:kept], beam.score[:kept], nodes, tests, cut
+
+
+@compiled
+def _room_for(width: int, depth: int, room: int) -> _Beam:
+    return _Beam(
+        np.empty((width, depth), np.int64),
+        np.empty((width, room), np.int64),
+        np.zeros(width, np.int64),
+        np.empty((width, 2 * room, 2 * room)),
+        np.empty((width, 2 * room)),
+        np.empty(width),
+    )
+
+
+@compiled
+def _may_follow(beam: _Beam, b: int, given: int, slot: int, candidates: Arrays) -> bool:
+    """The feature is not taken, and local to the first one paired after those given."""
+    local = candidates[5]
+    for q in range(beam.pairings[b]):
+        if beam.path[b, q] == slot:
+            return False
+    if local.size > 0 and beam.pairings[b] > given:
+        return bool(local[beam.path[b, given], slot])
+    return True
+
+
+@compiled
+def _log_density(beam: _Beam, b: int, c: int, candidates: Arrays) -> float:
+    """log of N(ν; 0, S) of candidate c given the pairings of hypothesis b; −inf where S is singular."""
+    slots, measured, innovations, noise, covariance, _ = candidates
+    p, L = beam.pairings[b], beam.factor[b]
+    added = append_pairing(
+        L, beam.whitened[b], beam.path[b], p, covariance, slots[c], innovations[c], noise[measured[c]]
+    )
+    if added == math.inf:
+        return -math.inf
+    return -0.5 * added - math.log(L[2 * p, 2 * p] * L[2 * p + 1, 2 * p + 1]) - _LOG_TWO_PI
+
+
+@compiled
+def _inherit(beam: _Beam, other: _Beam, b: int, to: int, level: int) -> None:
+    """Hypothesis `to` of the other beam becomes a copy of hypothesis b."""
+    p = beam.pairings[b]
+    other.pairings[to] = p
+    for k in range(level):
+        other.chosen[to, k] = beam.chosen[b, k]
+    for q in range(p):
+        other.path[to, q] = beam.path[b, q]
+    for r in range(2 * p):
+        other.whitened[to, r] = beam.whitened[b, r]
+        for q in range(r + 1):
+            other.factor[to, r, q] = beam.factor[b, r, q]

@@ -1,0 +1,116 @@
+"""What the map expects to measure: predicted positions in R, with their covariances. Compiled.
+
+State, P (upper triangle) and `at` are those of `ekf`; h_j(x) = Cᵀ(F_j − t) and H_j = Cᵀ[−I  −JΔ  0 … I … 0] are its
+measurement function and Jacobian.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.mapping.ekf import turned
+from slam_gym.types import Array, IntArray
+
+
+@compiled
+def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, float, float, float]:
+    """G_a P G_bᵀ with G_j = C H_j, for the features that start at a ≤ b: entries xx, xy, yx, yy."""
+    ax, ay = at[a] - at[0], at[a + 1] - at[1]
+    bx, by = at[b] - at[0], at[b + 1] - at[1]
+    # rows x, y and θ of P G_bᵀ for the robot, then the same two columns for feature a
+    xx, xy = P[0, b] - P[0, 0] + P[0, 2] * by, P[0, b + 1] - P[0, 1] - P[0, 2] * bx
+    yx, yy = P[1, b] - P[0, 1] + P[1, 2] * by, P[1, b + 1] - P[1, 1] - P[1, 2] * bx
+    tx, ty = P[2, b] - P[0, 2] + P[2, 2] * by, P[2, b + 1] - P[1, 2] - P[2, 2] * bx
+    across = P[a, b + 1] if a == b else P[a + 1, b]
+    fxx, fxy = P[a, b] - P[0, a] + P[2, a] * by, P[a, b + 1] - P[1, a] - P[2, a] * bx
+    fyx, fyy = across - P[0, a + 1] + P[2, a + 1] * by, P[a + 1, b + 1] - P[1, a + 1] - P[2, a + 1] * bx
+    return fxx - xx + ay * tx, fxy - xy + ay * ty, fyx - yx - ax * tx, fyy - yy - ax * ty
+
+
+@compiled
+def features_in_reach(
+    x: Array, at: Array, P: Array, n: int, reach: float, sizes: Array, size_variances: Array
+) -> tuple[IntArray, Array, Array, Array, Array]:
+    """Features with ‖h_j(x)‖ ≤ reach + 3σ: their indices (k,), h_j (k, 2), H_j P H_jᵀ (k, 2, 2), sizes, size variances.
+
+    σ² is the largest eigenvalue of H_j P H_jᵀ.
+    """
+    features, k = np.empty(n, np.int64), 0
+    positions, covariances = np.empty((n, 2)), np.empty((n, 2, 2))
+    kept_sizes, kept_variances = np.empty(n), np.empty(n)
+    c, s = math.cos(x[2]), math.sin(x[2])
+    ca, sa = math.cos(at[2]), math.sin(at[2])
+    for j in range(n):
+        f = 3 + 2 * j
+        dx, dy = x[f] - x[0], x[f + 1] - x[1]
+        beyond = math.sqrt(dx * dx + dy * dy) - reach
+        xx, xy, _, yy = _relative_covariance(at, P, f, f)
+        # 9σ² is compared; the trace bounds σ² and spares most features the root
+        if beyond > 0.0 and beyond * beyond > 9.0 * (xx + yy):
+            continue
+        largest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        if beyond > 0.0 and beyond * beyond > 9.0 * largest:
+            continue
+        features[k] = j
+        positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
+        covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1] = turned(ca, -sa, xx, xy, yy)
+        covariances[k, 1, 0] = covariances[k, 0, 1]
+        kept_sizes[k], kept_variances[k] = sizes[j], size_variances[j]
+        k += 1
+    return features[:k], positions[:k], covariances[:k], kept_sizes[:k], kept_variances[:k]
+
+
+@compiled
+def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
+    """H P Hᵀ (2j, 2j) of the features (j,) together, with all cross-covariances.
+
+    The robot's terms are those of `_relative_covariance`, computed once for each feature instead of once a pair.
+    """
+    m = len(features)
+    out, offset, robot = np.empty((2 * m, 2 * m)), np.empty((m, 2)), np.empty((m, 6))
+    c, s = math.cos(at[2]), math.sin(at[2])
+    pxx, pxy, pyy, pxt, pyt, ptt = P[0, 0], P[0, 1], P[1, 1], P[0, 2], P[1, 2], P[2, 2]
+    for i in range(m):
+        f = 3 + 2 * features[i]
+        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        offset[i, 0], offset[i, 1] = dx, dy
+        # rows x, y and θ of P G_iᵀ for the robot
+        robot[i, 0], robot[i, 1] = P[0, f] - pxx + pxt * dy, P[0, f + 1] - pxy - pxt * dx
+        robot[i, 2], robot[i, 3] = P[1, f] - pxy + pyt * dy, P[1, f + 1] - pyy - pyt * dx
+        robot[i, 4], robot[i, 5] = P[2, f] - pxt + ptt * dy, P[2, f + 1] - pyt - ptt * dx
+    for i in range(m):
+        for j in range(i, m):
+            first, second = (i, j) if features[i] <= features[j] else (j, i)
+            a, b = 3 + 2 * features[first], 3 + 2 * features[second]
+            ax, ay, bx, by = offset[first, 0], offset[first, 1], offset[second, 0], offset[second, 1]
+            tx, ty = robot[second, 4], robot[second, 5]
+            across = P[a, b + 1] if a == b else P[a + 1, b]
+            xx = P[a, b] - P[0, a] + P[2, a] * by - robot[second, 0] + ay * tx
+            xy = P[a, b + 1] - P[1, a] - P[2, a] * bx - robot[second, 1] + ay * ty
+            yx = across - P[0, a + 1] + P[2, a + 1] * by - robot[second, 2] - ax * tx
+            yy = P[a + 1, b + 1] - P[1, a + 1] - P[2, a + 1] * bx - robot[second, 3] - ax * ty
+            # Cᵀ · C, columns first
+            top_x, top_y = c * xx + s * xy, -s * xx + c * xy
+            low_x, low_y = c * yx + s * yy, -s * yx + c * yy
+            a, b = 2 * first, 2 * second
+            out[a, b], out[a, b + 1] = c * top_x + s * low_x, c * top_y + s * low_y
+            out[a + 1, b], out[a + 1, b + 1] = -s * top_x + c * low_x, -s * top_y + c * low_y
+            out[b, a], out[b + 1, a + 1], out[b + 1, a] = out[a, b], out[a + 1, b + 1], out[a, b + 1]
+            out[b, a + 1] = out[a + 1, b]
+    return out
+
+
+@compiled
+def heading_covariances(at: Array, P: Array, features: IntArray) -> Array:
+    """H_j P e_θ (j, 2) [m·rad]: covariance of each feature's predicted position in R with the robot's heading."""
+    out = np.empty((len(features), 2))
+    c, s = math.cos(at[2]), math.sin(at[2])
+    for i in range(len(features)):
+        f = 3 + 2 * features[i]
+        x = P[2, f] - P[0, 2] + (at[f + 1] - at[1]) * P[2, 2]
+        y = P[2, f + 1] - P[1, 2] - (at[f] - at[0]) * P[2, 2]
+        out[i, 0], out[i, 1] = c * x + s * y, c * y - s * x
+    return out
