@@ -51,7 +51,7 @@ def interval_chart(records: Sequence[Record], agents: Sequence[str]) -> bytes:
     axes[1].xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes[0].set_yticks(range(len(agents)), list(agents))
     axes[0].set_ylim(len(agents) - 0.5, -0.5)
-    return _png(figure)
+    return as_png(figure)
 
 
 def curves(records: Sequence[Record], agents: Sequence[str]) -> bytes:
@@ -71,7 +71,7 @@ def curves(records: Sequence[Record], agents: Sequence[str]) -> bytes:
     figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(len(agents), 6), frameon=False
     )
-    return _png(figure)
+    return as_png(figure)
 
 
 def _resampled(records: Sequence[Record], agent: str, key: str, grid: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -87,7 +87,8 @@ def _band(axis: Axes, grid: NDArray[np.float64], values: NDArray[np.float64], la
     axis.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
 
 
-def _png(figure: Figure) -> bytes:
+def as_png(figure: Figure) -> bytes:
+    """A figure as the bytes of a PNG file."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()

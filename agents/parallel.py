@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -92,9 +92,14 @@ def connect(backend: str, jobs: int) -> None:
         raise ImportError(f"--backend {backend} needs {error.name}: pip install -e '.[cluster]'") from error
 
 
-def run_all(tasks: Sequence[Task], jobs: int, backend: str = "loky") -> Iterator[Record]:
-    """Records as they finish, in any order. `ray` and `multiprocessing` do not hand on single results: these batch."""
-    calls = [joblib.delayed(run_task)(task) for task in tasks]
+def run_all(
+    tasks: Sequence[Any], jobs: int, backend: str = "loky", run: Callable[[Any], Any] = run_task
+) -> Iterator[Any]:
+    """What `run` makes of each task (a Record), as they finish, in any order.
+
+    `ray` and `multiprocessing` do not hand on single results: these come in batches.
+    """
+    calls = [joblib.delayed(run)(task) for task in tasks]
     # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     with joblib.parallel_config(backend=backend, n_jobs=jobs):

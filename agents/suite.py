@@ -1,8 +1,8 @@
 """The association suite: one question, one sweep and one number in [0, 1] per capability, in the manner of bsuite.
 
-An experiment is a sweep over one knob. Each of its levels is a frozen setting with an id such as `closure/3`, to be had
-from `load`; its `scenario` can be driven like any other. What is done with a level is in `suite_problems`: maps are built
-by SLAM with true associations, and then every associator is asked about the same scans.
+An experiment is a sweep over one knob. Each of its levels is a frozen setting with an id such as `closure/3`, to be
+had from `load`; its `scenario` can be driven like any other. What is done with a level is in `suite_problems`: maps are
+built by SLAM with true associations, and then every associator is asked about the same scans.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ _OFFICE = Scenario(
     sensor=_SENSOR,
     odometry=_ODOMETRY,  # so good that what the robot knows of its pose is decided by `Level.blind`
 )
-_FAIR = (0.15, math.radians(2.0))
+_FAIR = (0.08, math.radians(1.0))
 
 
 def _sweep(
@@ -96,8 +96,8 @@ def _closure() -> Experiment:
     return Experiment(
         "closure",
         "How lost may the robot be and still recognise what it sees?",
-        "The gates grow with the uncertainty of the pose, so that each measurement has more compatible features; but all "
-        "errors share one cause, the pose, and so the innovations of a right hypothesis agree with each other.",
+        "The gates grow with the uncertainty of the pose, so that each measurement has more compatible features; but "
+        "all errors share one cause, the pose, and so the innovations of a right hypothesis agree with each other.",
         "σ of position before the look [m]; heading 12° per metre",
         _sweep("closure", knobs, [_OFFICE] * len(knobs), blind),
     )
@@ -113,8 +113,9 @@ def _aliasing() -> Experiment:
     return Experiment(
         "aliasing",
         "Are identical rooms told apart, when the pose does not quite say which one it is?",
-        "Rooms repeat at the pitch. A hypothesis that is off by a room pairs as many measurements as the right one and "
-        "is consistent in itself: only the prior on the pose, and what is at the ends of the corridor, speak against it.",
+        "Rooms repeat at the pitch. A hypothesis that is off by a room pairs as many measurements as the right one "
+        "and is consistent in itself: only the prior on the pose, and what is at the ends of the corridor, speak "
+        "against it.",
         "pitch of identical rooms [m]; σ of position 0.8 m",
         _sweep("aliasing", knobs, scenarios, [(0.8, math.radians(3.0))] * len(knobs)),
     )

@@ -1,8 +1,9 @@
 """The association problems of a level: real SLAM maps, and scans about which every associator is asked the same.
 
-A robot goes round a floor twice, place by place, and maps it with true associations. On the second lap some looks become
-problems: the map as it was before, whose robot has driven on without a look and so knows its pose as poorly as the level
-says, and the scan from the true place. No answer changes the map, so that all associators meet the same problems.
+A robot goes round a floor twice, place by place, and maps it with true associations. On the second lap some looks
+become problems: the map as it was before, whose robot has driven on without a look and so knows its pose as poorly as
+the level says, and the scan from the true place. No answer changes the map, so that all associators meet the same
+problems.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from agents.suite import Level
 from slam_gym.association import true_association
 from slam_gym.envs.episode import Site, survey
 from slam_gym.geometry import relative
+from slam_gym.mapping.coverage import CoverageGrid
+from slam_gym.mapping.visibility import in_view
 from slam_gym.metrics.association import Identities
 from slam_gym.scenarios import world_generator, world_seed
 from slam_gym.slam import Slam
@@ -24,7 +27,7 @@ from slam_gym.types import NONE, Array, Hypothesis, IntArray, Odometry, Predicti
 from slam_gym.world.physics import Motion
 from slam_gym.world.ray_casting import NO_DISCS
 from slam_gym.world.reachability import free_start
-from slam_gym.world.sensor import Sensor
+from slam_gym.world.sensor import Sensor, SensorSpec
 
 LEAST = 4  # measurements of mapped features in a problem: fewer decide nothing
 WRONG_COST = 10.0  # of a wrong pairing, in right ones: as the reward of Associate-v0
@@ -50,6 +53,7 @@ class Look:
     scan: Scan
     truth: Truth
     identities: IntArray  # (n,) true feature behind each feature of the map
+    grid: CoverageGrid  # explored so far
 
     @property
     def right(self) -> IntArray:
@@ -96,14 +100,17 @@ class Course:
         scenario = self.level.scenario
         slam = Slam(replace(scenario.slam, reach=scenario.sensor.range), true_association)
         identities, at = Identities(), self.base
+        reach = float(np.hypot(*(self.site.plan.bounds[2:] - self.site.plan.bounds[:2]))) + 1.0
+        grid = CoverageGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
         for pose in self.poses:
             moved = relative(at, pose)
             odometry = self.sensor.odometry(Motion(moved, moved, False), self.rng)
             scan, truth = self.look(pose)
             known = identities.source_of(slam.map.ids)
-            yield Look(slam, odometry, scan, truth, known)
+            yield Look(slam, odometry, scan, truth, known, grid)
             associate = functools.partial(true_association, sources=truth.sources, identities=known)
             identities.update(slam.step(odometry, scan, associate), truth)
+            grid.integrate(slam.map.pose, self.sensor.beams(pose, self.rng))
             at = pose
 
     def sampled(self, count: int) -> Iterator[Look]:
@@ -132,12 +139,26 @@ def problems(course: Course, count: int) -> Iterator[Problem]:
         lost = look.slam.map.copy()
         lost.predict(Odometry(u.motion + noise, u.covariance + np.diag(blind**2)))
         prediction = lost.prediction(course.level.scenario.sensor.range)
+        visibility = _visibility(course.level.scenario.sensor, prediction, look.grid, lost.pose)
+        prediction = replace(prediction, visibility=visibility)
         yield Problem(look.scan, prediction, look.truth.sources, look.identities, look.right)
+
+
+def _visibility(sensor: SensorSpec, prediction: Prediction, grid: CoverageGrid, pose: Array) -> Array:
+    return in_view(
+        prediction.positions,
+        prediction.covariances,
+        sensor.field_of_view,
+        sensor.range,
+        min_range=sensor.min_range,
+        grid=grid,
+        pose=pose,
+    )
 
 
 def ask(associate: Callable[..., Hypothesis], problem: Problem) -> Hypothesis:
     """An associator's answer; the true one is handed the truth."""
-    if associate is true_association:
+    if getattr(associate, "func", associate) is true_association:
         associate = functools.partial(associate, sources=problem.sources, identities=problem.identities)
     return associate(problem.scan, problem.prediction)
 
@@ -158,13 +179,8 @@ class Judgement:
 
     @property
     def score(self) -> float:
-        """(right − 10 · wrong) / mapped, but not below 0."""
-        return max(0.0, self.right - WRONG_COST * self.wrong) / self.mapped
-
-    @property
-    def lost_to_wrong(self) -> float:
-        """Part of 1 − score that wrong pairings cost, the others being refusals."""
-        return 1.0 - self.score - self.refused / self.mapped
+        """(right − 10 · wrong) / mapped, but not below −1: 1 without a mistake, 0 for refusing everything."""
+        return max(-1.0, (self.right - WRONG_COST * self.wrong) / self.mapped)
 
 
 def judge(features: IntArray, problem: Problem) -> Judgement:

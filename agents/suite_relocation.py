@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from agents.suite import Level
 from agents.suite_problems import LEAST, Course
 from slam_gym.geometry import wrap_angle
