@@ -6,16 +6,25 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from slam_gym.association.assignment import global_nearest_neighbour
 from slam_gym.association.ground_truth import true_association
+from slam_gym.association.ipjc import ipjc
 from slam_gym.association.jcbb import jcbb
+from slam_gym.association.most_probable import MostProbable, map_hypothesis
 from slam_gym.association.nearest import nearest_neighbour, singles
+from slam_gym.association.one_point_ransac import one_point_ransac
 from slam_gym.types import Hypothesis, Relocator
 
 __all__ = [
     "ASSOCIATORS",
     "RELOCATORS",
+    "MostProbable",
+    "global_nearest_neighbour",
+    "ipjc",
     "jcbb",
+    "map_hypothesis",
     "nearest_neighbour",
+    "one_point_ransac",
     "resolve",
     "resolve_relocator",
     "singles",
@@ -23,8 +32,12 @@ __all__ = [
 ]
 
 ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
+    "global_nearest_neighbour": global_nearest_neighbour,
+    "ipjc": ipjc,
     "jcbb": jcbb,
+    "map_hypothesis": map_hypothesis,
     "nearest_neighbour": nearest_neighbour,
+    "one_point_ransac": one_point_ransac,
     "singles": singles,
     "true_association": true_association,
 }

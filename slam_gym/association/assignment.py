@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from slam_gym.association.compatibility import chi2_gate, joint_distance
 from slam_gym.association.stages import in_stages
@@ -39,6 +38,8 @@ def global_nearest_neighbour(
 
 def _assign(scan: Scan, prediction: Prediction, tree: Tree, gate: float) -> IntArray:
     """Rows (m,) of the cheapest assignment, the given ones kept."""
+    from scipy.optimize import linear_sum_assignment  # takes as long to import as everything else together
+
     candidates, rows = tree.candidates, tree.given.copy()
     if not len(candidates.slots):
         return rows

@@ -8,7 +8,15 @@ import numpy as np
 import oracles
 import pytest
 
-from slam_gym.association import ASSOCIATORS, jcbb, nearest_neighbour, resolve, singles, true_association
+from slam_gym.association import (
+    ASSOCIATORS,
+    jcbb,
+    map_hypothesis,
+    nearest_neighbour,
+    resolve,
+    singles,
+    true_association,
+)
 from slam_gym.types import NONE
 
 CONFIDENCES = (0.9, 0.95, 0.99)
@@ -165,7 +173,8 @@ def test_what_holds_of_every_associator(associator, seed):
     row_of = {int(feature): row for row, feature in enumerate(prediction.features)} | {NONE: NONE}
     rows = [row_of[int(feature)] for feature in answer.features]
     check(answer, scan, prediction, rows)
-    for row, found in zip(rows, oracles.compatible(scan, prediction, 0.99)):
+    gate = 0.999 if associator is map_hypothesis else 0.99
+    for row, found in zip(rows, oracles.compatible(scan, prediction, gate)):
         assert row == NONE or row in [j for _, j in found]
     again = associator(scan, prediction)
     assert again.features.tolist() == answer.features.tolist() and again.effort == answer.effort
@@ -203,7 +212,7 @@ def test_associators_are_found_by_name_by_module_or_as_themselves():
     "name", ["icp", "", "no.such.module:function", "slam_gym.association:nothing", "slam_gym.association:__all__", ":x"]
 )
 def test_an_unknown_associator_lists_the_known_ones(name):
-    with pytest.raises(ValueError, match=r"known: jcbb, nearest_neighbour, singles, true_association"):
+    with pytest.raises(ValueError, match=r"known: .*jcbb, .*nearest_neighbour, .*singles, true_association"):
         resolve(name)
 
 
