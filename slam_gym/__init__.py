@@ -8,3 +8,5 @@ from gymnasium.envs.registration import register
 __version__ = "0.1.0"
 
 register(id="slam_gym/Explore-v0", entry_point="slam_gym.envs.explore:ExploreEnv")
+register(id="slam_gym/Associate-v0", entry_point="slam_gym.envs.associate:AssociateEnv")
+register(id="slam_gym/Relocate-v0", entry_point="slam_gym.envs.relocate:RelocateEnv")

@@ -29,6 +29,8 @@ COVISIBLE: Colour = (206, 219, 238)
 TRAIL: Colour = (172, 178, 187)
 ESTIMATED_TRAIL: Colour = (92, 143, 206)
 PLAN: Colour = (0, 124, 128)
+BAND: Colour = (237, 243, 250)  # behind the level at hand
+CHOICE: Colour = (255, 196, 61)  # the measurement to decide now
 DECISIONS: dict[int, Colour] = {
     Decision.RIGHT: (0, 150, 105),
     Decision.WRONG: (208, 32, 58),
