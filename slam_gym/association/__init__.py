@@ -7,24 +7,28 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from slam_gym.association.assignment import global_nearest_neighbour
+from slam_gym.association.gcbb import gcbb
 from slam_gym.association.ground_truth import true_association
 from slam_gym.association.ipjc import ipjc
 from slam_gym.association.jcbb import jcbb
 from slam_gym.association.most_probable import MostProbable, map_hypothesis
 from slam_gym.association.nearest import nearest_neighbour, singles
 from slam_gym.association.one_point_ransac import one_point_ransac
+from slam_gym.association.random_sampling import random_sampling
 from slam_gym.types import Hypothesis, Relocator
 
 __all__ = [
     "ASSOCIATORS",
     "RELOCATORS",
     "MostProbable",
+    "gcbb",
     "global_nearest_neighbour",
     "ipjc",
     "jcbb",
     "map_hypothesis",
     "nearest_neighbour",
     "one_point_ransac",
+    "random_sampling",
     "resolve",
     "resolve_relocator",
     "singles",
@@ -44,7 +48,10 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
 """Associators by name, called with (scan, prediction); only `true_association` also needs the truth of the scan."""
 
 
-RELOCATORS: dict[str, Relocator] = {}
+RELOCATORS: dict[str, Relocator] = {
+    "gcbb": gcbb,
+    "rs": random_sampling,
+}
 """Searches without a prior by name, called with (scan, landmarks, locality)."""
 
 

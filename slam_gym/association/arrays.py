@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import UNKNOWN, Array, IntArray, Landmarks, Scan
+from slam_gym.types import UNKNOWN, Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import check_scan
 
 _TOLERANCE = 1e-9  # of a negative determinant, relative to the variances' product
@@ -79,6 +79,18 @@ def map_arrays(landmarks: Landmarks) -> MapArrays:
     if fault:
         raise ValueError(f"Landmarks.{_FAULTS[fault].format(where)}")
     return arrays
+
+
+def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArray]:
+    """Starts and members; both empty where there is none. Raises ValueError where it is not one of n features."""
+    if locality is None:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    starts, members = integers(locality.starts), integers(locality.members)
+    if len(starts) != n + 1 or starts[0] != 0 or starts[-1] != len(members) or np.any(starts[1:] < starts[:-1]):
+        raise ValueError(f"Locality.starts: does not delimit {len(members)} members of {n} features")
+    if len(members) and not (members.min() >= 0 and members.max() < n):
+        raise ValueError(f"Locality.members: {members.min()} to {members.max()} for {n} features")
+    return starts, members
 
 
 def floats(array: Array) -> Array:

@@ -137,8 +137,8 @@ def largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
 def cross_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, float, float]:
     """P_jl: xx, xy, yx, yy [m²]; zero where the map keeps none."""
     if j == l:
-        own = mapped.covariances[j]
-        return own[0, 0], own[0, 1], own[1, 0], own[1, 1]
+        P = mapped.covariances
+        return P[j, 0, 0], P[j, 0, 1], P[j, 1, 0], P[j, 1, 1]
     if len(mapped.covariance) > 0:
         P, a, b = mapped.covariance, 2 * j, 2 * l
         return P[a, b], P[a, b + 1], P[a + 1, b], P[a + 1, b + 1]
@@ -152,17 +152,21 @@ def cross_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, floa
             else:
                 high = middle
         if low < end and mapped.block_columns[low] == l:
-            block = mapped.blocks[low]
-            return block[0, 0], block[0, 1], block[1, 0], block[1, 1]
+            P = mapped.blocks
+            return P[low, 0, 0], P[low, 0, 1], P[low, 1, 0], P[low, 1, 1]
     return 0.0, 0.0, 0.0, 0.0
 
 
 @compiled
 def difference_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, float]:
     """P_jj + P_ll − P_jl − P_lj: what is not known of F_l − F_j. Its xx, xy, yy [m²]."""
-    P, Q = mapped.covariances[j], mapped.covariances[l]
+    P = mapped.covariances
     xx, xy, yx, yy = cross_covariance(mapped, j, l)
-    return P[0, 0] + Q[0, 0] - 2.0 * xx, P[0, 1] + Q[0, 1] - xy - yx, P[1, 1] + Q[1, 1] - 2.0 * yy
+    return (
+        P[j, 0, 0] + P[l, 0, 0] - 2.0 * xx,
+        P[j, 0, 1] + P[l, 0, 1] - xy - yx,
+        P[j, 1, 1] + P[l, 1, 1] - 2.0 * yy,
+    )
 
 
 @compiled
@@ -177,14 +181,22 @@ def unary_test(
 
 
 @compiled
+def far_apart(error: float, spread: float, trace: float, of_other: float, gate: float) -> bool:
+    """Whether two distances differ by more than any cross-covariance could explain: this settles most binary tests.
+
+    The covariance of a difference is at most twice the sum of the marginals, whose traces are given; gate χ²_2.
+    """
+    return bool(error * error >= gate * (spread + 2.0 * (trace + of_other)))
+
+
+@compiled
 def binary_test(scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k: int, l: int) -> bool:
     """`binary` for the pairings (i, j) and (k, l)."""
     x, y = mapped.positions[l, 0] - mapped.positions[j, 0], mapped.positions[l, 1] - mapped.positions[j, 1]
     square, spread = x * x + y * y, scan.spreads[i, k]
     error = scan.distances[i, k] - math.sqrt(square)
-    # The covariance of a difference is at most twice the sum of the marginals: this settles most pairs
-    P, Q = mapped.covariances[j], mapped.covariances[l]
-    if error * error >= gates.two * (spread + 2.0 * (P[0, 0] + P[1, 1] + Q[0, 0] + Q[1, 1])):
+    P = mapped.covariances
+    if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], P[l, 0, 0] + P[l, 1, 1], gates.two):
         return False
     xx, xy, yy = difference_covariance(mapped, j, l)
     widest = spread + max(largest_eigenvalue(xx, xy, yy), 0.0)

@@ -1,0 +1,163 @@
+"""What the searches without a prior share: the best hypotheses found so far, and the answer made of them."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.constraints import Mapped, Measured
+from slam_gym.association.located import locate_pairings
+from slam_gym.geometry import wrap_angle
+from slam_gym.types import NONE, Array, Effort, IntArray, Landmarks, Relocation, Scan
+
+NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
+"""Entries of the counters (8,) that every search keeps."""
+
+_RIVALS = 256  # hypotheses with as many pairings as the best that are kept
+
+
+class Best(NamedTuple):
+    """The hypotheses with most pairings, all of them jointly compatible: those of equal number are rivals."""
+
+    features: IntArray  # (r, m) map feature of each measurement, or NONE
+    poses: Array  # (r, 3) [m, m, rad] in B
+    covariances: Array  # (r, 3, 3)
+    distances: Array  # (r,) D²
+    state: IntArray  # (3,) number of pairings, of rivals, and which of them has the least D²
+
+
+@functools.lru_cache(maxsize=256)
+def location_gates(pairings: int, confidence: float) -> Array:
+    """χ²_{2k−3,conf} for k = 0 … pairings, inf for k < 2; and at the end χ²_{3,conf}, of a pose. (pairings + 2,)."""
+    gates = [math.inf if k < 2 else chi2_gate(2 * k - 3, confidence) for k in range(pairings + 1)]
+    return np.array([*gates, chi2_gate(3, confidence)])
+
+
+def relocation(
+    scan: Scan,
+    landmarks: Landmarks,
+    found: tuple[IntArray, Array, Array, float, int],
+    counters: IntArray,
+    seconds: float,
+    *,
+    confidence: float,
+    min_pairings: int | None,
+) -> Relocation:
+    """The answer: the best hypothesis as `outcome` gives it, under the rule or under the `min_pairings` given."""
+    features, pose, covariance, distance, ties = found
+    if min_pairings is None:
+        min_pairings = by_rule(scan, landmarks, confidence=confidence)
+    counts = [int(count) for count in counters]
+    effort = Effort(
+        nodes=counts[NODES],
+        unary_tests=counts[UNARY],
+        binary_tests=counts[BINARY],
+        orientation_tests=counts[ORIENTATION],
+        joint_tests=counts[JOINT],
+        leaves=counts[LEAVES],
+        tries=counts[TRIES],
+        limit_hit=counts[LIMIT] > 0,
+        seconds=seconds,
+    )
+    dof = max(2 * int((features != NONE).sum()) - 3, 0)
+    return Relocation(features, pose, covariance, distance, dof, min_pairings, ties > 0, ties, effort)
+
+
+@compiled
+def nothing_found(measurements: int) -> Best:
+    """No hypothesis yet; one pairing is what any other must beat."""
+    return Best(
+        np.full((_RIVALS, measurements), NONE),
+        np.empty((_RIVALS, 3)),
+        np.empty((_RIVALS, 3, 3)),
+        np.empty(_RIVALS),
+        np.array([1, 0, 0]),
+    )
+
+
+@compiled
+def offer(
+    best: Best,
+    scan: Measured,
+    mapped: Mapped,
+    paired: IntArray,
+    of: IntArray,
+    k: int,
+    gates: Array,
+    counters: IntArray,
+) -> bool:
+    """Locate and test the hypothesis of k pairings, and keep it if it has as many as the best; whether it holds."""
+    if k < 2:
+        return False
+    pose, covariance = np.empty(3), np.empty((3, 3))
+    counters[JOINT] += 1
+    distance = locate_pairings(scan.points, scan.noise, mapped, paired, of, k, pose, covariance)
+    if not distance < gates[k]:
+        return False
+    keep(best, paired, of, k, pose, covariance, distance)
+    return True
+
+
+@compiled
+def keep(best: Best, paired: IntArray, of: IntArray, k: int, pose: Array, covariance: Array, distance: float) -> None:
+    """Enter a located hypothesis if it has as many pairings as the best and is not there yet."""
+    state = best.state
+    if k < state[0]:
+        return
+    if k > state[0]:
+        state[0], state[1], state[2] = k, 0, 0
+    for r in range(state[1]):
+        same = True
+        for a in range(k):
+            same = same and best.features[r, paired[a]] == of[a]
+        if same:
+            return
+    least = state[1] == 0 or distance < best.distances[state[2]]
+    if state[1] == _RIVALS and not least:
+        return
+    r = state[2] if state[1] == _RIVALS else state[1]
+    state[1] = min(state[1] + 1, _RIVALS)
+    best.features[r] = NONE
+    for a in range(k):
+        best.features[r, paired[a]] = of[a]
+    best.poses[r], best.covariances[r], best.distances[r] = pose, covariance, distance
+    if least:
+        state[2] = r
+
+
+@compiled
+def outcome(best: Best, gate: float) -> tuple[IntArray, Array, Array, float, int]:
+    """Features, pose, covariance and D² of the rival with the least D², and how many rivals are elsewhere.
+
+    Two poses are one place when their difference is compatible with both covariances together, `gate` being χ²_3. All
+    NONE and NaN where nothing was found.
+    """
+    if best.state[1] == 0:
+        return np.full(best.features.shape[1], NONE), np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0
+    b, ties = best.state[2], 0
+    for r in range(best.state[1]):
+        if r != b and not one_place(best.poses[b], best.covariances[b], best.poses[r], best.covariances[r], gate):
+            ties += 1
+    return best.features[b].copy(), best.poses[b].copy(), best.covariances[b].copy(), best.distances[b], ties
+
+
+@compiled
+def one_place(pose: Array, covariance: Array, other: Array, of_other: Array, gate: float) -> bool:
+    """Whether δᵀ(Σ_1 + Σ_2)⁻¹δ < gate for the difference δ of two poses (3,)."""
+    x, y, t = pose[0] - other[0], pose[1] - other[1], wrap_angle(pose[2] - other[2])
+    S = covariance + of_other
+    lxx = math.sqrt(S[0, 0])
+    lyx, ltx = S[1, 0] / lxx, S[2, 0] / lxx
+    lyy = math.sqrt(max(S[1, 1] - lyx * lyx, 1e-300))
+    lty = (S[2, 1] - ltx * lyx) / lyy
+    ltt = math.sqrt(max(S[2, 2] - ltx * ltx - lty * lty, 1e-300))
+    u = x / lxx
+    v = (y - lyx * u) / lyy
+    w = (t - ltx * u - lty * v) / ltt
+    return bool(u * u + v * v + w * w < gate)
