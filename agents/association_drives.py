@@ -24,7 +24,7 @@ COLUMNS = (
     Column("precision", "precision", 3, "higher"),
     Column("recall", "recall", 3, "higher"),
     Column("f1", "F1", 3, "higher"),
-    Column("exact", "exact scans", 3, "higher"),
+    Column("exact", "exact", 3, "higher"),
     Column("duplicates", "dupl.", 1, "lower"),
     Column("nodes", "nodes", 0),
     Column("microseconds", "µs/scan", 0, "lower"),

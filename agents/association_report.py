@@ -22,10 +22,10 @@ _STYLE = re.findall(r"<style>.*?</style>", TEMPLATE.read_text(encoding="utf-8"),
 _WORDS = """<p class="soft">Interquartile mean over episodes, 95&nbsp;% bootstrap interval below it. Bold: the best of
 the column, and all whose interval overlaps with it; true association, which nothing could know, is left out of that.
 </p><p class="soft"><b>Precision</b>: of the pairings, those with the right feature. <b>Recall</b>: of the measurements
-whose feature is in the map, those paired with it. <b>Exact scans</b> have no wrong and no missing pairing.
+whose feature is in the map, those paired with it. <b>Exact</b> scans have no wrong and no missing pairing.
 <b>Dupl.</b>: features that the map ends up having more than once. <b>Nodes</b> of the interpretation tree are means a
-scan, <b>µs/scan</b> the median time of the associator's calls. <b>Map error</b> is 1 for an empty map, 0 for a perfect one.
-<b>ANEES</b> is 1 for a consistent filter, above 1 for an overconfident one.</p>"""
+scan, <b>µs/scan</b> the median time of the associator's calls. <b>Map error</b> is 1 for an empty map, 0 for a perfect
+one. <b>ANEES</b> is 1 for a consistent filter, above 1 for an overconfident one.</p>"""
 
 
 def read(folder: Path) -> tuple[dict[str, Any], list[Record]]:
@@ -138,7 +138,7 @@ def _pairs(records: Sequence[Record], names: Sequence[str]) -> str:
     others = [name for name in names if name != reference]
     if not others:
         return ""
-    columns = (Column("f1", "F1", 3, "higher"), Column("exact", "exact scans", 3), Column("map_error", "map error", 3))
+    columns = (Column("f1", "F1", 3, "higher"), Column("exact", "exact", 3), Column("map_error", "map error", 3))
     lines = [header([f"… minus {reference}", *(column.title for column in columns)])]
     for name in others:
         found = [paired(records, name, reference, column.key) for column in columns]
