@@ -116,6 +116,8 @@ class Prediction:
     kinds: IntArray | None = None  # (k,) class of each feature, UNKNOWN where it has none; None: no feature has one
     heading: Callable[[IntArray], tuple[float, Array]] | None = None
     # rows (j,) -> [rad²] variance of the robot's heading θ, and (j, 2) [m·rad] Cov(h_j, θ) = H_j P e_θ
+    view: Callable[[Array, Array], Array] | None = None
+    # positions (k, 2) and covariances (k, 2, 2) -> (k,) `visibility`, if that were where the features are
 
     def __len__(self) -> int:
         return len(self.features)

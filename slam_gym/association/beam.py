@@ -20,7 +20,7 @@ from slam_gym.types import NONE, Array, IntArray
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
-class _Beam(NamedTuple):
+class Beam(NamedTuple):
     """Hypotheses kept, best first."""
 
     chosen: IntArray  # (B, l) candidate taken at each level, NONE for `*`
@@ -43,8 +43,8 @@ def search(
     unpaired: float,
     width: int,
     margin: float,
-) -> tuple[IntArray, Array, int, int, bool]:
-    """The best hypotheses: their candidates (b, l) by level, or NONE; scores (b,) descending; nodes; tests; cut off.
+) -> tuple[tuple[IntArray, IntArray, IntArray, Array, Array, Array], int, int, bool]:
+    """The best hypotheses, as a `Beam` of b of them; nodes; joint tests; cut off.
 
     `levels` (l, 2) bounds the candidates of each level, in the order of decision. `path`, `factor` and `whitened` hold
     the given pairings, with room for one more than can follow. gain (u,) by slot. At each level at most `width`
@@ -103,12 +103,44 @@ def search(
             kept += 1
         nodes += kept
         beam, other = other, beam
-    return beam.chosen[:kept], beam.score[:kept], nodes, tests, cut
+    found = (beam.chosen[:kept], beam.path[:kept], beam.pairings[:kept], beam.factor[:kept], beam.whitened[:kept])
+    return (*found, beam.score[:kept]), nodes, tests, cut
 
 
 @compiled
-def _room_for(width: int, depth: int, room: int) -> _Beam:
-    return _Beam(
+def updated(
+    path: IntArray, pairings: int, factor: Array, whitened: Array, positions: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Positions (k, 2) and covariances (k, 2, 2) of features after an update with a hypothesis of the beam.
+
+    positions (k, 2) and covariance (2k, 2k) are those predicted; slot s is feature s. With W = L⁻¹ S_{H,k}, what is
+    added is Wᵀ y, what is taken away Wᵀ W.
+    """
+    k, d = len(positions), 2 * pairings
+    moved, left, w = positions.copy(), np.empty((k, 2, 2)), np.empty((d, 2))
+    for j in range(k):
+        for a in range(2):
+            for b in range(2):
+                left[j, a, b] = covariance[2 * j + a, 2 * j + b]
+        for r in range(d):
+            row = 2 * path[r // 2] + r % 2
+            for a in range(2):
+                w[r, a] = covariance[row, 2 * j + a]
+                for q in range(r):
+                    w[r, a] -= factor[r, q] * w[q, a]
+                w[r, a] /= factor[r, r]
+                moved[j, a] += w[r, a] * whitened[r]
+            for a in range(2):
+                for b in range(2):
+                    left[j, a, b] -= w[r, a] * w[r, b]
+        for a in range(2):
+            left[j, a, a] = max(left[j, a, a], 0.0)
+    return moved, left
+
+
+@compiled
+def _room_for(width: int, depth: int, room: int) -> Beam:
+    return Beam(
         np.empty((width, depth), np.int64),
         np.empty((width, room), np.int64),
         np.zeros(width, np.int64),
@@ -119,7 +151,7 @@ def _room_for(width: int, depth: int, room: int) -> _Beam:
 
 
 @compiled
-def _may_follow(beam: _Beam, b: int, given: int, slot: int, candidates: Arrays) -> bool:
+def _may_follow(beam: Beam, b: int, given: int, slot: int, candidates: Arrays) -> bool:
     """The feature is not taken, and local to the first one paired after those given."""
     local = candidates[5]
     for q in range(beam.pairings[b]):
@@ -131,7 +163,7 @@ def _may_follow(beam: _Beam, b: int, given: int, slot: int, candidates: Arrays) 
 
 
 @compiled
-def _log_density(beam: _Beam, b: int, c: int, candidates: Arrays) -> float:
+def _log_density(beam: Beam, b: int, c: int, candidates: Arrays) -> float:
     """log of N(ν; 0, S) of candidate c given the pairings of hypothesis b; −inf where S is singular."""
     slots, measured, innovations, noise, covariance, _ = candidates
     p, L = beam.pairings[b], beam.factor[b]
@@ -144,7 +176,7 @@ def _log_density(beam: _Beam, b: int, c: int, candidates: Arrays) -> float:
 
 
 @compiled
-def _inherit(beam: _Beam, other: _Beam, b: int, to: int, level: int) -> None:
+def _inherit(beam: Beam, other: Beam, b: int, to: int, level: int) -> None:
     """Hypothesis `to` of the other beam becomes a copy of hypothesis b."""
     p = beam.pairings[b]
     other.pairings[to] = p

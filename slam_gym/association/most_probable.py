@@ -5,18 +5,21 @@ A hypothesis H over a scan has the density (up to a constant)
     N(ν_H; 0, S_H) · λ^unpaired · Π over paired j of P_D v_j · Π over the other predicted j of (1 − P_D v_j)
 
 with λ [1/m²] the density of what is not in the map, clutter and new features together, P_D the probability that the
-detector reports a feature in view, and v_j the probability that feature j is in view (`Prediction.visibility`). Where
-that is not known, nothing is concluded from what was not seen: factors are P_D for paired and 1 for other features.
+detector reports a feature in view, and v_j the probability that feature j is in view: from where the hypothesis itself
+puts the robot, if the prediction can tell (`Prediction.view`), or else from the predicted pose (`.visibility`). Where
+neither is known, nothing is concluded from what was not seen: factors are P_D for paired and 1 for other features.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from slam_gym.association.anchors import anchor_support, arrays, given
+from slam_gym.association.beam import Beam, updated
 from slam_gym.association.beam import search as beam_search
 from slam_gym.association.compatibility import chi2_gate, joint_distance
 from slam_gym.association.stages import in_stages
@@ -25,8 +28,21 @@ from slam_gym.types import NONE, Array, Effort, Hypothesis, IntArray, Posterior,
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 _LEAST_AREA = 1.0  # [m²]
+_HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
 
 _Ranking = tuple[Array, list[IntArray]]  # scores (b,) descending, and rows (m,) of the best two hypotheses
+
+
+@dataclass(frozen=True)
+class _Model:
+    gate: float  # χ² of the candidates
+    detection: float
+    unseen: float
+    unpaired: float  # log λ
+    gains: Array  # (k,) what pairing each predicted feature adds
+    constant: float  # log density of pairing none of them
+    width: int
+    margin: float
 
 
 def map_hypothesis(
@@ -54,7 +70,7 @@ def map_hypothesis(
         confidence: of the filter's gates.
         detection: P_D.
         clutter_density, new_density: [1/m²] of spurious measurements and of features not mapped yet.
-        unseen: least v_j that is believed of a `visibility`, which may be mistaken.
+        unseen: least v_j that is believed of a paired feature: what is in view may be mistaken.
         width: hypotheses kept at each level.
         margin: hypotheses this much less probable than the best, in log density, are dropped at once.
         locality: as in `jcbb`.
@@ -65,9 +81,10 @@ def map_hypothesis(
     _check(detection, unseen, clutter_density, new_density, width, margin)
     gains, constant = _gains(prediction, detection, unseen)
     unpaired, gate = math.log(clutter_density + new_density), candidate_gate(confidence)
+    model = _Model(chi2_gate(2, gate), detection, unseen, unpaired, gains, constant, width, margin)
 
     def search(tree: Tree) -> tuple[IntArray, Effort, _Ranking]:
-        return _search(tree, gains, constant, unpaired, chi2_gate(2, gate), width, margin)
+        return _search(tree, model)
 
     rows, effort, (scores, best) = in_stages(scan, prediction, search, gate=gate, confidence=gate, locality=locality)
     shares = np.exp(scores - scores[0])
@@ -137,39 +154,58 @@ def _check(detection: float, unseen: float, clutter: float, new: float, width: i
 
 def _gains(prediction: Prediction, detection: float, unseen: float) -> tuple[Array, float]:
     """What pairing each predicted feature adds to the log density (k,), and that of pairing none of them."""
-    if prediction.visibility is None:
-        return np.full(len(prediction), math.log(detection)), 0.0
     v = prediction.visibility
-    if v.shape != (len(prediction),) or not ((v >= 0.0) & (v <= 1.0)).all():
+    if v is not None and (v.shape != (len(prediction),) or not ((v >= 0.0) & (v <= 1.0)).all()):
         raise ValueError(f"prediction.visibility: {len(prediction)} probabilities expected, got {v.tolist()}")
-    seen = detection * np.maximum(v, unseen)
-    # a paired feature must have been in view; one that is not may just as well be out of it, whatever `unseen` says
+    if v is None or prediction.view is not None:
+        return np.full(len(prediction), math.log(detection)), 0.0
     missed = np.log1p(-detection * v)
-    return np.log(seen) - missed, float(missed.sum())
+    return np.log(detection * np.maximum(v, unseen)) - missed, float(missed.sum())
 
 
-def _search(
-    tree: Tree, gains: Array, constant: float, unpaired: float, gate: float, width: int, margin: float
-) -> tuple[IntArray, Effort, _Ranking]:
+def _search(tree: Tree, model: _Model) -> tuple[IntArray, Effort, _Ranking]:
     """Rows of the best hypothesis, effort, and the ranking. Levels without a candidate are `*` in all of them."""
-    candidates, g = tree.candidates, tree.pairings_given
+    candidates, g, gain = tree.candidates, tree.pairings_given, model.gains[tree.rows]
     some = np.flatnonzero(np.diff(candidates.starts))
     path, factor, whitened = given(tree, max(min(len(some), len(candidates.rows)), 1) + 1)
-    gain, order = gains[tree.rows], some
+    order = some
     if len(some):
-        support = anchor_support(path, factor, whitened, g, arrays(tree), gate)
+        support = anchor_support(path, factor, whitened, g, arrays(tree), model.gate)
         order = some[np.argsort(-np.maximum.reduceat(support, candidates.starts[some]), kind="stable")]
     levels = np.column_stack([candidates.starts[order], candidates.starts[order + 1]])
-    chosen, scores, nodes, tests, cut = beam_search(
-        levels, arrays(tree), path, factor, whitened, g, gain, unpaired, width, margin
+    found, nodes, tests, cut = beam_search(
+        levels, arrays(tree), path, factor, whitened, g, gain, model.unpaired, model.width, model.margin
     )
-    best = [tree.given.copy(), np.full(len(tree.given), NONE)]
-    for rank in range(min(2, len(chosen))):
-        best[rank][:] = tree.given
-        paired = chosen[rank][chosen[rank] != NONE]
-        best[rank][candidates.measured[paired]] = tree.rows[tree.slots[paired]]
+    beam = Beam(*found)
     y, diagonal = whitened[: 2 * g], np.diagonal(factor)[: 2 * g]
-    before = constant - 0.5 * float(y @ y) - float(np.log(diagonal).sum()) - g * _LOG_TWO_PI + float(gain[:g].sum())
-    before += unpaired * (tree.levels - len(some))
+    scores = beam.score - 0.5 * float(y @ y) - float(np.log(diagonal).sum()) - g * _LOG_TWO_PI
+    scores += model.constant + float(gain[:g].sum()) + model.unpaired * (tree.levels - len(some))
+    if tree.prediction.view is not None:
+        scores += _in_view(tree, beam, tree.prediction.view, model)
+    ranking = np.argsort(-scores, kind="stable")
+    best = [tree.given.copy(), np.full(len(tree.given), NONE)]
+    for rows, rank in zip(best, ranking):
+        rows[:] = tree.given
+        paired = beam.chosen[rank][beam.chosen[rank] != NONE]
+        rows[candidates.measured[paired]] = tree.rows[tree.slots[paired]]
     effort = Effort(nodes=nodes, individual_tests=candidates.tests, joint_tests=tests, limit_hit=cut)
-    return best[0], effort, (scores + before, best)
+    return best[0], effort, (scores[ranking], best)
+
+
+def _in_view(tree: Tree, beam: Beam, view: Callable[[Array, Array], Array], model: _Model) -> Array:
+    """What each hypothesis (b,) gains or loses by what should be in view from where it puts the robot."""
+    prediction, detection = tree.prediction, model.detection
+    possible = np.ones(len(prediction), np.bool_)
+    if prediction.visibility is not None:
+        possible = prediction.visibility > _HARDLY
+    possible[tree.rows] = False
+    rows = np.concatenate((tree.rows, np.flatnonzero(possible)))
+    positions, covariance = prediction.positions[rows], prediction.joint(rows) if len(rows) else np.empty((0, 0))
+    out = np.empty(len(beam.score))
+    for b in range(len(out)):
+        slots = beam.path[b, : beam.pairings[b]]
+        moved = updated(beam.path[b], beam.pairings[b], beam.factor[b], beam.whitened[b], positions, covariance)
+        v = view(*moved)
+        missed = np.log1p(-detection * v)
+        out[b] = missed.sum() - missed[slots].sum() + np.log(np.maximum(v[slots], model.unseen)).sum()
+    return out

@@ -9,6 +9,7 @@ BENCHMARKS = {
     "corridor": "reference experiment: associators in the corridor, 40 seeds, beside the bands expected of them",
     "step": "Explore-v0 steps per second, against map size, and where the time of a step goes",
     "jcbb": "JCBB at loop closure against scipy's linear assignment on the same gated problem",
+    "prior": "all searches with a prior at loop closure: exact scans, recall, precision, time",
     "update": "joint EKF update against one symmetric rank-20 product",
     "locality": "what covisibility locality saves JCBB, and what it loses",
     "sight": "line of sight on small and large floors; cost of physics and sensors",

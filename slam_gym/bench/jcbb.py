@@ -53,9 +53,9 @@ class Problem:
     truth: IntArray  # (m,) map feature behind each measurement, NONE for spurious ones
 
 
-def mapped_field(n: int, rng: np.random.Generator) -> Field:
-    """A field of n features, mapped in one drive over its lanes with known association."""
-    side = math.sqrt(n / DENSITY)
+def mapped_field(n: int, rng: np.random.Generator, density: float = DENSITY) -> Field:
+    """A field of n features, `density` per m², mapped in one drive over its lanes with known association."""
+    side = math.sqrt(n / density)
     features = rng.uniform(0.0, side, (n, 2))
     lanes = np.arange(min(LANE, side) / 2.0, side, LANE)
     waypoints = [(x, y) for k, y in enumerate(lanes) for x in np.arange(0.0, side, 1.0)[:: 1 if k % 2 == 0 else -1]]
