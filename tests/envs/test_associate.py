@@ -1,0 +1,408 @@
+"""`Associate-v0`: checkers, rewards that rank associators, classical associators through it, twins, snapshots."""
+
+import copy
+import pickle
+import warnings
+from dataclasses import replace
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from rollouts import differences, explore, short
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+import slam_gym  # noqa: F401 (registers the environment)
+from slam_gym.association import jcbb, nearest_neighbour, singles
+from slam_gym.association.policy import from_policy, greedy
+from slam_gym.envs.associate import AssociateEnv
+from slam_gym.envs.runs import CORRIDOR, nearest_frontier
+from slam_gym.slam import Slam
+from slam_gym.types import NONE
+from slam_gym.world.corridor import walk_round
+
+INFO = ["look", "hidden", "score", "map_error", "action_mask", "truth"]
+ID = "slam_gym/Associate-v0"
+
+
+def fixed_noise(_rng):
+    return walk_round(np.random.default_rng(3))
+
+
+WITH_FIXED_NOISE = replace(CORRIDOR, looks=fixed_noise)
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+def associate(scenario="office-small", **options) -> AssociateEnv:
+    """The bare environment, without the wrappers of `gym.make`."""
+    env = gym.make(ID, scenario=scenario, disable_env_checker=True, **options).unwrapped
+    assert isinstance(env, AssociateEnv)
+    return env
+
+
+def episode(env, choose, seed=0, options=None, steps=10**6):
+    """What reset (with reward 0) and then at most `steps` steps hand out; `choose(env, info)` gives the actions."""
+    observation, info = env.reset(seed=seed, options=options)
+    yield observation, 0.0, False, False, info
+    over = False
+    while steps > 0 and not over:
+        step = env.step(choose(env, info))
+        yield step
+        steps, over, info = steps - 1, step[2], step[4]
+
+
+def at_random(seed):
+    rng = np.random.default_rng(seed)
+    return lambda env, info: int(rng.choice(np.flatnonzero(info["action_mask"])))
+
+
+def refuse(env, info):
+    return env.K
+
+
+class Playing:
+    """Plays the hypotheses of an associator, and remembers them."""
+
+    def __init__(self, associator):
+        self.associator, self.look, self.hypotheses, self.unplayable = associator, -1, [], 0
+
+    def __call__(self, env, info):
+        if env.walk is None:
+            return env.K
+        if info["look"] != self.look:
+            self.look = info["look"]
+            self.hypotheses.append((self.look, self.associator(env.run.scan, env.run.prediction)))
+        action = env.action_of(self.hypotheses[-1][1])
+        self.unplayable += action is None
+        return env.K if action is None else action
+
+
+def total(steps):
+    return sum(step[1] for step in steps)
+
+
+# -- checkers ------------------------------------------------------------------------------------------------------
+
+
+OPTIONS = [  # every value of every option at least once
+    dict(scenario="office-small", split="train", driver="nearest_frontier", reward="truth", candidates=5),
+    dict(scenario="office", split="test", driver="random", reward="map_error", candidates=1, order="nearest_first"),
+    dict(scenario="corridor", order="fewest_candidates", compatibility="individual", wrong_cost=1.0),
+    dict(scenario="corridor", split="test", reward="map_error", order="as_scanned", compatibility="joint"),
+    dict(scenario=short(30, "hall"), driver=nearest_frontier, render_mode="human", candidates=3),
+    dict(scenario=replace(CORRIDOR, name="mine"), render_mode="rgb_array"),
+    dict(scenario=short(1), reward="map_error"),
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=lambda o: "-".join(str(v) for v in o.values() if isinstance(v, str)))
+def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(ID, **options).unwrapped)  # with all render modes
+        check_env_sb3(gym.make(ID, **options))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scenario": "atlantis"}, "office-small.*corridor"),
+        ({"split": "valid"}, "train, test"),
+        ({"driver": "me"}, "nearest_frontier, random"),
+        ({"reward": "money"}, "truth, map_error"),
+        ({"candidates": 0}, "candidates: 0"),
+        ({"order": "any"}, "as_scanned"),
+        ({"compatibility": "any"}, "joint, individual"),
+        ({"wrong_cost": -1.0}, "wrong_cost=-1"),
+        ({"wrong_cost": float("nan")}, "wrong_cost=nan"),
+        ({"render_mode": "ascii"}, "rgb_array"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(options, message):
+    with pytest.raises(ValueError, match=message):
+        AssociateEnv(**options)
+
+
+def test_bad_calls_are_refused_by_name():
+    env = associate(short(3))
+    for call in (lambda: env.step(0), env.snapshot, lambda: env.run):
+        with pytest.raises(RuntimeError, match="reset"):
+            call()
+    with pytest.raises(ValueError, match="unknown reset option 'floor'"):
+        env.reset(options={"floor": 1})
+    with pytest.raises(ValueError, match="world"):
+        env.reset(options={"world": 10**7})
+    env.reset(seed=0)
+    for action in (-1, 6, 0.5, None):
+        with pytest.raises(ValueError, match="action"):
+            env.step(action)
+    for _ in episode(env, refuse):
+        pass
+    with pytest.raises(RuntimeError, match="over"):
+        env.step(env.K)
+
+
+# -- rewards -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["corridor", short(120), short(120, "crowd")])
+def test_refusing_everything_earns_exactly_nothing(scenario):
+    steps = list(episode(associate(scenario), refuse, seed=2))
+    assert len(steps) > 50
+    assert all(step[1] == 0.0 for step in steps)
+    assert steps[-1][4]["score"] == 0.0
+
+
+def test_the_return_ranks_nearest_neighbour_below_singles_below_jcbb():
+    env = associate("corridor", split="test", compatibility="individual", candidates=8)
+    returns = {}
+    for associator in (nearest_neighbour, singles, jcbb):
+        players = [Playing(associator) for _ in range(6)]
+        episodes = [list(episode(env, player, seed=k)) for k, player in enumerate(players)]
+        assert sum(player.unplayable for player in players) == 0
+        returns[associator] = np.array([(total(steps), steps[-1][4]["score"]) for steps in episodes])
+    worst, middle, best = (returns[a].mean(axis=0) for a in (nearest_neighbour, singles, jcbb))
+    assert (worst < 0.0).all()
+    assert (middle > 0.1).all()
+    assert (middle + 0.2 < best).all()
+    assert (best <= 1.0).all()
+
+
+@pytest.mark.parametrize("scenario", ["corridor", short(150), short(150, "crowd")])
+@pytest.mark.parametrize("compatibility", ["joint", "individual"])
+def test_verdicts_are_those_of_the_tally(scenario, compatibility):
+    env = associate(scenario, compatibility=compatibility, wrong_cost=3.0)
+    for *_, last in episode(env, at_random(5), seed=5):
+        info = last
+    tally = env.run.identities.total
+    assert tally.fp > 10
+    assert info["score"] == pytest.approx((tally.tp - 3.0 * tally.fp) / tally.in_map)
+
+
+def test_a_decision_earns_its_share_of_its_scan():
+    env = associate("corridor", wrong_cost=7.0)
+    checked = {1: 0, -7: 0, 0: 0}
+
+    def choose(env, info):
+        nonlocal expected
+        action = int(rng.choice(np.flatnonzero(info["action_mask"])))
+        verdict = 0
+        if env.walk is not None and action < env.K:
+            verdict = 1 if action == info["truth"]["action"] else -7
+            known = env.run.identities.source_of(env.run.slam.map.ids)
+            seen = sum(source in known for source in env.run.truth.sources)
+            expected = verdict / max(seen, 1) / 44
+        else:
+            expected = 0.0
+        checked[verdict] += 1
+        return action
+
+    rng, expected = np.random.default_rng(0), 0.0
+    for _, reward, *_ in episode(env, choose, seed=1):
+        assert reward == pytest.approx(expected)
+    assert min(checked.values()) > 10
+
+
+def test_the_right_actions_are_right_and_earn_the_most():
+    env = associate("corridor", candidates=8)
+    truth = lambda env, info: env.K if info["truth"]["action"] == NONE else info["truth"]["action"]  # noqa: E731
+    steps = list(episode(env, truth, seed=0))
+    tally = env.run.identities.total
+    assert tally.fp == 0
+    assert total(steps) > 0.9
+    assert steps[-1][4]["score"] == pytest.approx(tally.recall)
+
+
+def test_map_error_is_paid_as_explore_pays_it():
+    env = associate(short(60), reward="map_error")
+    steps = list(episode(env, lambda env, info: greedy({}, info["action_mask"]), seed=4))
+    first, last = steps[0][4]["map_error"], steps[-1][4]["map_error"]
+    assert total(steps) == pytest.approx(first - last)
+    assert first - last > 0.05
+    assert last == env.run.map_error()
+
+
+# -- other ways to the same hypotheses -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("associator", "compatibility"),
+    [
+        (nearest_neighbour, "individual"),
+        (singles, "individual"),
+        (jcbb, "individual"),
+        (partial(jcbb, locality=None), "joint"),
+    ],
+)
+def test_classical_associators_reach_the_same_map_through_the_environment(associator, compatibility):
+    env = associate(WITH_FIXED_NOISE, compatibility=compatibility, candidates=10)
+    player, direct = Playing(associator), Slam(CORRIDOR.slam, associator)
+    for _ in episode(env, player):
+        pass
+    hypotheses = [direct.step(odometry, scan).hypothesis for odometry, scan, _ in fixed_noise(None)]
+    assert player.unplayable == 0
+    assert len(player.hypotheses) > 30
+    for look, played in player.hypotheses:
+        np.testing.assert_array_equal(hypotheses[look - 1].features, played.features)
+    np.testing.assert_array_equal(direct.map.mean, env.run.slam.map.mean)
+    np.testing.assert_array_equal(direct.map.covariance, env.run.slam.map.covariance)
+
+
+def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
+    env, seen, shown = associate(WITH_FIXED_NOISE, order="nearest_first"), [], []
+    for observation, *_ in episode(env, lambda env, info: greedy({}, info["action_mask"])):
+        seen.append({name: vector for name, vector in observation.items() if name != "budget"})
+
+    def policy(observation, mask):
+        shown.append(observation)
+        return greedy(observation, mask)
+
+    slam = Slam(CORRIDOR.slam, from_policy(policy, order="nearest_first"))
+    for odometry, scan, _ in fixed_noise(None):
+        slam.step(odometry, scan)
+    assert not differences(shown, seen[:-1])  # the last is that of an episode that is over
+    np.testing.assert_array_equal(slam.map.mean, env.run.slam.map.mean)
+
+
+def test_a_policy_drives_along_in_explore():
+    env = explore(short(60), associator=from_policy(greedy), action="goal")
+    over, info = False, env.reset(seed=0)[1]
+    while not over:
+        _, _, over, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
+    assert env.tally.tp > 50
+    assert env.tally.precision > 0.8
+
+
+# -- same seed, same episode, bit for bit --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["corridor", short(40), short(40, "crowd"), short(40, "kidnapped")])
+def test_twins_are_equal_bit_for_bit_whatever_one_did_before(scenario):
+    fresh, used = (associate(scenario, reward="map_error", driver="random") for _ in range(2))
+    for _ in episode(used, at_random(1), seed=3, steps=30):
+        pass
+    for one, other in zip(episode(fresh, at_random(2), seed=8), episode(used, at_random(2), seed=8), strict=True):
+        assert not differences(one, other)
+
+
+def test_other_seeds_worlds_and_splits_are_other_episodes():
+    for scenario in ("corridor", "office-small"):
+        seen = []
+        for split in ("train", "test"):
+            env = associate(scenario, split=split)
+            starts = [env.reset(seed=k, options=o)[0] for k in range(2) for o in ({}, {"world": 0}, {"world": 1})]
+            seen += [start["measurement"].tobytes() + start["candidates"].tobytes() for start in starts]
+        assert len(set(seen)) == len(seen)
+
+
+@pytest.mark.parametrize("scenario", ["corridor", short(40)])
+def test_snapshots_restore_by_replay_also_in_another_environment_and_pickle(scenario):
+    env, choose = associate(scenario), at_random(4)
+    for step in episode(env, choose, seed=9, options={"world": 4}, steps=60):
+        last = step
+    snapshot = pickle.loads(pickle.dumps(env.snapshot()))
+    other = pickle.loads(pickle.dumps(associate(scenario)))
+    observation, info = other.restore(snapshot)
+    assert not differences(observation, last[0])
+    assert not differences(info, last[4])
+    for _ in range(40):
+        action = choose(env, info)
+        one, other_step = env.step(action), other.step(action)
+        assert not differences(one, other_step)
+        info = one[4]
+
+
+def make_for_vector(scenario):
+    return gym.make(f"slam_gym:{ID}", scenario=scenario)
+
+
+def vector_rollout(envs, steps):
+    """Everything that `steps` handed out, with the environments' own autoresets in between."""
+    rng = np.random.default_rng(0)
+    observations, infos = envs.reset(seed=[7, 11])
+    record = [(copy.deepcopy(observations), infos)]
+    for _ in range(steps):
+        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
+        observations, *rest, infos = envs.step(actions)
+        record.append((copy.deepcopy(observations), *rest, dict(sorted(infos.items()))))
+    envs.close()
+    return record
+
+
+def test_vectorised_in_other_processes_and_over_autoresets():
+    makers = [partial(make_for_vector, short(8))] * 2
+    here = vector_rollout(gym.vector.SyncVectorEnv(makers), 150)
+    there = vector_rollout(gym.vector.AsyncVectorEnv(makers, context="spawn"), 150)
+    assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"
+    assert not differences(here[1:], there[1:])
+
+
+# -- what is handed out --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["corridor", "office-small", short(150, "crowd")])
+def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
+    env, looks, hid = associate(scenario, candidates=2, compatibility="individual"), [], 0
+    for observation, reward, over, truncated, info in episode(env, at_random(1), seed=1):
+        assert env.observation_space.contains(observation)
+        assert type(reward) is float
+        assert not truncated
+        assert list(info) == INFO
+        np.testing.assert_array_equal(info["action_mask"], env.action_masks())
+        assert info["action_mask"][env.K]
+        assert over or info["action_mask"].sum() >= 2, "a level with one legal branch is played by the environment"
+        assert -1 <= info["truth"]["action"] <= env.K
+        looks.append(info["look"])
+        hid += info["hidden"]
+    assert over
+    assert env.action_masks().tolist() == [False, False, True]
+    assert looks == sorted(looks)
+    assert looks[-1] == env.run.length
+    assert hid > 0 or scenario != "corridor"
+
+
+def test_an_illegal_action_is_taken_for_a_refusal():
+    env, other = associate("corridor"), associate("corridor")
+    clumsy = episode(env, lambda env, info: int(np.flatnonzero(np.append(~info["action_mask"], True))[0]), seed=0)
+    for _, step in zip(range(100), zip(clumsy, episode(other, refuse, seed=0))):
+        assert not differences(*step)
+
+
+def test_an_episode_without_any_choice_ends_with_its_first_step():
+    env = associate(replace(CORRIDOR, length=1))
+    observation, info = env.reset(seed=0)
+    assert info["action_mask"].tolist() == [False] * 5 + [True]
+    assert not any(vector.any() for vector in observation.values())
+    _, reward, terminated, _, _ = env.step(env.K)
+    assert (reward, terminated) == (0.0, True)
+
+
+# -- pictures ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", ["corridor", short(30), short(30, "crowd")])
+def test_pictures_of_every_stage_of_an_episode_leave_it_as_it_was(scenario):
+    env, other = associate(scenario, render_mode="rgb_array"), associate(scenario)
+    pictures = []
+    choose, same = at_random(0), at_random(0)
+    for number, (step, twin) in enumerate(zip(episode(env, choose, seed=3), episode(other, same, seed=3))):
+        assert not differences(step, twin)
+        if number % 25 == 0 or step[2]:
+            pictures.append(env.render())
+            assert pictures[-1].shape == (720, 1140, 3)
+            assert pictures[-1].dtype == np.uint8
+    assert len({picture.tobytes() for picture in pictures}) == len(pictures) > 3
+    env.close()
+    env.close()
+
+
+def test_rendering_without_a_mode_warns():
+    env = associate(short(5))
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert env.render() is None
