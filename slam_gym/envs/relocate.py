@@ -1,0 +1,304 @@
+"""`slam_gym/Relocate-v0`: the agent finds a kidnapped robot in a map, with no prior on its pose."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from slam_gym.association import resolve
+from slam_gym.association.relocation_view import observe_walk, walk_shapes
+from slam_gym.association.relocation_walk import RelocationOrder, RelocationWalk, WalkSpec
+from slam_gym.envs.kidnappings import Kidnapped, MappedWorld, kidnap, map_world
+from slam_gym.envs.warm_up import compile_on_two_cores
+from slam_gym.geometry import relative
+from slam_gym.relocation import Localities
+from slam_gym.scenarios import SPLITS, Scenario, get_scenario, world_seed
+from slam_gym.types import NONE, Associator, IntArray
+
+Observation = dict[str, Any]
+Info = dict[str, Any]
+Snapshot = dict[str, Any]
+
+_MAPS = 4  # maps that are kept
+
+
+class RelocateEnv(gym.Env[Observation, Any]):
+    """Find out where the robot is: one scan, one map, no prior.
+
+    ## Description
+    Somebody has carried the robot away, to a place in its map or to one that is not. The agent walks the interpretation
+    tree of the scan: level by level it pairs a measurement with a feature of the map, or with nothing (`*`). A pairing
+    is legal by what holds wherever the robot is: unary constraints, distances and orientation with all pairings made,
+    the locality of the first one. Levels where only `*` is legal are passed by. At a leaf the hypothesis is located and
+    held against the joint test, and the best so far is kept; the agent may go back to the root as long as it has nodes.
+
+    ## Action space
+    `Discrete(K + 2)` with K = `candidates`. Action a < K pairs the current measurement with the a-th of the legal
+    features, ranked by how many other measurements keep a legal partner then (at the root: one in its locality whose
+    distance agrees); K is `*`, and at a leaf stops; K + 1 restarts: the hypothesis of the path is judged like a leaf,
+    and the next try begins at the root, which counts as a node. `action_masks()` and `info["action_mask"]` tell what is
+    legal; an illegal action is taken for `*`. Where K hides a candidate, `info["hidden"]` says how many.
+
+    ## Observation space
+    A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `scan`, `path` and `search`, as
+    `slam_gym.association.relocation_view` lists them.
+
+    ## Rewards
+    −`node_cost` for every node; and at the end, of the best hypothesis: where it has the pairings that the rule of
+    `association.acceptance` asks for, and no other pose was found that explains as many measurements, it is believed,
+    and earns 1 if the pose is right, −`wrong_cost` if not. If it is not believed, that earns 1 outside the map, and 0
+    inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose lies in the map:
+    carried there by the rigid motion that aligns the true features in reach with their mapped counterparts, so that
+    the drift of the map is no error of the agent.
+
+    ## Starting state
+    A robot has explored a world drawn from the seeds of the `split`, with a baseline driver and `associator`. Inside,
+    the scan is from where it has been, with any heading, and has at least 5 measurements of mapped features if places
+    with that are to be had; outside, it is from another world. `kidnappings_per_map` episodes in a row, from a reset
+    with a seed on, are in one world: mapping it takes longer than an episode. `reset(options={"world": i})` takes the
+    i-th world of the split. Same seed and options, same episode; what was mapped before makes no difference.
+
+    ## Episode end
+    The agent stops, or the nodes are spent (`terminated`; the observation tells how many are left).
+
+    ## Arguments
+    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS` or a `Scenario`; `split`: `"train"` or `"test"`.
+    - `locality`: `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
+    - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation_walk.WalkSpec`.
+    - `outside`: probability that the robot is not in the map.
+    - `associator`: that of the robot that made the map.
+    - `render_mode`: `"rgb_array"` or `"human"`.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
+
+    def __init__(
+        self,
+        scenario: str | Scenario = "office",
+        split: Literal["train", "test"] = "train",
+        locality: Localities | None = "covisibility",
+        candidates: int = 8,
+        order: RelocationOrder = "fewest_candidates",
+        node_limit: int = 300,
+        sizes: bool = True,
+        outside: float = 0.25,
+        kidnappings_per_map: int = 20,
+        associator: str | Associator = "jcbb",
+        node_cost: float = 0.001,
+        wrong_cost: float = 1.0,
+        position_tolerance: float = 0.3,
+        heading_tolerance: float = math.radians(3.0),
+        render_mode: Literal["rgb_array", "human"] | None = None,
+    ) -> None:
+        _one_of("split", split, SPLITS)
+        _one_of("locality", locality, ("covisibility", "two-hop covisibility", "distance", None))
+        _one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        if not 0.0 <= outside <= 1.0:
+            raise ValueError(f"outside={outside} is no probability")
+        if not (isinstance(kidnappings_per_map, int) and kidnappings_per_map >= 1):
+            raise ValueError(f"kidnappings_per_map={kidnappings_per_map}: expected a whole number >= 1")
+        costs = {"node_cost": node_cost, "wrong_cost": wrong_cost}
+        tolerances = {"position_tolerance": position_tolerance, "heading_tolerance": heading_tolerance}
+        for name, value in (costs | tolerances).items():
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"{name}={value}: expected a finite number >= 0")
+        self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
+        self.walk_spec = WalkSpec(candidates, order, node_limit, sizes, self.scenario.slam.map.confidence)
+        self.split, self.locality, self.outside, self.render_mode = split, locality, outside, render_mode
+        self.kidnappings_per_map = kidnappings_per_map
+        self.associator = resolve(associator)
+        self._node_cost, self._wrong_cost = node_cost, wrong_cost
+        self._tolerances = position_tolerance, heading_tolerance
+        self.measurements = self.scenario.sensor.max_features
+        shapes = walk_shapes(candidates, self.measurements)
+        self.observation_space = spaces.Dict(
+            {name: spaces.Box(-1.0, 1.0, (rows * columns,), np.float32) for name, (rows, columns) in shapes.items()}
+        )
+        self.action_space = spaces.Discrete(self.walk_spec.actions)
+        self._maps: dict[int, MappedWorld] = {}
+        self._world, self._left = 0, 0  # of the series, and how many kidnappings are left in it
+        self._walk: RelocationWalk | None = None
+        self._renderer: Any = None
+
+    # -- Gymnasium ---------------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+        """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
+        options = dict(options or {})
+        if unknown := set(options) - {"world"}:
+            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
+        world_seed(self.split, options.get("world", 0))  # refuses a world outside the split, while nothing has changed
+        super().reset(seed=seed)
+        if seed is not None:
+            self._left = 0
+        if "world" in options:
+            return self._begin(int(options["world"]))
+        if self._left == 0:
+            self._world, self._left = int(self.np_random.integers(SPLITS[self.split][1])), self.kidnappings_per_map
+        self._left -= 1
+        return self._begin(self._world)
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Decide the current measurement, restart, or stop."""
+        walk = self.walk
+        if walk.done:
+            raise RuntimeError("the episode is over: call reset()")
+        if not self.action_space.contains(action):
+            raise ValueError(f"action {action!r} is not one of 0 … {self.walk_spec.actions - 1}")
+        self._snapshot["actions"].append(int(action))
+        nodes = walk.nodes
+        walk.take(int(action) if walk.mask[action] else self.walk_spec.star)
+        reward = -self._node_cost * (walk.nodes - nodes)
+        if walk.done:
+            right, wrong = self.verdict()
+            reward += right - self._wrong_cost * wrong
+        return self._observe(), reward, walk.done, False, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""
+        if self.render_mode is None:
+            gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
+            return None
+        # pygame is an extra, and runs without pictures never need it
+        from slam_gym.envs.relocation_picture import RelocationRenderer
+
+        if self._renderer is None:
+            mode: Any = self.render_mode
+            self._renderer = RelocationRenderer(mode, float(self.metadata["render_fps"]))
+        picture: NDArray[np.uint8] | None = self._renderer.draw(self.walk, self.mapped, self.kidnapped, self._figures())
+        return picture
+
+    def close(self) -> None:
+        """Close the window, if there is one. May be called twice."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    # -- beyond Gymnasium --------------------------------------------------------------------------------------------
+
+    @property
+    def walk(self) -> RelocationWalk:
+        """The walk of the running episode. Raises RuntimeError before the first reset."""
+        if self._walk is None:
+            raise RuntimeError("no episode yet: call reset() first")
+        return self._walk
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(K + 2,) the actions that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
+        mask = self.walk.mask
+        mask[self.walk_spec.star] = True  # once the episode is over, too
+        return mask
+
+    def verdict(self) -> tuple[int, int]:
+        """(right, wrong) of the answer as it stands: (1, 0), (0, 1), or (0, 0) for no answer inside the map."""
+        answer = self.walk.best
+        if not answer.accepted:
+            return int(not self.kidnapped.inside), 0
+        right = False
+        if self.kidnapped.inside:
+            error = relative(self.kidnapped.pose, answer.pose)
+            near = math.hypot(error[0], error[1]) <= self._tolerances[0]
+            right = near and abs(float(error[2])) <= self._tolerances[1]
+        return int(right), int(not right)
+
+    def right_action(self) -> int:
+        """What the truth would decide now: K (`*`) for what is spurious or not mapped, and at a leaf; −1 where the
+        right feature is not on offer."""
+        i = self.walk.measurement
+        action = self.walk_spec.star if i is None else self.walk.action_of(int(self.kidnapped.features[i]))
+        return NONE if action is None else action
+
+    def action_of(self, features: IntArray) -> int | None:
+        """The action by which a hypothesis (m,) on the scan decides now, and stops; None where that is not on offer."""
+        i = self.walk.measurement
+        return self.walk_spec.star if i is None else self.walk.action_of(int(features[i]))
+
+    def snapshot(self) -> Snapshot:
+        """What it takes to come back here: world, series and generator at the last reset, and the actions since."""
+        self.walk  # noqa: B018 (raises before the first reset)
+        return copy.deepcopy(self._snapshot)
+
+    def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
+        """Replay a snapshot of an env with the same arguments; returns its last observation and info."""
+        generator = np.random.default_rng()
+        generator.bit_generator.state = copy.deepcopy(snapshot["generator"])
+        self.np_random = generator
+        self._world, self._left = snapshot["series"]
+        observation, info = self._begin(snapshot["world"])
+        for action in snapshot["actions"]:
+            observation, _, _, _, info = self.step(action)
+        return observation, info
+
+    # -- parts of a step ---------------------------------------------------------------------------------------------
+
+    def _begin(self, world: int) -> tuple[Observation, Info]:
+        self._snapshot: Snapshot = {
+            "generator": copy.deepcopy(self.np_random.bit_generator.state),
+            "world": world,
+            "series": (self._world, self._left),
+            "actions": [],
+        }
+        compile_on_two_cores()
+        self.mapped = self._map(world)
+        inside = bool(self.np_random.random() >= self.outside)
+        self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)
+        landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.locality)
+        self._walk = RelocationWalk(self.walk_spec, self.kidnapped.scan, landmarks, locality, self.np_random)
+        return self._observe(), self._info()
+
+    def _map(self, world: int) -> MappedWorld:
+        """The map of a world: the one kept, or made anew; the last few asked for are kept."""
+        mapped = self._maps.pop(world, None) or map_world(self.scenario, self.split, world, self.associator)
+        self._maps[world] = mapped
+        if len(self._maps) > _MAPS:
+            del self._maps[next(iter(self._maps))]
+        return mapped
+
+    def _observe(self) -> Observation:
+        observation: Observation = dict(observe_walk(self.walk, self.measurements))
+        return observation
+
+    def _info(self) -> Info:
+        walk, kidnapped = self.walk, self.kidnapped
+        features = np.full(self.measurements, NONE)
+        features[: len(kidnapped.features)] = kidnapped.features
+        info: Info = {
+            "nodes": walk.nodes,
+            "tries": walk.tries,
+            "hidden": walk.hidden,
+            "pairings": walk.best.pairings,
+            "needed": walk.needed,
+            "accepted": walk.best.accepted,
+            "action_mask": self.action_masks(),
+            "truth": {
+                "inside": kidnapped.inside,
+                "pose": np.nan_to_num(kidnapped.pose),  # outside there is none
+                "features": features,
+                "action": self.right_action(),
+            },
+        }
+        if walk.done:
+            right, wrong = self.verdict()
+            info["score"] = {"right": right, "wrong": wrong, "nodes": walk.nodes}
+        return info
+
+    def _figures(self) -> tuple[tuple[str, str], ...]:
+        walk, best = self.walk, self.walk.best
+        distance = f"{best.joint_distance:.1f}, dof {best.dof}" if best.pairings else "–"
+        return (
+            ("try", str(walk.tries)),
+            ("nodes", f"{walk.nodes} of {self.walk_spec.node_limit}"),
+            ("pairings, best", f"{best.pairings} of {walk.needed} needed"),
+            ("D², best", distance),
+        )
+
+
+def _one_of(name: str, value: Any, known: Any) -> None:
+    if value not in known:
+        raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")
