@@ -51,7 +51,7 @@ class SlamSpec:
     recent: int = 5  # [scans] whose pairings define the locality to look in first
     collapse: float = 0.3  # a scan that pairs a lesser share of the features that should be in view is doubted …
     collapse_scans: int = 5  # … and so many of them in a row have lost the robot
-    collapse_least: int = 4  # features that should be in view, without which no scan is doubted
+    collapse_least: int = 3  # features that should be in view, without which no scan is doubted
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reach < math.inf:

@@ -6,27 +6,30 @@ import numpy as np
 
 from slam_gym.types import NONE, BoolArray, Hypothesis, Prediction
 
-_SURE = 0.5  # a feature is expected where its visibility is no less
+_SURE, _PERHAPS = 0.5, 0.1  # visibility from which a feature is expected; and from which, if it was paired last
 _REGAINED = 2.0  # tracking is regained at so many times the share below which it was lost
+_MOST = 0.5  # share of the measurements that speaks for the pose, whatever else should be in view
 
 
 class Tracking:
-    """Counts the scans in a row that pair too few of the features that should be in view.
+    """Counts the scans in a row that are not what the map leads one to expect.
 
-    A feature should be in view if it is established, and either the prediction gives it a visibility of at least one
-    half, or, where predictions come without visibilities, the last scan that was believed paired it. What is new on the
-    map's rim is thus no reason to doubt, however much of it there is, and neither is what walls are known to hide.
+    A scan is doubted for either of two reasons. Too few of the features that should be in view are paired, while what
+    is measured makes little sense; or hardly anything that is measured is paired, right after a scan that knew its way.
+    A feature should be in view if it is established, and either its predicted visibility is at least one half, or the
+    last scan that was believed paired it and nothing says that it has gone out of view since. What is new on the map's
+    rim is thus no reason to doubt as long as it comes into view by and by, and neither is what walls are known to hide.
 
     Arguments:
-        collapse: share of the expected features below which a scan is doubted.
+        collapse: share of the expected features, or of the measurements, below which a scan is doubted.
         scans: doubted scans in a row after which the robot is lost.
-        least: expected features without which nothing is concluded.
+        least: expected features, or measurements, without which nothing is concluded.
     """
 
     def __init__(self, collapse: float, scans: int, least: int) -> None:
         self.collapse, self.scans, self.least = collapse, scans, least
         self.doubted = 0  # scans in a row
-        self._last_paired: set[int] = set()
+        self._last_paired: set[int] = set()  # features that the last scan believed was paired with
 
     @property
     def lost(self) -> bool:
@@ -38,13 +41,14 @@ class Tracking:
 
         Once lost, it takes a share twice as large to be believed again, for some pairings come about by chance.
         """
-        expected = established & self._in_view(prediction)
-        count = int(expected.sum())
-        paired = int(np.isin(prediction.features[expected], hypothesis.features).sum())
-        needed = self.collapse * (_REGAINED if self.lost else 1.0) * count
-        if self.lost and count < self.least:
-            return True
-        if count >= self.least and paired < needed:
+        known = set(prediction.features[established].tolist())
+        expected = set(prediction.features[established & self._in_view(prediction)].tolist())
+        paired = known.intersection(hypothesis.features.tolist())
+        measured, share = len(hypothesis.features), self.collapse * (_REGAINED if self.lost else 1.0)
+        missing = len(expected) >= self.least and len(expected & paired) < share * len(expected)
+        strange = min(measured, len(known & self._last_paired)) >= self.least and len(paired) < share * measured
+        unsure = self.lost and len(expected) < self.least
+        if (missing and len(paired) < _MOST * measured) or strange or unsure:
             self.doubted += 1
             return True
         self.believe(hypothesis)
@@ -56,6 +60,7 @@ class Tracking:
         self._last_paired = set(hypothesis.features[hypothesis.features != NONE].tolist())
 
     def _in_view(self, prediction: Prediction) -> BoolArray:
-        if prediction.visibility is not None:
-            return np.greater_equal(prediction.visibility, _SURE)
-        return np.array([feature in self._last_paired for feature in prediction.features.tolist()], dtype=np.bool_)
+        paired = np.array([feature in self._last_paired for feature in prediction.features.tolist()], dtype=np.bool_)
+        if prediction.visibility is None:
+            return paired
+        return (prediction.visibility >= _SURE) | (paired & (prediction.visibility >= _PERHAPS))

@@ -1,5 +1,7 @@
 """When a scan is doubted, when the robot is lost, and when neither."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,8 @@ def prediction(visibility=None) -> Prediction:
 
 
 def paired(count: int) -> Hypothesis:
-    return Hypothesis(np.r_[np.arange(count), NONE, NONE], 0.0, 2 * count, Effort())
+    decisions = np.where(np.arange(FEATURES) < count, np.arange(FEATURES), NONE)
+    return Hypothesis(decisions, 0.0, 2 * count, Effort())
 
 
 EVERY = np.ones(FEATURES, bool)
@@ -29,8 +32,20 @@ EVERY = np.ones(FEATURES, bool)
 def test_features_out_of_view_are_no_reason_to_doubt() -> None:
     tracking = Tracking(0.3, 3, 4)
     for _ in range(20):
-        assert not tracking.doubts(prediction(np.full(FEATURES, 0.1)), paired(0), EVERY)
+        assert not tracking.doubts(prediction(np.full(FEATURES, 0.05)), paired(0), EVERY)
     assert not tracking.lost
+
+
+def test_a_scan_of_strangers_right_after_one_that_knew_its_way_is() -> None:
+    tracking, out_of_view = Tracking(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
+    assert not tracking.doubts(out_of_view, paired(4), EVERY)
+    assert tracking.doubts(out_of_view, paired(0), EVERY)
+    assert not tracking.doubts(out_of_view, paired(3), EVERY)
+
+
+def test_a_scan_that_mostly_makes_sense_is_not_doubted_for_what_it_does_not_show() -> None:
+    half = replace(paired(2), features=np.array([0, 1, NONE, NONE]))
+    assert not Tracking(0.3, 3, 4).doubts(prediction(np.full(FEATURES, 0.9)), half, EVERY)
 
 
 def test_neither_are_features_that_are_not_established_nor_too_few_to_tell() -> None:
@@ -70,3 +85,4 @@ def test_without_visibilities_what_was_paired_last_is_expected() -> None:
     unseen = Tracking(0.3, 1, 4)
     assert not unseen.doubts(prediction(), paired(3), EVERY)
     assert not unseen.doubts(prediction(), paired(0), EVERY)  # three are too few
+    assert Tracking(0.3, 1, 4).doubts(prediction(), paired(0), EVERY) is False  # nothing was paired before
