@@ -5,11 +5,16 @@ Nothing here calls the package's own constraints, location or searches.
 
 from __future__ import annotations
 
+import functools
+import itertools
+
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from slam_gym.types import UNKNOWN, Array, Landmarks, Scan
+from slam_gym.types import NONE, UNKNOWN, Array, Landmarks, Locality, Scan
+
+Pairs = list[tuple[int, int]]
 
 
 def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
@@ -78,6 +83,7 @@ def errors(pose: Array, z: Array, F: Array) -> Array:
     return F - pose[:2] - z @ rotation(pose[2]).T
 
 
+@functools.cache
 def gate(dof: int, confidence: float) -> float:
     """χ²_{dof,conf}."""
     return float(chi2.ppf(confidence, dof))
@@ -158,3 +164,174 @@ def fit(scan: Scan, landmarks: Landmarks, P: Array, pairs: list[tuple[int, int]]
         if 2.0 * found.cost < best[0]:
             best = (2.0 * found.cost, found.x, np.linalg.inv(found.jac.T @ found.jac))
     return best[1], best[2], best[0]
+
+
+def problem(
+    rng: np.random.Generator, m: int, n: int, *, keep: str = "dense", spread: float = 2.5, sigma: float = 0.06
+) -> tuple[Scan, Landmarks, Array]:
+    """A scan of m measurements, most of them true, before a small map of n correlated features, crowded on purpose."""
+    true = rng.uniform(-spread, spread, (n, 2))
+    P = correlated(rng, true, sigma, 0.1)
+    mapped = true + (np.linalg.cholesky(P + 1e-15 * np.eye(2 * n)) @ rng.standard_normal(2 * n)).reshape(n, 2)
+    pose = np.array([*rng.uniform(-2.0, 2.0, 2), rng.uniform(-np.pi, np.pi)])
+    real = rng.permutation(n)[: rng.binomial(m, 0.7)]
+    spurious = pose[:2] + rng.uniform(-spread, spread, (m - len(real), 2))
+    points, noise = view(rng, pose, np.vstack([true[real], spurious]), sigma)
+    order = rng.permutation(m)
+    sizes = {"sizes": rng.choice([0.3, 0.5, np.nan], n), "size_variances": np.full(n, 0.01)}
+    landmarks = landmarks_of(mapped, P, keep=keep, **sizes)
+    seen = np.concatenate([sizes["sizes"][real], rng.choice([0.3, 0.5], m - len(real))])[order]
+    scan = scan_of(points[order], noise[order], sizes=seen, size_variances=np.full(m, 0.001))
+    return scan, landmarks, P if keep != "none" else P * np.kron(np.eye(n), np.ones((2, 2)))
+
+
+def locality_of(related: Array) -> Locality:
+    """From a symmetric matrix (n, n), true on its diagonal."""
+    rows = [np.flatnonzero(row) for row in related]
+    starts = np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)
+    return Locality(starts, np.concatenate([*rows, []]).astype(np.int64))
+
+
+def localities(rng: np.random.Generator, landmarks: Landmarks) -> dict[str, Locality | None]:
+    """Nothing restricted; neighbours within a distance; a random symmetric relation."""
+    n = len(landmarks)
+    apart = np.linalg.norm(landmarks.positions[:, None] - landmarks.positions, axis=2)
+    chance = np.triu(rng.random((n, n)) < 0.6)
+    return {
+        "everything": None,
+        "distance": locality_of(apart < 3.0),
+        "covisibility": locality_of(chance | chance.T | np.eye(n, dtype=bool)),
+    }
+
+
+def quick_fit(scan: Scan, landmarks: Landmarks, P: Array, pairs: Pairs) -> tuple[Array, Array, float]:
+    """`fit` by the normal equations, written out; for enumerations."""
+    rows = np.array([j for _, j in pairs])
+    z, F = scan.points[[i for i, _ in pairs]], landmarks.positions[rows]
+    entries = (2 * rows[:, None] + np.arange(2)).ravel()
+    R = scan.covariances[[i for i, _ in pairs]]
+    dz, dF = z - z.mean(0), F - F.mean(0)
+    heading = np.arctan2((dz[:, 0] * dF[:, 1] - dz[:, 1] * dF[:, 0]).sum(), (dz * dF).sum())
+    pose = np.array([*(F.mean(0) - rotation(heading) @ z.mean(0)), heading])
+    for _ in range(60):
+        C, S = rotation(pose[2]), P[np.ix_(entries, entries)].copy()
+        for a in range(len(pairs)):
+            S[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] += C @ R[a] @ C.T
+        turned = z @ C.T
+        A = np.zeros((2 * len(pairs), 3))
+        A[0::2, 0] = A[1::2, 1] = 1.0
+        A[0::2, 2], A[1::2, 2] = -turned[:, 1], turned[:, 0]
+        e, W = (F - pose[:2] - turned).ravel(), np.linalg.inv(S)
+        step = np.linalg.solve(A.T @ W @ A, A.T @ W @ e)
+        pose = pose + step
+        if np.abs(step).max() < 1e-9:
+            break
+    e = errors(pose, z, F).ravel()
+    return pose, np.linalg.inv(A.T @ W @ A), float(e @ W @ e)
+
+
+def legal(
+    scan: Scan, landmarks: Landmarks, P: Array, related: Array | None, pairs: Pairs, new: tuple[int, int], conf: float
+) -> bool:
+    """Whether a pairing may follow others: unused, local to the first, and consistent with all of them."""
+    i, j = new
+    if any(j == used for _, used in pairs) or not agree_in_what_they_are(scan, landmarks, i, j, conf):
+        return False
+    if pairs and related is not None and not related[pairs[0][1], j]:
+        return False
+    if not all(agree_in_distance(scan, landmarks, P, pair, new, conf) for pair in pairs):
+        return False
+    return all(same_sense(scan, landmarks, P, [pairs[0], pair, new], conf) for pair in pairs[1:])
+
+
+def relation(locality: Locality | None, n: int) -> Array | None:
+    """The matrix (n, n) of a locality."""
+    if locality is None:
+        return None
+    related = np.zeros((n, n), bool)
+    for j in range(n):
+        related[j, locality.of(j)] = True
+    return related
+
+
+def holds(scan: Scan, landmarks: Landmarks, P: Array, pairs: Pairs, confidence: float) -> bool:
+    """Joint compatibility of the located hypothesis."""
+    return quick_fit(scan, landmarks, P, pairs)[2] < gate(2 * len(pairs) - 3, confidence)
+
+
+def gcbb(scan: Scan, landmarks: Landmarks, P: Array, locality: Locality | None, confidence: float) -> list[Pairs]:
+    """All hypotheses with most pairings: every path of the tree enumerated, then the largest that hold. No bound."""
+    related, n = relation(locality, len(landmarks)), len(landmarks)
+    paths: list[Pairs] = [[]]
+    for i in range(len(scan)):
+        longer = [
+            [*path, (i, j)]
+            for path in paths
+            for j in range(n)
+            if legal(scan, landmarks, P, related, path, (i, j), confidence)
+        ]
+        paths += longer
+    for k in range(len(scan), 1, -1):
+        best = [path for path in paths if len(path) == k and holds(scan, landmarks, P, path, confidence)]
+        if best:
+            return best
+    return []
+
+
+def compatible_at(
+    scan: Scan, landmarks: Landmarks, pose: Array, covariance: Array, i: int, j: int, confidence: float
+) -> bool:
+    """Individual compatibility at a located pose, taken for independent of the feature."""
+    C, d = rotation(pose[2]).T, landmarks.positions[j] - pose[:2]
+    H = np.column_stack([-C, C @ [d[1], -d[0]]])
+    S = H @ covariance @ H.T + C @ landmarks.covariances[j] @ C.T + scan.covariances[i]
+    nu = scan.points[i] - C @ d
+    return bool(nu @ np.linalg.solve(S, nu) < gate(2, confidence))
+
+
+def random_sampling(
+    scan: Scan, landmarks: Landmarks, P: Array, locality: Locality | None, confidence: float
+) -> list[Pairs]:
+    """All hypotheses with most pairings that some ordered sample of three leads to, every one of them enumerated."""
+    related, m, n = relation(locality, len(landmarks)), len(scan), len(landmarks)
+    found: list[Pairs] = []
+    for sample in itertools.permutations(range(m), 3):
+        paths: list[Pairs] = [[]]
+        for i in sample:
+            paths = [
+                [*path, (i, j)]
+                for path in paths
+                for j in range(n)
+                if legal(scan, landmarks, P, related, path, (i, j), confidence)
+            ]
+        for path in paths:
+            if holds(scan, landmarks, P, path, confidence):
+                found += _extensions(scan, landmarks, P, related, path, confidence)
+    most = max(map(len, found), default=0)
+    return [pairs for pairs in found if len(pairs) == most]
+
+
+def _extensions(
+    scan: Scan, landmarks: Landmarks, P: Array, related: Array | None, pairs: Pairs, confidence: float
+) -> list[Pairs]:
+    pose, covariance, _ = quick_fit(scan, landmarks, P, pairs)
+    local = range(len(landmarks)) if related is None else np.flatnonzero(related[pairs[0][1]])
+    paths = [pairs]
+    for i in set(range(len(scan))) - {i for i, _ in pairs}:
+        for path in list(paths):
+            for j in local:
+                if j in [used for _, used in path] or not agree_in_what_they_are(scan, landmarks, i, j, confidence):
+                    continue
+                if not compatible_at(scan, landmarks, pose, covariance, i, j, confidence):
+                    continue
+                if holds(scan, landmarks, P, [*path, (i, j)], confidence):
+                    paths.append([*path, (i, j)])
+    return paths
+
+
+def decisions(pairs: Pairs, m: int) -> list[int]:
+    """Feature of each measurement, or NONE."""
+    features = [NONE] * m
+    for i, j in pairs:
+        features[i] = int(j)
+    return features
