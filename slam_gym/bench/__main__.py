@@ -11,7 +11,7 @@ BENCHMARKS = {
     "jcbb": "JCBB at loop closure against scipy's linear assignment on the same gated problem",
     "prior": "all searches with a prior at loop closure: exact scans, recall, precision, time",
     "update": "joint EKF update against one symmetric rank-20 product",
-    "locality": "what covisibility locality saves JCBB, and what it loses",
+    "locality": "relocation under each locality against the bound of the source; --tracking: what it saves JCBB",
     "sight": "line of sight on small and large floors; cost of physics and sensors",
 }
 

@@ -1,97 +1,152 @@
-"""What covisibility locality saves JCBB, and what, if anything, it loses.
+"""What locality saves relocation, against the bound of the source, and what it costs.
 
-The same exploration (nearest frontier, planned over the estimate) with JCBB told of covisibility localities and
-without, on the same test worlds. Pairing tests are those for individual compatibility; nodes and joint tests are the
-search's. Times are those of the associator's calls alone. The linear bound of relocation is another matter: here a
-prior on the pose has already gated the candidates, so the saving is in pairing tests, and grows with what is in reach.
+Equation 9.22 counted hypothesis by hypothesis; effort of GCBB and of random sampling (RS) against the size of the map
+and the number of measurements, under each locality; what each locality loses; how many pairings make an answer
+believable. The axes are those of reference experiment B (`locality_worlds`): .02 features per m², range 15 m, 180°, one
+lawn-mower pass, a quarter of the measurements spurious, sizes and kinds unknown. Pairing tests are unary and binary
+ones. GCBB is run as in the source for the effort, with the search for rivals where answers are judged.
+
+With --tracking: what covisibility saves JCBB in exploration, where a prior on the pose has gated the candidates.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import functools
+import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
-import slam_gym  # noqa: F401  (registers the environments)
-from slam_gym.association import jcbb
-from slam_gym.bench.step import Pilot
-from slam_gym.scenarios import get_scenario
-from slam_gym.types import Hypothesis, Prediction, Scan
+from slam_gym.association.gcbb import gcbb
+from slam_gym.association.random_sampling import random_sampling
+from slam_gym.bench import locality_tracking
+from slam_gym.bench.locality_acceptance import Outcome, gather, outcomes
+from slam_gym.bench.locality_bound import verify
+from slam_gym.bench.locality_sweep import MEASURES, Cell, Plan, Reach, sweep
+from slam_gym.bench.locality_tables import JUDGED, Results, Size, show, tables
+from slam_gym.bench.locality_worlds import LOCALITIES
+from slam_gym.types import Relocator
 
-SCENARIOS = ("office", "aliased", "hall", "crowd")
-
-
-@dataclass
-class Effort:
-    """What the associator spent over a run."""
-
-    calls: int = 0
-    seconds: float = 0.0
-    pairing_tests: int = 0
-    nodes: int = 0
-    joint_tests: int = 0
-    limits: int = 0
-
-    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        start = time.perf_counter()
-        hypothesis = jcbb(scan, prediction)
-        self.seconds += time.perf_counter() - start
-        self.calls += 1
-        self.pairing_tests += hypothesis.effort.individual_tests
-        self.nodes += hypothesis.effort.nodes
-        self.joint_tests += hypothesis.effort.joint_tests
-        self.limits += hypothesis.effort.limit_hit
-        return hypothesis
+GATES = (0.95, 0.99)
+SEARCHED = tuple(name for name in LOCALITIES if name != "joined maps")  # its loss is shown; nobody would search it
 
 
-def run(scenario: str, locality: str | None, episodes: int, budget: int | None) -> dict[str, float]:
-    """Effort a scan and quality of the map, means over the episodes."""
-    effort, rows = Effort(), []
-    settings = get_scenario(scenario)
-    if budget:
-        settings = replace(settings, budget=budget)
-    env: Any = gym.make(
-        "slam_gym/Explore-v0", scenario=settings, split="test", action="twist", associator=effort, locality=locality
-    ).unwrapped
-    for number in range(episodes):
-        env.reset(seed=number, options={"world": number})
-        pilot, over, step = Pilot(number), False, 0
-        while not over:
-            _, _, over, _, info = env.step(pilot.action(env, step))
-            step += 1
-        rows.append(info["map_quality"])
+FULL = Size((50, 100, 200, 400, 800, 1600, 3200, 6400, 12800), (4, 6, 8, 10, 12, 14, 16), 400, 30, 1.1e9, 500)
+QUICK = Size((50, 100, 200, 400, 800, 1600), (4, 6, 8), 200, 6, 1.5e7, 30)
+
+
+def searches(confidence: float = 0.99, *, rivals: bool = False) -> dict[str, Relocator]:
+    """GCBB, with or without the search for rivals, and RS, by the names they have in the tables."""
     return {
-        "tests": effort.pairing_tests / effort.calls,
-        "nodes": effort.nodes / effort.calls,
-        "joint": effort.joint_tests / effort.calls,
-        "us": 1e6 * effort.seconds / effort.calls,
-        "limits": effort.limits,
-        **{
-            name: float(np.mean([row[name] for row in rows]))
-            for name in ("precision", "recall", "map_error", "duplicates")
-        },
+        "GCBB": functools.partial(gcbb, confidence=confidence, rivals=rivals),
+        "RS": functools.partial(random_sampling, confidence=confidence),
     }
 
 
+def effort_against_map(size: Size, m: int, seed: int) -> tuple[list[Cell], list[Reach]]:
+    """The sweep over n. A cell takes n times what it took before under a locality, n² times without."""
+    plan = Plan(searches(), SEARCHED, size.scans, seed, size.tests)
+    n = size.maps
+    return sweep(plan, [(k, m) for k in n], lambda name, a, b: (n[b] / n[a]) ** (2.0 if name == "everything" else 1.0))
+
+
+def effort_against_measurements(size: Size, seed: int) -> tuple[list[Cell], list[Reach]]:
+    """The sweep over m in maps of `size.fixed` features."""
+    plan = Plan(searches(), SEARCHED, size.scans, seed, size.tests)
+    m = size.measurements
+    return sweep(plan, [(size.fixed, k) for k in m], lambda _, a, b: 1.7 ** (m[b] - m[a]))
+
+
+def effect_of_gates(size: Size, m: int, seed: int) -> list[tuple[float, Cell]]:
+    """GCBB with gates of .95 and .99 on the same scans, with all features and among covisible ones."""
+    out = []
+    for confidence in GATES:
+        plan = Plan(searches(confidence), ("covisibility", "two hops", "everything"), size.scans, seed, size.tests)
+        cells, _ = sweep(plan, [(size.fixed, m)], lambda *_: 1.0)
+        out += [(confidence, cell) for cell in cells]
+    return out
+
+
+def judge(size: Size, seed: int) -> dict[tuple[str, int], list[Outcome]]:
+    """Right, wrong and no answer by search and m."""
+    return {
+        (name, m): outcomes(*gather(name, search, m, 400, size.judged, seed, JUDGED))
+        for m in size.judged_measurements
+        for name, search in searches(rivals=True).items()
+    }
+
+
+def run(size: Size, m: int = 8, seed: int = 0) -> Results:
+    """Everything, telling what is under way."""
+    results = Results(size, m)
+    _compile(seed)
+    for name, part in (
+        ("bound", lambda: verify(np.random.default_rng(seed))),
+        ("maps", lambda: effort_against_map(size, m, seed)),
+        ("measurements", lambda: effort_against_measurements(size, seed)),
+        ("gates", lambda: effect_of_gates(size, m, seed)),
+        ("answers", lambda: judge(size, seed)),
+    ):
+        start = time.perf_counter()
+        setattr(results, name, part())
+        print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
+    return results
+
+
+def _compile(seed: int) -> None:
+    """Once through all kernels, so that no timing holds their compilation."""
+    sweep(Plan(searches(), SEARCHED, 2, seed, math.inf), [(50, 6)], lambda *_: 1.0)
+
+
+def write(results: Results, folder: Path) -> None:
+    """CSV files of everything, and pictures where matplotlib is installed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for title, rows in (
+        ("bound", results.bound),
+        ("localities", [asdict(reach) for reach in results.maps[1]]),
+        ("localities_by_m", [asdict(reach) for reach in results.measurements[1]]),
+        ("map_size", [_row(cell) for cell in results.maps[0]]),
+        ("measurements", [_row(cell) for cell in results.measurements[0]]),
+        ("gates", [{"gate": gate, **_row(cell)} for gate, cell in results.gates]),
+        ("answers", [{"search": s, "m": m, **asdict(o)} for (s, m), found in results.answers.items() for o in found]),
+    ):
+        with (folder / f"{title}.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+    try:
+        from slam_gym.bench import locality_plots
+    except ImportError:
+        print("no pictures: matplotlib is not installed")
+        return
+    locality_plots.save(results, folder)
+
+
+def _row(cell: Cell) -> dict[str, Any]:
+    means = {name: cell.mean(name) for name in MEASURES}
+    return {"search": cell.search, "locality": cell.locality, "n": cell.n, "m": cell.m, "scans": len(cell), **means}
+
+
 def main(argv: list[str] | None = None) -> None:
-    """Print the comparison."""
+    """Print the tables; with --out, write them and pictures into a folder."""
     parser = argparse.ArgumentParser(prog="python -m slam_gym.bench locality", description=__doc__)
-    parser.add_argument("--episodes", type=int, default=6, help="test worlds 0 … N−1 a scenario (default 6)")
-    parser.add_argument("--budget", type=int, help="[ticks] an episode lasts, instead of the scenario's")
-    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
-    arguments = parser.parse_args(argv)
-    print(
-        "scenario  locality       pairing tests   nodes  joint tests  µs a scan   precision  recall  map error  dupl."
-    )
-    for scenario in arguments.scenarios:
-        for locality in ("covisibility", None):
-            row = run(scenario, locality, arguments.episodes, arguments.budget)
-            print(
-                f"{scenario:9s} {locality or 'everything':12s}   {row['tests']:12.1f}  {row['nodes']:6.1f} "
-                f"{row['joint']:12.1f}  {row['us']:9.1f}   {row['precision']:9.4f} {row['recall']:7.4f}  "
-                f"{row['map_error']:9.3f}  {row['duplicates']:5.2f}" + ("  node limit hit" if row["limits"] else "")
-            )
+    parser.add_argument("--tracking", action="store_true", help="the other benchmark: JCBB while tracking")
+    parser.add_argument("--quick", action="store_true", help="smaller maps, fewer scans: under a minute")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for CSV files and pictures")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments, rest = parser.parse_known_args(argv)
+    if arguments.tracking:
+        locality_tracking.main(rest)
+        return
+    if rest:
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    results = run(QUICK if arguments.quick else FULL, seed=arguments.seed)
+    for table in tables(results):
+        show(*table)
+    if arguments.out:
+        write(results, arguments.out)

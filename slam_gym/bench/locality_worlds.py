@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slam_gym.bench.corridor import polar_scan
 from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, same_local_map, within
 from slam_gym.types import NONE, UNKNOWN, Array, IntArray, Landmarks, Locality, Scan
+from slam_gym.world.corridor import polar_scan
 
 LOCALITIES = ("covisibility", "two hops", "within 2r", "local maps", "joined maps", "everything")
 _POSES = 20_000  # drawn in search of one that sees enough
