@@ -17,12 +17,13 @@ from dataclasses import replace
 import numpy as np
 
 from slam_gym.geometry import wrap_angle
-from slam_gym.mapping.linear_algebra import cholesky
+from slam_gym.mapping.ekf import symmetric
+from slam_gym.mapping.linear_algebra import aligned_zeros, cholesky, padded, subtract_product, whiten
 from slam_gym.mapping.map_state import MapState, map_of_state, state_of
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray
 
-_ROUNDING = 1e-13  # share of what cancels in S that is given back to its diagonal: keeps it definite
+_ROUNDING = 1e-13  # share of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
 def join(a: StochasticMap, b: StochasticMap, *, renumber: bool = False) -> StochasticMap:
@@ -95,22 +96,24 @@ def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
 def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Array]:
     """x (d,) and P (d, d) given F_a = F_b for all pairs (k, 2) at once; P is left singular, for they are equal now.
 
-    H = [… I … −I …], S = H P Hᵀ, K = P Hᵀ S⁻¹; x ← x − K H x, P ← (I − K H) P (I − K H)ᵀ. Raises ValueError
-    where S is not positive definite, as when two features are known exactly.
+    H = [… I … −I …], ν = −H x, S = H P Hᵀ = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν, P ← P − Wᵀ W. Raises ValueError where
+    S is not positive definite, as when two features are known exactly.
     """
     if not len(pairs):
         return mean.copy(), P.copy()
+    d, side = len(mean), padded(len(mean))
     first, second = (3 + 2 * pairs[:, column, None] + np.arange(2) for column in (0, 1))
     first, second = first.ravel(), second.ravel()
-    HP = P[first] - P[second]
-    S = HP[:, first] - HP[:, second]
+    W, left = np.zeros((len(first), side)), aligned_zeros(side, side)
+    W[:, :d], left[:d, :d] = P[first] - P[second], P
+    S = np.ascontiguousarray(W[:, first] - W[:, second])
     S[np.diag_indices(len(S))] += _ROUNDING * (P[first, first] + P[second, second])
-    L = np.ascontiguousarray(S)
-    if not cholesky(L):
+    if not cholesky(S):
         raise ValueError("pairs: the covariance of what is to be equal is singular")
-    K = np.linalg.solve(S, HP).T
-    out = mean - K @ (mean[first] - mean[second])
+    nu = mean[second] - mean[first]
+    whiten(S, W, nu)
+    out = mean + (W[:, :d] * nu[:, None]).sum(axis=0)
     out[2] = wrap_angle(out[2])
-    left = P - K @ HP
-    left -= (left[:, first] - left[:, second]) @ K.T
-    return out, 0.5 * (left + left.T)
+    subtract_product(left, W)
+    left[np.diag_indices(d)] += _ROUNDING * (W[:, :d] ** 2).sum(axis=0)
+    return out, symmetric(left, d)
