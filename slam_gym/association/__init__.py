@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from slam_gym.association.assignment import global_nearest_neighbour
+from slam_gym.association.consistency_graph import max_clique, spectral
 from slam_gym.association.gcbb import gcbb
 from slam_gym.association.ground_truth import true_association
 from slam_gym.association.ipjc import ipjc
@@ -26,12 +27,14 @@ __all__ = [
     "ipjc",
     "jcbb",
     "map_hypothesis",
+    "max_clique",
     "nearest_neighbour",
     "one_point_ransac",
     "random_sampling",
     "resolve",
     "resolve_relocator",
     "singles",
+    "spectral",
     "true_association",
 ]
 
@@ -50,7 +53,9 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
 
 RELOCATORS: dict[str, Relocator] = {
     "gcbb": gcbb,
+    "max_clique": max_clique,
     "rs": random_sampling,
+    "spectral": spectral,
 }
 """Searches without a prior by name, called with (scan, landmarks, locality)."""
 

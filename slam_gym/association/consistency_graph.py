@@ -1,0 +1,283 @@
+"""CCDA: relocation through the graph of consistent pairings (Bailey, 2002), by maximum clique or its relaxation.
+
+Nodes are the pairings that pass the unary constraints, edges join those that satisfy the binary one and are local to
+each other. A hypothesis all of whose pairings agree is a clique. Unlike in the tree, *every* pairing must be local to
+every other, and the joint test comes after: where no largest clique passes it, mirror images among them, pairings are
+dropped one by one until the rest does.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import math
+import time
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.linalg import eigsh
+
+from slam_gym._compile import compiled
+from slam_gym.association.arrays import locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.constraints import (
+    Gates,
+    Mapped,
+    Measured,
+    binary_test,
+    difference_covariance,
+    far_apart,
+    gates,
+    measured,
+)
+from slam_gym.association.gcbb import allowed_pairings
+from slam_gym.association.located import locate_pairings
+from slam_gym.association.relocation import (
+    BINARY,
+    JOINT,
+    LEAVES,
+    LIMIT,
+    NODES,
+    UNARY,
+    location_gates,
+    nothing_found,
+    offer,
+    outcome,
+    relocation,
+)
+from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
+
+_CLIQUES = 256  # largest cliques looked at
+
+
+class _Problem(NamedTuple):
+    """What the kernels take."""
+
+    seen: tuple[Array, Array]
+    intrinsic: tuple[Array, Array, IntArray]
+    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array]
+    of_intrinsic: tuple[Array, Array, IntArray]
+
+
+class _Graph(NamedTuple):
+    """The graph of consistent pairings."""
+
+    measurements: IntArray  # (v,) of each node
+    features: IntArray  # (v,)
+    edges: IntArray  # (e, 2) nodes, the lesser first
+    weights: Array  # (e,) exp(−D²/2) of the two distances' difference
+
+
+def max_clique(
+    scan: Scan,
+    landmarks: Landmarks,
+    locality: Locality | None = None,
+    *,
+    confidence: float = 0.99,
+    min_pairings: int | None = None,
+    node_limit: int = 20_000,
+    library: str = "cliquematch",
+) -> Relocation:
+    """The largest cliques of the graph of consistent pairings; of those that are jointly compatible, the least D².
+
+    `library` finds them: "cliquematch" (MIT) or "igraph" (GPL), neither of them in the core. Where the graph has more
+    than `node_limit` nodes it is not built: nothing is found, and `effort.limit_hit` says so; likewise where there are
+    more than 256 largest cliques, of which the others are not looked at. Raises ImportError, naming the extra, where
+    the library is missing; ValueError as `gcbb` does, and for another library.
+    """
+    if library not in ("cliquematch", "igraph"):
+        raise ValueError(f"library: {library!r} is neither 'cliquematch' nor 'igraph'")
+    solver, start, counters = _import(library), time.perf_counter(), np.zeros(8, np.int64)
+    problem = _problem(scan, landmarks)
+    graph = _graph(problem, locality, len(landmarks), confidence, node_limit, counters)
+    cliques = list(itertools.islice(_largest_cliques(solver, library, graph), _CLIQUES + 1))
+    if len(cliques) > _CLIQUES:
+        counters[LIMIT] = 1
+    found = _decide(problem, graph, cliques[:_CLIQUES], confidence, counters)
+    seconds = time.perf_counter() - start
+    return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
+
+
+def spectral(
+    scan: Scan,
+    landmarks: Landmarks,
+    locality: Locality | None = None,
+    *,
+    confidence: float = 0.99,
+    min_pairings: int | None = None,
+    node_limit: int = 20_000,
+) -> Relocation:
+    """The cluster of most consistent pairings: a spectral relaxation of the maximum clique.
+
+    As in SCGP (Olson et al., RSS 2005) and Leordeanu and Hebert (ICCV 2005): the leading eigenvector of the affinities
+    exp(−D²/2), D² the squared difference of two distances over its variance, says how much each pairing agrees with the
+    others. Pairings are taken from its largest entry down as long as they agree with all taken before. One hypothesis
+    is found, so nothing is known of ties. Limits and errors as in `max_clique`.
+    """
+    start, counters = time.perf_counter(), np.zeros(8, np.int64)
+    problem = _problem(scan, landmarks)
+    graph = _graph(problem, locality, len(landmarks), confidence, node_limit, counters)
+    found = _decide(problem, graph, _leading_cluster(graph), confidence, counters)
+    seconds = time.perf_counter() - start
+    return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
+
+
+def _problem(scan: Scan, landmarks: Landmarks) -> _Problem:
+    points, noise, sizes, variances, kinds = scan_arrays(scan)
+    a = map_arrays(landmarks)
+    return _Problem((points, noise), (sizes, variances, kinds), (a[0], a[1], a[5], a[6], a[7], a[8]), a[2:5])
+
+
+def _import(library: str) -> Any:
+    try:
+        return importlib.import_module(library)
+    except ImportError as error:
+        raise ImportError(f"max_clique needs {library}: pip install 'slam_gym[bench]'") from error
+
+
+def _graph(
+    problem: _Problem, locality: Locality | None, n: int, confidence: float, node_limit: int, counters: IntArray
+) -> _Graph:
+    local = locality_arrays(locality, n)
+    found = _consistent(*problem, local, gates(confidence), node_limit, counters)
+    return _Graph(*found)
+
+
+def _largest_cliques(solver: Any, library: str, graph: _Graph) -> Iterable[list[int]]:
+    if not len(graph.edges):
+        return []
+    if library == "igraph":
+        cliques: Iterable[list[int]] = solver.Graph(len(graph.features), graph.edges.tolist()).largest_cliques()
+        return cliques
+    # cliquematch counts vertices from 1
+    found = solver.Graph.from_edgelist((graph.edges + 1).astype(np.uint32), len(graph.features))
+    largest = len(found.get_max_clique())
+    return ([int(node) - 1 for node in clique] for clique in found.all_cliques(size=largest))
+
+
+def _leading_cluster(graph: _Graph) -> list[list[int]]:
+    """One hypothesis from the leading eigenvector, or none."""
+    v, (a, b) = len(graph.features), graph.edges.T
+    if not len(graph.edges):
+        return []
+    affinity: csr_array = coo_array((graph.weights, (a, b)), shape=(v, v)).tocsr()
+    affinity = affinity + affinity.T
+    agreement = np.abs(eigsh(affinity, k=1, which="LA", v0=np.ones(v))[1][:, 0]) if v > 2 else np.ones(v)
+    alive, cluster = agreement > 0.0, []
+    while alive.any():
+        node = int(np.argmax(np.where(alive, agreement, -1.0)))
+        cluster.append(node)
+        neighbours = np.zeros(v, np.bool_)
+        neighbours[affinity.indices[affinity.indptr[node] : affinity.indptr[node + 1]]] = True
+        alive &= neighbours
+    return [cluster]
+
+
+def _decide(
+    problem: _Problem, graph: _Graph, cliques: list[list[int]], confidence: float, counters: IntArray
+) -> tuple[IntArray, Array, Array, float, int]:
+    """The best of the cliques that are jointly compatible, or of what is left of them."""
+    members = np.array([node for clique in cliques for node in sorted(clique)], np.int64)
+    ends = np.cumsum([0, *map(len, cliques)]).astype(np.int64)
+    joint = location_gates(len(problem.seen[0]), confidence)
+    measurements, features = graph.measurements[members], graph.features[members]
+    return _best_of(problem.seen, problem.of_map, measurements, features, ends, joint, counters)
+
+
+@compiled
+def _consistent(
+    seen: tuple[Array, Array],
+    intrinsic: tuple[Array, Array, IntArray],
+    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array],
+    of_intrinsic: tuple[Array, Array, IntArray],
+    local: tuple[IntArray, IntArray],
+    chi2: tuple[float, float],
+    node_limit: int,
+    counters: IntArray,
+) -> tuple[IntArray, IntArray, IntArray, Array]:
+    """The arrays of `_Graph`; without edges where there would be too many nodes."""
+    scan, m, n = measured(seen[0], seen[1]), len(seen[0]), len(of_map[0])
+    mapped, gate = Mapped(of_map[0], of_map[1], of_map[2], of_map[3], of_map[4], of_map[5]), Gates(chi2[0], chi2[1])
+    allowed, number = allowed_pairings(intrinsic, of_intrinsic, gate.one), np.full((m, n), -1)
+    counters[UNARY] += m * n
+    measurements, features, nodes = np.empty(m * n, np.int64), np.empty(m * n, np.int64), 0
+    for i in range(m):
+        for j in range(n):
+            if allowed[i, j]:
+                measurements[nodes], features[nodes], number[i, j] = i, j, nodes
+                nodes += 1
+    counters[NODES] = nodes
+    edges, weights, count = np.empty((1024, 2), np.int64), np.empty(1024), 0
+    if nodes > node_limit:
+        counters[LIMIT] = 1
+        nodes = 0
+    positions, traces = mapped.positions, mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1]
+    starts, members = local
+    for a in range(nodes):
+        i, j = measurements[a], features[a]
+        begin, end = (starts[j], starts[j + 1]) if len(starts) > 0 else (0, n)
+        for k in range(i + 1, m):
+            distance, spread = scan.distances[i, k], scan.spreads[i, k]
+            for position in range(begin, end):
+                l = members[position] if len(starts) > 0 else position
+                if l == j or number[k, l] < 0:
+                    continue
+                counters[BINARY] += 1
+                x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
+                error = distance - math.sqrt(x * x + y * y)
+                if far_apart(error, spread, traces[j], traces[l], gate.two):
+                    continue
+                if not binary_test(scan, mapped, gate, i, j, k, l):
+                    continue
+                if count == len(weights):
+                    edges, weights = np.concatenate((edges, edges)), np.concatenate((weights, weights))
+                edges[count, 0], edges[count, 1] = a, number[k, l]
+                xx, xy, yy = difference_covariance(mapped, j, l)
+                along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / max(x * x + y * y, 1e-300)
+                variance = scan.variances[i, k] + max(along, 0.0) + 1e-12
+                weights[count] = math.exp(-0.5 * error * error / variance)
+                count += 1
+    return measurements[:nodes], features[:nodes], edges[:count], weights[:count]
+
+
+@compiled
+def _best_of(
+    seen: tuple[Array, Array],
+    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array],
+    measurements: IntArray,
+    features: IntArray,
+    ends: IntArray,
+    joint: Array,
+    counters: IntArray,
+) -> tuple[IntArray, Array, Array, float, int]:
+    """`outcome` over the hypotheses ends[c] … ends[c + 1] of the pairings; where none holds, of what they shrink to."""
+    scan, best = measured(seen[0], seen[1]), nothing_found(len(seen[0]))
+    mapped = Mapped(of_map[0], of_map[1], of_map[2], of_map[3], of_map[4], of_map[5])
+    holds = False
+    for c in range(len(ends) - 1):
+        counters[LEAVES] += 1
+        i, j = measurements[ends[c] : ends[c + 1]], features[ends[c] : ends[c + 1]]
+        holds = offer(best, scan, mapped, i, j, len(i), joint, counters) or holds
+    for c in range(len(ends) - 1 if not holds else 0):
+        i, j = measurements[ends[c] : ends[c + 1]].copy(), features[ends[c] : ends[c + 1]].copy()
+        while len(i) > 2 and not offer(best, scan, mapped, i, j, len(i), joint, counters):
+            i, j = _without_the_worst(scan, mapped, i, j, counters)
+        if len(i) == 2:
+            offer(best, scan, mapped, i, j, 2, joint, counters)
+    return outcome(best, joint[len(joint) - 1])
+
+
+@compiled
+def _without_the_worst(
+    scan: Measured, mapped: Mapped, i: IntArray, j: IntArray, counters: IntArray
+) -> tuple[IntArray, IntArray]:
+    """The pairings without the one whose absence leaves the least D²."""
+    pose, covariance, least, worst = np.empty(3), np.empty((3, 3)), math.inf, 0
+    for a in range(len(i)):
+        counters[JOINT] += 1
+        rest, of = np.delete(i, a), np.delete(j, a)
+        distance = locate_pairings(scan.points, scan.noise, mapped, rest, of, len(rest), pose, covariance)
+        if distance < least:
+            least, worst = distance, a
+    return np.delete(i, worst), np.delete(j, worst)
