@@ -167,6 +167,7 @@ class FeatureIndex:
         *,
         confidence: float = 0.99,
         min_pairings: int | None = None,
+        exhaustive: bool = False,
         node_limit: int = 20_000_000,
     ) -> Relocation:
         """The pose that explains most measurements, if it explains enough and no other explains as many.
@@ -174,8 +175,12 @@ class FeatureIndex:
         With `landmarks`, rows as in this index, the answer is located in them with all their cross-covariances; with
         `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule
         (`usual_pairings`); one pairing less is reported as ambiguous, and what explains less than that is not looked
-        for. `node_limit` bounds the poses verified. Raises ValueError for a bad scan, a confidence outside (0, 1),
-        fewer than 3 `min_pairings`, or landmarks or locality of another number of features.
+        for. The search ends once no pose is unseen that explains as many measurements as the best. Unless `exhaustive`,
+        it also ends with one pairing more than needed and no other place found that looks alike: none that explains all
+        but k/3 − 1 of the same k measurements. `node_limit` bounds the poses verified.
+
+        Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or landmarks or
+        locality of another number of features.
         """
         start = time.perf_counter()
         check_scan(scan)
@@ -195,6 +200,7 @@ class FeatureIndex:
             self._store(),
             _gates(len(scan), confidence),
             min_pairings,
+            len(scan) + 1 if exhaustive else min_pairings + 1,
             node_limit,
         )
         best = int(np.argmin(squares)) if pairings else 0

@@ -59,6 +59,7 @@ class Seed(NamedTuple):
     order: IntArray  # (m − 3,) the others, those first whose feature must be nearest to where the pose puts them
     levels: IntArray  # (m,) bitmap that covers the gate of each: 0 fine, 1 coarse, 2 neither
     offsets: Array  # (m, 2) [m] from the centroid, by measurement
+    around: Array  # (m, 3) their gates: Σ of the weighted squares of (error · offset), (error × offset) is 1; reach [m]
 
 
 class Found(NamedTuple):
@@ -69,7 +70,7 @@ class Found(NamedTuple):
     squares: Array  # (h,) D²
     state: IntArray  # (2,) pairings of the best, or one less than what is worth recording; number of hypotheses
     spent: IntArray  # (6,)
-    limits: IntArray  # (2,) pairings that decide, most nodes
+    limits: IntArray  # (3,) pairings needed, most nodes, pairings that chance need not be feared for
 
 
 @compiled
@@ -79,12 +80,14 @@ def search(
     arrays: StoreArrays,
     gates: Array,
     needed: int,
+    decisive: int,
     node_limit: int,
 ) -> tuple[int, IntArray, Array, Array, IntArray]:
     """All hypotheses with most pairings, at least `needed` − 1 of them.
 
     Returns the number of pairings; decisions (h, m), fits (h, 12) and D² (h,) of the hypotheses; effort (6,). With
-    `needed` pairings or more, there are no others with as many but what the gates turn away.
+    `needed` pairings or more, there are no others with as many but what the gates turn away; with `decisive` ones, no
+    others that explain all but (pairings / 3 − 1) of the same measurements: places that look alike.
     """
     store, look = Store(*arrays), _look(scan, locality, gates)
     m = len(look.points)
@@ -94,25 +97,47 @@ def search(
         np.zeros(KEPT),
         np.array([max(needed - 1, 3) - 1, 0]),
         np.zeros(6, np.int64),
-        np.array([needed, node_limit]),
+        np.array([needed, node_limit, decisive]),
     )
     done = np.zeros(m * (m - 1) * (m - 2) // 6, np.bool_)
-    seen_beyond, groups = m, max((3 * m) // 10, 1)  # no pose is unseen that explains more than 2 × seen_beyond
-    while m > 2 and seen_beyond > _enough(found) and found.spent[LIMIT] == 0:
-        groups = min(max(groups, _enough(found)), seen_beyond - 1)
-        whole = True
+    seen_beyond, groups = m, max(m // 5, 1)  # no pose is unseen that explains more than 2 × seen_beyond
+    while m > 2 and seen_beyond > _enough(found) and found.spent[LIMIT] == 0 and not _decided(found):
+        groups, whole = min(max(groups, _enough(found)), seen_beyond - 1), True
         for triple in _triples(look.points, groups, done):
             _try_triple(look, store, triple, found)
             done[_number(triple)] = True
-            if found.spent[LIMIT] > 0 or _enough(found) > groups:
+            if found.spent[LIMIT] > 0 or _enough(found) > groups or _decided(found):
                 whole = False
                 break
         if whole:
             seen_beyond = groups
         groups = (7 * groups) // 10 if found.state[1] == 0 else 1
+    if _decided(found):
+        _try_places_alike(look, store, found, done)
     count = found.state[1]
     pairings = found.state[0] if count > 0 else 0
     return pairings, found.features[:count], found.fits[:count], found.squares[:count], found.spent
+
+
+@compiled
+def _decided(found: Found) -> bool:
+    return bool(found.state[1] > 0 and found.state[0] >= found.limits[2])
+
+
+@compiled
+def _try_places_alike(look: Look, store: Store, found: Found, done: BoolArray) -> None:
+    """Look up disjoint triples of what the best explains, until it stays: a place like its own explains one of them."""
+    pairings = 0
+    while pairings < found.state[0] and found.spent[LIMIT] == 0:
+        pairings = found.state[0]
+        paired = np.flatnonzero(found.features[0] != NONE)
+        order, starts = _groups(look.points[paired], pairings // 3)
+        for g in range(pairings // 3):
+            triple = paired[order[starts[g] : starts[g] + 3]]
+            _longest_first(look.points, triple)
+            if not done[_number(triple)]:
+                done[_number(triple)] = True
+                _try_triple(look, store, triple, found)
 
 
 @compiled
@@ -232,6 +257,7 @@ def _arrange(look: Look, store: Store, triple: IntArray) -> tuple[Seed, float, f
     x = (points[triple[0], 0] + points[triple[1], 0] + points[triple[2], 0]) / 3.0
     y = (points[triple[0], 1] + points[triple[1], 1] + points[triple[2], 1]) / 3.0
     offsets, order, levels, gates = np.empty((m, 2)), np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m)
+    around = np.empty((m, 3))
     variance, inertia, count = store.settings[WIDEST], 0.0, 0
     for i in range(m):
         offsets[i, 0], offsets[i, 1] = points[i, 0] - x, points[i, 1] - y
@@ -241,8 +267,15 @@ def _arrange(look: Look, store: Store, triple: IntArray) -> tuple[Seed, float, f
     for i in range(m):
         if i == triple[0] or i == triple[1] or i == triple[2]:
             continue
-        square = offsets[i, 0] ** 2 + offsets[i, 1] ** 2
-        gate = look.gates[1] * (look.widest[i] + variance / 3.0 + square * variance / (inertia + 1e-12))
+        square, near = offsets[i, 0] ** 2 + offsets[i, 1] ** 2 + 1e-12, look.widest[i] + variance / 3.0
+        turned = square * variance / (inertia + 1e-12)
+        gate = look.gates[1] * (near + turned)
+        near += store.settings[WIDEST]
+        around[i, 0], around[i, 1] = (
+            1.0 / (look.gates[1] * near * square),
+            1.0 / (look.gates[1] * (near + turned) * square),
+        )
+        around[i, 2] = math.sqrt(look.gates[1] * (near + turned))
         levels[i] = 0 if gate <= radius * radius else 1 if gate <= 4.0 * radius * radius else 2
         p = count
         while p > 0 and gates[p - 1] > gate:
@@ -250,7 +283,7 @@ def _arrange(look: Look, store: Store, triple: IntArray) -> tuple[Seed, float, f
             p -= 1
         order[p], gates[p] = i, gate
         count += 1
-    return Seed(triple.copy(), np.empty(3), np.empty(3), order[:count], levels, offsets), variance, inertia
+    return Seed(triple.copy(), np.empty(3), np.empty(3), order[:count], levels, offsets, around), variance, inertia
 
 
 @compiled
@@ -318,7 +351,7 @@ def _matches(
         high[k] = math.floor(min(sides[k] + margin, reach) / quantum)
     step = quantum / 256.0
     scale = step * step / gate
-    first, second, third = doubts[0], doubts[1], doubts[2]
+    first, second, third = doubts[0] + step * step, doubts[1] + step * step, doubts[2] + step * step  # rounding
     chosen, count, compared = np.empty((64, 3), np.int32), 0, 0
     for c in range(low[0], high[0] + 1):
         for a in range(low[1], min(c, high[1]) + 1):
@@ -391,12 +424,15 @@ def _verify(
     left = len(look.points) - found.state[0] - (found.state[1] == 0)
     chosen, poses = _promising(
         store.positions,
+        store.heads,
+        store.following,
         store.bits,
         store.settings,
         seed.corners,
         seed.order,
         seed.levels,
         seed.offsets,
+        seed.around,
         triangles,
         left,
     )
@@ -407,12 +443,15 @@ def _verify(
 @compiled
 def _promising(
     positions: Array,
+    heads: Small,
+    following: Small,
     bits: Bits,
     settings: Array,
     corners: IntArray,
     order: IntArray,
     levels: IntArray,
     offsets: Array,
+    around: Array,
     triangles: Small,
     allowed: int,
 ) -> tuple[IntArray, Array]:
@@ -434,20 +473,71 @@ def _promising(
         c = (ax - x) * u[0] + (ay - y) * v[0] + (bx - x) * u[1] + (by - y) * v[1] + (cx - x) * u[2] + (cy - y) * v[2]
         s = (ay - y) * u[0] - (ax - x) * v[0] + (by - y) * u[1] - (bx - x) * v[1] + (cy - y) * u[2] - (cx - x) * v[2]
         length = math.sqrt(c * c + s * s)
-        c, s, left = c / length, s / length, allowed
-        for k in order:
+        c, s, left, missing = c / length, s / length, allowed, 0
+        for p in range(min(len(order), 62)):
+            k = order[p]
             px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
             if levels[k] == 0:
-                left -= 1 - _painted(bits, 0, power, px * per_metre, py * per_metre)
+                miss = 1 - _painted(bits, 0, power, px * per_metre, py * per_metre)
             elif levels[k] == 1:
-                left -= 1 - _painted(bits, behind, power - 1, 0.5 * px * per_metre, 0.5 * py * per_metre)
+                miss = 1 - _painted(bits, behind, power - 1, 0.5 * px * per_metre, 0.5 * py * per_metre)
+            else:
+                miss = 0
+            left, missing = left - miss, missing | miss << p
             if left < 0:
                 break
-        if left >= 0:
+        if left >= 0 and _meets(
+            positions, heads, following, settings, order, offsets, around, (x, y, c, s), missing, left
+        ):
             chosen[count] = at
             poses[count, 0], poses[count, 1], poses[count, 2], poses[count, 3] = x, y, c, s
             count += 1
     return chosen[:count], poses[:count]
+
+
+@compiled
+def _meets(
+    positions: Array,
+    heads: Small,
+    following: Small,
+    settings: Array,
+    order: IntArray,
+    offsets: Array,
+    around: Array,
+    pose: tuple[float, float, float, float],
+    missing: int,
+    allowed: int,
+) -> bool:
+    """Whether no more than `allowed` of the measurements in `order` miss every feature at a pose.
+
+    Those whose bits are set in `missing`, by place in `order`, are known to miss and counted already.
+
+    Gates are ellipses here, long across the line of sight from the seed, since its heading is what is least known.
+    """
+    x, y, c, s = pose
+    side, mask, left = settings[SIDE], len(heads) - 1, allowed
+    for p in range(len(order)):
+        if missing >> min(p, 62) & 1:
+            continue
+        k = order[p]
+        u, v = c * offsets[k, 0] - s * offsets[k, 1], s * offsets[k, 0] + c * offsets[k, 1]
+        px, py, reach = x + u, y + v, around[k, 2]
+        bottom, lowest = math.floor((py - reach) / side), math.floor((px - reach) / side)
+        rows = min(math.floor((py + reach) / side) - bottom, mask) + 1
+        columns = min(math.floor((px + reach) / side) - lowest, mask) + 1
+        met = False
+        for row in range(bottom, bottom + rows):
+            for column in range(lowest, lowest + columns):
+                j = int(heads[row & mask, column & mask])
+                while j >= 0:
+                    dx, dy = positions[j, 0] - px, positions[j, 1] - py
+                    radial, across = dx * u + dy * v, dy * u - dx * v
+                    met |= radial * radial * around[k, 0] + across * across * around[k, 1] < 1.0
+                    j = int(following[j])
+        left -= not met
+        if left < 0:
+            return False
+    return True
 
 
 @compiled
