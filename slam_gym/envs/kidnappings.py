@@ -63,7 +63,7 @@ class Kidnapped:
 
 
 def map_world(scenario: Scenario, split: str, world: int, associator: str | Associator) -> MappedWorld:
-    """Have a robot explore a world until the budget of the scenario is spent: to the nearest frontier, else to revisits.
+    """Have a robot explore a world, to the nearest frontier or else to revisits, until the scenario's budget is spent.
 
     A function of its arguments alone. Raises ValueError for a world outside the split, and as `survey` does.
     """
