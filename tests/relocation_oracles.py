@@ -278,6 +278,21 @@ def gcbb(scan: Scan, landmarks: Landmarks, P: Array, locality: Locality | None, 
     return []
 
 
+def mutual(scan: Scan, landmarks: Landmarks, P: Array, related: Array | None, confidence: float) -> list[Pairs]:
+    """All sets of pairings that agree in distance and are local each to each."""
+    paths: list[Pairs] = [[]]
+    for i in range(len(scan)):
+        for path in list(paths):
+            for j in range(len(landmarks)):
+                if any(j == l or (related is not None and not related[j, l]) for _, l in path):
+                    continue
+                if agree_in_what_they_are(scan, landmarks, i, j, confidence) and all(
+                    agree_in_distance(scan, landmarks, P, pair, (i, j), confidence) for pair in path
+                ):
+                    paths.append([*path, (i, j)])
+    return paths
+
+
 def compatible_at(
     scan: Scan, landmarks: Landmarks, pose: Array, covariance: Array, i: int, j: int, confidence: float
 ) -> bool:

@@ -65,9 +65,8 @@ def random_sampling(
     points, noise, sizes, size_variances, kinds = scan_arrays(scan)
     arrays, local = map_arrays(landmarks), locality_arrays(locality, len(landmarks))
     rng, m = np.random.default_rng(seed), len(scan)
-    samples = np.array(
-        [rng.permutation(m)[:sample] for _ in range(tries(p_fail, p_good, sample) if m >= sample else 0)]
-    )
+    drawn = tries(p_fail, p_good, sample) if m >= sample else 0
+    samples = np.array([rng.permutation(m)[:sample] for _ in range(drawn)], np.int64).reshape(drawn, sample)
     counters, start = np.zeros(8, np.int64), time.perf_counter()
     found = _random_sampling(
         (points, noise),
