@@ -22,7 +22,7 @@ import numpy as np
 
 from slam_gym.duplicates import Duplicates, find_duplicates
 from slam_gym.mapping.local_maps import LocalMaps
-from slam_gym.mapping.locality import same_local_map
+from slam_gym.mapping.locality import linked, same_local_map
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam import Slam, SlamSpec
 from slam_gym.types import Array, Associator, IntArray, Locality, Odometry, Scan, SlamStep
@@ -59,6 +59,7 @@ class LocalMapSlam:
         self.features_per_map = features_per_map
         self.slam = Slam(spec, associate)  # of the current local map
         self.maps = LocalMaps(self.slam.map)
+        self._graphs = [self.slam.covisibility]  # of each local map
         self.duplicates: list[Duplicates] = []  # found when the k-th closed map was joined with those before
         self._find = find or functools.partial(find_duplicates, confidence=spec.map.confidence)
         self._asked = False  # for a new map
@@ -96,6 +97,7 @@ class LocalMapSlam:
     def _begin(self) -> None:
         self.slam = Slam(self.spec, self.associate)
         self.slam.map = self.maps.begin()
+        self._graphs.append(self.slam.covisibility)
 
     def joined(self) -> StochasticMap:
         """All maps in the base of the first, duplicates matched and removed. The maps themselves stay as they are.
@@ -111,6 +113,20 @@ class LocalMapSlam:
     def locality(self, m: StochasticMap) -> Locality:
         """Features of a joined map that are of the same local map."""
         return same_local_map(self.map_of(m))
+
+    def covisible(self, m: StochasticMap, hops: int = 1) -> Locality:
+        """Features of the map that `joined` last returned that were seen together in any local map; see `covisible`.
+
+        Raises ValueError where m holds other features than that map.
+        """
+        seen = [np.empty((0, 2), np.int64)]
+        for local, graph in zip(self.maps, self._graphs):
+            seen.append(self.maps.oldest(local.ids)[graph.edges()[0]].reshape(-1, 2))
+        ids = np.concatenate(seen)
+        if not np.isin(ids, m.ids).all():
+            raise ValueError("m: not the map that was joined last")
+        rows = np.sort(np.searchsorted(m.ids, ids), axis=1)
+        return linked(m.n, np.unique(rows[rows[:, 0] != rows[:, 1]], axis=0), hops)
 
     def _match(self, whole: StochasticMap, older: int) -> IntArray:
         found = self._find(whole, np.arange(older), np.arange(older, whole.n))

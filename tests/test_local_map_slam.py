@@ -32,11 +32,12 @@ class Loop:
         rng, self.identities, self.tally = np.random.default_rng(seed), Identities(), Tally()
         spec = SlamSpec(MapSpec(unconfirmed_age=None), reach=corridor.RANGE)
         self.slam = LocalMapSlam(spec, functools.partial(jcbb, confidence=0.99), features_per_map)
-        self.pose, self.starts, self.views = np.zeros(3), [np.zeros(3)], []
+        self.pose, self.starts, self.views, self.scans = np.zeros(3), [np.zeros(3)], [], []
         for step, (odometry, scan, seen) in enumerate(corridor.walk_round(rng)):
             if ask and step and step % ask == 0:
                 self.slam.new_map()
             self.pose = seen.pose
+            self.scans.append(seen.sources)
             known = self.identities.source_of(self.slam.map.ids)
             right = functools.partial(true_association, sources=seen.sources, identities=known)
             before = len(self.slam.maps)
@@ -124,6 +125,26 @@ def test_locality_is_the_local_map_a_feature_was_first_seen_in() -> None:
         assert set(joined.ids[numbers == number].tolist()) <= set(m.ids.tolist())
     sizes = locality_sizes(run.slam.locality(joined), joined.n)
     assert sizes.max() <= max(m.n for m in run.slam.maps)
+
+
+def test_covisibility_goes_over_into_the_joined_map() -> None:
+    """With right associations: exactly the pairs of true features that some scan saw, but for duplicates left over."""
+    run = loop(0, 20)
+    joined = run.slam.joined()
+    sources = run.identities.source_of(joined.ids)
+    once = np.flatnonzero([(sources == s).sum() == 1 for s in sources])
+    expected = np.eye(joined.n, dtype=np.bool_)
+    for scan in run.scans:
+        in_view = np.isin(sources, scan)
+        expected |= in_view[:, None] & in_view
+    locality = run.slam.covisible(joined)
+    found = np.array([np.isin(np.arange(joined.n), locality.of(j)) for j in range(joined.n)])
+    assert len(once) > 80
+    np.testing.assert_array_equal(found[np.ix_(once, once)], expected[np.ix_(once, once)])
+    assert locality_sizes(run.slam.covisible(joined, hops=2), joined.n).mean() > found.sum(axis=1).mean()
+    joined.remove(np.array([0]))
+    with pytest.raises(ValueError, match="m: not the map"):
+        run.slam.covisible(joined)
 
 
 def test_at_a_border_no_local_map_holds_what_the_robot_sees() -> None:

@@ -148,6 +148,31 @@ def test_local_maps_of_one_run_join_in_an_office_and_close_its_loops() -> None:
     assert closed > 0
 
 
+def test_a_search_among_local_maps_loses_pairings_at_their_borders() -> None:
+    """Scans as a map ends and the next begins, looked for in the joined map: covisibility finds what local maps split.
+
+    Away from borders the two do equally well.
+    """
+    r = robot(4, 0)
+    slam, borders = LocalMapSlam(OFFICE.slam, functools.partial(jcbb, confidence=0.99), 20), []
+    for step, (odometry, scan) in enumerate(r.log):
+        before = len(slam.maps)
+        slam.step(odometry, scan)
+        if len(slam.maps) > before:
+            borders.append(step)
+    joined = slam.joined()
+    landmarks, maps, together = joined.landmarks(), slam.locality(joined), slam.covisible(joined)
+    counts = []
+    for border in borders:
+        scan = r.log[border][1]
+        if len(scan) >= 6:
+            counts.append([gcbb(scan, landmarks, locality).pairings for locality in (maps, together, None)])
+    split, whole, everything = np.array(counts).T
+    assert len(counts) >= 4
+    assert split.sum() < 0.9 * whole.sum()
+    assert whole.sum() > 0.9 * everything.sum()
+
+
 # --- a group as a scan ------------------------------------------------------------------------------------------------
 
 

@@ -30,6 +30,7 @@ class LocalMaps:
         self._maps = [first]
         self._first_ids = [0]
         self._joined: tuple[int, StochasticMap] | None = None  # maps joined so far, all of them closed
+        self._became: dict[int, int] = {}  # id -> the older one that the last join made it the same as
 
     def __len__(self) -> int:
         return len(self._maps)
@@ -83,9 +84,16 @@ class LocalMaps:
         """
         done, whole = self._joined or (1, self._maps[0])
         for number in range(done, len(self._maps)):
-            count = whole.n
+            count, older = whole.n, self._first_ids[number]
             whole = join(whole, self._maps[number])
-            whole = equate(whole, match(whole, count))
+            pairs, ids = match(whole, count), whole.ids
+            self._became = {i: j for i, j in self._became.items() if i < older}
+            self._became.update(zip(ids[pairs[:, 1]].tolist(), ids[pairs[:, 0]].tolist()))
+            whole = equate(whole, pairs)
             if number < len(self._maps) - 1:
                 self._joined = number + 1, whole
         return whole.copy()
+
+    def oldest(self, ids: ArrayLike) -> IntArray:
+        """The ids (k,) under which the features of these ids (k,) are in the map that `joined` last returned."""
+        return np.array([self._became.get(i, i) for i in np.asarray(ids, dtype=np.int64).tolist()], dtype=np.int64)

@@ -30,7 +30,21 @@ def covisible(graph: CovisibilityGraph, at_least: int = 1, hops: int = 1) -> Loc
     if at_least < 1 or hops < 1:
         raise ValueError(f"at_least, hops: {at_least}, {hops}: less than 1")
     edges, counts = graph.edges()
-    starts, members = _rows(graph.n, np.ascontiguousarray(edges[counts >= at_least]))
+    return linked(graph.n, edges[counts >= at_least], hops)
+
+
+def linked(n: int, pairs: IntArray, hops: int = 1) -> Locality:
+    """Of n features, those linked by up to `hops` of these pairs (e, 2); no pair is given twice.
+
+    Raises ValueError for fewer than one hop and for pairs of other than two different features.
+    """
+    pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    if hops < 1:
+        raise ValueError(f"hops: {hops} is less than 1")
+    bad = (pairs < 0).any(axis=1) | (pairs >= n).any(axis=1) | (pairs[:, 0] == pairs[:, 1])
+    if bad.any():
+        raise ValueError(f"pairs[{int(bad.argmax())}]: {pairs[bad.argmax()].tolist()} are not two of {n} features")
+    starts, members = _rows(n, pairs)
     further, reached = starts, members
     for _ in range(hops - 1):
         further, reached = _one_hop_more(further, reached, starts, members)

@@ -88,6 +88,8 @@ def test_joining_leaves_each_landmark_once_under_its_oldest_id() -> None:
     assert len(set(sources)) == len(sources) == len(set(run.source.values()))
     oldest = {source: i for i, source in sorted(run.source.items(), reverse=True)}
     assert joined.ids.tolist() == sorted(oldest.values())
+    given = sorted(run.source)
+    assert run.maps.oldest(given).tolist() == [oldest[run.source[i]] for i in given]
     np.testing.assert_allclose(joined.positions, landmarks[sources], atol=0.4)
     np.testing.assert_allclose(joined.pose, steps[-1].pose, atol=0.3)
     assert joined.seen.sum() == sum(m.seen.sum() for m in run.maps)

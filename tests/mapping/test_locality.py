@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, locality_sizes, same_local_map, with_blocks, within
+from slam_gym.mapping.locality import covisible, linked, locality_sizes, same_local_map, with_blocks, within
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Locality
 from slam_gym.world.generators import OfficeGenerator
@@ -46,6 +46,16 @@ def test_covisibility_equals_powers_of_the_relation() -> None:
         once = ((counts >= at_least) | np.eye(n, dtype=np.bool_)).astype(np.int64)
         expected = np.linalg.matrix_power(once, hops) > 0
         np.testing.assert_array_equal(dense(covisible(graph, at_least, hops)), expected)
+
+
+def test_links_equal_powers_of_the_relation() -> None:
+    rng = np.random.default_rng(10)
+    for _ in range(100):
+        n = int(rng.integers(1, 20))
+        related = np.triu(rng.random((n, n)) < 0.1, 1)
+        hops = int(rng.integers(1, 4))
+        expected = np.linalg.matrix_power((related | related.T | np.eye(n, dtype=np.bool_)).astype(np.int64), hops)
+        np.testing.assert_array_equal(dense(linked(n, np.argwhere(related), hops)), expected > 0)
 
 
 def test_distance_equals_all_pairs() -> None:
@@ -190,8 +200,11 @@ def test_local_maps_fail_at_the_border() -> None:
 def test_what_makes_no_sense_is_refused() -> None:
     graph, _ = random_graph(np.random.default_rng(8), 5)
     for arguments in ({"at_least": 0}, {"hops": 0}):
-        with pytest.raises(ValueError, match="at_least, hops"):
+        with pytest.raises(ValueError, match="hops"):
             covisible(graph, **arguments)
+    for pairs in ([[0, 3]], [[0, 1], [1, 1]], [[-1, 0]]):
+        with pytest.raises(ValueError, match="pairs"):
+            linked(3, np.array(pairs))
     for distance in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="distance"):
             within(np.zeros((2, 2)), distance)
