@@ -43,18 +43,19 @@ def distances_given(
 ) -> None:
     """D² (c,) of each candidate after an update with the p pairings of `path` and the anchor; inf where it cannot be.
 
-    Entries p and p + 1 of `path`, `factor` and `whitened` are overwritten. `anchor` < 0: only the p pairings.
+    The anchor's own is that after an update with the p pairings only; those are all where `anchor` < 0. Entries p and
+    p + 1 of `path`, `factor` and `whitened` are overwritten.
     """
     slots, measured, innovations, noise, covariance, local = candidates
-    q, fits = p, True
+    q, own = p, 0.0
     if anchor >= 0:
         s, i = slots[anchor], measured[anchor]
-        fits = append_pairing(factor, whitened, path, p, covariance, s, innovations[anchor], noise[i]) < math.inf
+        own = append_pairing(factor, whitened, path, p, covariance, s, innovations[anchor], noise[i])
         path[p] = s
         q = p + 1
     for c in range(len(slots)):
-        out[c] = math.inf
-        if not fits:
+        out[c] = own if c == anchor else math.inf
+        if own == math.inf:
             continue
         if anchor >= 0:
             if measured[c] == measured[anchor] or slots[c] == slots[anchor]:
@@ -73,7 +74,7 @@ def anchor_support(path: IntArray, factor: Array, whitened: Array, p: int, candi
         distances_given(path, factor, whitened, p, candidates, anchor, distances)
         last = -1
         for c in range(len(measured)):
-            if distances[c] < gate and measured[c] != last:
+            if distances[c] < gate and c != anchor and measured[c] != last:
                 last = measured[c]
                 support[anchor] += 1
     return support

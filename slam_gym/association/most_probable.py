@@ -110,7 +110,7 @@ class MostProbable:
     """
 
     density: float = 0.02  # [1/m²] λ to begin with, and now
-    prior: float = 5.0  # unpaired measurements that this is worth
+    prior: float = 1.0  # unpaired measurements that this is worth
     memory: float = 0.95
     area: float | None = None  # [m²] in the sensor's view
     options: dict[str, float | int | str | None] = field(default_factory=dict)

@@ -82,10 +82,9 @@ def _draw(
             break
         drawn += 1
         distances_given(path, factor, whitened, p, candidates, anchor, distances)
-        distances[anchor] = 0.0
+        total, distances[anchor] = distances[anchor], -1.0  # first of all
         inliers = _nearest_first(distances, slots, measured, gate, best[:0])
-        total = 0.0
-        for c in inliers:
+        for c in inliers[1:]:
             total += distances[c]
         if len(inliers) > len(best) or (len(inliers) == len(best) and total < best_sum):
             best, best_sum = inliers, total
