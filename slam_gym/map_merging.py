@@ -70,10 +70,9 @@ def merge(
         confidence: of the joint test of duplicates.
 
     Of all relations that the search accepts, that with most pairs is taken. It is refused with too few of them, and
-    where too little of what should have been paired was: a chance match of one group finds nothing to match around it
-    (in offices at most a fifth of what is expected, the right relation two thirds and more). Ids are those of A, and
-    those of B raised by the number that A has given. Raises ValueError for settings out of range, an unknown search and
-    localities of other maps.
+    where too little of what should have been paired was: a chance match of one group finds little to match around it.
+    Ids are those of A, and those of B raised by the number that A has given. Raises ValueError for settings out of
+    range, an unknown search and localities of other maps.
     """
     if not (0.0 < near < math.inf and 0.0 <= share <= 1.0 and least >= 0):
         raise ValueError(
