@@ -50,9 +50,9 @@ class SituationEncoder(BaseFeaturesExtractor):
 class GoalScorer(nn.Module):
     """The encoder's vector → a score per goal (B, K) for the actor, and a latent (B, hidden) for the critic."""
 
-    def __init__(self, width: int, goals: int, hidden: int) -> None:
+    def __init__(self, width: int, goals: int, hidden: int, fields: int = len(GOAL_FIELDS)) -> None:
         super().__init__()
-        fields = len(GOAL_FIELDS)
+        self.fields = fields
         self.width, self.latent_dim_pi, self.latent_dim_vf = width, goals, hidden
         self.embed = nn.Sequential(nn.Linear(fields, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh())
         self.score = nn.Sequential(nn.Linear(2 * hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
@@ -72,7 +72,7 @@ class GoalScorer(nn.Module):
     def _split(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Situation (B, width), embedded goals (B, K, hidden), and the mean of the legal ones (B, hidden)."""
         situation, goals = features[:, : self.width], features[:, self.width :]
-        goals = goals.reshape(len(features), -1, len(GOAL_FIELDS))
+        goals = goals.reshape(len(features), -1, self.fields)
         embedded = self.embed(goals)
         legal = goals[:, :, LEGAL : LEGAL + 1]
         return situation, embedded, (embedded * legal).sum(1) / legal.sum(1).clamp(min=1.0)

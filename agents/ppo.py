@@ -13,7 +13,7 @@ import tomllib
 import zipfile
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -27,10 +27,17 @@ from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from torch import nn
 
+from agents.association_networks import BranchPolicy
 from agents.base import ActionKind, Info, Observation, legal_goals
 from agents.networks import GoalPolicy, SituationEncoder
 
 FORMAT = "slam_gym policy 1"
+
+Task = Literal["goal", "twist", "branch"]
+"""What a policy decides: goals or twists in Explore-v0, branches of the interpretation tree in Associate-v0."""
+
+_MASKED: dict[str, type[GoalPolicy] | type[BranchPolicy]] = {"goal": GoalPolicy, "branch": BranchPolicy}
+
 HYPERPARAMETERS = Path(__file__).with_name("hyperparameters.toml")
 
 
@@ -54,8 +61,8 @@ class Hyperparameters:
     deterministic: bool
 
 
-def load_hyperparameters(action: ActionKind, path: Path = HYPERPARAMETERS) -> Hyperparameters:
-    """The table `[goal]` or `[twist]` of a TOML file. ValueError names the file and what is wrong in it."""
+def load_hyperparameters(action: Task, path: Path = HYPERPARAMETERS) -> Hyperparameters:
+    """The table `[goal]`, `[twist]` or `[branch]` of a TOML file. ValueError names the file and what is wrong in it."""
     try:
         table = tomllib.loads(path.read_text()).get(action)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -73,32 +80,32 @@ def load_hyperparameters(action: ActionKind, path: Path = HYPERPARAMETERS) -> Hy
 class ModelSpec:
     """What a model file says beside its weights: enough to rebuild the network, and how it was trained."""
 
-    action: ActionKind
+    action: Task
     observation: dict[str, list[int]]  # shape of each entry of the observation; `image` is uint8, the rest float32
-    actions: int  # number of goals, or length of the twist
+    actions: int  # number of goals or branches, or length of the twist
     hyperparameters: dict[str, Any]
     training: dict[str, Any]  # scenario, seed, timesteps, versions …
 
     @classmethod
     def of(
-        cls, env: gym.Env[Any, Any] | Any, action: ActionKind, hyper: Hyperparameters, training: dict[str, Any]
+        cls, env: gym.Env[Any, Any] | Any, action: Task, hyper: Hyperparameters, training: dict[str, Any]
     ) -> ModelSpec:
         shapes = {key: list(space.shape) for key, space in env.observation_space.spaces.items()}
-        actions = int(env.action_space.n) if action == "goal" else int(env.action_space.shape[0])
+        actions = int(env.action_space.n) if action in _MASKED else int(env.action_space.shape[0])
         return cls(action, shapes, actions, asdict(hyper), training)
 
 
-def policy_arguments(action: ActionKind, hyper: Hyperparameters) -> dict[str, Any]:
+def policy_arguments(action: Task, hyper: Hyperparameters) -> dict[str, Any]:
     """Arguments that both the trainer and the loader build the network from."""
-    if action == "goal":
+    if action in _MASKED:
         return {"width": hyper.width, "hidden": hyper.hidden}
     arguments = {"features_extractor_class": SituationEncoder, "features_extractor_kwargs": {"width": hyper.width}}
     return arguments | {"net_arch": {"pi": [hyper.hidden] * 2, "vf": [hyper.hidden] * 2}}
 
 
-def make_algorithm(action: ActionKind, env: Any, hyper: Hyperparameters, seed: int) -> BaseAlgorithm:
+def make_algorithm(action: Task, env: Any, hyper: Hyperparameters, seed: int) -> BaseAlgorithm:
     """A fresh learner on a vectorised environment."""
-    cls, policy = (MaskablePPO, GoalPolicy) if action == "goal" else (PPO, MultiInputActorCriticPolicy)
+    cls, policy = (MaskablePPO, _MASKED[action]) if action in _MASKED else (PPO, MultiInputActorCriticPolicy)
     return cls(
         policy, env, learning_rate=hyper.learning_rate, n_steps=hyper.steps, batch_size=hyper.batch_size,
         n_epochs=hyper.epochs, gamma=hyper.discount, gae_lambda=hyper.gae_lambda, clip_range=hyper.clip_range,
@@ -148,10 +155,23 @@ def build_policy(spec: ModelSpec) -> nn.Module:
     })  # fmt: skip
     hyper = Hyperparameters(**spec.hyperparameters)
     arguments = policy_arguments(spec.action, hyper)
-    if spec.action == "goal":
-        return GoalPolicy(observation, spaces.Discrete(spec.actions), lambda _: hyper.learning_rate, **arguments)
+    if spec.action in _MASKED:
+        return _MASKED[spec.action](
+            observation, spaces.Discrete(spec.actions), lambda _: hyper.learning_rate, **arguments
+        )
     twist = spaces.Box(-1.0, 1.0, (spec.actions,), np.float32)
     return MultiInputActorCriticPolicy(observation, twist, lambda _: hyper.learning_rate, **arguments)
+
+
+def load_policy(path: Path) -> tuple[ModelSpec, Any]:
+    """Spec and network of a model file. ValueError as `read_model`, and where its weights do not fit its spec."""
+    spec, content = read_model(path)
+    try:
+        policy = build_policy(spec)
+        policy.load_state_dict(content["policy"])
+    except (RuntimeError, TypeError, KeyError) as error:
+        raise ValueError(f"model {path}: weights and description do not fit: {str(error).splitlines()[0]}") from error
+    return spec, policy
 
 
 class PolicyAgent:
@@ -170,14 +190,9 @@ class PolicyAgent:
         """From a model file. `trust` reads Stable-Baselines3's .zip as well, which can run code."""
         if trust and path.suffix == ".zip":
             return _load_zip(path)
-        spec, content = read_model(path)
-        try:
-            policy = build_policy(spec)
-            policy.load_state_dict(content["policy"])
-        except (RuntimeError, TypeError, KeyError) as error:
-            raise ValueError(
-                f"model {path}: weights and description do not fit: {str(error).splitlines()[0]}"
-            ) from error
+        spec, policy = load_policy(path)
+        if spec.action == "branch":
+            raise ValueError(f"model {path}: an associator, not a driver")
         return cls(policy, spec.action, deterministic=bool(spec.hyperparameters["deterministic"]))
 
     def reset(self, seed: int) -> None:

@@ -11,10 +11,10 @@ import contextlib
 import multiprocessing
 import signal
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -27,13 +27,15 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from threadpoolctl import threadpool_limits
 
-from agents.base import ActionKind
+from agents.association_models import BestBranch, associate_episode
+from agents.association_setting import AssociationSetting
 from agents.cli import add_world_options, command_line, run_main, setting_of, versions
 from agents.ppo import (
     HYPERPARAMETERS,
     Hyperparameters,
     ModelSpec,
     PolicyAgent,
+    Task,
     load_hyperparameters,
     make_algorithm,
     read_model,
@@ -45,15 +47,22 @@ from slam_gym.metrics.statistics import interquartile_mean
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
 
-EPISODE_END = ("map_error", "coverage")
+EPISODE_END: dict[str, tuple[str, ...]] = {
+    "goal": ("map_error", "coverage"),
+    "twist": ("map_error", "coverage"),
+    "branch": ("score", "map_error"),
+}
+"""What is logged of an episode, from its last `info`, by what the policy decides."""
+
+AnySetting = Setting | AssociationSetting
 
 
-def training_env(setting: Setting, action: ActionKind, reward_scale: float) -> gym.Env[Any, Any]:
+def training_env(setting: Any, action: Task, reward_scale: float) -> gym.Env[Any, Any]:
     """One training environment: true returns are logged, scaled ones are learned from."""
     if multiprocessing.parent_process() is not None:
         threadpool_limits(1)  # BLAS threads on top of the processes would only get in the way
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the trainer, which ends its environments
-    monitored = Monitor(setting.make(action), info_keywords=EPISODE_END)
+    monitored = Monitor(setting.make(action), info_keywords=EPISODE_END[action])
     return gym.wrappers.TransformReward(monitored, partial(_scaled, reward_scale))
 
 
@@ -64,9 +73,7 @@ def _scaled(factor: float, reward: float) -> float:
 class Watch(BaseCallback):
     """Progress bar, the episodes' map error and coverage in the log, checkpoints, and evaluation on held-out worlds."""
 
-    def __init__(
-        self, out: Path, setting: Setting, spec: ModelSpec, every: int, episodes: int, progress: Progress
-    ) -> None:
+    def __init__(self, out: Path, setting: Any, spec: ModelSpec, every: int, episodes: int, progress: Progress) -> None:
         super().__init__()
         self._out, self._spec, self._every, self._episodes = out, spec, every, episodes
         self._env = setting.make(spec.action)
@@ -84,7 +91,7 @@ class Watch(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         episodes = list(self.model.ep_info_buffer or [])
-        for key in EPISODE_END:
+        for key in EPISODE_END[self._spec.action]:
             if episodes:
                 self.logger.record(f"rollout/{key}", float(np.mean([episode[key] for episode in episodes])))
         if self.num_timesteps >= self._next:
@@ -92,22 +99,33 @@ class Watch(BaseCallback):
             self.evaluate()
 
     def evaluate(self) -> None:
-        """Drive the held-out worlds with the present weights; keep them as best.pt if no others did as well."""
+        """Try the present weights on held-out worlds; keep them as best.pt if no others did as well."""
         self.evaluated = self.model.num_timesteps
-        deterministic = bool(self._spec.hyperparameters["deterministic"])
-        agent = PolicyAgent(self.model.policy, self._spec.action, deterministic=deterministic)
-        records = [run_episode(self._env, agent, HELD_OUT + k) for k in range(self._episodes)]
-        scores = {key: float(interquartile_mean(np.array([record[key] for record in records]))) for key in EPISODE_END}
+        records = self.held_out()
+        scores = {
+            key: float(interquartile_mean(np.array([record[key] for record in records])))
+            for key in EPISODE_END[self._spec.action]
+        }
         for key, value in scores.items():
             self.logger.record(f"held_out/{key}", value)
-        score = scores["map_error"]
-        self._progress.console.print(
-            f"{self.model.num_timesteps:>9} decisions: map error {score:.3f} on held-out worlds"
-        )
-        if score < self._best:
-            self._best = score
+        told = ", ".join(f"{key.replace('_', ' ')} {value:.3f}" for key, value in scores.items())
+        self._progress.console.print(f"{self.model.num_timesteps:>9} decisions: {told} on held-out worlds")
+        loss = -scores["score"] if "score" in scores else scores["map_error"]
+        if loss < self._best:
+            self._best = loss
             self.save("best.pt")
         self.save("checkpoint.pt")
+
+    def held_out(self) -> list[dict[str, Any]]:
+        """Figures of an episode on each of the held-out worlds."""
+        if self._spec.action == "branch":
+            return [associate_episode(self._env, BestBranch(self.model.policy), k) for k in self._worlds()]
+        deterministic = bool(self._spec.hyperparameters["deterministic"])
+        agent = PolicyAgent(self.model.policy, self._spec.action, deterministic=deterministic)
+        return [run_episode(self._env, agent, k) for k in self._worlds()]
+
+    def _worlds(self) -> range:
+        return range(HELD_OUT, HELD_OUT + self._episodes)
 
     def save(self, name: str) -> None:
         training = self._spec.training | {"timesteps": self.model.num_timesteps, "best": self._best}
@@ -119,7 +137,7 @@ class Watch(BaseCallback):
 
 
 @contextlib.contextmanager
-def vectorised(setting: Setting, action: ActionKind, hyper: Hyperparameters) -> Iterator[VecEnv]:
+def vectorised(setting: AnySetting, action: Task, hyper: Hyperparameters) -> Iterator[VecEnv]:
     """The training environments, each in a process of its own; ended however the training ends."""
     makers = [partial(training_env, setting, action, hyper.reward_scale)] * hyper.envs
     envs = SubprocVecEnv(makers) if hyper.envs > 1 else DummyVecEnv(makers)
@@ -135,7 +153,7 @@ def vectorised(setting: Setting, action: ActionKind, hyper: Hyperparameters) -> 
 def resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, Any]:
     """Load weights, optimiser and step count of a checkpoint. ValueError where it was trained on something else."""
     spec, content = read_model(path)
-    for name in ("scenario", "associator", "reward", "floor_plan", "seed"):
+    for name in sorted(expected.training.keys() - {"command", "versions", "best", "resolution"}):
         was, now = spec.training.get(name), expected.training.get(name)
         if was != now:
             raise ValueError(f"{path} was trained with {name} {was!r}, not {now!r}")
@@ -149,14 +167,16 @@ def resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, A
 
 
 def train(
-    out: Path, setting: Setting, action: ActionKind, hyper: Hyperparameters, *, seed: int, timesteps: int, command: str,
+    out: Path, setting: AnySetting, action: Task, hyper: Hyperparameters, *, seed: int, timesteps: int, command: str,
     eval_every: int, eval_episodes: int, resumed: bool = False,
 ) -> Path:  # fmt: skip
     """Train up to `timesteps` decisions in all and return the path of the model file. Ctrl-C keeps what was learned."""
     torch.set_num_threads(1)  # the networks are small, and the environments need the other cores
-    held_out = Setting(**(asdict(setting) | {"split": "test"}))
+    held_out = replace(setting, split="test")
     training = asdict(setting) | {"seed": seed, "command": command, "versions": versions()}
-    probe = setting.make(action)  # first alone: faults are reported here, and the inner loops are compiled once
+    probe = cast(Any, setting).make(
+        action
+    )  # first alone: faults are reported here, and the inner loops are compiled once
     probe.reset(seed=seed)
     spec = ModelSpec.of(probe, action, hyper, training)
     probe.close()
