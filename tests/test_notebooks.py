@@ -59,8 +59,8 @@ def row(shown: str, name: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+\.?\d*", line.removeprefix(f"| {name} |"))]
 
 
-def test_both_notebooks_are_there() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["01_quickstart", "02_why_joint_compatibility"]
+def test_all_notebooks_are_there() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["01_quickstart", "02_why_joint_compatibility", "03_locality"]
 
 
 def test_committed_with_their_outputs_and_nothing_of_a_machine(committed: Any) -> None:
@@ -104,3 +104,19 @@ def test_why_joint_compatibility(headless: None) -> None:
     assert nearest[0] >= 103 and 88 <= joint[0] <= 91
     assert nearest[1] >= 10 * joint[1] and joint[3] >= 0.98
     assert nearest[4] > 10 > 2 > joint[4]
+
+
+@pytest.mark.slow
+def test_locality(headless: None) -> None:
+    notebook = executed("03_locality.ipynb")
+    shown = text(notebook)
+    assert not [output for output in outputs(notebook) if output.output_type == "error"]
+    assert pictures(notebook) == 5
+    assert "125 = (4 + 1)³" in shown and "53 = 4 · 3² + 4 · 3 + 4 + 1" in shown and "False" not in shown
+    assert row(shown, "covisibility")[3] < row(shown, "two hops")[3] < 0.5 * row(shown, "everything")[3]
+    for search in ("GCBB", "RS"):  # nodes ∝ n^, pairing tests ∝ n^, each with its interval
+        covisible, everything = row(shown, f"{search}, covisibility"), row(shown, f"{search}, everything")
+        assert covisible[3] < 1.3 < 1.6 < everything[3]
+    pairs = row(shown, "pairs")
+    assert 8.0 < pairs[0] < 16.0 and pairs[3] < 1.0 and pairs[5] == 0.0
+    assert row(shown, "the rule")[3] == 0

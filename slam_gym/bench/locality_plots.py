@@ -58,11 +58,13 @@ def against_map(results: Results) -> Figure:
     figure, axes = _panels(len(names) + 1, 3.9)
     for ax, name in zip(axes, names):
         series(ax, [c for c in cells if c.search == name], lambda c: c.n, "tests")
-        ax.set(title=f"{name}: pairing tests per scan", xscale="log", yscale="log", xlabel="features in the map, $n$")
+        ax.set(title=f"{name}: pairing tests per scan", yscale="log")
+        map_axis(ax, results.size.maps)
         slopes(ax)
     axes[1].sharey(axes[0])
     bounds(axes[-1], reaches, lambda r: r.n, results.m)
-    axes[-1].set(title=f"hypotheses, $m = {results.m}$", xscale="log", xlabel="features in the map, $n$")
+    axes[-1].set_title(f"hypotheses, $m = {results.m}$")
+    map_axis(axes[-1], results.size.maps)
     legend(figure, axes[0])
     return figure
 
@@ -99,6 +101,14 @@ def series(ax: Axes, cells: Sequence[Cell], axis: Callable[[Cell], float], name:
             ax.plot(
                 x[k], cell.mean(name), MARKS[locality], ms=5, mfc=face, mec=COLOURS[locality], label=label, zorder=4
             )
+
+
+def map_axis(ax: Axes, sizes: Sequence[int]) -> None:
+    """A logarithmic axis of map sizes, with ticks at those measured: all, or every other one."""
+    shown = sizes if len(sizes) < 7 else sizes[::2]
+    ax.set(xscale="log", xlabel="features in the map, $n$")
+    ax.set_xticks(shown, [str(n) for n in shown])
+    ax.set_xticks([], minor=True)
 
 
 def slopes(ax: Axes) -> None:
@@ -159,7 +169,8 @@ def losses(reaches: Sequence[Reach]) -> Figure:
             ax.plot(
                 [r.n for r in line], values, MARKS[locality], ls="-", ms=5, lw=1.5, color=COLOURS[locality], label=label
             )
-        ax.set(title=title, xscale="log", xlabel="features in the map, $n$", ylabel="[%]")
+        ax.set(title=title, ylabel="[%]")
+        map_axis(ax, sorted({r.n for r in reaches}))
         ax.set_ylim(-0.02 * max(ax.get_ylim()[1], 10.0), None)
     legend(figure, axes[0])
     return figure
