@@ -39,7 +39,8 @@ class LocalMapSlam:
 
     Arguments:
         spec, associate: as for `Slam`, within each local map.
-        features_per_map: with so many features a map is closed; None: only on demand.
+        features_per_map: with so many features a map is closed; None: only on demand. It should be several times what
+            a scan holds: with no more than that, every step begins a map.
         find: what finds duplicates when maps are joined; by default JCBB at the confidence of `spec.map`.
 
     Raises ValueError for fewer than one feature per map.
