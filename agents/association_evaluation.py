@@ -56,6 +56,11 @@ def shipped() -> list[str]:
     return sorted(ASSOCIATORS, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER) - 2)
 
 
+def short(name: str) -> str:
+    """What to call it in a table: the function of `module:function`, the name of a file."""
+    return (Path(name).name if ":" not in name else name.rpartition(":")[2]).replace("_", " ")
+
+
 @functools.lru_cache
 def find_associator(name: str) -> Callable[..., Hypothesis]:
     """An associator by name, `module:function`, or the file of a learned one. ValueError lists the known names."""

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from agents.association_evaluation import CEILING, values
+from agents.association_evaluation import CEILING, short, values
 from agents.figures import COLOURS, as_png
 from agents.results import Record, estimate
 from slam_gym.metrics.statistics import Interval
@@ -27,7 +27,8 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def capability_bars(numbers: Mapping[str, Mapping[str, Interval]], names: Sequence[str]) -> bytes:
-    """One group of bars per capability, one bar per name with its interval."""
+    """One group of bars per capability, one bar per name with its interval; the ceiling is the line at 1."""
+    names = [name for name in names if name != CEILING] or list(names)
     groups = list(numbers[names[0]])
     figure = Figure(figsize=(10.4, 4.2), dpi=160, layout="constrained")
     axis, colour, width = figure.subplots(), colours(names), 0.84 / len(names)
@@ -35,7 +36,7 @@ def capability_bars(numbers: Mapping[str, Mapping[str, Interval]], names: Sequen
         x = np.arange(len(groups)) - 0.42 + (i + 0.5) * width
         found = [numbers[name][group] for group in groups]
         middle = np.nan_to_num([value.estimate for value in found])
-        axis.bar(x, middle, 0.92 * width, color=colour[name], label=name.replace("_", " "))
+        axis.bar(x, middle, 0.92 * width, color=colour[name], label=short(name))
         for at, value in zip(x, found):
             axis.plot([at, at], [value.low, value.high], color="#1c2733", linewidth=0.9, alpha=0.8)
     axis.set_xticks(range(len(groups)), groups)
@@ -58,7 +59,7 @@ def radar(numbers: Mapping[str, Mapping[str, Interval]], names: Sequence[str]) -
         line, marker = ("--", "") if name == CEILING else ("-", _MARKERS[i % len(_MARKERS)])
         axis.plot(
             np.append(angles, angles[0]), np.append(found, found[0]), line, marker=marker, markersize=4,
-            color=colour[name], linewidth=1.6, label=name.replace("_", " "),
+            color=colour[name], linewidth=1.6, label=short(name),
         )  # fmt: skip
     axis.set_theta_offset(np.pi / 2)  # type: ignore[attr-defined]
     axis.set_theta_direction(-1)  # type: ignore[attr-defined]
@@ -82,7 +83,7 @@ def sweep(curves: Mapping[str, tuple[Array, list[Interval]]], label: str, names:
         middle = [value.estimate for value in found]
         axis.plot(
             x, middle, "--" if dashed else "-", marker="" if dashed else _MARKERS[i % len(_MARKERS)], markersize=5,
-            color=colour[name], linewidth=1.9, label=name.replace("_", " "),
+            color=colour[name], linewidth=1.9, label=short(name),
         )  # fmt: skip
         low, high = [value.low for value in found], [value.high for value in found]
         axis.fill_between(x, low, high, color=colour[name], alpha=0.13, linewidth=0)
@@ -115,7 +116,7 @@ def outcomes(counts: Mapping[str, Mapping[str, int]], names: Sequence[str]) -> b
         axis.set_xticks([])
         axis.spines[["left", "bottom"]].set_visible(False)
         axis.tick_params(axis="y", length=0)
-    axes[0].set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+    axes[0].set_yticks(range(len(names)), [short(name) for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
     return as_png(figure)
 
@@ -132,8 +133,15 @@ def drives_chart(records: Sequence[Record], names: Sequence[str]) -> bytes:
         axis.set_xlabel(label)
         axis.grid(visible=False, axis="y")
         axis.xaxis.set_major_locator(MaxNLocator(4))
-    axes[-1].set_xscale("log")
-    axes[0].set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+    times = values(records, names[0], None, "microseconds")[0]
+    for name in names[1:]:
+        times = np.append(times, values(records, name, None, "microseconds")[0])
+    if np.isfinite(times).any():
+        axes[-1].set_xscale("log")
+        decades = np.log10([np.nanmin(times), np.nanmax(times)])
+        axes[-1].set_xlim(10.0 ** np.floor(decades[0]), 10.0 ** np.ceil(decades[1] + 1e-9))
+        axes[-1].xaxis.set_minor_formatter(NullFormatter())
+    axes[0].set_yticks(range(len(names)), [short(name) for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
     return as_png(figure)
 

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from agents.association_drives import columns_for
-from agents.association_evaluation import CEILING, key_of, paired, row
+from agents.association_evaluation import CEILING, key_of, paired, row, short
 from agents.association_figures import colours, drives_chart
 from agents.report import TEMPLATE
 from agents.results import Column, Journal, Record, cell
 from slam_gym.metrics.statistics import Interval
 
 _STYLE = re.findall(r"<style>.*?</style>", TEMPLATE.read_text(encoding="utf-8"), re.DOTALL)[0]
+_WIDE = "<style>main { max-width: 1240px } th, td { padding: 7px 8px }</style>"
 _WORDS = """<p class="soft">Interquartile mean over episodes, 95&nbsp;% bootstrap interval below it. Bold: the best of
 the column, and all whose interval overlaps with it; true association, which nothing could know, is left out of that.
 </p><p class="soft"><b>Precision</b>: of the pairings, those with the right feature. <b>Recall</b>: of the measurements
@@ -60,7 +61,7 @@ def write_report(folder: Path, names: Sequence[str], settings: Sequence[str]) ->
         f"{fixed['split']} worlds and seeds for every associator{unfinished(results)}"
     )
     path = folder / "report.html"
-    path.write_text(page("Associators in the loop", subtitle, "\n".join(body)), encoding="utf-8")
+    path.write_text(page("Associators in the loop", subtitle, "\n".join([_WIDE, *body])), encoding="utf-8")
     return path
 
 
@@ -94,7 +95,7 @@ def provenance(results: dict[str, Any]) -> str:
 def label(names: Sequence[str], name: str) -> str:
     """A name with its dot of colour."""
     colour = colours(names).get(name, "#1c2733")
-    return f'<span class="dot" style="background:{colour}"></span>{html.escape(name.replace("_", " "))}'
+    return f'<span class="dot" style="background:{colour}"></span>{html.escape(short(name))}'
 
 
 def header(titles: Sequence[str]) -> str:
@@ -127,7 +128,7 @@ def _table(records: Sequence[Record], names: Sequence[str]) -> str:
         cells = [interval_cell(rows[name][c.key], c.digits, name in best[c.key]) for c in columns]
         lines.append(f"<tr><td>{label(names, name)}</td>{''.join(cells)}</tr>")
     limits = {name: sum(r["limits"] for r in records if r["associator"] == name and r["limits"] > 0) for name in names}
-    hit = [f"{name.replace('_', ' ')} in {count:.0f} scans" for name, count in limits.items() if count]
+    hit = [f"{short(name)} in {count:.0f} scans" for name, count in limits.items() if count]
     note = f'<p class="soft">Node limit met: {html.escape(", ".join(hit))}.</p>' if hit else ""
     return f'<div class="card"><table>{"".join(lines)}</table></div>{note}'
 
@@ -139,11 +140,16 @@ def _pairs(records: Sequence[Record], names: Sequence[str]) -> str:
     if not others:
         return ""
     columns = (Column("f1", "F1", 3, "higher"), Column("exact", "exact", 3), Column("map_error", "map error", 3))
-    lines = [header([f"… minus {reference}", *(column.title for column in columns)])]
+    lines = [header([f"… minus {short(reference)}", *(column.title for column in columns)])]
     for name in others:
-        found = [paired(records, name, reference, column.key) for column in columns]
+        found = [_rounded(paired(records, name, reference, column.key)) for column in columns]
         cells = [interval_cell(value, 3, value.low > 0.0 or value.high < 0.0) for value in found]
         lines.append(f"<tr><td>{label(names, name)}</td>{''.join(cells).replace('-', '−')}</tr>")
     note = "Paired over the episodes of all scenarios. Bold: the interval excludes 0."
     body = f'<div class="card"><table>{"".join(lines)}</table></div><p class="soft">{note}</p>'
-    return f"<h2>Against {html.escape(reference)}</h2>{body}"
+    return f"<h2>Against {html.escape(short(reference))}</h2>{body}"
+
+
+def _rounded(value: Interval) -> Interval:
+    """To three digits, without a negative zero."""
+    return Interval(*(round(number, 3) + 0.0 for number in (value.estimate, value.low, value.high)))

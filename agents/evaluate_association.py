@@ -19,13 +19,13 @@ from rich.table import Table
 
 from agents.association_drives import Course, columns_for, drives
 from agents.association_drives import tables as drive_tables
-from agents.association_evaluation import ORDER, carry_out, row, shipped
+from agents.association_evaluation import ORDER, carry_out, row, shipped, short
 from agents.base import AGENTS
 from agents.cli import CHECKOUT, command_line, run_main
 from agents.parallel import BACKENDS
 from agents.results import Record, cell
 from agents.suite import EXPERIMENTS, RELOCATION
-from agents.suite_run import by_world, capabilities, names_of, number, over_all, ranked, worlds
+from agents.suite_run import OUTCOMES, by_world, capabilities, names_of, number, over_all, ranked, worlds
 from agents.suite_run import tables as suite_tables
 from slam_gym.association import RELOCATORS
 from slam_gym.metrics.statistics import Interval
@@ -109,8 +109,13 @@ def run_suite(a: argparse.Namespace, out: Path, common: dict[str, Any], console:
         }
         show(rows, [(e, 3) for e in [*shown, "all"]], f"association suite, {about}", console)
     if found := names_of(records, relocators=True):
-        rows = {name: [number(by_world(records, name, RELOCATION))] for name in found}
-        show(rows, [(RELOCATION, 3)], f"searches without a prior, {about}", console)
+        relocation = suite_tables(records)["relocation"]
+        rows = {
+            name: [relocation[name][RELOCATION], *(Interval(*[float(relocation[name][o])] * 3) for o in OUTCOMES)]
+            for name in found
+        }
+        columns = [("score", 3), *((outcome, 0) for outcome in OUTCOMES)]
+        show(rows, columns, f"kidnapped: searches without a prior, {about}", console)
     from agents.suite_report import write_report
 
     console.print(f"report: {write_report(out)}", soft_wrap=True)
@@ -127,7 +132,7 @@ def show(rows: dict[str, list[Interval]], columns: Sequence[tuple[str, int]], ti
         shown.add_column(columns[k][0], justify="right", no_wrap=True)
     for name, values in rows.items():
         cells = [_two_lines(values[k], *columns[k], narrow) for k in kept]
-        shown.add_row(name.rpartition(":")[2].replace("_", " "), *cells)
+        shown.add_row(short(name), *cells)
     console.print(shown)
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from agents.association_evaluation import CEILING
+from agents.association_evaluation import CEILING, short
 from agents.association_figures import capability_bars, outcomes, radar, sweep
 from agents.association_report import (
     best_of,
@@ -40,7 +40,7 @@ ABOUT = {
     "singles": "pairs only where measurement and feature have no other candidate.",
     "one_point_ransac": "lets single pairings vote for a pose, and keeps what agrees with the best of them.",
     "jcbb": "searches for the largest set of pairings whose innovations agree with each other.",
-    "ipjc": "does the same, but tests after moving the pose to where the pairings put it.",
+    "ipjc": "searches as JCBB does, but tests a set after moving the pose to where it puts the robot.",
     "map_hypothesis": "searches for the most probable set, in which a pairing must be likelier than clutter.",
     CEILING: "is told the truth: the ceiling.",
 }
@@ -68,7 +68,9 @@ def write_report(folder: Path) -> Path:
         body += ["<h2>Capabilities</h2>", _table(records, order), _WORDS, picture(bars, "score per capability")]
         if len(capabilities(records)) > 2:
             (folder / "radar.png").write_bytes(star := radar(numbers, order))
-            body.append(picture(star, "the same as a radar plot").replace("<img", '<img style="max-width:680px"'))
+            body.append(
+                picture(star, "the same as a radar plot").replace("<img", '<img style="max-width:680px; margin:auto"')
+            )
         body.append(_reasons(records, order))
         body += [_experiment(records, name, order) for name in capabilities(records)]
     if names_of(records, relocators=True):
@@ -106,7 +108,7 @@ def _reason(records: Sequence[Record], name: str, after: str | None) -> str:
     shown = capabilities(records)
     mean = number(over_all(records, name, shown)).estimate
     about = ABOUT.get(name, "is an associator of your own.")
-    text = f"<b>{html.escape(name.replace('_', ' '))}</b> ({mean:.2f}) {about} "
+    text = f"<b>{html.escape(short(name))}</b> ({mean:.2f}) {about} "
     if name != CEILING:
         spoiled, refused = (number(over_all(records, name, shown, key)).estimate for key in ("spoiled", "refused"))
         scores = {e: number(by_world(records, name, e)).estimate for e in shown}
@@ -126,7 +128,7 @@ def _against(records: Sequence[Record], name: str, after: str) -> str:
     shown = capabilities(records)
     ahead = difference(over_all(records, name, shown), over_all(records, after, shown))
     said = f"{ahead.estimate:+.3f} [{ahead.low:+.3f}, {ahead.high:+.3f}]".replace("-", "−")
-    other = html.escape(after.replace("_", " "))
+    other = html.escape(short(after))
     if not ahead.low > 0.0:
         return f"Not told apart from {other} on the same scans: {said}."
     each = {e: difference(by_world(records, name, e), by_world(records, after, e)) for e in shown}
