@@ -85,32 +85,31 @@ def legal(
 
 
 @compiled
-def support(
+def outlook(
     offered: IntArray, first: int, slots: IntArray, measured: IntArray, covariance: Array, w: Array, error: Array,
-    schur: Array, taken: BoolArray, p: int, distance: float, gate: float,
-) -> IntArray:  # fmt: skip
-    """Levels from candidate `first` on that could be paired right after each of `offered`, (k,)."""
-    counts = np.zeros(len(offered), np.int64)
+    schur: Array, total: Array, taken: BoolArray, p: int, distance: float, gates: Array,
+) -> tuple[IntArray, IntArray, int, int]:  # fmt: skip
+    """What lies beyond the level at hand, whose successors' candidates begin with `first`.
+
+    By candidate of `offered` (k,): levels that could be paired right after it; later candidates of the same feature.
+    Then the levels that could be paired next if it is none of them, and the levels that have a candidate at all.
+    """
+    supported, rivals = np.zeros(len(offered), np.int64), np.zeros(len(offered), np.int64)
+    after, none = gates[min(p + 2, len(gates) - 1)], gates[min(p + 1, len(gates) - 1)]
     for k in range(len(offered)):
         a = offered[k]
-        before = distance + _mahalanobis(error[a, 0], error[a, 1], schur[a, 0], schur[a, 1], schur[a, 2])
         counted = NONE
         for c in range(first, len(slots)):
+            rivals[k] += slots[c] == slots[a]
             if measured[c] == counted or taken[slots[c]] or slots[c] == slots[a]:
                 continue
             _, _, _, _, x, y, xx, xy, yy = _given(a, c, p, slots, covariance, w, error, schur)
-            if before + _mahalanobis(x, y, xx, xy, yy) < gate:
-                counts[k], counted = counts[k] + 1, measured[c]
-    return counts
-
-
-@compiled
-def levels_within(
-    first: int, slots: IntArray, measured: IntArray, total: Array, taken: BoolArray, distance: float, gate: float
-) -> int:
-    """Levels from candidate `first` on with a candidate whose feature is free and whose D² is within the gate."""
-    count, counted = 0, NONE
+            if distance + total[a] + _mahalanobis(x, y, xx, xy, yy) < after:
+                supported[k], counted = supported[k] + 1, measured[c]
+    left, without, seen, counted = 0, 0, NONE, NONE
     for c in range(first, len(slots)):
-        if measured[c] != counted and not taken[slots[c]] and distance + total[c] < gate:
-            count, counted = count + 1, measured[c]
-    return count
+        if measured[c] != seen:
+            left, seen = left + 1, measured[c]
+        if measured[c] != counted and not taken[slots[c]] and distance + total[c] < none:
+            without, counted = without + 1, measured[c]
+    return supported, rivals, without, left

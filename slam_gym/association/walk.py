@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym.association.compatibility import Candidates, individual
-from slam_gym.association.conditioning import condition, legal, levels_within, support, unconditioned
+from slam_gym.association.conditioning import condition, legal, outlook, unconditioned
 from slam_gym.association.tree import as_hypothesis, interpretation_tree
 from slam_gym.association.walk_observation import Observation, encode
 from slam_gym.types import NONE, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
@@ -132,28 +132,16 @@ class Walk:
         effort = Effort(self.level, self.candidates.tests, self._tests)
         return as_hypothesis(self.tree.prediction, self.decided, self.distance, effort)
 
-    def support(self) -> tuple[IntArray, int, int]:
-        """Levels that could be paired next if each of those on offer (k,) is taken; likewise if none is; levels left.
+    def outlook(self) -> tuple[IntArray, IntArray, int, int]:
+        """See `conditioning.outlook`: support and rivals (k,) of those on offer, support of none of them, levels left.
 
-        A level counts among those left if it has a candidate at all.
+        A feature that is taken supports nothing, and only what would be jointly compatible does.
         """
         first = int(self.candidates.starts[self.level + 1])
-        gate = self.tree.gates[min(self.pairings + 2, self.tree.levels)]
-        supported = support(
+        return outlook(
             self.offered, first, self.tree.slots, self.candidates.measured, self.tree.covariance, self._w, self._error,
-            self._schur, self._taken, self.pairings, self.distance, gate,
+            self._schur, self._total, self._taken, self.pairings, self.distance, self.tree.gates,
         )  # fmt: skip
-        alone = self.tree.gates[min(self.pairings + 1, self.tree.levels)]
-        without = levels_within(
-            first, self.tree.slots, self.candidates.measured, self._total, self._taken, self.distance, alone
-        )
-        return supported, without, levels_within(first, *self._all())
-
-    def rivals(self) -> IntArray:
-        """(k,) later measurements that could be paired with the same feature as each of those on offer."""
-        later = self.tree.slots[self.candidates.starts[self.level + 1] :]
-        out: IntArray = (later[None, :] == self.tree.slots[self.offered][:, None]).sum(axis=1)
-        return out
 
     @property
     def path(self) -> IntArray:
@@ -167,10 +155,6 @@ class Walk:
                 raise ValueError("the prediction has no locality")
             self._local = self.tree.prediction.locality.among(self.tree.rows)
         return self._local
-
-    def _all(self) -> tuple[IntArray, IntArray, Array, BoolArray, float, float]:
-        nothing = np.zeros_like(self._taken)
-        return self.tree.slots, self.candidates.measured, self.candidates.distances, nothing, 0.0, math.inf
 
     def _pair(self, c: int) -> None:
         self.chosen[self.level] = self._path[self.pairings] = c

@@ -58,7 +58,7 @@ POSITION_SCALE, SIGMA_SCALE, INNOVATION_SCALE, SIZE_SCALE = 6.0, 0.1, 0.3, 1.0  
 AGE_SCALE = 50.0  # [steps]
 COUNT_SCALE, FEW_SCALE = 10.0, 3.0
 
-_ALL_LOCAL = np.empty((0, 0), np.bool_)
+_ALL_LOCAL, _ALL_NEAR, _NO_AGES = np.empty((0, 0), np.bool_), np.empty(0, np.bool_), np.empty(0, np.int64)
 
 
 def lengths(candidates: int) -> dict[str, int]:
@@ -80,11 +80,11 @@ def encode(walk: Walk) -> Observation:
     """The observation of a walk; that of `nothing` where it is done."""
     if walk.done:
         return nothing(walk.K)
-    tree, offered = walk.tree, walk.offered
+    tree, offered, path = walk.tree, walk.offered, walk.path
     scan, prediction, i = tree.scan, tree.prediction, walk.measurement
-    support, without, left = walk.support()
-    path = walk.path
-    locality = prediction.locality
+    locality, ages = prediction.locality, prediction.ages
+    support, rivals, without, left = walk.outlook()
+    starts, level = walk.candidates.starts, walk.level
     candidates = _candidates(
         walk.K,
         walk.rows,
@@ -92,53 +92,57 @@ def encode(walk: Walk) -> Observation:
         tree.slots[path],
         prediction.positions,
         walk.candidates.innovations[offered],
-        walk.individual_distances / (walk.individual_distances + tree.gates[1]),
-        _by_gate(walk.joint_distances, float(tree.gates[walk.pairings + 1])),
+        walk.individual_distances,
+        walk.joint_distances,
+        tree.gates[1],
+        tree.gates[walk.pairings + 1],
         scan.sizes[i],
         scan.size_variances[i],
         prediction.sizes,
         prediction.size_variances,
         _ALL_LOCAL if locality is None else walk.local(),
-        np.ones(len(prediction), np.bool_) if locality is None else locality.near,
-        np.zeros(len(prediction), np.int64) if prediction.ages is None else prediction.ages,
-        support / max(left, 1),
-        walk.rivals(),
+        _ALL_NEAR if locality is None else locality.near,
+        _NO_AGES if ages is None else ages,
+        support,
+        rivals,
+        left,
     )
+    compatible = starts[level + 1] - starts[level]
     return {
         "measurement": _measurement(scan.points[i], scan.covariances[i], scan.sizes[i]),
         "candidates": candidates,
-        "path": _path(walk, without, left),
+        "path": _path(
+            level, tree.levels, walk.pairings, walk.distance, tree.gates, compatible, walk.hidden, without, left
+        ),
         "pairings": _pairings(scan.points, walk.candidates.measured[path], walk.candidates.innovations[path]),
     }
-
-
-def _by_gate(distances: Array, gate: float) -> Array:
-    out: Array = np.where(np.isfinite(distances), distances / (distances + gate), 1.0)
-    return out
-
-
-def _path(walk: Walk, without: int, left: int) -> NDArray[np.float32]:
-    p, level, starts = walk.pairings, walk.level, walk.candidates.starts
-    compatible = int(starts[level + 1] - starts[level])
-    gate = float(walk.tree.gates[p]) if p else 1.0
-    return np.array(
-        [
-            level / walk.tree.levels,
-            left / (left + COUNT_SCALE),
-            p / (p + COUNT_SCALE),
-            p / max(level, 1),
-            walk.distance / (walk.distance + gate),
-            compatible / (compatible + FEW_SCALE),
-            walk.hidden / (walk.hidden + FEW_SCALE),
-            without / max(left, 1),
-        ],
-        np.float32,
-    )
 
 
 @compiled
 def _squash(value: float, scale: float) -> float:
     return value / (abs(value) + scale)
+
+
+@compiled
+def _path(
+    level: int,
+    levels: int,
+    p: int,
+    distance: float,
+    gates: Array,
+    compatible: int,
+    hidden: int,
+    without: int,
+    left: int,
+) -> NDArray[np.float32]:
+    """`PATH_FIELDS`."""
+    out = np.zeros(8, np.float32)
+    out[0], out[1], out[2] = level / levels, left / (left + COUNT_SCALE), p / (p + COUNT_SCALE)
+    out[3] = p / max(level, 1)
+    out[4] = distance / (distance + gates[p]) if p > 0 else 0.0
+    out[5], out[6] = compatible / (compatible + FEW_SCALE), hidden / (hidden + FEW_SCALE)
+    out[7] = without / max(left, 1)
+    return out
 
 
 @compiled
@@ -163,6 +167,8 @@ def _candidates(
     innovations: Array,
     individual: Array,
     joint: Array,
+    gate: float,
+    joint_gate: float,
     size: float,
     variance: float,
     sizes: Array,
@@ -170,17 +176,18 @@ def _candidates(
     local: BoolArray,
     near: BoolArray,
     ages: IntArray,
-    support: Array,
+    support: IntArray,
     rivals: IntArray,
+    left: int,
 ) -> NDArray[np.float32]:
-    """`CANDIDATE_FIELDS` of k candidates; `path` (p,) are the slots paired so far, an empty `local` stands for all."""
+    """`CANDIDATE_FIELDS` of k candidates; `path` (p,) are the slots paired so far; empty `local`, `near` mean all."""
     out = np.zeros((K, 13), np.float32)
     for k in range(len(rows)):
         j, row = rows[k], out[k]
         row[0] = 1.0
         row[1], row[2] = _squash(positions[j, 0], POSITION_SCALE), _squash(positions[j, 1], POSITION_SCALE)
         row[3], row[4] = _squash(innovations[k, 0], INNOVATION_SCALE), _squash(innovations[k, 1], INNOVATION_SCALE)
-        row[5], row[6] = individual[k], joint[k]
+        row[5], row[6] = individual[k] / (individual[k] + gate), joint[k] / (joint[k] + joint_gate)
         difference = size - sizes[j]
         row[7] = _squash(difference * difference / (variance + variances[j]), 1.0)
         if math.isnan(row[7]):
@@ -189,9 +196,9 @@ def _candidates(
         for q in range(len(path)):
             covisible += 1 if len(local) == 0 or local[slots[k], path[q]] else 0
         row[8] = covisible / max(len(path), 1)
-        row[9] = 1.0 if near[j] else 0.0
-        row[10] = _squash(float(ages[j]), AGE_SCALE)
-        row[11], row[12] = support[k], _squash(float(rivals[k]), FEW_SCALE)
+        row[9] = 1.0 if len(near) == 0 or near[j] else 0.0
+        row[10] = 0.0 if len(ages) == 0 else _squash(float(ages[j]), AGE_SCALE)
+        row[11], row[12] = support[k] / max(left, 1), _squash(float(rivals[k]), FEW_SCALE)
     return out.ravel()
 
 
