@@ -7,7 +7,7 @@ import numpy as np
 from slam_gym.types import NONE, BoolArray, Hypothesis, Prediction
 
 _SURE, _PERHAPS = 0.5, 0.1  # visibility from which a feature is expected; and from which, if it was paired last
-_REGAINED = 2.0  # tracking is regained at so many times the share below which it was lost
+_REGAINED = 2.0  # to be regained, it takes so many times what must be paired and there to be believed before
 _MOST = 0.5  # share of the measurements that speaks for the pose, whatever else should be in view
 
 
@@ -39,7 +39,7 @@ class Tracking:
     def doubts(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
         """Whether the scan paired too little to be learned from; `established` (k,) rows of the prediction.
 
-        Once lost, it takes a share twice as large to be believed again, for some pairings come about by chance.
+        Once lost, it takes twice the share, and twice as many, to be believed again: chance pairs some now and then.
         """
         known = set(prediction.features[established].tolist())
         expected = set(prediction.features[established & self._in_view(prediction)].tolist())
@@ -47,7 +47,7 @@ class Tracking:
         measured, share = len(hypothesis.features), self.collapse * (_REGAINED if self.lost else 1.0)
         missing = len(expected) >= self.least and len(expected & paired) < share * len(expected)
         strange = min(measured, len(known & self._last_paired)) >= self.least and len(paired) < share * measured
-        unsure = self.lost and len(expected) < self.least
+        unsure = self.lost and len(expected & paired) < _REGAINED * self.least
         if (missing and len(paired) < _MOST * measured) or strange or unsure:
             self.doubted += 1
             return True
