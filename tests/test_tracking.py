@@ -69,7 +69,7 @@ def test_lost_after_so_many_in_a_row_and_found_only_by_a_larger_share() -> None:
         tracking.doubts(in_view, paired(0), EVERY)
     assert tracking.lost
     assert tracking.doubts(in_view, paired(3), EVERY) and tracking.lost  # that many pair by chance now and then
-    assert not tracking.doubts(in_view, paired(6), EVERY) and not tracking.lost
+    assert not tracking.doubts(in_view, paired(8), EVERY) and not tracking.lost
 
 
 def test_a_lost_robot_stays_lost_where_nothing_is_expected() -> None:
