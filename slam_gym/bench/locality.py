@@ -27,12 +27,11 @@ from slam_gym.association.random_sampling import random_sampling
 from slam_gym.bench import locality_tracking
 from slam_gym.bench.locality_acceptance import Outcome, gather, outcomes
 from slam_gym.bench.locality_bound import verify
-from slam_gym.bench.locality_sweep import MEASURES, Cell, Plan, Reach, sweep
+from slam_gym.bench.locality_sweep import MEASURES, Cell, Plan, Reach, as_it_came, sweep
 from slam_gym.bench.locality_tables import JUDGED, Results, Size, show, tables
-from slam_gym.bench.locality_worlds import LOCALITIES
+from slam_gym.bench.locality_worlds import LOCALITIES, from_centre
 from slam_gym.types import Relocator
 
-GATES = (0.95, 0.99)
 SEARCHED = tuple(name for name in LOCALITIES if name != "joined maps")  # its loss is shown; nobody would search it
 
 
@@ -62,13 +61,18 @@ def effort_against_measurements(size: Size, seed: int) -> tuple[list[Cell], list
     return sweep(plan, [(size.fixed, k) for k in m], lambda _, a, b: 1.7 ** (m[b] - m[a]))
 
 
-def effect_of_gates(size: Size, m: int, seed: int) -> list[tuple[float, Cell]]:
-    """GCBB with gates of .95 and .99 on the same scans, with all features and among covisible ones."""
+def effect_of_settings(size: Size, m: int, seed: int) -> list[tuple[str, Cell]]:
+    """Gates of .95 and .99, and measurements taken from the centre of the scan outwards, on the same scans."""
     out = []
-    for confidence in GATES:
-        plan = Plan(searches(confidence), ("covisibility", "two hops", "everything"), size.scans, seed, size.tests)
+    for label, confidence, arrange in (
+        ("gates of .95", 0.95, as_it_came),
+        ("gates of .99", 0.99, as_it_came),
+        ("from the centre", 0.99, from_centre),
+    ):
+        names, scans = ("covisibility", "two hops", "everything"), 4 * size.scans
+        plan = Plan(searches(confidence), names, scans, seed, size.tests, arrange=arrange)
         cells, _ = sweep(plan, [(size.fixed, m)], lambda *_: 1.0)
-        out += [(confidence, cell) for cell in cells]
+        out += [(label, cell) for cell in cells]
     return out
 
 
@@ -89,7 +93,7 @@ def run(size: Size, m: int = 8, seed: int = 0) -> Results:
         ("bound", lambda: verify(np.random.default_rng(seed))),
         ("maps", lambda: effort_against_map(size, m, seed)),
         ("measurements", lambda: effort_against_measurements(size, seed)),
-        ("gates", lambda: effect_of_gates(size, m, seed)),
+        ("settings", lambda: effect_of_settings(size, m, seed)),
         ("answers", lambda: judge(size, seed)),
     ):
         start = time.perf_counter()
@@ -112,7 +116,7 @@ def write(results: Results, folder: Path) -> None:
         ("localities_by_m", [asdict(reach) for reach in results.measurements[1]]),
         ("map_size", [_row(cell) for cell in results.maps[0]]),
         ("measurements", [_row(cell) for cell in results.measurements[0]]),
-        ("gates", [{"gate": gate, **_row(cell)} for gate, cell in results.gates]),
+        ("settings", [{"setting": label, **_row(cell)} for label, cell in results.settings]),
         ("answers", [{"search": s, "m": m, **asdict(o)} for (s, m), found in results.answers.items() for o in found]),
     ):
         with (folder / f"{title}.csv").open("w", newline="", encoding="utf-8") as file:

@@ -86,6 +86,11 @@ class Reach:
     anyhow: float
 
 
+def as_it_came(look: Look) -> Look:
+    """The scan with its measurements in the order in which they came."""
+    return look
+
+
 @dataclass(frozen=True)
 class Plan:
     """What to run at each point of a sweep."""
@@ -96,6 +101,7 @@ class Plan:
     seed: int
     tests: float  # pairing tests per cell; where more are to be expected, it gets fewer scans
     least: int = 3  # scans: where fewer can be afforded, the series ends
+    arrange: Callable[[Look], Look] = as_it_came  # what to do with the measurements of a scan
 
 
 Key = tuple[str, str]
@@ -132,7 +138,7 @@ def point(plan: Plan, n: int, m: int, scans: dict[Key, int]) -> tuple[list[Cell]
     for number in range(maps):
         rng = np.random.default_rng([plan.seed, n, m, number])
         area = mapped_field(n, rng)
-        looks = [inside(area, m, m // 4, rng) for _ in range(number, plan.scans, maps)]
+        looks = [plan.arrange(inside(area, m, m // 4, rng)) for _ in range(number, plan.scans, maps)]
         for name in LOCALITIES:
             locality = area.locality(name)
             reaches.append(_reach(name, n, m, locality, looks))

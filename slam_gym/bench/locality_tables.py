@@ -45,7 +45,7 @@ class Results:
     bound: list[dict[str, Any]] = field(default_factory=list)
     maps: tuple[list[Cell], list[Reach]] = ([], [])
     measurements: tuple[list[Cell], list[Reach]] = ([], [])
-    gates: list[tuple[float, Cell]] = field(default_factory=list)
+    settings: list[tuple[str, Cell]] = field(default_factory=list)
     answers: dict[tuple[str, int], list[Outcome]] = field(default_factory=dict)
 
 
@@ -63,7 +63,10 @@ def tables(results: Results) -> list[tuple[str, list[str], list[list[str]]]]:
         (f"Exponents in n, from n = {LARGE}, with 95 % intervals", *_exponents(cells, reaches, results.m)),
         (f"Effort against the number of measurements, n = {results.size.fixed}", *_effort_table(more)),
         ("Growth in m", *_growth(more, further)),
-        (f"Gates, n = {results.size.fixed}, m = {results.m}, GCBB", *_gates_table(results.gates)),
+        (
+            f"Gates, and the order of measurements, n = {results.size.fixed}, m = {results.m}",
+            *_settings_table(results.settings),
+        ),
         (f"Answers by the least number of pairings, n = 400, {JUDGED}", *_answers_table(results.answers)),
     ]
 
@@ -154,13 +157,16 @@ def _growth(cells: list[Cell], reaches: list[Reach]) -> Table:
     return ["search", "locality", "m", "nodes / N_h, factor per measurement", "tests, factor", "exponent in m"], rows
 
 
-def _gates_table(rows: list[tuple[float, Cell]]) -> Table:
+def _settings_table(rows: list[tuple[str, Cell]]) -> Table:
     shown = [
-        [f"{g:.2f}", c.locality, str(len(c)), f"{c.mean('tests'):.3g}", f"{c.recall:.2f}", f"{c.whole:.2f}"]
-        for g, c in rows
-        if c.search == "GCBB"
+        [
+            *(c.search, label, c.locality, str(len(c)), f"{c.mean('nodes'):.0f}", f"{c.mean('tests'):.3g}"),
+            *(f"{np.median(c.array('ms')):.2f}", f"{c.recall:.2f}", f"{c.whole:.2f}", f"{c.mean('accepted'):.2f}"),
+        ]
+        for label, c in sorted(rows, key=lambda row: (row[1].search, LOCALITIES.index(row[1].locality)))
     ]
-    return ["gate", "locality", "scans", "pairing tests", "pairings found", "all found"], shown
+    columns = ["search", "setting", "locality", "scans", "nodes", "pairing tests", "median ms"]
+    return [*columns, "pairings found", "all found", "accepted"], shown
 
 
 def _answers_table(answers: dict[tuple[str, int], list[Outcome]]) -> Table:

@@ -140,6 +140,14 @@ def outside(field: Field, m: int, rng: np.random.Generator) -> Look:
     return Look(_measured(_half_disc(m, field, rng), field.spec, rng), np.full(m, NONE), np.full(3, np.nan))
 
 
+def from_centre(look: Look) -> Look:
+    """The same scan with its measurements sorted by their distance from its centre."""
+    scan = look.scan
+    order = np.argsort(np.hypot(*(scan.points - scan.points.mean(axis=0)).T), kind="stable")
+    sizes, variances = scan.sizes[order], scan.size_variances[order]
+    return Look(Scan(scan.points[order], scan.covariances[order], sizes, variances), look.truth[order], look.pose)
+
+
 def _pass(side: float, spec: FieldSpec) -> tuple[Array, Array]:
     """Poses (k, 3) of the lawn-mower pass, and the arc length [m] of each, (k,)."""
     lanes = max(1, math.ceil(side / spec.lane))

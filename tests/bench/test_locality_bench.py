@@ -15,7 +15,7 @@ from slam_gym.bench.locality_acceptance import RULE, Outcome, outcomes, share
 from slam_gym.bench.locality_bound import bound, enumerate_hypotheses, exact_bound, hypotheses, verify
 from slam_gym.bench.locality_sweep import Cell, Plan, growth, out_of_reach, power, sweep
 from slam_gym.bench.locality_tables import Size
-from slam_gym.bench.locality_worlds import LOCALITIES, FieldSpec, inside, mapped_field, outside
+from slam_gym.bench.locality_worlds import LOCALITIES, FieldSpec, from_centre, inside, mapped_field, outside
 from slam_gym.geometry import observe
 from slam_gym.mapping.locality import locality_sizes
 from slam_gym.types import NONE, Locality
@@ -182,6 +182,21 @@ def test_losses_are_those_of_the_first_pairing_and_none_where_all_is_local():
     assert lost["covisibility"]["anyhow"] == pytest.approx(1.0 - anyhow / len(looks))
 
 
+def test_from_the_centre_out_a_scan_is_the_same_and_loses_less():
+    rng = np.random.default_rng(8)
+    area = mapped_field(400, rng)
+    looks = [inside(area, 8, 2, rng) for _ in range(100)]
+    sorted_ = [from_centre(look) for look in looks]
+    for before, after in zip(looks, sorted_):
+        away = np.hypot(*(after.scan.points - after.scan.points.mean(axis=0)).T)
+        assert (np.diff(away) >= 0.0).all()
+        told = {(*p, *R.ravel(), t) for p, R, t in zip(before.scan.points, before.scan.covariances, before.truth)}
+        assert told == {(*p, *R.ravel(), t) for p, R, t in zip(after.scan.points, after.scan.covariances, after.truth)}
+    locality = area.locality("covisibility")
+    assert out_of_reach(sorted_, locality)["pairings"] < 0.7 * out_of_reach(looks, locality)["pairings"]
+    assert out_of_reach(sorted_, locality)["pairs"] == out_of_reach(looks, locality)["pairs"]
+
+
 def test_localities_do_not_grow_with_the_map():
     """The mean |L(j)|, the c that makes the bound linear, rises towards that of a map without edges."""
     for name in ("covisibility", "two hops", "within 2r", "local maps", "joined maps"):
@@ -309,7 +324,7 @@ def test_the_command_prints_its_tables_and_writes_files(monkeypatch, tmp_path, c
         assert words in shown
     assert "NO" not in shown.split("Localities")[0]
     names = {path.name for path in tmp_path.iterdir()}
-    assert {"bound.csv", "map_size.csv", "measurements.csv", "localities.csv", "gates.csv", "answers.csv"} <= names
+    assert {"bound.csv", "map_size.csv", "measurements.csv", "localities.csv", "settings.csv", "answers.csv"} <= names
     if importlib.util.find_spec("matplotlib"):
         assert {"map_size.png", "measurements.png", "losses.png", "answers.png"} <= names
     with pytest.raises(SystemExit):
