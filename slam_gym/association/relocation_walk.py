@@ -187,6 +187,7 @@ class RelocationWalk:
             self._chosen += 1
             self._decide(NONE if action == self.spec.star else int(self._offer.features[action]))
             self._go_on()
+        self.done |= self._spent
 
     def answer(self) -> Relocation:
         """What the walk has come to: the best hypothesis, or none at all."""
@@ -226,7 +227,6 @@ class RelocationWalk:
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
             self._decide(NONE)
         if self._spent or self.level == m:
-            self.done = self._spent
             self.counters[LIMIT] = self._spent
             self.leaf = self._judge()
         else:

@@ -1,0 +1,492 @@
+"""`Relocate-v0`: checkers, kidnappings and who judges them, searches and policies through it, twins, snapshots."""
+
+import copy
+import math
+import pickle
+import warnings
+from dataclasses import replace
+from itertools import pairwise
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from rollouts import differences, explore, random_action, short
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+import slam_gym  # noqa: F401 (registers the environment)
+from slam_gym.association import gcbb, jcbb
+from slam_gym.association.located import locate
+from slam_gym.association.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
+from slam_gym.association.relocation_view import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
+from slam_gym.envs import relocate as module
+from slam_gym.envs.kidnappings import KNOWN, kidnap, map_world
+from slam_gym.envs.relocate import RelocateEnv
+from slam_gym.geometry import compose, relative, transform
+from slam_gym.scenarios import get_scenario
+from slam_gym.types import NONE
+from slam_gym.world.generators import OfficeGenerator
+
+ID = "slam_gym/Relocate-v0"
+INFO = ["nodes", "tries", "hidden", "pairings", "needed", "accepted", "action_mask", "truth"]
+SMALL = short(120)
+POLICIES = {"greedy": greedy_relocation, "sampled": SampledRelocation(8)}
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+def relocate(scenario=SMALL, **options) -> RelocateEnv:
+    """The bare environment, without the wrappers of `gym.make`."""
+    env = gym.make(ID, scenario=scenario, disable_env_checker=True, **options).unwrapped
+    assert isinstance(env, RelocateEnv)
+    return env
+
+
+def episode(env, choose, seed=None, options=None):
+    """What reset (with reward 0) and then all steps hand out; `choose(observation, info)` gives the actions."""
+    observation, info = env.reset(seed=seed, options=options)
+    yield observation, 0.0, False, False, info
+    over = False
+    while not over:
+        observation, reward, over, truncated, info = env.step(choose(observation, info))
+        yield observation, reward, over, truncated, info
+
+
+def by(policy):
+    return lambda observation, info: policy(observation, info["action_mask"])
+
+
+def at_random(seed):
+    rng = np.random.default_rng(seed)
+    return lambda observation, info: int(rng.choice(np.flatnonzero(info["action_mask"])))
+
+
+def refuse(observation, info):
+    return len(info["action_mask"]) - 2
+
+
+def by_truth(observation, info):
+    action = info["truth"]["action"]
+    return refuse(observation, info) if action == NONE else action
+
+
+# -- checkers ------------------------------------------------------------------------------------------------------
+
+
+OPTIONS = [  # every value of every option at least once
+    dict(scenario="office-small", split="train", locality="covisibility", order="fewest_candidates"),
+    dict(scenario=short(150, "hall"), split="test", locality="two-hop covisibility", order="random", sizes=False),
+    dict(scenario=short(150, "aliased"), locality="distance", order="nearest_first", candidates=1, outside=1.0),
+    dict(scenario=short(150, "crowd"), locality=None, order="as_scanned", candidates=200, outside=0.0, node_limit=7),
+    dict(scenario=SMALL, associator="true_association", node_limit=1, kidnappings_per_map=1, node_cost=0.5),
+    dict(scenario=SMALL, associator=jcbb, wrong_cost=5.0, position_tolerance=1.0, heading_tolerance=0.3),
+    dict(scenario=SMALL, render_mode="human"),
+    dict(scenario=SMALL, render_mode="rgb_array", sizes=False, candidates=12),
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=lambda o: "-".join(str(v) for v in o.values() if isinstance(v, str)))
+def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(ID, **options).unwrapped)  # with all render modes
+        check_env_sb3(gym.make(ID, **options))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scenario": "atlantis"}, "office-small"),
+        ({"split": "valid"}, "train, test"),
+        ({"locality": "near"}, "two-hop covisibility"),
+        ({"candidates": 0}, "candidates"),
+        ({"order": "any"}, "fewest_candidates"),
+        ({"node_limit": 0}, "node_limit"),
+        ({"outside": 1.5}, "outside=1.5"),
+        ({"outside": float("nan")}, "outside=nan"),
+        ({"kidnappings_per_map": 0}, "kidnappings_per_map=0"),
+        ({"associator": "me"}, "jcbb"),
+        ({"node_cost": -1.0}, "node_cost=-1"),
+        ({"wrong_cost": float("inf")}, "wrong_cost=inf"),
+        ({"position_tolerance": -0.1}, "position_tolerance"),
+        ({"heading_tolerance": float("nan")}, "heading_tolerance"),
+        ({"render_mode": "ascii"}, "rgb_array"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(options, message):
+    with pytest.raises(ValueError, match=message):
+        RelocateEnv(**options)
+
+
+def test_bad_calls_are_refused_by_name():
+    env = relocate()
+    for call in (lambda: env.step(0), env.snapshot, lambda: env.walk, env.action_masks):
+        with pytest.raises(RuntimeError, match="reset"):
+            call()
+    with pytest.raises(ValueError, match="unknown reset option 'floor'"):
+        env.reset(options={"floor": 1})
+    with pytest.raises(ValueError, match="world"):
+        env.reset(options={"world": 10**7})
+    env.reset(seed=0)
+    for action in (-1, 10, 0.5, None):
+        with pytest.raises(ValueError, match="action"):
+            env.step(action)
+    for _ in episode(env, refuse):
+        pass
+    with pytest.raises(RuntimeError, match="over"):
+        env.step(0)
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert env.render() is None
+
+
+def one_floor(_rng):
+    return OfficeGenerator(rooms=2)(np.random.default_rng(0))
+
+
+def test_where_there_is_but_one_world_there_is_no_outside():
+    only = replace(SMALL, name="only", generator=one_floor)
+    relocate(only, outside=0.0).reset(seed=0)
+    with pytest.raises(ValueError, match="'only' has one world only"):
+        relocate(only, outside=1.0).reset(seed=0)
+
+
+# -- kidnappings ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["office-small", "hall", "crowd"])
+def test_the_truth_located_is_the_true_pose_and_the_truth_is_right(name):
+    scenario = short(250, name)
+    mapped, rng = map_world(scenario, "train", 3, "jcbb"), np.random.default_rng(0)
+    assert len(mapped.landmarks) > 15
+    for _ in range(20):
+        drawn = kidnap(mapped, scenario, True, rng)
+        paired = drawn.features != NONE
+        assert paired.sum() >= KNOWN
+        near = transform(drawn.pose, drawn.scan.points)[paired] - mapped.landmarks.positions[drawn.features[paired]]
+        assert np.median(np.hypot(*near.T)) < 0.15
+        error = relative(drawn.pose, locate(drawn.scan, mapped.landmarks, drawn.features).pose)
+        assert math.hypot(error[0], error[1]) < 0.3 and abs(error[2]) < math.radians(3.0)
+
+
+def test_the_drift_of_the_map_is_no_error_of_the_pose():
+    mapped, drift = map_world(SMALL, "train", 0, "jcbb"), np.array([3.0, -2.0, 0.4])
+    positions = transform(drift, mapped.landmarks.positions)
+    drifted = replace(mapped, landmarks=replace(mapped.landmarks, positions=positions))
+    for seed in range(5):
+        one, other = (kidnap(m, SMALL, True, np.random.default_rng(seed)) for m in (mapped, drifted))
+        np.testing.assert_array_equal(one.scan.points, other.scan.points)
+        np.testing.assert_allclose(relative(compose(drift, one.pose), other.pose), 0.0, atol=1e-9)
+
+
+def test_outside_is_another_world_and_as_often_as_asked_for():
+    mapped = map_world(SMALL, "test", 4, "jcbb")
+    drawn = kidnap(mapped, SMALL, False, np.random.default_rng(0))
+    assert not drawn.inside and (drawn.features == NONE).all() and np.isnan(drawn.pose).all()
+    assert len(drawn.scan) >= KNOWN and mapped.elsewhere.plan.walls.shape != mapped.site.plan.walls.shape
+    env = relocate(outside=0.4, kidnappings_per_map=200)
+    env.reset(seed=1)
+    inside = [env.reset()[1]["truth"]["inside"] for _ in range(199)]
+    assert 0.5 < np.mean(inside) < 0.7
+
+
+def test_so_many_kidnappings_are_in_one_map_and_then_there_is_another():
+    env = relocate(kidnappings_per_map=3)
+    env.reset(seed=5)
+    maps = [env.mapped] + [(env.reset(), env.mapped)[1] for _ in range(8)]
+    assert [maps[k] is maps[k - 1] for k in range(1, 9)] == [True, True, False] * 2 + [True, True]
+    assert env.reset(seed=5) and env.mapped.site.plan.walls.shape == maps[0].site.plan.walls.shape
+
+
+# -- rewards -------------------------------------------------------------------------------------------------------
+
+
+def test_the_truth_played_is_right_inside_and_refusing_is_right_outside():
+    env = relocate(get_scenario("office-small"), outside=0.5, candidates=200, node_cost=0.01, sizes=False)
+    env.reset(seed=0)
+    seen = {True: [], False: []}
+    for _ in range(40):
+        steps = list(episode(env, by_truth))
+        info = steps[-1][4]
+        seen[info["truth"]["inside"]].append(info["score"]["right"])
+        total = info["score"]["right"] - 0.01 * (info["nodes"] - steps[0][4]["nodes"])
+        assert sum(step[1] for step in steps) == pytest.approx(total) and not info["score"]["wrong"]
+    assert np.mean(seen[False]) == 1.0 and np.mean(seen[True]) > 0.7 and min(map(len, seen.values())) > 8
+
+
+def test_an_answer_is_judged_by_its_pose_and_by_the_tolerances():
+    env = relocate(get_scenario("office-small"), outside=0.0, candidates=200, node_cost=0.0, wrong_cost=3.0)
+    strict = relocate(
+        get_scenario("office-small"), outside=0.0, candidates=200, node_cost=0.0, wrong_cost=3.0, position_tolerance=0.0
+    )
+    believed = 0
+    for seed in range(6):
+        *_, last = episode(env, by_truth, seed=seed)
+        *_, judged = episode(strict, by_truth, seed=seed)
+        if last[4]["accepted"]:
+            believed += 1
+            assert (last[1], judged[1]) == (1.0, -3.0) and judged[4]["score"]["wrong"] == 1
+        else:
+            assert (last[1], judged[1]) == (0.0, 0.0)
+        *_, none = episode(env, refuse, seed=seed)
+        assert none[1] == 0.0 and none[4]["score"] == {"right": 0, "wrong": 0, "nodes": none[4]["nodes"]}
+    assert believed >= 4
+
+
+def test_believing_outside_is_wrong(monkeypatch):
+    env = relocate(get_scenario("office-small"), outside=0.0, node_cost=0.0)
+    monkeypatch.setattr(module, "kidnap", lambda *args: replace(kidnap(*args), inside=False))
+    ends = [list(episode(env, by(POLICIES["sampled"]), seed=seed))[-1] for seed in range(6)]
+    assert {(reward, info["accepted"]) for _, reward, *_, info in ends} <= {(-1.0, True), (1.0, False)}
+    assert sum(info["accepted"] for *_, info in ends) >= 4
+
+
+# -- searches and policies through the environment -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("locality", ["covisibility", "two-hop covisibility", "distance", None])
+@pytest.mark.parametrize("name", ["office-small", "aliased"])
+def test_what_gcbb_finds_can_be_played_and_comes_to_the_same(name, locality):
+    env = relocate(short(250, name), candidates=500, order="as_scanned", locality=locality, kidnappings_per_map=8)
+    env.reset(seed=2)
+    for _ in range(8):
+        env.reset()
+        expected = gcbb(env.kidnapped.scan, env.mapped.landmarks, env.mapped.locality(locality))
+        over = False
+        while not over:
+            action = env.action_of(expected.features)
+            assert action is not None
+            over = env.step(action)[2]
+        found = env.walk.answer()
+        np.testing.assert_array_equal(found.features, expected.features)
+        np.testing.assert_allclose(found.pose, expected.pose, atol=1e-9)
+        assert found.joint_distance == pytest.approx(expected.joint_distance)
+        assert found.min_pairings == expected.min_pairings
+
+
+def test_policies_succeed_with_less_effort_than_gcbb_and_sampling_more_often_than_greedy():
+    env = relocate(get_scenario("office-small"), sizes=False, order="random", outside=0.0, node_cost=0.0)
+    success, nodes = {}, {}
+    for name, policy in POLICIES.items():
+        env.reset(seed=3)
+        ends = [list(episode(env, by(policy)))[-1][4]["score"] for _ in range(20)]
+        success[name] = np.mean([end["right"] for end in ends])
+        nodes[name] = np.median([end["nodes"] for end in ends])
+    env.reset(seed=3)
+    effort = []
+    for _ in range(20):
+        env.reset()
+        tree = env.walk.tree
+        effort.append(gcbb(tree.scan, tree.landmarks, tree.locality).effort.nodes)
+    assert success["sampled"] > 0.7 and success["sampled"] > success["greedy"] > 0.2
+    assert nodes["greedy"] < nodes["sampled"] < 0.2 * np.median(effort)
+
+
+def test_a_policy_sees_as_a_relocator_what_it_sees_in_the_environment():
+    env, seen, shown = relocate(short(250), order="nearest_first", sizes=False), [], []
+    for observation, *_ in episode(env, by(POLICIES["sampled"]), seed=4):
+        seen.append(observation)
+
+    def policy(observation, mask):
+        shown.append(observation)
+        return POLICIES["sampled"](observation, mask)
+
+    find = relocator_from_policy(policy, order="nearest_first", sizes=False)
+    found = find(env.kidnapped.scan, env.mapped.landmarks, env.mapped.locality("covisibility"))
+    assert not differences(shown, seen[:-1])  # the last is that of an episode that is over
+    np.testing.assert_array_equal(found.features, env.walk.answer().features)
+
+
+def test_a_policy_finds_a_kidnapped_robot_again_in_explore():
+    scenario = short(450, "kidnapped", generator=OfficeGenerator(rooms=4))
+    env = explore(scenario, relocation=relocator_from_policy(SampledRelocation(), order="random"))
+    over, info = False, env.reset(seed=1, options={"world": 2})[1]
+    rng = np.random.default_rng(0)
+    while not over:
+        _, _, over, _, info = env.step(random_action(env, info, rng))
+    assert env.episode.slam.relocations >= 1 and env.episode.kidnapping.right >= 1
+
+
+# -- same seed, same episode, bit for bit --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ["fewest_candidates", "random"])
+@pytest.mark.parametrize("scenario", [SMALL, short(120, "crowd")])
+def test_twins_are_equal_bit_for_bit_whatever_one_did_before(scenario, order):
+    fresh, used = (relocate(scenario, order=order, kidnappings_per_map=2) for _ in range(2))
+    for seed in (3, None, None, None):
+        for _ in episode(used, at_random(1), seed=seed):
+            pass
+    for options in ({}, {"world": 9}):
+        for seed in (8, None, None):
+            pair = (episode(env, at_random(2), seed, options) for env in (fresh, used))
+            for one, other in zip(*pair, strict=True):
+                assert not differences(one, other)
+
+
+def test_a_world_asked_for_does_not_depend_on_what_was_mapped_before_nor_disturb_the_series():
+    env, twin = relocate(kidnappings_per_map=4), relocate(kidnappings_per_map=4)
+    for world in range(5):  # more than are kept
+        env.reset(seed=0, options={"world": world})
+    for world in (0, 4):
+        start = env.reset(seed=world, options={"world": world})
+        assert not differences(start, relocate().reset(seed=world, options={"world": world}))
+    env.reset(seed=1)
+    twin.reset(seed=1)
+    env.reset(options={"world": 12})
+    env.reset()
+    twin.reset()
+    assert env.mapped.site.plan.walls.shape == twin.mapped.site.plan.walls.shape
+    np.testing.assert_array_equal(env.mapped.landmarks.positions, twin.mapped.landmarks.positions)
+
+
+def test_other_seeds_worlds_and_splits_are_other_episodes():
+    seen = []
+    for split in ("train", "test"):
+        env = relocate(split=split)
+        starts = [env.reset(seed=k, options=o)[0] for k in range(2) for o in ({}, {"world": 0}, {"world": 1})]
+        seen += [start["scan"].tobytes() for start in starts]
+    assert len(set(seen)) == len(seen)
+
+
+@pytest.mark.parametrize("order", ["nearest_first", "random"])
+def test_snapshots_restore_in_another_environment_and_environments_pickle_and_copy(order):
+    env, choose = relocate(order=order, sizes=False, kidnappings_per_map=3), at_random(4)
+    env.reset(seed=9)
+    _, info = env.reset()
+    for _ in range(6):
+        last = env.step(choose(None, info))
+        info = last[4]
+    snapshot = pickle.loads(pickle.dumps(env.snapshot()))
+    restored = relocate(order=order, sizes=False, kidnappings_per_map=3)
+    assert not differences(restored.restore(snapshot), (last[0], info))
+    for other in (restored, pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+        alone, now = pickle.loads(pickle.dumps(env)), info
+        draw = np.random.default_rng(0)
+        for _ in range(60):
+            if alone.walk.done:
+                one, another = alone.reset(), other.reset()
+                assert not differences(one, another)
+                now = one[1]
+            action = int(draw.choice(np.flatnonzero(now["action_mask"])))
+            one, another = alone.step(action), other.step(action)
+            assert not differences(one, another)
+            now = one[4]
+
+
+def in_any_process():
+    return gym.make(f"slam_gym:{ID}", scenario=SMALL, kidnappings_per_map=2, order="random", node_limit=30)
+
+
+def vector_rollout(envs, steps):
+    """Everything that `steps` handed out, with the environments' own autoresets in between."""
+    rng = np.random.default_rng(0)
+    observations, infos = envs.reset(seed=[7, 11])
+    record = []
+    for _ in range(steps):
+        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
+        observations, *rest, infos = envs.step(actions)
+        record.append((copy.deepcopy(observations), *rest, dict(sorted(infos.items())), actions))
+    envs.close()
+    return record
+
+
+def test_vectorised_in_other_processes_and_over_autoresets():
+    here = vector_rollout(gym.vector.SyncVectorEnv([in_any_process] * 2), 60)
+    there = vector_rollout(gym.vector.AsyncVectorEnv([in_any_process] * 2, context="spawn"), 60)
+    assert sum(step[2].any() for step in here) >= 2, "no autoreset was tried"
+    assert not differences(here, there)
+
+
+# -- what is handed out --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", OPTIONS[:5], ids=range(5))
+def test_observations_are_inside_their_space_and_info_has_fixed_keys(options):
+    env = relocate(**options)
+    env.reset(seed=1)
+    for _ in range(5):
+        for observation, reward, terminated, truncated, info in episode(env, at_random(0)):
+            assert env.observation_space.contains(observation)
+            assert all(np.isfinite(part).all() for part in observation.values())
+            assert type(reward) is float and type(terminated) is bool and truncated is False
+            assert list(info) == INFO + ["score"] * terminated
+            assert list(info["truth"]) == ["inside", "pose", "features", "action"]
+            mask = info["action_mask"]
+            np.testing.assert_array_equal(mask, env.action_masks())
+            assert mask.dtype == bool and mask[-2]
+            rows = observation["candidates"].reshape(-1, len(CANDIDATE_FIELDS))
+            np.testing.assert_array_equal(rows[:, 0] == 1.0, mask[:-2])
+            hidden = observation["measurement"][MEASUREMENT_FIELDS.index("hidden")]
+            assert (hidden > 0.0) == (info["hidden"] > 0)
+            assert info["nodes"] <= env.walk_spec.node_limit
+        assert terminated
+
+
+def test_an_illegal_action_is_taken_for_the_star():
+    env, twin = relocate(), relocate()
+    _, info = env.reset(seed=0)
+    twin.reset(seed=0)
+    illegal = int(np.flatnonzero(~info["action_mask"])[-1])
+    assert not differences(env.step(illegal), twin.step(env.walk_spec.star))
+
+
+def test_a_lying_truth_changes_no_observation_and_no_mask(monkeypatch):
+    env = relocate(short(250), order="random", outside=0.0)
+    honest = list(episode(env, by(POLICIES["sampled"]), seed=2))
+
+    def lie(*args):
+        drawn = kidnap(*args)
+        return replace(drawn, pose=drawn.pose + 5.0, features=drawn.features[::-1].copy(), inside=False)
+
+    monkeypatch.setattr(module, "kidnap", lie)
+    lied_to = list(episode(env, by(POLICIES["sampled"]), seed=2))
+    for one, other in zip(honest, lied_to, strict=True):
+        assert not differences(one[0], other[0])
+        assert not differences({k: one[4][k] for k in INFO[:-1]}, {k: other[4][k] for k in INFO[:-1]})
+    assert differences(honest[0][4]["truth"], lied_to[0][4]["truth"])
+
+
+def test_the_agent_may_scribble_on_all_that_it_is_given():
+    env, twin = relocate(), relocate()
+    for one, other in zip(episode(env, at_random(3), seed=1), episode(twin, at_random(3), seed=1), strict=True):
+        assert not differences(one, other)
+        for array in (*one[0].values(), one[4]["truth"]["pose"], one[4]["truth"]["features"]):
+            array.fill(0.5)
+
+
+# -- pictures ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("outside", [0.0, 1.0])
+@pytest.mark.parametrize("name", ["office-small", "hall"])
+def test_pictures_of_every_state_differ_and_draw_no_chance(name, outside):
+    options = dict(scenario=short(150, name), outside=outside, node_limit=30)
+    env, twin = (relocate(render_mode=mode, **options) for mode in ("rgb_array", None))
+    pictures = []
+    for one, other in zip(episode(env, at_random(6), seed=1), episode(twin, at_random(6), seed=1), strict=True):
+        assert not differences(one, other)
+        pictures.append(env.render())
+        assert pictures[-1].dtype == np.uint8 and pictures[-1].shape == (720, 1140, 3)
+        assert len(np.unique(pictures[-1][::3, ::3].astype(np.int32) @ [65536, 256, 1])) > 50
+    np.testing.assert_array_equal(pictures[-1], env.render())
+    assert all(not np.array_equal(a, b) for a, b in pairwise(pictures[:-1]))
+    env.close()
+    env.close()
+
+
+def test_a_window_opens_closes_and_opens_again():
+    env = relocate(render_mode="human")
+    env.reset(seed=0)
+    for _ in range(2):
+        assert env.render() is None
+        env.close()
+        env.close()
+
+
+def test_specs_serialise():
+    spec = gym.make(ID, scenario="office-small", sizes=False).spec
+    made = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json())).unwrapped
+    assert isinstance(made, RelocateEnv) and not made.walk_spec.sizes
