@@ -130,6 +130,8 @@ class AssociateEnv(gym.Env[Observation, Any]):
         self._right = self._wrong = self._known = 0
         self._proceed()
         self._last_error = self._run.map_error()
+        if self.render_mode == "human":
+            self.render()
         return self._observe(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
@@ -153,6 +155,8 @@ class AssociateEnv(gym.Env[Observation, Any]):
                 error = run.map_error()
                 reward, self._last_error = self._last_error - error, error
         self._ended = self.walk is None
+        if self.render_mode == "human":
+            self.render()
         return self._observe(), reward, self._ended, False, self._info()
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]

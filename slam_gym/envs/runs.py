@@ -145,6 +145,10 @@ class Log:
     targets: Array  # (N, 2) [m] true features, in B
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
 
+    def __post_init__(self) -> None:
+        if self.length < 1:
+            raise ValueError(f"Log.length: {self.length} is less than 1")
+
 
 class LoggedRun:
     """SLAM on a log."""
@@ -163,7 +167,11 @@ class LoggedRun:
         return len(self.estimates) == self.length
 
     def look(self) -> None:
-        odometry, self.scan, self.truth = next(self._looks)
+        """On to the next scan. Raises ValueError where the log is shorter than it says."""
+        found = next(self._looks, None)
+        if found is None:
+            raise ValueError(f"log {self.log.name!r}: ends after {self.looks} looks, not {self.length}")
+        odometry, self.scan, self.truth = found
         self.prediction = self.slam.expect(odometry, self.scan)
         self.looks += 1
 

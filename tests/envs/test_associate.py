@@ -147,6 +147,15 @@ def test_bad_calls_are_refused_by_name():
         env.step(env.K)
 
 
+def test_a_log_that_is_shorter_than_it_says_is_refused_by_name():
+    env = associate(replace(CORRIDOR, name="cut", length=50))
+    with pytest.raises(ValueError, match="'cut': ends after 45 looks, not 50"):
+        for _ in episode(env, refuse):
+            pass
+    with pytest.raises(ValueError, match="length: 0"):
+        replace(CORRIDOR, length=0)
+
+
 # -- rewards -------------------------------------------------------------------------------------------------------
 
 
