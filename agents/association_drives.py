@@ -147,8 +147,10 @@ def drives(associators: Sequence[str], courses: Sequence[Course], episodes: int)
 
 
 def columns_for(records: Sequence[Record]) -> tuple[Column, ...]:
-    """The columns of the table; those about relocation only where a robot was carried away."""
-    return COLUMNS + (RELOCATION if any(record.get("kidnapped") for record in records) else ())
+    """The columns of the table; where a robot was carried away, some are about relocation."""
+    if not any(record.get("kidnapped") for record in records):
+        return COLUMNS
+    return tuple(column for column in COLUMNS if column.key not in ("f1", "nodes")) + RELOCATION
 
 
 def tables(records: Sequence[Record], associators: Sequence[str], settings: Sequence[str]) -> dict[str, Any]:

@@ -27,6 +27,10 @@ whose feature is in the map, those paired with it. <b>Exact</b> scans have no wr
 <b>Dupl.</b>: features that the map ends up having more than once. <b>Nodes</b> of the interpretation tree are means a
 scan, <b>µs/scan</b> the median time of the associator's calls. <b>Map error</b> is 1 for an empty map, 0 for a perfect
 one. <b>ANEES</b> is 1 for a consistent filter, above 1 for an overconfident one.</p>"""
+_CARRIED = """<p class="soft">Where the robot was carried away, <b>recovered</b> is the share of episodes in which its
+pose was right again, <b>wrong reloc.</b> the number of relocations that put it elsewhere, <b>ticks astray</b> the time
+until it was right. True association is no ceiling there: it pairs rightly from a pose that is wrong, which bends the map
+before anybody notices.</p>"""
 
 
 def read(folder: Path) -> tuple[dict[str, Any], list[Record]]:
@@ -51,6 +55,8 @@ def write_report(folder: Path, names: Sequence[str], settings: Sequence[str]) ->
             body.append(f"<h2>{html.escape(setting)}</h2>{_table(own, names)}")
             body.append(picture(drives_chart(own, names), f"precision, recall, map error and time in {setting}"))
     body.append(_WORDS)
+    if any(record.get("kidnapped") for record in records):
+        body.append(_CARRIED)
     body.append(_pairs(records, names))
     body.append(provenance(results))
     fixed = results["fixed"]

@@ -34,7 +34,10 @@ from slam_gym.scenarios import SCENARIOS, SPLITS
 SETTINGS = ("office-small", "hall", "crowd")
 EPISODES = 8
 WORLDS, PROBLEMS = 24, 12
-LEFT_OUT, BARE = ("F1", "ticks astray"), ("ANEES", "recovered")  # columns, intervals: where 80 characters must do
+LEFT_OUT, BARE = (
+    ("F1", "wrong reloc.", "ticks astray"),
+    ("ANEES", "recovered"),
+)  # columns, intervals: where 80 characters must do
 QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
 
 
