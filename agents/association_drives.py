@@ -150,7 +150,7 @@ def columns_for(records: Sequence[Record]) -> tuple[Column, ...]:
     """The columns of the table; where a robot was carried away, some are about relocation."""
     if not any(record.get("kidnapped") for record in records):
         return COLUMNS
-    return tuple(column for column in COLUMNS if column.key not in ("f1", "nodes")) + RELOCATION
+    return tuple(column for column in COLUMNS if column.key not in ("f1", "nodes", "duplicates")) + RELOCATION
 
 
 def tables(records: Sequence[Record], associators: Sequence[str], settings: Sequence[str]) -> dict[str, Any]:
