@@ -29,8 +29,8 @@ scan, <b>µs/scan</b> the median time of the associator's calls. <b>Map error</b
 one. <b>ANEES</b> is 1 for a consistent filter, above 1 for an overconfident one.</p>"""
 _CARRIED = """<p class="soft">Where the robot was carried away, <b>recovered</b> is the share of episodes in which its
 pose was right again, <b>wrong reloc.</b> the number of relocations that put it elsewhere, <b>ticks astray</b> the time
-until it was right. True association is no ceiling there: its pairings are right but its pose is not, and updates from so
-far off bend the map.</p>"""
+until it was right. True association is no ceiling there: its pairings are right but its pose is not, and updates from
+so far off bend the map.</p>"""
 
 
 def read(folder: Path) -> tuple[dict[str, Any], list[Record]]:
