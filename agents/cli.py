@@ -19,18 +19,28 @@ PACKAGES = ("numpy", "scipy", "numba", "gymnasium", "pymunk", "torch", "stable-b
 
 
 def add_world_options(parser: argparse.ArgumentParser, scenario: str) -> None:
-    """--scenario, --floor-plan, --resolution, --associator."""
+    """--scenario, --floor-plan, --resolution, --associator, --relocation."""
     world = parser.add_argument_group("world")
     world.add_argument("--scenario", default=scenario, help="name of a scenario (default: %(default)s)")
     world.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
     world.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
     world.add_argument("--associator", default="jcbb", help="name or module:function (default: %(default)s)")
+    world.add_argument(
+        "--relocation", metavar="NAME", help="search that finds a lost robot: gcbb, rs, module:function …"
+    )
 
 
 def setting_of(arguments: argparse.Namespace, **more: str) -> Setting:
     """The setting that the options above choose."""
     plan = str(Path(arguments.floor_plan).resolve()) if arguments.floor_plan else None
-    return Setting(arguments.scenario, arguments.associator, floor_plan=plan, resolution=arguments.resolution, **more)
+    return Setting(
+        arguments.scenario,
+        arguments.associator,
+        floor_plan=plan,
+        resolution=arguments.resolution,
+        relocation=arguments.relocation,
+        **more,
+    )
 
 
 def run_main(main: Callable[[list[str]], int]) -> int:

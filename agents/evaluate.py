@@ -24,7 +24,19 @@ from rich.table import Table
 from agents.base import AGENTS, BASELINES, is_learned
 from agents.cli import CHECKOUT, add_world_options, command_line, run_main, setting_of, versions
 from agents.parallel import BACKENDS, Driver, Task, connect, run_all
-from agents.results import TABLE, Column, Journal, Record, cell, film_path, in_order, table, write_csv, write_json
+from agents.results import (
+    TABLE,
+    Column,
+    Journal,
+    Record,
+    cell,
+    film_path,
+    in_order,
+    kidnappings,
+    table,
+    write_csv,
+    write_json,
+)
 from agents.rollout import Setting, reset_arguments
 from slam_gym.metrics.statistics import Interval
 
@@ -71,6 +83,8 @@ def show(records: Sequence[Record], agents: Sequence[str], title: str, console: 
     for agent, row in table(records, agents).items():
         shown.add_row(agent, *(_two_lines(row[column.key], column, narrow) for column in TABLE))
     console.print(shown)
+    for line in filter(None, (kidnappings(records, agent) for agent in agents)):
+        console.print(line)
 
 
 def _two_lines(value: Interval, column: Column, narrow: bool) -> str:

@@ -15,6 +15,7 @@ from agents.rollout import Setting, run_episode
 
 FRAMES = 300
 RATE = 20  # [frames/s]
+SLOW = 8  # frames a tick, around a kidnapping and a recovery
 
 
 class Camera:
@@ -28,8 +29,10 @@ class Camera:
         )
 
     def __call__(self, env: gym.Env[Any, Any]) -> None:
-        if self._tick % self._stride == 0:
-            self.shoot(env)
+        slow = _worth_a_closer_look(env)
+        if slow or self._tick % self._stride == 0:
+            for _ in range(SLOW if slow else 1):
+                self.shoot(env)
         self._tick += 1
 
     def shoot(self, env: gym.Env[Any, Any]) -> None:
@@ -42,6 +45,13 @@ class Camera:
 
     def __exit__(self, *exception: object) -> None:
         self._writer.close()
+
+
+def _worth_a_closer_look(env: gym.Env[Any, Any]) -> bool:
+    """The robot has just been carried away, or has just found where it is."""
+    episode = env.unwrapped.episode  # type: ignore[attr-defined]
+    moments = (episode.kidnapping.happened, episode.kidnapping.recovered)
+    return any(moment is not None and 0 <= episode.ticks - moment < 4 for moment in moments)
 
 
 def film(setting: Setting, agent: Agent, episode: int, path: Path) -> Path:

@@ -17,7 +17,7 @@ from typing import Any
 
 from agents.cli import run_main
 from agents.figures import colour_of, curves, interval_chart
-from agents.results import TABLE, Column, Journal, Record, cell, film_path, in_order, paired, table
+from agents.results import TABLE, Column, Journal, Record, cell, film_path, in_order, kidnappings, paired, table
 from slam_gym.metrics.statistics import Interval
 
 TEMPLATE = Path(__file__).with_name("report_template.html")
@@ -73,7 +73,8 @@ def _table(records: Sequence[Record], agents: Sequence[str]) -> str:
             mark = ' class="best"' if agent in best[column.key] else ""
             cells.append(f"<td{mark}>{mean}<small>{interval}&nbsp;</small></td>")
         lines.append(f"<tr><td>{_label(agents, agent)}</td>{''.join(cells)}</tr>")
-    return f"<table>{''.join(lines)}</table>"
+    carried = "".join(f"<p>{line}</p>" for line in (kidnappings(records, agent) for agent in agents) if line)
+    return f"<table>{''.join(lines)}</table>{carried}"
 
 
 def _best(column: Column, rows: dict[str, dict[str, Interval]]) -> set[str]:

@@ -113,6 +113,17 @@ def table(records: Sequence[Record], agents: Sequence[str]) -> dict[str, dict[st
     return {agent: {c.key: estimate(*values_of(records, agent, c.key)) for c in TABLE} for agent in agents}
 
 
+def kidnappings(records: Sequence[Record], agent: str) -> str:
+    """What became of an agent's robots that were carried away, in one line; empty where none was."""
+    own = [record for record in records if record["agent"] == agent and record.get("kidnapped")]
+    if not own:
+        return ""
+    found = [record["ticks_astray"] for record in own if record["recovered"]]
+    line = f"{agent}: carried away {len(own)}, recovered {len(found)}, never {len(own) - len(found)}"
+    line += f", wrong relocations {sum(record['relocations_wrong'] for record in own):.0f}"
+    return line + (f"; ticks astray {np.median(found):.0f} (median of the recovered)" if found else "")
+
+
 def cell(value: Interval, digits: int) -> str:
     """`estimate [low, high]`; a dash where nothing was measured."""
     if not math.isfinite(value.estimate):

@@ -26,6 +26,7 @@ class Setting:
     split: str = "test"
     floor_plan: str | None = None  # a file that replaces the scenario's worlds
     resolution: float | None = None  # [m/pixel] of that file, where it is an image
+    relocation: str | None = None  # the search that finds a lost robot again
 
     def make(self, action: ActionKind, render_mode: str | None = None) -> gym.Env[Any, Any]:
         """The environment. ValueError, with the known names, for what it does not know."""

@@ -129,9 +129,14 @@ class Slam:
     def predict_features(self) -> Prediction:
         """What should be seen from the predicted pose, with the localities to search first."""
         prediction = self.map.prediction(self.spec.reach, self._locality if self.spec.locality else None)
-        if self.visible is None:
+        visible, pose = self.visible, self.map.pose
+        if visible is None:
             return prediction
-        return replace(prediction, visibility=self.visible(self.map.pose, prediction))
+
+        def view(positions: Array, covariances: Array) -> Array:
+            return visible(pose, replace(prediction, positions=positions, covariances=covariances))
+
+        return replace(prediction, visibility=visible(pose, prediction), view=view)
 
     def _locality(self, features: IntArray) -> Nearby:
         """Near: what was paired in recent scans, and all that was ever seen together with it."""

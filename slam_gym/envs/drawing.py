@@ -75,8 +75,9 @@ class Canvas:
             pygame.draw.polygon(self.surface, colour, quad)
 
     def polyline(self, points: Array, colour: Colour, width: float = 1.0) -> None:
-        """Line through points (k, 2)."""
-        self.segments(np.concatenate([points[:-1], points[1:]], axis=1), colour, width)
+        """Line through points (k, 2), interrupted at those that are NaN."""
+        pieces = np.concatenate([points[:-1], points[1:]], axis=1)
+        self.segments(pieces[np.isfinite(pieces).all(axis=1)], colour, width)
 
     def dashes(self, points: Array, colour: Colour, width: float = 1.0, period: float = 9.0) -> None:
         """Dashed line through points (k, 2), one dash each `period` [pixels], but at most 2 000."""

@@ -10,6 +10,7 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.types import NONE, Array
 
 _TRAIL = 400  # points of a trail that are drawn
+_LEAP = 1.5  # [m] from one of them to the next: nobody drove there
 
 
 def frame_of(episode: Episode, goals: Array, *, covisibility: bool = False) -> Frame:
@@ -47,9 +48,12 @@ def frame_of(episode: Episode, goals: Array, *, covisibility: bool = False) -> F
 
 
 def _trail(poses: list[Array]) -> Array:
-    """Positions (≤ _TRAIL, 2) of the poses so far, the last among them."""
+    """Positions (≤ _TRAIL, 2) of the poses so far, the last among them; NaN where the robot did not drive."""
     every = max(1, len(poses) // _TRAIL)
-    return np.array([pose[:2] for pose in poses[::-1][::every][::-1]])
+    points = np.array([pose[:2] for pose in poses[::-1][::every][::-1]])
+    leaps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _LEAP) + 1
+    trail: Array = np.insert(points, leaps, np.nan, axis=0)
+    return trail
 
 
 def _paired(episode: Episode, landmarks: Array) -> Array:
@@ -69,5 +73,25 @@ def _panel(episode: Episode) -> tuple[tuple[str, str], ...]:
         ("explored", f"{100.0 * episode.coverage():.0f} %"),
         ("features mapped", f"{confirmed} of {len(episode.targets)}"),
         ("pairings right", f"{100.0 * tally.precision:.1f} %" if tally.tp + tally.fp else "–"),
-        ("pose error", f"{100.0 * np.hypot(*(compose(episode.base, slam_map.pose) - episode.world.pose)[:2]):.0f} cm"),
+        ("pose error", _length(np.hypot(*(compose(episode.base, slam_map.pose) - episode.world.pose)[:2]))),
+        *_whereabouts(episode),
     )
+
+
+def _length(metres: float) -> str:
+    return f"{100.0 * metres:.0f} cm" if metres < 1.0 else f"{metres:.1f} m"
+
+
+def _whereabouts(episode: Episode) -> tuple[tuple[str, str], ...]:
+    """What was done to the robot, and what it makes of it; nothing where nobody carries robots away."""
+    kidnapping = episode.kidnapping
+    if episode.scenario.kidnapping is None and episode.slam.relocate is None:
+        return ()
+    rows = () if kidnapping.happened is None else (("carried away", f"tick {kidnapping.happened}"),)
+    if episode.slam.lost:
+        return (*rows, ("robot", "is lost"))
+    if episode.slam.tracking.doubted:
+        return (*rows, ("robot", "in doubt"))
+    if kidnapping.recovered is not None:
+        return (*rows, ("found back", f"tick {kidnapping.recovered}"))
+    return (*rows, ("robot", "tracks"))
