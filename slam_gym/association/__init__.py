@@ -10,6 +10,7 @@ from slam_gym.association.assignment import global_nearest_neighbour
 from slam_gym.association.consistency_graph import max_clique, spectral
 from slam_gym.association.gcbb import gcbb
 from slam_gym.association.ground_truth import true_association
+from slam_gym.association.index import indexed
 from slam_gym.association.ipjc import ipjc
 from slam_gym.association.jcbb import jcbb
 from slam_gym.association.most_probable import MostProbable, map_hypothesis
@@ -24,6 +25,7 @@ __all__ = [
     "MostProbable",
     "gcbb",
     "global_nearest_neighbour",
+    "indexed",
     "ipjc",
     "jcbb",
     "map_hypothesis",
@@ -53,6 +55,7 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
 
 RELOCATORS: dict[str, Relocator] = {
     "gcbb": gcbb,
+    "indexed": indexed,
     "max_clique": max_clique,
     "rs": random_sampling,
     "spectral": spectral,

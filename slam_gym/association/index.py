@@ -7,7 +7,6 @@ number (the chance that a triangle of the map looks like one of the scan), not t
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 
@@ -16,9 +15,16 @@ from numpy.typing import ArrayLike
 
 from slam_gym.association.acceptance import min_pairings as least_by_rule
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.index_map import chance_tubes, crowding, least_pairings, relative_covariances, usual_reach
+from slam_gym.association.index_arguments import check_features, effort_of, kinds_as_numbers, pose_of, search_gates
+from slam_gym.association.index_map import (
+    chance_tubes,
+    crowding,
+    least_pairings,
+    relative_covariances,
+    usual_reach,
+)
 from slam_gym.association.index_pose import StoreArrays
-from slam_gym.association.index_search import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES, search
+from slam_gym.association.index_search import search
 from slam_gym.association.index_store import (
     CODES,
     FEATURES,
@@ -32,14 +38,14 @@ from slam_gym.association.index_store import (
     enter_grid,
     enter_triangles,
     keep_triangles,
+    largest_spread,
     move_pool,
     number_of_cells,
     paint_features,
     sigma_table,
 )
 from slam_gym.association.located import locate
-from slam_gym.geometry import wrap_angle
-from slam_gym.types import NONE, UNKNOWN, Array, Effort, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import NONE, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_scan
 
 _FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
@@ -53,7 +59,7 @@ class FeatureIndex:
         landmarks: map to start with; None for an empty one.
         reach: [m] longest side of the triangles indexed. Scans are looked up by triples of measurements that are nearer
             to each other than this; for others all pairs of near features are gone through. Default: what gives each
-            feature some 26 within reach, or 11 m for an empty map.
+            feature some 23 within reach, or 11 m for an empty map.
         noise: [m] standard deviation of a measured feature about its mapped place, roughly. It sets the resolution of
             the tables, and so the speed; results do not depend on it.
         triangles: most that are indexed per feature, on average; 16 bytes each, and room to grow.
@@ -67,7 +73,7 @@ class FeatureIndex:
         *,
         reach: float | None = None,
         noise: float | None = None,
-        triangles: float = 80.0,
+        triangles: float = 64.0,
     ) -> None:
         covariances = relative_covariances(landmarks) if landmarks is not None else np.empty((0, 2, 2))
         positions = landmarks.positions if landmarks is not None else np.empty((0, 2))
@@ -129,16 +135,16 @@ class FeatureIndex:
         index unchanged, where a shape is wrong, a position not finite or a covariance none.
         """
         at = np.ascontiguousarray(positions, np.float64).reshape(-1, 2) if np.size(positions) else np.empty((0, 2))
-        P = np.asarray(covariances, np.float64)
+        P = np.ascontiguousarray(covariances, np.float64)
         count, first = len(at), self.n
-        _check_features(at, P)
+        check_features(at, P)
         self._make_room(first + count)
         self._positions[first : first + count] = at
         details = self._details[first : first + count]
         details[:, 0], details[:, 1], details[:, 2] = P[:, 0, 0] + _FLOOR, P[:, 0, 1], P[:, 1, 1] + _FLOOR
         details[:, 3] = math.nan if sizes is None else np.asarray(sizes)
         details[:, 4] = math.nan if size_variances is None else np.asarray(size_variances)
-        details[:, 5] = _kinds(kinds)
+        details[:, 5] = kinds_as_numbers(kinds)
         self.n = first + count
         self._enter(first)
         return np.arange(first, self.n)
@@ -193,19 +199,23 @@ class FeatureIndex:
                 raise ValueError(f"{name}: of {len(other)} features, the index of {self.n}")
         places = _NO_LOCALITY if locality is None else (locality.starts, locality.members)
         attributes = np.empty((len(scan), 3))
-        attributes[:, 0], attributes[:, 1], attributes[:, 2] = scan.sizes, scan.size_variances, _kinds(scan.kinds)
+        attributes[:, 0], attributes[:, 1], attributes[:, 2] = (
+            scan.sizes,
+            scan.size_variances,
+            kinds_as_numbers(scan.kinds),
+        )
         pairings, features, fits, squares, spent = search(
             (np.ascontiguousarray(scan.points), np.ascontiguousarray(scan.covariances), attributes),
             places,
             self._store(),
-            _gates(len(scan), confidence),
+            search_gates(len(scan), confidence),
             min_pairings,
             len(scan) + 1 if exhaustive else min_pairings + 1,
             node_limit,
         )
         best = int(np.argmin(squares)) if pairings else 0
         decisions = features[best] if pairings else np.full(len(scan), NONE)
-        pose, covariance = _pose(fits[best]) if pairings else (np.full(3, math.nan), np.full((3, 3), math.nan))
+        pose, covariance = pose_of(fits[best]) if pairings else (np.full(3, math.nan), np.full((3, 3), math.nan))
         distance = float(squares[best]) if pairings else 0.0
         if landmarks is not None and pairings:
             located = locate(scan, landmarks, decisions)
@@ -220,15 +230,7 @@ class FeatureIndex:
             min_pairings,
             bool(ties or 0 < pairings < min_pairings),
             ties,
-            Effort(
-                nodes=int(spent[NODES]),
-                binary_tests=int(spent[BINARY]),
-                joint_tests=int(spent[JOINT]),
-                leaves=int(spent[LEAVES]),
-                tries=int(spent[TRIES]),
-                limit_hit=bool(spent[LIMIT]) or self.truncated > 0,
-                seconds=time.perf_counter() - start,
-            ),
+            effort_of(spent, self.truncated > 0, time.perf_counter() - start),
         )
 
     def usual_pairings(self, scan: Scan, confidence: float = 0.99, probability: float = 0.02) -> int:
@@ -285,10 +287,7 @@ class FeatureIndex:
             paint_features(
                 bits, side, scale * size, scale * radius, gate, self._positions, self._details, first, self.n
             )
-        xx, xy, yy = self._details[first : self.n, :3].T
-        if self.n > first:
-            widest = 0.5 * (xx + yy) + np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-            self._settings[WIDEST] = max(self._settings[WIDEST], float(widest.max()))
+        self._settings[WIDEST] = max(self._settings[WIDEST], largest_spread(self._details, first, self.n))
 
     def _enter(self, first: int) -> None:
         """Triangles, grid and bitmaps of the features from `first` on."""
@@ -308,7 +307,7 @@ class FeatureIndex:
             )
             if self._progress[0] == self.n:
                 return
-            larger = np.empty((int(1.45 * self._progress[2]) + 4 * len(self._cells) // 16 + 256, 4), np.int32)
+            larger = np.empty((int(1.5 * self._progress[2]) + 4096, 4), np.int32)
             self._progress[4] = move_pool(self._cells, self._pool, larger)
             self._pool = larger
 
@@ -320,52 +319,12 @@ def indexed(
     *,
     confidence: float = 0.99,
     min_pairings: int | None = None,
+    node_limit: int = 20_000_000,
 ) -> Relocation:
     """`FeatureIndex.relocate` in an index built for the occasion: for maps that are small, or looked up once."""
     index = FeatureIndex(landmarks)
     if min_pairings is None:
         min_pairings = least_by_rule(scan, landmarks, confidence=confidence)
-    return index.relocate(scan, landmarks, locality, confidence=confidence, min_pairings=min_pairings)
-
-
-def _check_features(positions: Array, covariances: Array) -> None:
-    if covariances.shape != (len(positions), 2, 2):
-        raise ValueError(f"covariances: shape {covariances.shape}, expected ({len(positions)}, 2, 2)")
-    bad = ~np.isfinite(positions).all(axis=1)
-    if bad.any():
-        raise ValueError(f"positions: feature {int(np.argmax(bad))} is not finite")
-    xx, xy, yx, yy = covariances.reshape(-1, 4).T
-    with np.errstate(invalid="ignore"):
-        good = (xx >= 0.0) & (yy >= 0.0) & (xx * yy - xy * yx >= -1e-9 * xx * yy) & np.isfinite(xx + yy + xy)
-        good &= np.abs(xy - yx) <= 1e-9 * (xx + yy)
-    if not good.all():
-        raise ValueError(
-            f"covariances: that of feature {int(np.argmin(good))} is not PSD: {covariances[np.argmin(good)]}"
-        )
-
-
-def _kinds(kinds: ArrayLike | None) -> Array | float:
-    """Kinds as numbers, NaN for UNKNOWN."""
-    if kinds is None:
-        return math.nan
-    return np.where(np.equal(kinds, UNKNOWN), math.nan, kinds)
-
-
-@functools.lru_cache(maxsize=1024)
-def _gates(m: int, confidence: float) -> Array:
-    """χ²_1, χ²_2, then χ²_{2k−3} for k = 2 … m; shared, not to be written to."""
-    return np.array(
-        [chi2_gate(1, confidence), chi2_gate(2, confidence)]
-        + [chi2_gate(2 * k - 3, confidence) for k in range(2, m + 1)]
+    return index.relocate(
+        scan, landmarks, locality, confidence=confidence, min_pairings=min_pairings, node_limit=node_limit
     )
-
-
-def _pose(fit: Array) -> tuple[Array, Array]:
-    """Pose of the robot (3,) and its covariance (3, 3), from a fit of `index_pose`."""
-    tx, ty, c, s, ox, oy, xx, xy, yy, xt, yt, tt = fit.tolist()
-    jx, jy = s * ox + c * oy, s * oy - c * ox
-    pose = np.array([tx - c * ox + s * oy, ty - s * ox - c * oy, wrap_angle(math.atan2(s, c))])
-    pxt, pyt = xt + jx * tt, yt + jy * tt
-    pxx, pyy = xx + 2.0 * jx * xt + jx * jx * tt, yy + 2.0 * jy * yt + jy * jy * tt
-    pxy = xy + jx * yt + jy * xt + jx * jy * tt
-    return pose, np.array([[pxx, pxy, pxt], [pxy, pyy, pyt], [pxt, pyt, tt]])

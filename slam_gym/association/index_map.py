@@ -14,14 +14,14 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.constraints import Mapped, difference_covariance
 from slam_gym.types import Array, IntArray, Landmarks
 
-_WITHIN = 26  # features within reach of each
+_WITHIN = 23  # features within reach of each
 _SAMPLE = 200  # features by whose surroundings the reach is judged
 _NEAREST = 24  # features around each that its error is taken relative to, every other one of them
 _ORDERS = 64  # powers of density kept
 
 
 def usual_reach(positions: Array, triangles: float) -> float:
-    """Longest side [m] of triangles with some 26 features within it, and so many triangles per feature at most.
+    """Longest side [m] of triangles with some 23 features within it, and so many triangles per feature at most.
 
     11 m where there are fewer than three features. Judged by the surroundings of some 200 features.
     """
@@ -104,6 +104,19 @@ def crowding(positions: Array, width: float) -> Array:
         sums[order] = max(float(falling.sum()), n * (float(others.mean()) / area) ** order)
         falling *= np.maximum(others - order, 0.0) / area
     return sums
+
+
+@compiled
+def first_bad_feature(positions: Array, covariances: Array) -> tuple[int, int]:
+    """(feature, fault): 1 position not finite, 2 covariance none; (−1, 0) where all are good."""
+    for j in range(len(positions)):
+        if not math.isfinite(positions[j, 0] + positions[j, 1]):
+            return j, 1
+        xx, xy, yx, yy = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 0], covariances[j, 1, 1]
+        good = math.isfinite(xx + xy + yx + yy) and xx >= 0.0 and yy >= 0.0 and abs(xy - yx) <= 1e-9 * (xx + yy)
+        if not good or xx * yy - xy * yx < -1e-9 * xx * yy:
+            return j, 2
+    return -1, 0
 
 
 @functools.lru_cache(maxsize=256)

@@ -91,6 +91,15 @@ def largest_variance(xx: float, xy: float, yy: float) -> float:
 
 
 @compiled
+def largest_spread(details: Array, first: int, n: int) -> float:
+    """Largest λ(C_j) of features first … n−1."""
+    widest = 0.0
+    for j in range(first, n):
+        widest = max(widest, largest_variance(details[j, 0], details[j, 1], details[j, 2]))
+    return widest
+
+
+@compiled
 def enter_grid(heads: Small, following: Small, side: float, positions: Array, first: int, n: int) -> None:
     """Chain features first … n−1 into the grid of (W, W) cells of `side` [m]."""
     mask = len(heads) - 1
@@ -154,7 +163,7 @@ def append(cells: Small, pool: Small, used: int, place: tuple[int, int, int, int
     a, b, c, cell, fractions = place
     count = int(cells[cell, COUNT])
     if count == cells[cell, ROOM]:
-        room, start = count + (count >> 1) + 2, int(cells[cell, START])
+        room, start = count + (count >> 2) + 2, int(cells[cell, START])
         if used + room > len(pool):
             return -1
         for i in range(count):
@@ -177,7 +186,7 @@ def move_pool(cells: Small, pool: Small, larger: Small) -> int:
         for i in range(count):
             for field in range(4):
                 larger[used + i, field] = pool[start + i, field]
-        room = count + (count >> 3) if count > 0 else 0
+        room = count + (count >> 3) + 1 if count > 0 else 0
         cells[cell, START], cells[cell, ROOM] = used, room
         used += room
     return used

@@ -12,6 +12,8 @@ BENCHMARKS = {
     "prior": "all searches with a prior at loop closure: exact scans, recall, precision, time",
     "update": "joint EKF update against one symmetric rank-20 product",
     "locality": "relocation under each locality against the bound of the source; --tracking: what it saves JCBB",
+    "associate": "relocation by the feature index: time, success beside exact cliques, maps from SLAM",
+    "relocate": "kidnapped robots of Relocate-v0 found again: searches and policies, success against nodes",
     "sight": "line of sight on small and large floors; cost of physics and sensors",
 }
 
