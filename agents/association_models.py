@@ -39,6 +39,7 @@ def load(path: Path | str) -> Associator:
     if spec.action != "branch":
         raise ValueError(f"model {path}: a driver (action {spec.action!r}), not an associator")
     network.set_training_mode(False)
+    torch.set_num_threads(1)  # as in training: for one decision at a time, threads only get in each other's way
     names = ("candidates", "order", "compatibility")
     return from_policy(BestBranch(network), **{name: spec.training[name] for name in names})
 
