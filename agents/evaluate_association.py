@@ -144,9 +144,9 @@ def _two_lines(value: Interval, name: str, digits: int, narrow: bool) -> str:
     if narrow and (digits < 2 or name in BARE):
         return cell(value, digits).partition(" ")[0]
     estimate, _, interval = cell(value, digits - narrow).partition(" ")
-    if value.low == value.high:
-        return estimate
     interval = interval.strip("[]").replace(", ", "–")
+    if set(interval.split("–")) == {estimate}:
+        return estimate
     return f"{estimate}\n{interval.replace('0.', '.') if narrow else interval}"
 
 
