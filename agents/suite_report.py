@@ -133,7 +133,7 @@ def _against(records: Sequence[Record], name: str, after: str) -> str:
         return f"Not told apart from {other} on the same scans: {said}."
     each = {e: difference(by_world(records, name, e), by_world(records, after, e)) for e in shown}
     where = sorted((e for e in shown if each[e].low > 0.0), key=lambda e: -each[e].estimate)
-    behind = [e for e in shown if each[e].high < 0.0]
+    behind = [e for e in shown if each[e].high < 0.0 and each[e].estimate <= -0.005]
     text = f"Ahead of {other} by {said}"
     if where:
         text += f", above all in {' and '.join(f'{e} ({each[e].estimate:+.2f})' for e in where[:2])}"
