@@ -62,7 +62,7 @@ def against_map(results: Results) -> Figure:
         map_axis(ax, results.size.maps)
         slopes(ax)
     axes[1].sharey(axes[0])
-    bounds(axes[-1], reaches, lambda r: r.n, results.m)
+    bounds(axes[-1], _searched(reaches, cells), lambda r: r.n)
     axes[-1].set_title(f"hypotheses, $m = {results.m}$")
     map_axis(axes[-1], results.size.maps)
     legend(figure, axes[0])
@@ -78,7 +78,7 @@ def against_measurements(results: Results) -> Figure:
         series(ax, [c for c in cells if c.search == name], lambda c: c.m, "tests")
         ax.set(title=f"{name}: pairing tests per scan", yscale="log", xlabel="measurements in the scan, $m$")
     axes[1].sharey(axes[0])
-    bounds(axes[-1], reaches, lambda r: r.m, None)
+    bounds(axes[-1], _searched(reaches, cells), lambda r: r.m)
     axes[-1].set(title=f"hypotheses, $n = {results.size.fixed}$", xlabel="measurements in the scan, $m$")
     legend(figure, axes[0])
     return figure
@@ -122,9 +122,9 @@ def slopes(ax: Axes) -> None:
         ax.text(end, top, " $n$" if power == 1 else " $n^2$", va="center", color="#7a828c", fontsize=8)
 
 
-def bounds(ax: Axes, reaches: Sequence[Reach], axis: Callable[[Reach], int], m: int | None) -> None:
+def bounds(ax: Axes, reaches: Sequence[Reach], axis: Callable[[Reach], int]) -> None:
     """N_h of the unpruned tree under each locality, (9.22) by the c it is given, and (n + 1)^m."""
-    for name in LOCALITIES:
+    for name in dict.fromkeys(r.locality for r in reaches):
         line = [r for r in reaches if r.locality == name]
         ax.plot(
             [axis(r) for r in line],
@@ -151,6 +151,10 @@ def bounds(ax: Axes, reaches: Sequence[Reach], axis: Callable[[Reach], int], m: 
     ax.legend(loc="upper left", fontsize=8)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high * (high / low) ** 0.22)
+
+
+def _searched(reaches: Sequence[Reach], cells: Sequence[Cell]) -> list[Reach]:
+    return [r for r in reaches if r.locality in {cell.locality for cell in cells}]
 
 
 def losses(reaches: Sequence[Reach]) -> Figure:

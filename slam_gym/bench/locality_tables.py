@@ -59,9 +59,10 @@ def tables(results: Results) -> list[tuple[str, list[str], list[list[str]]]]:
             f"Localities, m = {results.m}: size, hypotheses of the unpruned tree, true pairings lost",
             *_reach_table(reaches),
         ),
-        (f"Effort against the size of the map, m = {results.m}; means per scan", *_effort_table(cells)),
-        (f"Exponents in n, from n = {LARGE}, with 95 % intervals", *_exponents(cells, reaches, results.m)),
-        (f"Effort against the number of measurements, n = {results.size.fixed}", *_effort_table(more)),
+        (f"Effort against the size of the map, m = {results.m}; means per scan{_ends(cells)}", *_effort_table(cells)),
+        (f"Exponents in n, from n = {LARGE}, with 95 % intervals", *_exponents(cells)),
+        ("Exponents in n of what the unpruned tree holds", *_bound_exponents(reaches, results.m)),
+        (f"Effort against the number of measurements, n = {results.size.fixed}{_ends(more)}", *_effort_table(more)),
         ("Growth in m", *_growth(more, further)),
         (
             f"Gates, and the order of measurements, n = {results.size.fixed}, m = {results.m}",
@@ -93,6 +94,14 @@ def _reach_table(reaches: list[Reach]) -> Table:
     return [*columns, "pairs", "pairings", "scans", "anyhow"], rows
 
 
+def _ends(cells: list[Cell]) -> str:
+    """Which series were ended, since even a few scans more would have cost too much or searches hit their limit."""
+    last = max((cell.n, cell.m) for cell in cells)
+    reached = {(cell.search, cell.locality): (cell.n, cell.m) for cell in cells}
+    ended = [f"{search}, {name}: n = {n}, m = {m}" for (search, name), (n, m) in reached.items() if (n, m) != last]
+    return "\nended, as the next cell would cost too much: " + "; ".join(ended) if ended else ""
+
+
 def _effort_table(cells: list[Cell]) -> Table:
     columns = ["search", "locality", "n", "m", "scans", "hypotheses", "nodes", "pairing tests", "median ms"]
     order = sorted(cells, key=lambda c: (c.search, LOCALITIES.index(c.locality)))
@@ -111,7 +120,7 @@ def _effort_table(cells: list[Cell]) -> Table:
     return [*columns, "pairings found", "all found", "pose found", "limit hit"], rows
 
 
-def _exponents(cells: list[Cell], reaches: list[Reach], m: int) -> Table:
+def _exponents(cells: list[Cell]) -> Table:
     rng, rows = np.random.default_rng(0), []
     for search in dict.fromkeys(c.search for c in cells):
         for name in LOCALITIES:
@@ -119,14 +128,18 @@ def _exponents(cells: list[Cell], reaches: list[Reach], m: int) -> Table:
             if len(series) > 1:
                 fits = [power(series, lambda c: c.n, measure, rng) for measure in ("nodes", "tests", "ms")]
                 rows.append([search, name, f"{series[0].n} … {series[-1].n}", *(_interval(fit) for fit in fits)])
+    return ["search", "locality", "n", "nodes", "pairing tests", "time"], rows
+
+
+def _bound_exponents(reaches: list[Reach], m: int) -> Table:
+    rows = []
     for name in LOCALITIES:
-        series_ = [r for r in reaches if r.locality == name and r.n >= LARGE]
-        if len(series_) > 1:
-            x = np.log([r.n for r in series_])
-            fit = [np.polyfit(x, np.log(y), 1)[0] for y in _allowed(series_, m)]
-            span = f"{series_[0].n} … {series_[-1].n}"
-            rows.append(["bound", name, span, *(f"{f:.3f}" for f in fit)])
-    return ["search", "locality", "n", "nodes / N_h", "pairing tests / 9.22 mean c", "time / 9.22 max c"], rows
+        series = [r for r in reaches if r.locality == name and r.n >= LARGE]
+        if len(series) > 1:
+            x = np.log([r.n for r in series])
+            fit = [np.polyfit(x, np.log(y), 1)[0] for y in _allowed(series, m)]
+            rows.append([name, f"{series[0].n} … {series[-1].n}", *(f"{f:.2f}" for f in fit)])
+    return ["locality", "n", "N_h", "9.22, mean c", "9.22, max c", "9.22, one c"], rows
 
 
 def _allowed(series: list[Reach], m: int) -> list[list[float]]:
@@ -134,6 +147,7 @@ def _allowed(series: list[Reach], m: int) -> list[list[float]]:
         [r.hypotheses for r in series],
         [bound(r.n, m, r.mean_size) for r in series],
         [bound(r.n, m, r.largest_size) for r in series],
+        [bound(r.n, m, FIXED) for r in series],
     ]
 
 
@@ -153,8 +167,8 @@ def _growth(cells: list[Cell], reaches: list[Reach]) -> Table:
             m = np.array([r.m for r in series_])
             y = np.log([r.hypotheses for r in series_])
             fit = (math.exp(np.polyfit(m, y, 1)[0]), np.polyfit(np.log(m), y, 1)[0])
-            rows.append(["bound", name, f"{m[0]} … {m[-1]}", f"{fit[0]:.2f}", "", f"{fit[1]:.2f}"])
-    return ["search", "locality", "m", "nodes / N_h, factor per measurement", "tests, factor", "exponent in m"], rows
+            rows.append(["N_h", name, f"{m[0]} … {m[-1]}", f"{fit[0]:.2f}", "", f"{fit[1]:.2f}"])
+    return ["search", "locality", "m", "nodes: factor per measurement", "pairing tests: factor", "exponent in m"], rows
 
 
 def _settings_table(rows: list[tuple[str, Cell]]) -> Table:
