@@ -2,21 +2,25 @@
 
 Published by K. Leung, Y. Halpern, T. Barfoot and H. Liu, "The UTIAS multi-robot cooperative localization and mapping
 dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder with `Barcodes.dat`,
-`Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped.
+`Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped. The
+stationary groups are those that S. Choi extracted (Triangulation Toolbox, `mrclamN.mat`).
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.io import loadmat
 
 from slam_gym._compile import compiled
-from slam_gym.geometry import wrap_angle
+from slam_gym.geometry import relative, wrap_angle
 from slam_gym.recordings.recording import Recording, RecordingError
+from slam_gym.recordings.relocation_cases import RelocationCases
 from slam_gym.types import NONE, Array, IntArray
 
 SOURCE = (
@@ -26,17 +30,28 @@ SOURCE = (
 TERMS = "For educational use; cite the paper."
 ROBOTS = (1, 2, 3, 4, 5)
 _RANGE, _FIELD_OF_VIEW = 12.0, math.radians(65.0)  # [m], [rad] of the camera, with room to spare
+_AT_REST = 1e-4  # [m], [rad] σ of a step without motion
+_PAUSE = 10.0  # [s] between the log of one robot and that of the next
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What the log does not say. Variances of the motion add up with time, in proportion to the speeds."""
+    """What the log does not say; fitted to the Vicon's poses of robots 1 and 2 of set 6.
 
-    forward: float = 0.05  # [m/√s] at 1 m/s
+    Wheels report what they were told to do: the robots do it a little later, and less of it. Variances of the motion
+    add up with time; those of a barcode grow with its range.
+    """
+
+    delay: float = 0.2  # [s] after which a robot does what its odometry says
+    forward_scale: float = 0.93  # of the speed reported, how much is driven
+    turn_scale: float = 0.85  # of the turning speed reported, how much is turned
+    forward: float = 0.12  # [m/√s] at 1 m/s
     lateral: float = 0.02  # [m/√s] likewise
     turn: float = 0.15  # [rad/√s] at 1 rad/s
-    drift: float = 0.025  # [m/√s] and [rad/√s] in addition, since robots also move when their wheels report nothing
-    range: float = 0.15  # [m]
+    drift: float = 0.004  # [m/√s] in addition
+    turn_drift: float = 0.025  # [rad/√s] in addition
+    range: float = 0.1  # [m]
+    range_per_metre: float = 0.03  # [m/m] of the range, added in quadrature
     bearing: float = 0.02  # [rad]
     together: float = 0.05  # [s] measurements that are no farther apart make one scan
 
@@ -59,7 +74,9 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     new = np.diff(measured[:, 0], prepend=-math.inf) > noise.together
     first = np.flatnonzero(new)
     times = measured[first, 0]
-    motions, covariances = _integrate(times, odometry, noise.forward, noise.lateral, noise.turn, noise.drift)
+    driven = odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
+    growth = (noise.forward, noise.lateral, noise.turn, noise.drift, noise.turn_drift)
+    motions, covariances = _integrate(times, driven, growth)
     points, point_covariances = _cartesian(measured[:, 2], measured[:, 3], noise)
     unknown = np.full(len(points), math.nan)
     return Recording(
@@ -84,6 +101,111 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     )
 
 
+def mrclam_all(
+    folder: str | Path, noise: Noise | None = None, link: tuple[float, float, float] = (0.05, 0.05, math.radians(2.0))
+) -> Recording:
+    """The logs of all robots of a set, one after the other, for one map of them all.
+
+    It is as if a single robot were picked up at the end of each log and put down at the start of the next: that motion
+    is the relative pose that the Vicon gives, with standard deviations `link` [m, m, rad]. Everything within a log is
+    as in `mrclam`, but for the clock, which starts again ten seconds after the log before; of the reference, what was
+    recorded from the first step of each log to its last stays. Raises as `mrclam`.
+    """
+    logs = [mrclam(folder, robot, noise) for robot in ROBOTS]
+    ends = np.array([log.times[-1] for log in logs])
+    begins = np.concatenate([[0.0], np.cumsum(ends + _PAUSE)[:-1]])
+    motions = [log.motions.copy() for log in logs]
+    covariances = [log.motion_covariances.copy() for log in logs]
+    for k in range(1, len(logs)):
+        motions[k][0] = relative(_reference_at(logs[k - 1], ends[k - 1]), _reference_at(logs[k], 0.0))
+        covariances[k][0] = np.diag(np.square(link))
+    references = [_reference_of(log) for log in logs]
+    rows = np.concatenate([[0], np.cumsum([len(log.points) for log in logs])])
+    together: dict[str, Any] = {name: np.concatenate([getattr(log, name) for log in logs]) for name in _PER_MEASUREMENT}
+    return replace(
+        logs[0],
+        name=f"mrclam/{Path(folder).name}/all",
+        times=np.concatenate([log.times + begin for log, begin in zip(logs, begins)]),
+        motions=np.concatenate(motions),
+        motion_covariances=np.concatenate(covariances),
+        starts=np.concatenate([log.starts[:-1] + row for log, row in zip(logs, rows)] + [rows[-1:]]),
+        reference_times=np.concatenate([times + begin for (times, _), begin in zip(references, begins)]),
+        reference_poses=np.concatenate([poses for _, poses in references]),
+        **together,
+    )
+
+
+_PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
+
+
+def _reference_of(log: Recording) -> tuple[Array, Array]:
+    """Times and poses of the Vicon from the first step of a log to its last, of these two themselves too."""
+    end = float(log.times[-1])
+    during = (log.reference_times > 0.0) & (log.reference_times < end)
+    times = np.concatenate([[0.0], log.reference_times[during], [end]])
+    poses = [_reference_at(log, 0.0)[None], log.reference_poses[during], _reference_at(log, end)[None]]
+    return times, np.concatenate(poses)
+
+
+def _reference_at(log: Recording, time: float) -> Array:
+    """Pose (3,) of the Vicon at a time of the log, interpolated."""
+    x, y, heading = log.reference_poses.T
+    values = [np.interp(time, log.reference_times, column) for column in (x, y, np.unwrap(heading))]
+    return np.array([values[0], values[1], wrap_angle(float(values[2]))])
+
+
+def stationary(path: str | Path, noise: Noise | None = None) -> RelocationCases:
+    """Groups of three or more measurements that a robot made within a second and a centimetre, with its true pose.
+
+    From a file `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. Gross errors were removed by those who
+    extracted the groups, and barcodes of robots too: nothing is spurious. Most groups repeat the one before, since
+    robots stand still for long. Raises FileNotFoundError, or RecordingError that names file, variable and row.
+    """
+    noise, path = noise or Noise(), Path(path)
+    content = _matlab(path, {"landmark": 3, "groundtruth": 4, "measurement": 4})
+    landmarks, truth, measured = content["landmark"], content["groundtruth"], content["measurement"]
+    if not np.array_equal(truth[:, 0], np.arange(1, len(truth) + 1)):
+        raise RecordingError(f"{path}: variable 'groundtruth': the cases are not numbered 1 … {len(truth)}")
+    for column, known, what in ((0, truth[:, 0], "case"), (1, landmarks[:, 0], "landmark")):
+        stray = ~np.isin(measured[:, column], known)
+        if stray.any():
+            row = int(stray.argmax())
+            raise RecordingError(f"{path}: variable 'measurement': row {row + 1} is of no {what} that is there")
+    measured = measured[np.argsort(measured[:, 0], kind="stable")]
+    points, covariances = _cartesian(measured[:, 2], measured[:, 3], noise)
+    counts = np.bincount(measured[:, 0].astype(np.int64) - 1, minlength=len(truth))
+    return RelocationCases(
+        name=f"mrclam/stationary/{path.stem}",
+        source=SOURCE,
+        terms=TERMS,
+        landmark_ids=landmarks[:, 0].astype(np.int64),
+        landmarks=landmarks[:, 1:].copy(),
+        starts=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        points=points,
+        covariances=covariances,
+        sources=measured[:, 1].astype(np.int64),
+        poses=truth[:, 1:].copy(),
+    )
+
+
+def _matlab(path: Path, variables: dict[str, int]) -> dict[str, Array]:
+    """Tables of a MATLAB file by name, each with so many columns of finite numbers."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: not there. {SOURCE}")
+    try:
+        content: dict[str, Any] = loadmat(path)
+    except Exception as error:  # scipy raises whatever the damage leads to
+        raise RecordingError(f"{path}: no readable MATLAB file: {error}") from error
+    for name, columns in variables.items():
+        shape = np.shape(content.get(name, ()))
+        if len(shape) != 2 or shape[0] == 0 or shape[1] != columns:
+            raise RecordingError(f"{path}: variable {name!r}: expected a table of {columns} columns, found {shape}")
+        bad = ~np.isfinite(content[name]).all(axis=1)
+        if bad.any():
+            raise RecordingError(f"{path}: variable {name!r}: row {int(bad.argmax()) + 1} is not finite")
+    return {name: np.asarray(content[name], np.float64) for name in variables}
+
+
 def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) -> Array:
     """The numbers (rows, columns) of a text file, or of its gzipped form. Lines that begin with # are comments."""
     path = next((p for p in (folder / name, folder / f"{name}.gz") if p.is_file()), None)
@@ -104,30 +226,39 @@ def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) ->
 
 
 @compiled
-def _integrate(
-    times: Array, odometry: Array, forward: float, lateral: float, turn: float, drift: float
-) -> tuple[Array, Array]:
-    """Motion (T, 3) and covariance (T, 3, 3) between `times`, from rows (time, v, ω) that hold until the next one."""
+def _integrate(times: Array, odometry: Array, growth: tuple[float, float, float, float, float]) -> tuple[Array, Array]:
+    """Motion (T, 3) and covariance (T, 3, 3) between `times`, from rows (time, v, ω) that hold until the next one.
+
+    C ← F C Fᵀ + Q with F = ∂(u ⊕ du)/∂u: what a robot turns too far early on, it is aside of its way later.
+    """
+    forward, lateral, turn, drift, turn_drift = growth
     motions, covariances = np.zeros((len(times), 3)), np.zeros((len(times), 3, 3))
     at = 0
     for k in range(len(times)):
-        now = times[k - 1] if k > 0 else times[0]
-        x, y, theta, along, across, around = 0.0, 0.0, 0.0, 1e-8, 1e-8, 1e-8
+        now, C = times[k - 1] if k > 0 else times[0], _AT_REST**2 * np.eye(3)
+        x, y, theta = 0.0, 0.0, 0.0
         while now < times[k]:
             while at + 1 < len(odometry) and odometry[at + 1, 0] <= now:
                 at += 1
             end = min(times[k], odometry[at + 1, 0]) if at + 1 < len(odometry) else times[k]
-            dt = end - now if odometry[at, 0] <= now else 0.0
-            v, w = odometry[at, 1], odometry[at, 2]
-            x += dt * v * math.cos(theta + 0.5 * dt * w)
-            y += dt * v * math.sin(theta + 0.5 * dt * w)
-            theta += dt * w
-            along += dt * ((forward * v) ** 2 + drift**2)
-            across += dt * ((lateral * v) ** 2 + drift**2)
-            around += dt * ((turn * w) ** 2 + drift**2)
+            if now < odometry[at, 0]:  # before the first row
+                end = min(end, odometry[at, 0])
+            dt = end - now
+            v, w = (odometry[at, 1], odometry[at, 2]) if odometry[at, 0] <= now else (0.0, 0.0)
+            c, s = math.cos(theta + 0.5 * dt * w), math.sin(theta + 0.5 * dt * w)
+            x, y, theta = x + dt * v * c, y + dt * v * s, theta + dt * w
+            F = np.eye(3)
+            F[0, 2], F[1, 2] = -dt * v * s, dt * v * c
+            C = F @ C @ F.T
+            along, across = dt * ((forward * v) ** 2 + drift**2), dt * ((lateral * v) ** 2 + drift**2)
+            C[0, 0] += c * c * along + s * s * across
+            C[0, 1] += c * s * (along - across)
+            C[1, 0] += c * s * (along - across)
+            C[1, 1] += s * s * along + c * c * across
+            C[2, 2] += dt * ((turn * w) ** 2 + turn_drift**2)
             now = end
         motions[k, 0], motions[k, 1], motions[k, 2] = x, y, wrap_angle(theta)
-        covariances[k, 0, 0], covariances[k, 1, 1], covariances[k, 2, 2] = along, across, around
+        covariances[k] = 0.5 * (C + C.T)
     return motions, covariances
 
 
@@ -135,7 +266,8 @@ def _cartesian(ranges: Array, bearings: Array, noise: Noise) -> tuple[Array, Arr
     """Points (M, 2) and covariances (M, 2, 2) in R."""
     ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
     aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    covariances = noise.range**2 * ahead[:, :, None] * ahead[:, None, :]
+    along = noise.range**2 + (noise.range_per_metre * ranges) ** 2
+    covariances = along[:, None, None] * ahead[:, :, None] * ahead[:, None, :]
     covariances += ((noise.bearing * ranges) ** 2)[:, None, None] * aside[:, :, None] * aside[:, None, :]
     return ranges[:, None] * ahead, covariances
 
