@@ -36,7 +36,7 @@ SEARCHED = tuple(name for name in LOCALITIES if name != "joined maps")  # its lo
 
 
 FULL = Size((50, 100, 200, 400, 800, 1600, 3200, 6400, 12800), (4, 6, 8, 10, 12, 14, 16), 400, 30, 1.1e9, 500)
-QUICK = Size((50, 100, 200, 400, 800, 1600), (4, 6, 8), 200, 6, 1.5e7, 30)
+QUICK = Size((50, 100, 200, 400, 800, 1600), (4, 6, 8), 200, 6, 2.2e8, 30)
 
 
 def searches(confidence: float = 0.99, *, rivals: bool = False) -> dict[str, Relocator]:

@@ -25,7 +25,7 @@ from slam_gym.types import Hypothesis, Prediction, Scan
 SCENARIOS = ("office", "aliased", "hall", "crowd")
 
 
-@dataclass
+@dataclass(eq=False)
 class Effort:
     """What the associator spent over a run."""
 
