@@ -76,10 +76,12 @@ def against_measurements(results: Results) -> Figure:
     figure, axes = _panels(len(names) + 1, 3.9)
     for ax, name in zip(axes, names):
         series(ax, [c for c in cells if c.search == name], lambda c: c.m, "tests")
-        ax.set(title=f"{name}: pairing tests per scan", yscale="log", xlabel="measurements in the scan, $m$")
+        ax.set(title=f"{name}: pairing tests per scan", yscale="log")
+        ax.set(xlabel="measurements in the scan, $m$", xticks=results.size.measurements)
     axes[1].sharey(axes[0])
     bounds(axes[-1], _searched(reaches, cells), lambda r: r.m)
     axes[-1].set(title=f"hypotheses, $n = {results.size.fixed}$", xlabel="measurements in the scan, $m$")
+    axes[-1].set_xticks(results.size.measurements)
     legend(figure, axes[0])
     return figure
 
