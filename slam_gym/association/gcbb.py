@@ -48,6 +48,7 @@ def gcbb(
     min_pairings: int | None = None,
     node_limit: int = 1_000_000,
     rivals: bool = True,
+    outwards: bool = False,
 ) -> Relocation:
     """The jointly compatible hypothesis with most pairings, of all that satisfy the location-independent constraints.
 
@@ -61,6 +62,9 @@ def gcbb(
     returned, and `ties` tells how many of the others are at another pose. Without, the search is that of the source,
     the first of them is returned, and nothing is known of ties.
 
+    Levels follow the scan. With `outwards` they go from its centre out: a measurement amid the others is more likely to
+    begin with a feature that was seen together with all of theirs, so that less is lost to a strict locality.
+
     `min_pairings` replaces the rule of `acceptance`. Where `node_limit` ends the search, `effort.limit_hit` says so and
     the best hypothesis until then is returned. Raises ValueError for bad numbers in scan or map, and for a locality of
     another map.
@@ -68,6 +72,10 @@ def gcbb(
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
     points, noise, sizes, size_variances, kinds = scan_arrays(scan)
+    levels = _from_centre(points) if outwards else np.arange(len(points))
+    points, noise, sizes, size_variances, kinds = (
+        part[levels] for part in (points, noise, sizes, size_variances, kinds)
+    )
     arrays, local = map_arrays(landmarks), locality_arrays(locality, len(landmarks))
     counters, start = np.zeros(8, np.int64), time.perf_counter()
     found = _gcbb(
@@ -83,7 +91,16 @@ def gcbb(
         counters,
     )
     seconds = time.perf_counter() - start
+    found[0][levels] = found[0].copy()
     return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
+
+
+def _from_centre(points: Array) -> IntArray:
+    """Measurements (m,), those nearest to their mean first."""
+    if not len(points):
+        return np.empty(0, np.int64)
+    order: IntArray = np.argsort(((points - points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
+    return order
 
 
 @compiled

@@ -32,7 +32,7 @@ from slam_gym.world.sensor import Sensor
 
 _GRID_MARGIN = 2.0  # [m] of explored grid around the plan, for estimates that drift out of it
 _TRUE = ASSOCIATORS["true_association"]
-_LOOK_AT_MEASUREMENTS = {known for name, known in ASSOCIATORS.items() if name != "map_hypothesis"}
+_LOOK_AT_MEASUREMENTS = [known for name, known in ASSOCIATORS.items() if name != "map_hypothesis"]
 _AT_REST = Motion(moved=np.zeros(3), wheels=np.zeros(3), contact=False)
 
 
@@ -200,7 +200,8 @@ def _gated(associator: Associator, confidence: float) -> Associator:
 
 def _wants_visibility(associator: Associator) -> bool:
     """Whoever is not known to ignore it: most associators only look at what was measured."""
-    return getattr(associator, "func", associator) not in _LOOK_AT_MEASUREMENTS
+    given = getattr(associator, "func", associator)
+    return all(given is not known for known in _LOOK_AT_MEASUREMENTS)  # by identity: it need not be hashable
 
 
 def turned(base: Array, covariance: Array) -> Array:

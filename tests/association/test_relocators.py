@@ -212,3 +212,16 @@ def test_names_resolve():
     assert resolve_relocator("slam_gym.association.gcbb:gcbb") is gcbb
     with pytest.raises(ValueError, match="rs"):
         resolve_relocator("nothing")
+
+
+@pytest.mark.parametrize("locality", LOCALITIES)
+@pytest.mark.parametrize("seed", range(20))
+def test_outwards_is_the_same_search_with_the_measurements_sorted_from_their_centre(seed, locality):
+    scan, landmarks, _, localities = plant(seed)
+    order = np.argsort(np.hypot(*(scan.points - scan.points.mean(axis=0)).T))
+    names = ("points", "covariances", "sizes", "size_variances")
+    sorted_scan = replace(scan, **{name: getattr(scan, name)[order] for name in names})
+    found = gcbb(scan, landmarks, localities[locality], outwards=True)
+    expected = gcbb(sorted_scan, landmarks, localities[locality])
+    np.testing.assert_array_equal(found.features[order], expected.features)
+    assert found.effort.nodes == expected.effort.nodes and found.ties == expected.ties
