@@ -12,12 +12,12 @@ import numpy as np
 
 from slam_gym.envs import symbols
 from slam_gym.envs.drawing import Canvas, pygame, text
+from slam_gym.envs.panel import Figures, figures
 from slam_gym.metrics.association import Decision
 from slam_gym.types import Array
 
 _MARGIN = 16  # [pixels] around the plan, and within the panel
 _ROW = 20  # [pixels]
-_GAP = 22  # [pixels] between two columns of figures
 _COLUMN = 186  # [pixels] of the legend
 _BESIDE, _BELOW = 226, 172  # [pixels] width of a panel beside the map, height of one below it
 _SYMBOL = (40, 16)  # [pixels] room for one symbol of the legend
@@ -55,10 +55,10 @@ def _fit(area: tuple[int, int], panel: tuple[int, int, int, int], bounds: Array)
     return Layout(area, low, scale, panel)
 
 
-def draw(picture: Any, layout: Layout, title: str, figures: tuple[tuple[str, str], ...], shown: frozenset[str]) -> None:
+def draw(picture: Any, layout: Layout, title: str, rows: Figures, shown: frozenset[str]) -> None:
     """Draw all that stands beside the map onto the surface `picture`.
 
-    `figures` are pairs of what and how much; `shown` names the entries of the legend that not every map has.
+    `rows` are the figures; `shown` names the entries of the legend that not every map has.
     """
     left, top, width, height = layout.panel
     edge = ((left, top), (left, top + height)) if layout.beside else ((left, top), (left + width, top))
@@ -70,24 +70,13 @@ def draw(picture: Any, layout: Layout, title: str, figures: tuple[tuple[str, str
     corner = (x, top + height - _MARGIN - key.get_height()) if layout.beside else (width - key.get_width(), y + 1)
     picture.blit(key, corner)
     picture.blit(_fitting(title, room), (x, y))
-    _figures(picture, figures, (x, y + 30), room, 1 if layout.beside else math.ceil(len(figures) / 6))
+    figures(picture, rows, (x, y + 30), room, 1 if layout.beside else max(1, math.ceil(len(rows) / 6)))
 
 
 def _fitting(title: str, width: int) -> Any:
     """The title, as large as fits into `width` [pixels]."""
     sizes = (text(title, size, symbols.INK, bold=True) for size in range(15, 8, -1))
     return next((line for line in sizes if line.get_width() <= width), text(title, 8, symbols.INK, bold=True))
-
-
-def _figures(
-    picture: Any, figures: tuple[tuple[str, str], ...], corner: tuple[int, int], width: int, columns: int
-) -> None:
-    rows = math.ceil(len(figures) / max(columns, 1))
-    for k, (what, how_much) in enumerate(figures):
-        x, y = corner[0] + (k // rows) * (width + _GAP) // columns, corner[1] + (k % rows) * _ROW
-        value = text(how_much, 12, symbols.INK, bold=True)
-        picture.blit(text(what, 12, symbols.MUTED), (x, y))
-        picture.blit(value, (x + (width + _GAP) // columns - _GAP - value.get_width(), y))
 
 
 def _scale_bar(picture: Any, layout: Layout) -> None:

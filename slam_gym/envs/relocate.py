@@ -294,7 +294,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
         return (
             ("try", str(walk.tries)),
             ("nodes", f"{walk.nodes} of {self.walk_spec.node_limit}"),
-            ("pairings, best", f"{best.pairings} of {walk.needed} needed"),
+            ("pairings, best", f"{best.pairings}, {walk.needed} needed"),
             ("D², best", distance),
         )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +13,7 @@ from slam_gym.association.relocation_walk import RelocationWalk
 from slam_gym.envs import symbols
 from slam_gym.envs.drawing import Canvas, pygame, text
 from slam_gym.envs.kidnappings import Kidnapped, MappedWorld
+from slam_gym.envs.panel import Figures, badges
 from slam_gym.envs.relocation_panel import draw_panel
 from slam_gym.envs.window import Window
 from slam_gym.geometry import compose, rotate_covariances, transform
@@ -23,7 +23,6 @@ from slam_gym.types import NONE, Array, IntArray
 _SIZE, _PANEL = (1140, 720), 420  # [pixels] picture; width of the panel
 _INSET = 190  # [pixels] side of the scan
 _MARGIN = 0.7  # [m] around the plan
-_BESIDE = ((0.7, -0.7), (-0.7, -0.7), (0.7, 0.7), (-0.7, 0.7), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
 
 class RelocationRenderer:
@@ -33,7 +32,7 @@ class RelocationRenderer:
         self._window = Window(mode, _SIZE, "slam_gym: relocation", fps)
 
     def draw(
-        self, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figures: tuple[tuple[str, str], ...]
+        self, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figures: Figures
     ) -> NDArray[np.uint8] | None:
         """The picture (h, w, 3); None in `human` mode, where it goes to the window."""
         picture = pygame.Surface(_SIZE, depth=32)
@@ -87,7 +86,7 @@ def _draw_map(
     shown = _shown(walk)
     canvas.discs(landmarks[shown], 5.4, None, symbols.PLAN, 1.8)
     picture.blit(canvas.picture(), (0, 0))
-    _badges(picture, [(x * scale, size[1] - y * scale) for x, y in (landmarks[shown] - np.array(low)).tolist()])
+    badges(picture, [(x * scale, size[1] - y * scale) for x, y in (landmarks[shown] - np.array(low)).tolist()])
     where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
     picture.blit(text(where, 13, symbols.MUTED), (14, 10))
 
@@ -113,7 +112,7 @@ def _draw_hypothesis(
     points, ends = transform(pose, walk.tree.scan.points), np.full((len(features), 2), np.nan)
     ends[paired] = landmarks[features[paired]]
     known = codes != NONE
-    canvas.discs(points[~known], 3.2, symbols.PAPER, symbols.MUTED, 1.0)
+    symbols.undecided(canvas, points[~known])
     symbols.decisions(canvas, pose[:2], points[known], ends[known], codes[known])
     turned = rotate_covariances(mapped.base[2], located.covariance[None, :2, :2])
     canvas.ellipses(pose[None, :2], turned, None, symbols.MAPPED)
@@ -123,30 +122,15 @@ def _draw_hypothesis(
 def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, codes: IntArray) -> None:
     """The scan in R, x up: what is decided, what is to be decided now, what is left."""
     points = walk.tree.scan.points[:, ::-1] * np.array([-1.0, 1.0])  # x ahead, drawn upwards
-    reach = 1.15 * max(float(np.abs(points).max(initial=1.0)), 1.0)
+    reach = 1.3 * max(float(np.abs(points).max(initial=1.0)), 1.0)
     canvas = Canvas((_INSET, _INSET), (-reach, -reach), 0.5 * _INSET / reach, symbols.PAPER)
-    for code, colour in ((NONE, symbols.MUTED), *symbols.DECISIONS.items()):
-        of_code = points[codes == code]
-        if len(of_code):
-            rays = np.concatenate([np.zeros_like(of_code), of_code], axis=1)
-            canvas.segments(rays, symbols.LINE, 0.8)
-            canvas.discs(of_code, 3.4, symbols.PAPER if code == NONE else colour, colour, 1.2)
+    canvas.segments(np.concatenate([np.zeros_like(points), points], axis=1), symbols.LINE, 0.8)
+    symbols.undecided(canvas, points[codes == NONE])
+    for code, colour in symbols.DECISIONS.items():
+        canvas.discs(points[codes == code], 3.4, colour, symbols.PAPER, 0.8)
     symbols.robot_estimate(canvas, np.array([0.0, 0.0, 0.5 * np.pi]), 0.0)
     if walk.measurement is not None:
-        canvas.discs(points[walk.measurement][None], 5.0, symbols.CHOICE, symbols.INK, 1.4)
+        symbols.choice(canvas, points[walk.measurement])
     picture.blit(canvas.picture(), corner)
     pygame.draw.rect(picture, symbols.LINE, (*corner, _INSET, _INSET), 1)
     picture.blit(text("the scan", 12, symbols.MUTED), (corner[0] + 8, corner[1] + 6))
-
-
-def _badges(picture: Any, points: list[tuple[float, float]]) -> None:
-    """The number of each action beside its candidate, where there is room."""
-    taken: list[tuple[float, float]] = []
-    for action, (x, y) in enumerate(points):
-        spots = [(x + r * dx, y + r * dy) for r in (15, 26) for dx, dy in _BESIDE]
-        clear = [spot for spot in spots if all(math.dist(spot, other) > 16 for other in taken)]
-        spot = (clear or spots)[0]
-        taken.append(spot)
-        label = text(str(action), 11, symbols.PAPER, bold=True)
-        pygame.draw.circle(picture, symbols.PLAN, spot, 8)
-        picture.blit(label, (round(spot[0]) - label.get_width() // 2, round(spot[1]) - label.get_height() // 2))

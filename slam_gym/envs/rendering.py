@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym.envs import legend, symbols
 from slam_gym.envs.drawing import Canvas, pygame
+from slam_gym.envs.panel import Figures
+from slam_gym.envs.window import Window
 from slam_gym.geometry import compose
 from slam_gym.types import Array, BoolArray, IntArray
 
@@ -43,7 +45,7 @@ class Frame:
     cells_base: Array | None = None  # (3,) pose of B
     cells_resolution: float = 1.0  # [m] a cell
     title: str = ""
-    panel: tuple[tuple[str, str], ...] = ()  # figures: what, how much
+    panel: Figures = ()
 
 
 class Renderer:
@@ -61,13 +63,10 @@ class Renderer:
         fps: float = 10.0,
     ) -> None:
         """Raises ValueError for an unknown mode or a picture too small to hold anything."""
-        if mode not in ("rgb_array", "human"):
-            raise ValueError(f"unknown render mode {mode!r}; known: rgb_array, human")
         if min(size) < 240:
             raise ValueError(f"the picture must be at least 240 pixels wide and high, got {size}")
-        self.mode, self.bounds, self.size, self.fps = mode, bounds, size, fps
-        self._window: Any = None
-        self._clock: Any = None
+        self.bounds, self.size = bounds, size
+        self._window = Window(mode, size, "slam_gym", fps)
 
     def draw(self, frame: Frame) -> NDArray[np.uint8] | None:
         """The picture (h, w, 3) of a frame; None in `human` mode, where it goes to the window."""
@@ -78,28 +77,11 @@ class Renderer:
         draw_map(canvas, frame)
         picture.blit(canvas.picture(), (0, 0))
         legend.draw(picture, layout, frame.title, frame.panel, _shown(frame))
-        if self.mode == "human":
-            self._show(picture)
-            return None
-        width, height = self.size
-        return np.frombuffer(pygame.image.tobytes(picture, "RGB"), np.uint8).reshape(height, width, 3).copy()
+        return self._window.show(picture)
 
     def close(self) -> None:
         """Close the window, if there is one. May be called twice; drawing again opens it anew."""
-        if self._window is not None:
-            pygame.display.quit()
-            self._window = self._clock = None
-
-    def _show(self, picture: Any) -> None:
-        if self._window is None:
-            pygame.display.init()
-            self._window = pygame.display.set_mode(self.size)
-            pygame.display.set_caption("slam_gym")
-            self._clock = pygame.time.Clock()
-        self._window.blit(picture, (0, 0))
-        pygame.event.pump()
-        pygame.display.flip()
-        self._clock.tick(self.fps)
+        self._window.close()
 
 
 def draw_map(canvas: Canvas, frame: Frame) -> None:

@@ -80,8 +80,20 @@ def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes:
         canvas.discs(points[codes == code], 3.2, colour, PAPER, 0.8)
 
 
+def undecided(canvas: Canvas, points: Array) -> None:
+    """Measurements (m, 2) that nothing has been decided about."""
+    canvas.discs(points, 3.4, PAPER, INK, 1.2)
+
+
+def choice(canvas: Canvas, point: Array) -> None:
+    """The measurement (2,) to decide now."""
+    canvas.discs(point[None], 5.0, CHOICE, INK, 1.4)
+
+
 def robot_body(canvas: Canvas, pose: Array, radius: float) -> None:
-    """The true robot, pose (3,), radius [m]: a disc with a wedge that points ahead."""
+    """The true robot, pose (3,), radius [m]: a disc with a wedge that points ahead. Nothing where nobody knows it."""
+    if not np.isfinite(pose).all():
+        return
     pixels = max(radius * canvas.scale, 6.0)
     canvas.discs(pose[None, :2], pixels, INK, PAPER, 1.0)
     wedge = np.array([[0.72, 0.0], [-0.42, 0.5], [-0.42, -0.5]]) * (pixels / canvas.scale)

@@ -17,6 +17,9 @@ class Window:
     """
 
     def __init__(self, mode: Literal["rgb_array", "human"], size: tuple[int, int], title: str, fps: float) -> None:
+        """Raises ValueError for an unknown mode."""
+        if mode not in ("rgb_array", "human"):
+            raise ValueError(f"unknown render mode {mode!r}; known: rgb_array, human")
         self.mode, self.size, self.title, self.fps = mode, size, title, fps
         self._window: Any = None
         self._clock: Any = None
