@@ -14,6 +14,8 @@ BENCHMARKS = {
     "locality": "relocation under each locality against the bound of the source; --tracking: what it saves JCBB",
     "associate": "relocation by the feature index: time, success beside exact cliques, maps from SLAM",
     "relocate": "kidnapped robots of Relocate-v0 found again: searches and policies, success against nodes",
+    "recordings": "relocation on Victoria Park and MR.CLAM: right, wrong, none against pairings and locality",
+    "consistency": "standard EKF, first-estimate Jacobians, local maps on long loops: ANEES, duplicates, error, time",
     "sight": "line of sight on small and large floors; cost of physics and sensors",
 }
 
