@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from agents.ppo import load_policy
+from agents.ppo import for_decisions, load_policy
 from slam_gym.association.policy import Policy, from_policy
 from slam_gym.association.walk_observation import Observation
 from slam_gym.types import Associator, BoolArray
@@ -38,10 +38,8 @@ def load(path: Path | str) -> Associator:
     spec, network = load_policy(Path(path))
     if spec.action != "branch":
         raise ValueError(f"model {path}: a driver (action {spec.action!r}), not an associator")
-    network.set_training_mode(False)
-    torch.set_num_threads(1)  # as in training: for one decision at a time, threads only get in each other's way
     names = ("candidates", "order", "compatibility")
-    return from_policy(BestBranch(network), **{name: spec.training[name] for name in names})
+    return from_policy(BestBranch(for_decisions(network)), **{name: spec.training[name] for name in names})
 
 
 def associate_episode(env: gym.Env[Any, Any], policy: Policy, episode: int) -> dict[str, Any]:

@@ -174,6 +174,13 @@ def load_policy(path: Path) -> tuple[ModelSpec, Any]:
     return spec, policy
 
 
+def for_decisions(policy: Any) -> Any:
+    """The network, set to decide. One thread: for one state at a time, more only get in each other's way."""
+    policy.set_training_mode(False)
+    torch.set_num_threads(1)
+    return policy
+
+
 class PolicyAgent:
     """A trained network at the wheel."""
 
@@ -181,8 +188,7 @@ class PolicyAgent:
 
     def __init__(self, policy: Any, action: ActionKind, *, deterministic: bool) -> None:
         self.action: ActionKind = action
-        self._policy, self._deterministic = policy, deterministic
-        self._policy.set_training_mode(False)
+        self._policy, self._deterministic = for_decisions(policy), deterministic
         self.reset(0)
 
     @classmethod
