@@ -45,6 +45,7 @@ FEATURES_PER_MAP = 30
 PARK_NEAR = (1.0, math.radians(3.0))  # [m, rad] right answers err by centimetres, wrong ones by tens of metres
 ROOM_NEAR = (1.0, math.radians(15.0))  # of three barcodes a metre apart, known to 15 cm each
 _MISLABELLED = 5.0  # [m] a feature so far from its label's place was made of something else
+_TRIMS = 5  # rounds in which such features are left out of the alignment
 _STOOD_STILL = (0.1, math.radians(5.0))  # [m, rad]
 _SPEC = SlamSpec(MapSpec(unconfirmed_age=10), new_confidence=1.0 - 1e-6)
 
@@ -155,8 +156,10 @@ def into_map(optimum: Optimum, run: Run, pose: Array, reach: float) -> Array:
     known = np.array([row for row, source in enumerate(run.sources.tolist()) if source in place])
     there = np.array([place[source] for source in run.sources[known].tolist()])
     here = run.slam.map.positions[known]
-    overall = align_se2(there, here)
-    kept = np.hypot(*(transform(overall, there) - here).T) < _MISLABELLED
+    kept = np.ones(len(known), bool)
+    for _ in range(_TRIMS):
+        away = np.hypot(*(transform(align_se2(there[kept], here[kept]), there) - here).T)
+        kept = away < max(_MISLABELLED, 2.0 * float(np.median(away)))
     near = kept & (np.hypot(*(there - pose[:2]).T) < reach)
     chosen = near if near.sum() >= 3 else kept
     return align_se2(there[chosen], here[chosen])
