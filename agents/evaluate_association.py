@@ -1,5 +1,5 @@
 """Evaluate associators: `python -m agents.evaluate_association` puts each into the loop on the same test worlds;
-`--suite` asks all of them about the same scans, one number per capability.
+`--suite` asks all of them about the same scans, one number per capability; `--recording` runs them over a real log.
 
 Writes into OUT: records.jsonl (--resume goes on from it), records.csv, results.json and report.html.
 """
@@ -23,6 +23,7 @@ from agents.association_evaluation import ORDER, carry_out, row, shipped, short
 from agents.base import AGENTS
 from agents.cli import CHECKOUT, command_line, run_main
 from agents.parallel import BACKENDS
+from agents.recording_evaluation import add_recording_options, run_recording
 from agents.results import Record, cell
 from agents.suite import EXPERIMENTS, RELOCATION
 from agents.suite_run import OUTCOMES, by_world, capabilities, names_of, number, over_all, ranked, worlds
@@ -70,6 +71,7 @@ def parser() -> argparse.ArgumentParser:
     suite.add_argument("--worlds", type=int, metavar="W", help=f"a level (default: {WORLDS}; quick: {QUICK_WORLDS})")
     suite.add_argument("--problems", type=int, metavar="P", help=f"a world (default: {PROBLEMS}; quick: "
                        f"{QUICK_PROBLEMS})")  # fmt: skip
+    add_recording_options(p)
     return p
 
 
@@ -163,15 +165,20 @@ def default_out(kind: str, resume: bool) -> Path:
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
-    for name in ("episodes", "jobs", "worlds", "problems"):
+    for name in ("episodes", "jobs", "worlds", "problems", "every"):
         if (value := getattr(a, name)) is not None and value < 1:
             raise ValueError(f"--{name} must be at least 1, not {value}")
-    out = a.out or default_out("suite" if a.suite else "association", a.resume)
+    if a.suite and a.recording:
+        raise ValueError("--suite and --recording are two evaluations: give one of them")
+    kind, evaluate = "association", run_drives
+    if a.suite or a.recording:
+        kind, evaluate = ("suite", run_suite) if a.suite else ("recording", run_recording)
+    out = a.out or default_out(kind, a.resume)
     command = command_line("agents.evaluate_association", argv)
     common = {"jobs": a.jobs, "backend": a.backend, "command": command, "resume": a.resume}
     console = Console()
     try:
-        (run_suite if a.suite else run_drives)(a, out, common, console)
+        evaluate(a, out, common, console)
     except KeyboardInterrupt:
         console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise

@@ -23,8 +23,21 @@ ALLOWED = {
     "relocation": BASE | {"mapping", "association", "slam"},
     "metrics": BASE | {"metrics"},
     "recordings": BASE | {"recordings"},
+    "recording_settings": BASE | {"mapping", "slam", "recordings"},
     "scenarios": BASE | {"world", "mapping", "slam"},
-    "envs": BASE | {"world", "mapping", "association", "slam", "relocation", "metrics", "scenarios", "recordings", "envs"},
+    "envs": BASE
+    | {
+        "world",
+        "mapping",
+        "association",
+        "slam",
+        "relocation",
+        "metrics",
+        "scenarios",
+        "recordings",
+        "recording_settings",
+        "envs",
+    },
     "bench": {"__init__", "envs", "bench"},
     "__init__": set(),
 }

@@ -21,7 +21,7 @@ from slam_gym._compile import compiled
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.recordings.recording import Recording, RecordingError
 from slam_gym.recordings.relocation_cases import RelocationCases
-from slam_gym.types import NONE, Array, IntArray
+from slam_gym.types import NONE, Array, BoolArray, IntArray
 
 SOURCE = (
     "MR.CLAM, University of Toronto Institute for Aerospace Studies. Cite: Leung, Halpern, Barfoot and Liu, IJRR 30(8) "
@@ -36,30 +36,33 @@ _PAUSE = 10.0  # [s] between the log of one robot and that of the next
 
 @dataclass(frozen=True)
 class Noise:
-    """What the log does not say; fitted to the Vicon's poses of robots 1 and 2 of set 6.
+    """What the log does not say; chosen on robots 1 and 2 of set 6.
 
     Wheels report what they were told to do: the robots do it a little later, and less of it. Variances of the motion
-    add up with time; those of a barcode grow with its range.
+    add up with time, half as much again in σ as the Vicon's poses show, for errors last longer than a step; those of a
+    barcode grow with its range.
     """
 
     delay: float = 0.2  # [s] after which a robot does what its odometry says
     forward_scale: float = 0.93  # of the speed reported, how much is driven
     turn_scale: float = 0.85  # of the turning speed reported, how much is turned
-    forward: float = 0.12  # [m/√s] at 1 m/s
+    forward: float = 0.18  # [m/√s] at 1 m/s
     lateral: float = 0.02  # [m/√s] likewise
-    turn: float = 0.15  # [rad/√s] at 1 rad/s
-    drift: float = 0.004  # [m/√s] in addition
-    turn_drift: float = 0.025  # [rad/√s] in addition
-    range: float = 0.1  # [m]
-    range_per_metre: float = 0.03  # [m/m] of the range, added in quadrature
-    bearing: float = 0.02  # [rad]
+    turn: float = 0.22  # [rad/√s] at 1 rad/s
+    drift: float = 0.006  # [m/√s] in addition
+    turn_drift: float = 0.04  # [rad/√s] in addition
+    range: float = 0.15  # [m]
+    range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
+    bearing: float = 0.03  # [rad]
+    misread: float = 1.0  # [m] from where the Vicon has it, a barcode was taken for another
     together: float = 0.05  # [s] measurements that are no farther apart make one scan
 
 
 def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Recording:
     """The log of one robot of a set: one step for each instant at which its camera saw a barcode.
 
-    Identities are subject numbers, 6 to 20. Barcodes of other robots, and those that nobody wears, are spurious (NONE).
+    Identities are subject numbers, 6 to 20. Barcodes of other robots, those that nobody wears, and those that were
+    misread (a handful a set, up to 6 m from where the Vicon has them) are spurious (NONE).
     The poses of the reference are the Vicon's. Raises FileNotFoundError, or RecordingError that names file and line.
     """
     if robot not in ROBOTS:
@@ -78,6 +81,9 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     growth = (noise.forward, noise.lateral, noise.turn, noise.drift, noise.turn_drift)
     motions, covariances = _integrate(times, driven, growth)
     points, point_covariances = _cartesian(measured[:, 2], measured[:, 3], noise)
+    sources = _subjects(measured[:, 1].astype(np.int64), barcodes, landmarks[:, 0].astype(np.int64))
+    poses = _interpolated(truth[:, 0], truth[:, 1:], measured[:, 0])
+    sources[_misread(points, sources, poses, landmarks, noise.misread)] = NONE
     unknown = np.full(len(points), math.nan)
     return Recording(
         name=f"mrclam/{folder.name}/robot{robot}",
@@ -91,7 +97,7 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
         covariances=point_covariances,
         sizes=unknown,
         size_variances=unknown.copy(),
-        sources=_subjects(measured[:, 1].astype(np.int64), barcodes, landmarks[:, 0].astype(np.int64)),
+        sources=sources,
         reference_times=truth[:, 0] - times[0],
         reference_poses=truth[:, 1:].copy(),
         landmark_ids=landmarks[:, 0].astype(np.int64),
@@ -149,9 +155,25 @@ def _reference_of(log: Recording) -> tuple[Array, Array]:
 
 def _reference_at(log: Recording, time: float) -> Array:
     """Pose (3,) of the Vicon at a time of the log, interpolated."""
-    x, y, heading = log.reference_poses.T
-    values = [np.interp(time, log.reference_times, column) for column in (x, y, np.unwrap(heading))]
-    return np.array([values[0], values[1], wrap_angle(float(values[2]))])
+    pose: Array = _interpolated(log.reference_times, log.reference_poses, np.array([time]))[0]
+    pose[2] = wrap_angle(float(pose[2]))
+    return pose
+
+
+def _interpolated(known: Array, poses: Array, times: Array) -> Array:
+    """Poses (t, 3) between those (G, 3) at `known` (G,); headings are not wrapped."""
+    columns = (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))
+    return np.column_stack([np.interp(times, known, column) for column in columns])
+
+
+def _misread(points: Array, sources: IntArray, poses: Array, landmarks: Array, limit: float) -> BoolArray:
+    """(M,) which barcodes are farther than `limit` [m] from where the Vicon has them, seen from poses (M, 3)."""
+    place = dict(zip(landmarks[:, 0].astype(int).tolist(), landmarks[:, 1:3].tolist()))
+    true = np.array([place.get(source, (math.nan, math.nan)) for source in sources.tolist()]).reshape(-1, 2)
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = poses[:, 0] + c * points[:, 0] - s * points[:, 1], poses[:, 1] + s * points[:, 0] + c * points[:, 1]
+    far: BoolArray = np.hypot(x - true[:, 0], y - true[:, 1]) > limit  # never for NaN
+    return far
 
 
 def stationary(path: str | Path, noise: Noise | None = None) -> RelocationCases:

@@ -15,7 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
 
+from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.types import NONE, UNKNOWN, Array, IntArray, Odometry, Scan
 
 FORMAT, VERSION = "slam_gym recording", 1
@@ -87,6 +90,64 @@ class Recording:
             name: getattr(self, name)[rows] for name in _PER_MEASUREMENT
         }
         return replace(self, **cut, starts=self.starts[first : last + 1] - self.starts[first])
+
+    def every(self, count: int) -> Recording:
+        """Steps 0, `count`, 2·`count` …; motions and covariances of the steps between are compounded.
+
+        What was measured in those is gone. Raises ValueError for a count below 1.
+        """
+        if count < 1:
+            raise ValueError(f"every {count}th step of a recording: expected at least 1")
+        motions, covariances = self.motions.copy(), self.motion_covariances.copy()
+        for k in range(1, len(self)):
+            if k % count != 1 % count:  # the motion goes on from that of the step before
+                to_before, to_motion = compose_jacobians(motions[k - 1], self.motions[k])
+                motions[k] = compose(motions[k - 1], self.motions[k])
+                before = to_before @ covariances[k - 1] @ to_before.T
+                joint = before + to_motion @ self.motion_covariances[k] @ to_motion.T
+                covariances[k] = 0.5 * (joint + joint.T)
+        kept = slice(None, None, count)
+        counts = np.diff(self.starts)
+        rows = np.repeat(np.arange(len(self)) % count == 0, counts)
+        return replace(
+            self,
+            times=self.times[kept],
+            motions=motions[kept],
+            motion_covariances=covariances[kept],
+            starts=np.concatenate([[0], np.cumsum(counts[kept])]),
+            **{name: getattr(self, name)[rows] for name in _PER_MEASUREMENT},
+        )
+
+    def without_spurious(self) -> Recording:
+        """Without the measurements that are known to come from no feature."""
+        kept = self.sources != NONE
+        before = np.concatenate([[0], np.cumsum(kept)])
+        return replace(
+            self, starts=before[self.starts], **{name: getattr(self, name)[kept] for name in _PER_MEASUREMENT}
+        )
+
+    def merged(self, distance: float) -> Recording:
+        """With landmarks that are no farther than `distance` [m] from each other taken for one, in their middle.
+
+        For marks that are closer than the sensor can tell apart. One has the least identity of those it stands for, and
+        every measurement becomes less certain by the mean variance of marks about their middle. Raises ValueError where
+        no landmark has a place.
+        """
+        if len(self.landmarks) == 0:
+            raise ValueError(f"recording {self.name!r}: no landmark has a place, so that none can be merged")
+        near = cdist(self.landmarks, self.landmarks) <= distance
+        group = connected_components(near, directed=False)[1]
+        ids = np.array([self.landmark_ids[group == g].min() for g in range(group.max() + 1)])
+        places = np.array([self.landmarks[group == g].mean(axis=0) for g in range(len(ids))])
+        spread = 0.5 * ((self.landmarks - places[group]) ** 2).sum(axis=1).mean()
+        one = dict(zip(self.landmark_ids.tolist(), ids[group].tolist()))
+        return replace(
+            self,
+            sources=np.array([one.get(source, source) for source in self.sources.tolist()], dtype=np.int64),
+            landmark_ids=ids,
+            landmarks=places,
+            covariances=self.covariances + spread * np.eye(2),
+        )
 
 
 _PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")

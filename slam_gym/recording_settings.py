@@ -1,0 +1,31 @@
+"""How a recording is mapped: the settings of the filter for each kind of log.
+
+Those of the public logs were chosen on a part of them, with JCBB: the first half of Victoria Park, robots 1 and 2 of
+set 6 of MR.CLAM. What was chosen along with them is the noise that their readers put in (`victoria_park.Noise`,
+`mrclam.Noise`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.recordings.recording import Recording
+from slam_gym.slam import SlamSpec
+
+GENERIC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
+"""Of a log that nobody has chosen settings for; the reach is its sensor's range."""
+
+VICTORIA_PARK = replace(GENERIC, reach=80.0)
+
+MRCLAM = SlamSpec(MapSpec(unconfirmed_age=200), reach=12.0, new_confidence=1.0 - 1e-6)
+"""A robot may not see a barcode again for minutes."""
+
+SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
+"""By the first part of a recording's name."""
+
+
+def slam_for(recording: Recording) -> SlamSpec:
+    """The settings for a recording: those chosen for its kind, or `GENERIC` with the range of its sensor."""
+    kind = recording.name.partition("/")[0]
+    return SETTINGS[kind] if kind in SETTINGS else replace(GENERIC, reach=recording.range)

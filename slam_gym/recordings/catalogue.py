@@ -1,0 +1,77 @@
+"""Logs by name or file: what a command, a notebook or an environment takes for a recording."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from slam_gym.recordings import mrclam as _mrclam
+from slam_gym.recordings import victoria_park as _victoria_park
+from slam_gym.recordings.pose_graph import g2o, isam
+from slam_gym.recordings.recording import Recording, RecordingError, load
+
+PUBLISHED = {"victoria_park": _victoria_park.SOURCE, "mrclam": _mrclam.SOURCE}
+"""Public logs that can be asked for by name, and what to cite. Their files are the user's business."""
+
+DATA = "SLAM_GYM_DATA"
+"""The environment variable that names the folder in which the folders `victoria_park` and `mrclam` lie."""
+
+
+def open_recordings(
+    name: str | Path, data: str | Path | None = None, robots: Sequence[int] | None = None, *, reference: bool = False
+) -> list[Recording]:
+    """The logs behind a name: one, or of MR.CLAM one for each robot (`robots`, default all) of each set.
+
+    Arguments:
+        name: `victoria_park`, `mrclam`, or a file: .npz (`recordings/FORMAT.md`), .g2o, or .txt (iSAM).
+        data: folder of the published files; default: that of the same name in `SLAM_GYM_DATA`.
+        robots: of MR.CLAM.
+        reference: the vertices of a .g2o file are the truth.
+
+    Raises FileNotFoundError that says what is missing, where to get it and what to cite; RecordingError for files that
+    are not what they should be; ValueError for a name that is neither.
+    """
+    if str(name) == "victoria_park":
+        return [_victoria_park.victoria_park(_folder(str(name), data))]
+    if str(name) == "mrclam":
+        folder = _folder(str(name), data)
+        chosen = list(robots or _mrclam.ROBOTS)
+        return [_mrclam.mrclam(path, robot) for path in _sets(folder) for robot in chosen]
+    return [_from_file(Path(name), reference)]
+
+
+def _folder(name: str, data: str | Path | None) -> Path:
+    """Where the published files are. FileNotFoundError says where to get them."""
+    if data is None and DATA not in os.environ:
+        raise FileNotFoundError(
+            f"recording {name!r}: its files are not part of this package. Get them from their authors, and say where "
+            f"they are: the folder itself, or {DATA} for the folder in which {name!r} lies. {PUBLISHED[name]}"
+        )
+    folder = Path(os.environ[DATA]) / name if data is None else Path(data)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"recording {name!r}: {folder} is no folder. {PUBLISHED[name]}")
+    return folder
+
+
+def _sets(folder: Path) -> list[Path]:
+    """The sets of MR.CLAM in a folder, or the folder itself if it is one."""
+    if (folder / "Barcodes.dat").is_file() or (folder / "Barcodes.dat.gz").is_file():
+        return [folder]
+    found = sorted(path.parent for path in folder.glob("*/Barcodes.dat*"))
+    if not found:
+        raise FileNotFoundError(f"recording 'mrclam': {folder} holds no set (MRCLAM_Dataset…). {_mrclam.SOURCE}")
+    return found
+
+
+def _from_file(path: Path, reference: bool) -> Recording:
+    readers = {".npz": load, ".g2o": g2o, ".txt": isam}
+    if path.suffix not in readers:
+        known = ", ".join([*PUBLISHED, *(f"FILE{suffix}" for suffix in readers)])
+        raise ValueError(f"unknown recording {str(path)!r}; known: {known}")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: not there")
+    try:
+        return g2o(path, reference=reference) if path.suffix == ".g2o" else readers[path.suffix](path)
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: {error}") from error
