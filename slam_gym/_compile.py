@@ -14,8 +14,9 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
@@ -74,8 +75,8 @@ _folders: set[Path | None] = set()
 _announced = False
 
 
-def announce_compilation() -> bool:
-    """Say once, on stderr, that the inner loops are about to be compiled; silent when they come from the cache.
+def announce_compilation(modules: Iterable[ModuleType]) -> bool:
+    """Say once, on stderr, that the inner loops of these modules are about to be compiled; silent when all are cached.
 
     Returns whether it was said and what is compiled will be kept.
     """
@@ -83,13 +84,13 @@ def announce_compilation() -> bool:
     if _announced:
         return False
     _announced = True
-    cached = [folder is not None and any(folder.rglob("*.nbi")) for folder in _folders]
-    due = 2 * sum(cached) < len(cached)
+    folders = [_folder(Path(str(module.__file__))) for module in modules]
+    due = any(folder is None or not any(folder.rglob("*.nbi")) for folder in folders)
     if due:
-        kept = "at every start: the cache folder is not writable" if None in _folders else "once, then cached"
+        kept = "at every start: the cache folder is not writable" if None in folders else "once, then cached"
         print(f"slam_gym: compiling its inner loops, up to half a minute ({kept}) …", file=sys.stderr, flush=True)
     _forget_old_versions()
-    return due and None not in _folders
+    return due and None not in folders
 
 
 def _forget_old_versions() -> None:

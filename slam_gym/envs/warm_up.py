@@ -11,18 +11,28 @@ import sys
 
 import numpy as np
 
+from slam_gym import geometry, slam, validation
 from slam_gym._compile import announce_compilation
-from slam_gym.association import jcbb
+from slam_gym.association import compatibility, jcbb, tree
+from slam_gym.envs import observation
+from slam_gym.mapping import covisibility, ekf, grid, linear_algebra, measurement
 from slam_gym.mapping.coverage import CoverageGrid
 from slam_gym.mapping.expected_gain import expected_reduction
 from slam_gym.mapping.planner import distance_field, follow
-from slam_gym.metrics.map_quality import map_error
+from slam_gym.metrics import assignment, association, consistency, map_quality
 from slam_gym.types import Beams, Nearby, Prediction, Scan
+from slam_gym.world import boxes, detection, ray_casting, reachability
+
+COMPILED = (
+    geometry, slam, validation, compatibility, tree, observation, covisibility, ekf, grid, linear_algebra, measurement,
+    assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability,
+)  # fmt: skip
+"""The modules whose inner loops run in every episode, whoever drives and associates."""
 
 
 def compile_on_two_cores() -> None:
     """Announce a compilation that is due, and start the second process for it; nothing where the cache is filled."""
-    if announce_compilation() and multiprocessing.parent_process() is None:
+    if announce_compilation(COMPILED) and multiprocessing.parent_process() is None:
         try:
             subprocess.Popen([sys.executable, "-m", __name__], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         except OSError:  # no second process to be had: this one compiles everything
@@ -33,16 +43,16 @@ def main() -> None:
     """Call every loop of the second half once, on the least data that reaches it."""
     points = np.array([[1.0, 0.0], [1.0, 1.0]])
     _associate(points)
-    map_error(points, points, 0.5)
-    pose, grid = np.zeros(3), CoverageGrid(np.array([-4.0, -4.0, 4.0, 4.0]))
+    map_quality.map_error(points, points, 0.5)
+    pose, explored = np.zeros(3), CoverageGrid(np.array([-4.0, -4.0, 4.0, 4.0]))
     bearings = np.linspace(-3.0, 3.0, 60)
-    grid.integrate(pose, Beams(bearings, np.full(60, 2.0), 6.0))
-    grid.egocentric(pose, points)
-    field = distance_field(grid, pose[:2], 0.25)
-    grid.expected_area(grid.frontiers(field).centres, 6.0)
+    explored.integrate(pose, Beams(bearings, np.full(60, 2.0), 6.0))
+    explored.egocentric(pose, points)
+    field = distance_field(explored, pose[:2], 0.25)
+    explored.expected_area(explored.frontiers(field).centres, 6.0)
     follow(pose, field.path(field.nearest(points[0])))
     mean, covariance = np.concatenate([pose, points.ravel()]), 0.01 * np.eye(7)
-    expected_reduction(mean, covariance, grid, points, reach=6.0, sigma=0.1, drift=np.full(3, 0.01))
+    expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full(3, 0.01))
 
 
 def _associate(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> None:
