@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from slam_gym.association.branch_and_bound import complete
-from slam_gym.association.compatibility import individual
-from slam_gym.association.tree import as_hypothesis, interpretation_tree
-from slam_gym.types import NONE, Effort, Hypothesis, Prediction, Scan
+from slam_gym.association.stages import in_stages
+from slam_gym.association.tree import Tree, as_hypothesis
+from slam_gym.types import Effort, Hypothesis, IntArray, Prediction, Scan
 
 
 def jcbb(
@@ -30,27 +28,12 @@ def jcbb(
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
-    if locality not in ("covisibility", None):
-        raise ValueError(f"locality: {locality!r} is neither 'covisibility' nor None")
-    near = prediction.locality.near if locality and prediction.locality else None
-    candidates = individual(scan, prediction, confidence, eligible=near)
-    tree = interpretation_tree(scan, prediction, candidates, confidence)
-    rows, distance, effort = complete(tree, node_limit=node_limit)
-    left = np.flatnonzero(rows == NONE)
-    if near is not None and len(left) and not near.all():
-        candidates = individual(scan, prediction, confidence, measurements=left, eligible=~near)
-        more = Effort(individual_tests=candidates.tests)
-        if len(candidates.slots):
-            tree = interpretation_tree(scan, prediction, candidates, confidence, given=rows, local=True)
-            rows, distance, more = complete(tree, node_limit=node_limit)
-        effort = _sum(effort, more)
-    return as_hypothesis(prediction, rows, distance, effort)
 
+    def search(tree: Tree) -> tuple[IntArray, Effort, float]:
+        rows, distance, effort = complete(tree, node_limit=node_limit)
+        return rows, effort, distance
 
-def _sum(a: Effort, b: Effort) -> Effort:
-    return Effort(
-        a.nodes + b.nodes,
-        a.individual_tests + b.individual_tests,
-        a.joint_tests + b.joint_tests,
-        a.limit_hit or b.limit_hit,
+    rows, effort, distance = in_stages(
+        scan, prediction, search, gate=confidence, confidence=confidence, locality=locality
     )
+    return as_hypothesis(prediction, rows, distance, effort)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import TypeVar
 
 import numpy as np
@@ -51,7 +50,16 @@ def in_stages(
 
 
 def together(first: Effort, second: Effort) -> Effort:
-    """The effort of both."""
-    both = {field.name: getattr(first, field.name) + getattr(second, field.name) for field in fields(Effort)}
-    both["limit_hit"] = first.limit_hit or second.limit_hit
-    return Effort(**both)
+    """The effort of two searches: counts and times add up."""
+    return Effort(
+        nodes=first.nodes + second.nodes,
+        individual_tests=first.individual_tests + second.individual_tests,
+        joint_tests=first.joint_tests + second.joint_tests,
+        limit_hit=first.limit_hit or second.limit_hit,
+        unary_tests=first.unary_tests + second.unary_tests,
+        binary_tests=first.binary_tests + second.binary_tests,
+        leaves=first.leaves + second.leaves,
+        tries=first.tries + second.tries,
+        seconds=first.seconds + second.seconds,
+        orientation_tests=first.orientation_tests + second.orientation_tests,
+    )
