@@ -1,4 +1,9 @@
-"""Associators: walks of the interpretation tree, from a `Scan` and a `Prediction` to a `Hypothesis`."""
+"""Walks of the interpretation tree.
+
+With a prior, associators: from a `Scan` and a `Prediction` to a `Hypothesis` (`ASSOCIATORS`, `from_policy`). Without,
+relocators: from a `Scan`, the `Landmarks` of a map and a `Locality` to a `Relocation` (`RELOCATORS`,
+`relocator_from_policy`). Every one can be named, handed on as a function, or written as a policy of the tree.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +21,28 @@ from slam_gym.association.jcbb import jcbb
 from slam_gym.association.most_probable import MostProbable, map_hypothesis
 from slam_gym.association.nearest import nearest_neighbour, singles
 from slam_gym.association.one_point_ransac import one_point_ransac
+from slam_gym.association.policy import Policy, from_policy, greedy
 from slam_gym.association.random_sampling import random_sampling
+from slam_gym.association.relocation_policy import (
+    RelocationPolicy,
+    SampledRelocation,
+    greedy_relocation,
+    relocator_from_policy,
+)
 from slam_gym.types import Hypothesis, Relocator
 
 __all__ = [
     "ASSOCIATORS",
     "RELOCATORS",
     "MostProbable",
+    "Policy",
+    "RelocationPolicy",
+    "SampledRelocation",
+    "from_policy",
     "gcbb",
     "global_nearest_neighbour",
+    "greedy",
+    "greedy_relocation",
     "indexed",
     "ipjc",
     "jcbb",
@@ -33,6 +51,7 @@ __all__ = [
     "nearest_neighbour",
     "one_point_ransac",
     "random_sampling",
+    "relocator_from_policy",
     "resolve",
     "resolve_relocator",
     "singles",
@@ -52,7 +71,6 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
 }
 """Associators by name, called with (scan, prediction); only `true_association` also needs the truth of the scan."""
 
-
 RELOCATORS: dict[str, Relocator] = {
     "gcbb": gcbb,
     "indexed": indexed,
@@ -60,7 +78,7 @@ RELOCATORS: dict[str, Relocator] = {
     "rs": random_sampling,
     "spectral": spectral,
 }
-"""Searches without a prior by name, called with (scan, landmarks, locality)."""
+"""Relocators by name, called with (scan, landmarks, locality or None): the searches without a prior."""
 
 
 def resolve(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypothesis]:
@@ -73,7 +91,7 @@ def resolve(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypoth
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:
-    """A search without a prior from its name, `"module:function"`, or itself. Raises as `resolve`."""
+    """A relocator from its name, `"module:function"`, or itself. Raises ValueError as `resolve`."""
     found: Relocator = _resolve("relocator", relocator, RELOCATORS)
     return found
 
