@@ -18,8 +18,8 @@ GENERIC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
 
 VICTORIA_PARK = replace(GENERIC, reach=80.0)
 
-MRCLAM = SlamSpec(MapSpec(unconfirmed_age=200), reach=12.0, new_confidence=1.0 - 1e-6)
-"""A robot may not see a barcode again for minutes."""
+MRCLAM = SlamSpec(MapSpec(unconfirmed_age=None), reach=12.0, new_confidence=1.0 - 1e-9)
+"""A robot may not see a barcode again for minutes, and has drifted by then."""
 
 SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
 """By the first part of a recording's name."""

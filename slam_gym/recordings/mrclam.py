@@ -39,18 +39,18 @@ class Noise:
     """What the log does not say; chosen on robots 1 and 2 of set 6.
 
     Wheels report what they were told to do: the robots do it a little later, and less of it. Variances of the motion
-    add up with time, half as much again in σ as the Vicon's poses show, for errors last longer than a step; those of a
-    barcode grow with its range.
+    add up with time; those of a barcode grow with its range, and are half as much again in σ as the Vicon shows, since
+    a barcode that is looked at for long is off by the same all the time.
     """
 
     delay: float = 0.2  # [s] after which a robot does what its odometry says
     forward_scale: float = 0.93  # of the speed reported, how much is driven
     turn_scale: float = 0.85  # of the turning speed reported, how much is turned
-    forward: float = 0.18  # [m/√s] at 1 m/s
+    forward: float = 0.12  # [m/√s] at 1 m/s
     lateral: float = 0.02  # [m/√s] likewise
-    turn: float = 0.22  # [rad/√s] at 1 rad/s
-    drift: float = 0.006  # [m/√s] in addition
-    turn_drift: float = 0.04  # [rad/√s] in addition
+    turn: float = 0.15  # [rad/√s] at 1 rad/s
+    drift: float = 0.004  # [m/√s] in addition
+    turn_drift: float = 0.025  # [rad/√s] in addition
     range: float = 0.15  # [m]
     range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
     bearing: float = 0.03  # [rad]

@@ -1,22 +1,20 @@
 """MR.CLAM: the stationary groups as relocation cases, and the robots of a set as one log."""
 
-import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from slam_gym.association import gcbb, true_association
+from agents.recording_run import run
+from slam_gym.association import gcbb
 from slam_gym.association.located import locate
 from slam_gym.geometry import compose, relative, wrap_angle
-from slam_gym.mapping.stochastic_map import MapSpec
-from slam_gym.metrics.association import Identities
 from slam_gym.metrics.map_quality import landmark_rmse
+from slam_gym.recording_settings import slam_for
 from slam_gym.recordings.mrclam import ROBOTS, mrclam, mrclam_all, stationary
 from slam_gym.recordings.recording import RecordingError
-from slam_gym.slam import Slam, SlamSpec
-from slam_gym.types import NONE, Truth
+from slam_gym.types import NONE
 
 
 @pytest.fixture(scope="module")
@@ -135,12 +133,8 @@ def test_what_links_two_robots_is_their_relative_pose(folder) -> None:
 def test_one_map_of_all_robots_is_right_to_decimetres(folder) -> None:
     """The true association, every scan: the floor for everything else on this log."""
     log = mrclam_all(folder)
-    slam, identities = Slam(SlamSpec(MapSpec(unconfirmed_age=10), reach=log.range), true_association), Identities()
-    for odometry, scan, sources in log.steps():
-        known = identities.source_of(slam.map.ids)
-        step = slam.step(odometry, scan, functools.partial(true_association, sources=sources, identities=known))
-        identities.update(step, Truth(np.zeros(3), sources))
-    seen = dict(zip(identities.source_of(slam.map.ids).tolist(), slam.map.positions))
+    done = run(log, "true_association", slam_for(log))
+    seen = dict(zip(done.identities.tolist(), done.positions))
     place = dict(zip(log.landmark_ids.tolist(), log.landmarks))
     common = [identity for identity in seen if identity != NONE]
     assert sorted(common) == sorted(place)
