@@ -164,7 +164,7 @@ def show(table: dict[str, dict[str, dict[str, float]]], records: Sequence[Record
             shown.add_row(short(name), *(text(row[c.key], c.digits) for c in columns))
         console.print(shown)
     console.print(
-        "ATE, lm.: root mean square error of positions, of landmarks [m], aligned; ATE₀ not.\n"
+        "ATE, lm.: RMSE of positions, of landmarks [m], aligned; ATE₀: not aligned.\n"
         "feat.: confirmed features; dupl.: of a landmark that has one; clut.: of none.\n"
         "s: time of the whole run.", soft_wrap=True, markup=False, highlight=False,
     )  # fmt: skip
