@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slam_gym.association.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.association.walk_observation import lengths, nothing
 from slam_gym.envs.episode import Site, survey
+from slam_gym.envs.recorded_runs import PREFIX, recorded_log
 from slam_gym.envs.runs import DRIVERS, LOGS, DrivenRun, Driver, Log, LoggedRun, Run
 from slam_gym.envs.verdicts import Verdicts
 from slam_gym.envs.warm_up import compile_on_two_cores
@@ -50,18 +51,22 @@ class AssociateEnv(gym.Env[Observation, Any]):
       ratio taken over all scans together. The identity of a map feature is the source of the measurement that created
       it; of duplicates the oldest is right; a pairing with or of what has no label earns nothing.
     - `reward="map_error"`: the decrease of the map's error, as Explore scores it, when a scan has been learned from.
+      Refused where nobody knows the true places of the features, as in most recordings; `info` has no `map_error` then.
 
     ## Starting state
-    A world drawn from the seeds of the `split`; `reset(options={"world": i})` takes the i-th. On a log, such as the
-    reference corridor, only the noise is drawn. Same seed and options, same episode.
+    A world drawn from the seeds of the `split`; `reset(options={"world": i})` takes the i-th. On the reference corridor
+    only the noise is drawn; on a recording, the window of the log. Same seed and options, same episode.
 
     ## Episode end
     The last scan is decided (`terminated`). An episode without any choice ends with its first step.
 
     ## Arguments
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, `"corridor"` (the reference experiment), a `Scenario`, or
-      a `slam_gym.envs.runs.Log`.
-    - `split`: `"train"` or `"test"`, whose worlds never overlap; on a log it keeps the seeds apart.
+      a `slam_gym.envs.runs.Log`; `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps
+      with `?looks=…&every=…`, for a real log (see `slam_gym.envs.recorded_runs`): sources that nobody knows count
+      nowhere, what the labels leave out of a scan is spurious.
+    - `split`: `"train"` or `"test"`, whose worlds never overlap, nor do the parts of a recording; on another log it
+      keeps the seeds apart.
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
       `slam_gym.association.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
@@ -90,11 +95,15 @@ class AssociateEnv(gym.Env[Observation, Any]):
         if not 0.0 <= wrong_cost < np.inf:
             raise ValueError(f"wrong_cost={wrong_cost}: expected a finite number ≥ 0")
         if isinstance(scenario, str):
-            _one_of("scenario", scenario, (*SCENARIOS, *LOGS))
-            scenario = LOGS[scenario] if scenario in LOGS else SCENARIOS[scenario]
+            scenario = _named(scenario, split)
         if not callable(driver):
             _one_of("driver", driver, DRIVERS)
             driver = DRIVERS[driver]
+        self.places_known = not isinstance(scenario, Log) or len(scenario.targets) > 0
+        if reward == "map_error" and not self.places_known:
+            raise ValueError(
+                f"reward={reward!r}: nobody knows where the features of {scenario.name!r} are; known: truth"
+            )
         self.scenario, self.split, self.render_mode = scenario, split, render_mode
         self._driver, self._of_truth, self._wrong_cost = driver, reward == "truth", wrong_cost
         self.K, self.order, self.compatibility = candidates, order, compatibility
@@ -277,23 +286,35 @@ class AssociateEnv(gym.Env[Observation, Any]):
         return observation | {"budget": np.array([1.0 - run.looks / run.length], np.float32)}
 
     def _info(self) -> Info:
+        map_error = {"map_error": self.run.map_error()} if self.places_known else {}
         return {
             "look": self.run.looks,
             "hidden": 0 if self.walk is None else self.walk.hidden,
             "score": self.score,
-            "map_error": self.run.map_error(),
+            **map_error,
             "action_mask": self.action_masks(),
             "truth": {"action": self.right_action()},
         }
 
     def _figures(self) -> tuple[tuple[str, str], ...]:
+        map_error = (("map error", f"{self.run.map_error():.2f}"),) if self.places_known else ()
         return (
             ("look", f"{self.run.looks} of {self.run.length}"),
             ("score", f"{self.score:.2f}"),
             ("paired right", str(self._right)),
             ("paired wrong", str(self._wrong)),
-            ("map error", f"{self.run.map_error():.2f}"),
+            *map_error,
         )
+
+
+def _named(scenario: str, split: str) -> Scenario | Log:
+    """The scenario or log of that name."""
+    if scenario.startswith(PREFIX):
+        return recorded_log(scenario, split)
+    if scenario in LOGS:
+        return LOGS[scenario]
+    _one_of("scenario", scenario, (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1"))
+    return SCENARIOS[scenario]
 
 
 def _one_of(name: str, value: Any, known: Any) -> None:

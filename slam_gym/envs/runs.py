@@ -5,6 +5,7 @@ A run stops after every look, before its scan is associated, and goes on with th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -15,6 +16,7 @@ from slam_gym.association import nearest_neighbour
 from slam_gym.envs.driver import Command, commands
 from slam_gym.envs.episode import Episode, Site
 from slam_gym.envs.goals import FRONTIERS, LOOK, Goals, Places, propose
+from slam_gym.geometry import observe
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities
 from slam_gym.scenarios import Scenario
@@ -142,7 +144,7 @@ class Log:
     looks: Callable[[np.random.Generator], Iterator[tuple[Odometry, Scan, Truth]]]
     length: int  # looks in all
     slam: SlamSpec
-    targets: Array  # (N, 2) [m] true features, in B
+    targets: Array  # (N, 2) [m] true features, in the frame of the true poses; none where nobody knows them
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
 
     def __post_init__(self) -> None:
@@ -180,10 +182,19 @@ class LoggedRun:
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
 
+    @property
+    def targets(self) -> Array:
+        """(N, 2) [m] true features, in B."""
+        start = self.poses[0] if self.poses else self.truth.pose
+        return observe(start, self.log.targets)
+
     def map_error(self) -> float:
+        """As `Run` has it; NaN where nobody knows the true features."""
+        if not len(self.log.targets):
+            return math.nan
         if self._error_at != len(self.estimates):
             self._error_at = len(self.estimates)
-            self._error = map_quality.map_error(self.slam.map.confirmed, self.log.targets, self.log.prior_sigma)
+            self._error = map_quality.map_error(self.slam.map.confirmed, self.targets, self.log.prior_sigma)
         return self._error
 
 

@@ -29,9 +29,10 @@ def scene_of(run: Run) -> tuple[Array, Frame]:
 
 
 def _of_log(run: LoggedRun) -> Frame:
-    slam_map, targets = run.slam.map, run.log.targets
+    slam_map, targets = run.slam.map, run.targets
     pose = slam_map.pose
-    start = run.poses[0] if run.poses else run.truth.pose
+    poses = np.array([*run.poses, run.truth.pose])  # NaN where nobody knows them
+    start = poses[0]
     trail = np.array([estimate[:2] for estimate in run.estimates] + [pose[:2]])
     return Frame(
         walls=np.empty((0, 4)),
@@ -41,7 +42,7 @@ def _of_log(run: LoggedRun) -> Frame:
         people=np.empty((0, 3)),
         robot_radius=0.2,
         true_pose=relative(start, run.truth.pose),
-        true_trail=_NO_POINTS if not run.poses else observe(start, np.array(run.poses)[:, :2]),
+        true_trail=observe(start, poses[:, :2]) if np.isfinite(poses).all() else _NO_POINTS,
         pose=pose,
         pose_covariance=slam_map.pose_covariance,
         trail=trail,
