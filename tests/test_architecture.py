@@ -38,7 +38,7 @@ ALLOWED = {
         "recording_settings",
         "envs",
     },
-    "bench": {"__init__", "envs", "bench"},
+    "bench": {"__init__", "envs", "duplicates", "local_map_slam", "bench"},
     "__init__": set(),
 }
 ALLOWED["bench"] |= ALLOWED["envs"]

@@ -22,6 +22,7 @@ from slam_gym.envs.episode import survey
 from slam_gym.envs.runs import DrivenRun, nearest_frontier
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.recording_settings import slam_for
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios import Scenario, from_floor_plan, get_scenario, world_generator
@@ -119,6 +120,5 @@ def park(folder: Path, steps: int | None = None) -> tuple[Log, Recording]:
         (odometry, scan, Truth(pose, sources))
         for (odometry, scan, sources), pose in zip(recording.steps(), optimum.poses)
     ]
-    slam = replace(_SPEC, map=MapSpec(unconfirmed_age=10), reach=recording.range)
     places = dict(zip(optimum.ids.tolist(), optimum.landmarks))
-    return Log("park", 0, looks, places, slam, 60, checkpoints=60), recording
+    return Log("park", 0, looks, places, slam_for(recording), 60, checkpoints=60), recording

@@ -52,7 +52,7 @@ class Setting:
     associations: tuple[str, ...] = ("JCBB", "true association")  # maps after the first: covisibility only
 
 
-FULL = Setting(150, 1000, 20_000)
+FULL = Setting(120, 1000, 20_000)
 QUICK = Setting(20, 100, 5_000, ("JCBB",))
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -27,16 +26,16 @@ import numpy as np
 from slam_gym.association import jcbb, true_association
 from slam_gym.geometry import compose, inverse, observe, transform, wrap_angle
 from slam_gym.mapping.locality import covisible, linked, same_local_map, within
-from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.metrics.association import Identities
 from slam_gym.metrics.map_quality import align_se2
+from slam_gym.recording_settings import slam_for
 from slam_gym.recordings.least_squares import Optimum, least_squares
 from slam_gym.recordings.mrclam import stationary
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.relocation_cases import RelocationCases
 from slam_gym.recordings.victoria_park import victoria_park
-from slam_gym.slam import Slam, SlamSpec
-from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan, SlamStep, Truth
+from slam_gym.slam import Slam
+from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan, Truth
 
 _Item = TypeVar("_Item")
 
@@ -47,7 +46,6 @@ ROOM_NEAR = (1.0, math.radians(15.0))  # of three barcodes a metre apart, known 
 _MISLABELLED = 5.0  # [m] a feature so far from its label's place was made of something else
 _TRIMS = 5  # rounds in which such features are left out of the alignment
 _STOOD_STILL = (0.1, math.radians(5.0))  # [m, rad]
-_SPEC = SlamSpec(MapSpec(unconfirmed_age=10), new_confidence=1.0 - 1e-6)
 
 
 @dataclass(frozen=True)
@@ -80,10 +78,9 @@ class Run:
     poses: Array  # (T, 3) estimates, step by step
 
 
-def run_slam(log: Recording, true: bool, watch: Callable[[SlamStep], None] | None = None) -> Run:
+def run_slam(log: Recording, true: bool) -> Run:
     """A whole log with the true association, or with JCBB."""
-    spec = SlamSpec(_SPEC.map, reach=log.range, new_confidence=_SPEC.new_confidence)
-    slam, identities, poses = Slam(spec, jcbb), Identities(), []
+    slam, identities, poses = Slam(slam_for(log), jcbb), Identities(), []
     for odometry, scan, sources in log.steps():
         associate = None
         if true:

@@ -58,6 +58,10 @@ class Noise:
     together: float = 0.05  # [s] measurements that are no farther apart make one scan
 
 
+GROUPED = Noise(range=0.15, range_per_metre=0.0, bearing=0.02)
+"""That of the stationary groups, as their poses show it: σ of ranges 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
+
+
 def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Recording:
     """The log of one robot of a set: one step for each instant at which its camera saw a barcode.
 
@@ -181,9 +185,10 @@ def stationary(path: str | Path, noise: Noise | None = None) -> RelocationCases:
 
     From a file `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. Gross errors were removed by those who
     extracted the groups, and barcodes of robots too: nothing is spurious. Most groups repeat the one before, since
-    robots stand still for long. Raises FileNotFoundError, or RecordingError that names file, variable and row.
+    robots stand still for long. `noise` is by default that of the groups themselves. Raises FileNotFoundError, or
+    RecordingError that names file, variable and row.
     """
-    noise, path = noise or Noise(), Path(path)
+    noise, path = noise or GROUPED, Path(path)
     content = _matlab(path, {"landmark": 3, "groundtruth": 4, "measurement": 4})
     landmarks, truth, measured = content["landmark"], content["groundtruth"], content["measurement"]
     if not np.array_equal(truth[:, 0], np.arange(1, len(truth) + 1)):
