@@ -42,6 +42,7 @@ from slam_gym.association.index_store import (
     move_pool,
     number_of_cells,
     paint_features,
+    share_painted,
     sigma_table,
 )
 from slam_gym.association.located import locate
@@ -88,6 +89,7 @@ class FeatureIndex:
         noise = max(noise, reach / 400.0)
         quantum = max(5.0 * noise, reach / 32.0)
         self.n = 0  # features
+        self._spread = 0.0  # [m²] sum of the traces of their covariances
         self._settings = np.zeros(TABLE + CODES)
         self._settings[: WIDEST + 1] = [reach / 3.0, reach, quantum, triangles, 3.6 * noise, 5.0 * noise, _FLOOR]
         self._settings[TABLE:] = sigma_table()
@@ -96,6 +98,7 @@ class FeatureIndex:
         self._progress = np.zeros(5, np.int64)  # as in `enter_triangles`
         self._positions, self._details = np.empty((0, 2)), np.empty((0, 6))
         self._starts, self._crowding_of = np.zeros(64), NONE
+        self._painted = 0  # features when the shares painted were looked at
         self._make_room(64)
         if landmarks is not None:
             self.add(positions, covariances, landmarks.sizes, landmarks.size_variances, landmarks.kinds)
@@ -146,6 +149,7 @@ class FeatureIndex:
         details[:, 4] = math.nan if size_variances is None else np.asarray(size_variances)
         details[:, 5] = kinds_as_numbers(kinds)
         self.n = first + count
+        self._spread += float(details[:, 0].sum() + details[:, 2].sum())
         self._enter(first)
         return np.arange(first, self.n)
 
@@ -163,6 +167,7 @@ class FeatureIndex:
         for array in (self._positions, self._details):
             array[: len(kept)] = array[kept]
         self.n = self._progress[0] = len(kept)
+        self._spread = float(self._details[: self.n, [0, 2]].sum())
         self._rebuild_tables(len(self._positions))
 
     def relocate(
@@ -240,7 +245,7 @@ class FeatureIndex:
         """
         if not 0.9 * self.n <= self._crowding_of <= self.n:
             self._starts, self._crowding_of = crowding(self._positions[: self.n], 1.5 * self.reach), self.n
-        variance = float(self._details[: self.n, 0].mean() + self._details[: self.n, 2].mean()) / 2.0 if self.n else 0.0
+        variance = 0.5 * self._spread / max(self.n, 1)
         tubes = chance_tubes(len(scan), confidence)
         return least_pairings(scan.points, scan.covariances, self._starts, tubes, variance, probability)
 
@@ -283,9 +288,10 @@ class FeatureIndex:
     def _paint(self, first: int) -> None:
         size, radius, power = self._settings[SIZE], self._settings[RADIUS], int(self._settings[POWER])
         gate, behind = chi2_gate(2, 0.99), 1 << (2 * power - 3)
-        for bits, side, scale in ((self._bits[:behind], power, 1.0), (self._bits[behind:], power - 1, 2.0)):
+        for level, bits in enumerate((self._bits[:behind], self._bits[behind:])):
+            scale = 1.0 + level
             paint_features(
-                bits, side, scale * size, scale * radius, gate, self._positions, self._details, first, self.n
+                bits, power - level, scale * size, scale * radius, gate, self._positions, self._details, first, self.n
             )
         self._settings[WIDEST] = max(self._settings[WIDEST], largest_spread(self._details, first, self.n))
 
@@ -293,6 +299,9 @@ class FeatureIndex:
         """Triangles, grid and bitmaps of the features from `first` on."""
         self._settings[FEATURES] = self.n
         self._paint(first)
+        if self.n > 1.1 * self._painted:
+            share_painted(self._bits, self._settings, self._positions, self.n)
+            self._painted = self.n
         while True:
             enter_triangles(
                 self._cells,

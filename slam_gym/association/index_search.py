@@ -1,8 +1,8 @@
 """The search of a `FeatureIndex`: which triples of measurements are looked up, and when enough have been.
 
 Completeness by pigeonhole: with the measurements in g groups, any 2g + 1 of them have three in one group. So once all
-triples within the groups have been looked up, no pose is unseen that explains more than 2g measurements. Groups are
-compact, since small triangles have few likes: they number n in proportion to the radius of their circumcircle.
+triples within the groups have been looked up, no pose is unseen that explains more than 2g measurements. Of 2g + 2, one
+group may do with triples of which any four measurements hold one (Turán's, by and large a third of all). Groups are compact, since small triangles have few likes: they number n in proportion to the radius of their circumcircle.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from slam_gym._compile import compiled
 from slam_gym.association.index_pose import FIT, Look, Store, StoreArrays
 from slam_gym.association.index_seeds import is_indexed, try_triple
 from slam_gym.association.index_store import largest_variance
-from slam_gym.association.index_verify import LIMIT, Found
+from slam_gym.association.index_verify import ALIKE, ALL, LIKELY, LIMIT, MODE, Found
 from slam_gym.types import NONE, Array, BoolArray, IntArray
 
+_MANY = 5  # measurements that may be missed; where it is more, poses are first tried by likelihood
+_WIDE = 1e12  # [m] put on top of the radius of triples too wide for the index
 KEPT = 16  # hypotheses remembered: the best and those that tie with it
 
 
@@ -43,22 +45,19 @@ def search(
         np.full((KEPT, m), NONE),
         np.full((KEPT, FIT), math.nan),
         np.zeros(KEPT),
-        np.array([max(needed - 1, 3) - 1, 0]),
+        np.array([max(needed - 1, 3) - 1, 0, ALL]),
         np.zeros(6, np.int64),
         np.array([needed, node_limit, decisive]),
     )
     done = np.zeros(m * (m - 1) * (m - 2) // 6, np.bool_)
-    seen_beyond, groups = m, max(m // 5, 1)  # no pose is unseen that explains more than 2 × seen_beyond
-    while m > 2 and seen_beyond > _enough(found) and found.spent[LIMIT] == 0 and not _decided(found):
-        groups, whole = min(max(groups, _enough(found)), seen_beyond - 1), True
-        for triple in _triples(look.points, groups, done):
-            try_triple(look, store, triple, found)
-            done[_number(triple)] = True
-            if found.spent[LIMIT] > 0 or _enough(found) > groups or _decided(found):
-                whole = False
-                break
-        if whole:
-            seen_beyond = groups
+    groups, whole, beyond = max(m // 5, 1), m, m  # no pose is unseen that explains more than `beyond`
+    if m - needed > _MANY:
+        _try_quickly(look, store, found, groups, done)
+    while m > 2 and beyond >= _wanted(found) and found.spent[LIMIT] == 0 and not _decided(found):
+        groups = min(max(groups, _enough(found)), whole - 1)
+        loose = _wanted(found) == 2 * groups + 2
+        if _try_groups(look, store, found, groups, loose, done):
+            whole, beyond = groups, 2 * groups + loose
         groups = (7 * groups) // 10 if found.state[1] == 0 else 1
     if _decided(found):
         _try_places_alike(look, store, found, done)
@@ -73,9 +72,78 @@ def _decided(found: Found) -> bool:
 
 
 @compiled
+def _wanted(found: Found) -> int:
+    """Pairings of which no pose may be left unseen."""
+    return int(max(found.limits[0], found.state[0] if found.state[1] > 0 else 0))
+
+
+@compiled
+def _enough(found: Found) -> int:
+    """The most groups whose triples leave no better pose unseen, nor another as good."""
+    return max((_wanted(found) - 1) // 2, 1)
+
+
+@compiled
+def _try_quickly(look: Look, store: Store, found: Found, groups: int, done: BoolArray) -> None:
+    """Look the triples up, but give poses up on the likelihood of what they miss. Not held to be `done`."""
+    found.state[MODE] = LIKELY
+    triples, indexed = _triples(look, store, groups, False, done)
+    for triple in triples[:indexed]:
+        try_triple(look, store, triple, found)
+        if found.spent[LIMIT] > 0 or _decided(found):
+            break
+    found.state[MODE] = ALL
+
+
+@compiled
+def _try_groups(look: Look, store: Store, found: Found, groups: int, loose: bool, done: BoolArray) -> bool:
+    """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them."""
+    triples, indexed = _triples(look, store, groups, loose, done)
+    for t in range(len(triples)):
+        if t < indexed:
+            try_triple(look, store, triples[t], found)
+        else:
+            _try_wide(look, store, triples[t], found, done)
+        done[_number(triples[t])] = True
+        if found.spent[LIMIT] > 0 or _enough(found) > groups or _decided(found):
+            return False
+    return True
+
+
+@compiled
+def _try_wide(look: Look, store: Store, triple: IntArray, found: Found, done: BoolArray) -> None:
+    """Instead of a triple too wide for the index, look up its shortest side with other third measurements.
+
+    Of m measurements a hypothesis leaves out m − k at most, so of m − k + 1 thirds it has one. Only where the index
+    reaches fewer are the features gone through.
+    """
+    m = len(look.points)
+    a, b, least = triple[0], triple[1], math.inf
+    for k in range(3):
+        i, l = triple[k], triple[(k + 1) % 3]
+        apart = math.hypot(look.points[i, 0] - look.points[l, 0], look.points[i, 1] - look.points[l, 1])
+        if apart < least:
+            a, b, least = i, l, apart
+    thirds, radii, count = np.empty((m, 3), np.int64), np.empty(m), 0
+    for i in range(m):
+        third = thirds[count]
+        third[0], third[1], third[2] = a, b, i
+        if i != a and i != b and is_indexed(look, store, third):
+            radii[count] = _longest_first(look.points, third)
+            count += 1
+    if count <= m - _wanted(found):
+        try_triple(look, store, triple, found)
+        return
+    for at in np.argsort(radii[:count], kind="mergesort")[: m - _wanted(found) + 1]:
+        if not done[_number(thirds[at])]:
+            done[_number(thirds[at])] = True
+            try_triple(look, store, thirds[at], found)
+
+
+@compiled
 def _try_places_alike(look: Look, store: Store, found: Found, done: BoolArray) -> None:
     """Look up disjoint triples of what the best explains, until it stays: a place like its own explains one of them."""
-    pairings = 0
+    pairings, found.state[MODE] = 0, ALIKE
     while pairings < found.state[0] and found.spent[LIMIT] == 0:
         pairings = found.state[0]
         paired = np.flatnonzero(found.features[0] != NONE)
@@ -86,12 +154,6 @@ def _try_places_alike(look: Look, store: Store, found: Found, done: BoolArray) -
             if not done[_number(triple)] and is_indexed(look, store, triple):
                 done[_number(triple)] = True
                 try_triple(look, store, triple, found)
-
-
-@compiled
-def _enough(found: Found) -> int:
-    """The most groups whose triples leave no better pose unseen, nor another as good."""
-    return int(max((max(found.limits[0], found.state[0] if found.state[1] > 0 else 0) - 1) // 2, 1))
 
 
 @compiled
@@ -152,24 +214,44 @@ def _extent(points: Array, chosen: IntArray, axis: int) -> float:
 
 
 @compiled
-def _triples(points: Array, groups: int, done: BoolArray) -> IntArray:
-    """Triples of measurements within groups and not yet `done`, (t, 3): those with small circumcircles first."""
-    order, starts = _groups(points, groups)
+def _triples(look: Look, store: Store, groups: int, loose: bool, done: BoolArray) -> tuple[IntArray, int]:
+    """Triples of measurements within groups and not yet `done`, (t, 3): those with small circumcircles first.
+
+    Those too wide for the index come last; how many do not is the second result. If `loose`, the last group has only
+    triples such that any four of it hold one: in three parts, those within a part and from one part two and one of the
+    next.
+    """
+    order, starts = _groups(look.points, groups)
     room = 0
     for g in range(groups):
         size = starts[g + 1] - starts[g]
         room += size * (size - 1) * (size - 2) // 6
-    triples, radii, count = np.empty((room, 3), np.int64), np.empty(room), 0
+    triples, radii, count, indexed = np.empty((room, 3), np.int64), np.empty(room), 0, 0
     for g in range(groups):
-        for p in range(starts[g], starts[g + 1]):
-            for q in range(starts[g], p):
-                for r in range(starts[g], q):
+        low, size = starts[g], starts[g + 1] - starts[g]
+        for p in range(low, starts[g + 1]):
+            for q in range(low, p):
+                for r in range(low, q):
+                    if loose and g == groups - 1 and not _covers(low, size, p, q, r):
+                        continue
                     triple = triples[count]
                     triple[0], triple[1], triple[2] = order[p], order[q], order[r]
                     if not done[_number(triple)]:
-                        radii[count] = _longest_first(points, triple)
-                        count += 1
-    return triples[:count][np.argsort(radii[:count], kind="mergesort")]
+                        short = is_indexed(look, store, triple)
+                        radii[count] = _longest_first(look.points, triple) + (0.0 if short else _WIDE)
+                        count, indexed = count + 1, indexed + short
+    return triples[:count][np.argsort(radii[:count], kind="mergesort")], indexed
+
+
+@compiled
+def _covers(low: int, size: int, p: int, q: int, r: int) -> bool:
+    """Whether p, q, r lie in one third of low … low + size − 1, or two in one and the other in the next."""
+    a, b, c = 3 * (p - low) // size, 3 * (q - low) // size, 3 * (r - low) // size
+    if a == b:
+        return c == a or c == (a + 1) % 3
+    if a == c:
+        return b == (a + 1) % 3
+    return b == c and a == (b + 1) % 3
 
 
 @compiled

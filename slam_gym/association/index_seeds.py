@@ -22,7 +22,7 @@ from slam_gym.association.index_store import (
     cell_number,
     features_around,
 )
-from slam_gym.association.index_verify import BINARY, TRIES, Found, Seed, verify
+from slam_gym.association.index_verify import BINARY, LIMIT, TRIES, Found, Seed, verify
 from slam_gym.types import Array, IntArray
 
 
@@ -159,7 +159,7 @@ def _matches(
             row = cell_number(c, a, 0)
             for b in range(max(low[2], c - a - 1), min(c, high[2]) + 1):
                 start, entries = int(cells[row + b, START]), int(cells[row + b, COUNT])
-                if entries > len(chosen) - count:
+                if entries >= len(chosen) - count:
                     larger = np.empty((2 * len(chosen) + entries, 3), np.int32)
                     larger[:count] = chosen[:count]
                     chosen = larger
@@ -171,9 +171,8 @@ def _matches(
                     dx, dy, dz = x - (packed & 255), y - (packed >> 8 & 255), z - (packed >> 16 & 255)
                     doubt = variances[packed >> 24 & 255]
                     near = (dx * dx * scale <= first + doubt) & (dy * dy * scale <= second + doubt)
-                    if near & (dz * dz * scale <= third + doubt):
-                        chosen[count, 0], chosen[count, 1], chosen[count, 2] = pool[at, 0], pool[at, 1], pool[at, 2]
-                        count += 1
+                    chosen[count, 0], chosen[count, 1], chosen[count, 2] = pool[at, 0], pool[at, 1], pool[at, 2]
+                    count += near & (dz * dz * scale <= third + doubt)  # without a branch: there is no foretelling it
     return chosen[:count], compared
 
 
@@ -189,6 +188,8 @@ def _visit_features(
     across = math.sqrt(max(seed.sides[2] ** 2 - along * along, 0.0))
     near, one = 2.0 * margin * max(1.0, seed.sides[2] / side), np.empty((1, 3), np.int32)
     for i in range(n):
+        if found.spent[LIMIT] > 0:
+            return
         x, y = positions[i, 0], positions[i, 1]
         count = features_around(store.heads, store.following, store.settings[SIDE], positions, x, y, outer, around)
         found.spent[BINARY] += count

@@ -13,10 +13,17 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.index_pose import FIT, Look, Store, alike, is_local, pair_around, settle
-from slam_gym.association.index_store import POWER, SIDE, SIZE, Bits, Small
+from slam_gym.association.index_store import PAINTED, POWER, SIDE, SIZE, Bits, Small, is_painted
 from slam_gym.types import NONE, Array, IntArray
 
 NODES, BINARY, TRIES, LEAVES, JOINT, LIMIT = 0, 1, 2, 3, 4, 5  # of `spent`
+MODE = 2  # of `state`
+ALL, LIKELY, ALIKE = 0, 1, 2
+"""What of a pose is tested: that it may explain enough of the scan; the same, but given up on the likelihood of what it
+misses (Wald's sequential test); that it explains all but pairings / 3 − 1 of what the best explains."""
+
+_LEAST = 0.45
+_GIVEN_UP = -1.8  # log of the share of right poses that the sequential test may lose
 
 
 class Seed(NamedTuple):
@@ -37,7 +44,7 @@ class Found(NamedTuple):
     features: IntArray  # (h, m) map feature paired with each measurement, NONE for `*`
     fits: Array  # (h, 12)
     squares: Array  # (h,) D²
-    state: IntArray  # (2,) pairings of the best, or one less than what is worth recording; number of hypotheses
+    state: IntArray  # (3,) pairings of the best, or one less than what is worth recording; number of hypotheses; mode
     spent: IntArray  # (6,)
     limits: IntArray  # (3,) pairings needed, most nodes, pairings that chance need not be feared for
 
@@ -53,7 +60,9 @@ def verify(
     if found.spent[NODES] > found.limits[1]:
         found.spent[LIMIT] = 1
         return
-    left = len(look.points) - found.state[0] - (found.state[1] == 0)
+    order, allowed = seed.order, len(look.points) - found.state[0] - (found.state[1] == 0)
+    if found.state[MODE] == ALIKE:
+        order, allowed = order[found.features[0][order] != NONE], max(found.state[0] // 3 - 1, 0)
     chosen, poses = _promising(
         store.positions,
         store.heads,
@@ -61,15 +70,34 @@ def verify(
         store.bits,
         store.settings,
         seed.corners,
-        seed.order,
+        order,
         seed.levels,
         seed.offsets,
         seed.around,
         triangles,
-        left,
+        allowed,
+        _evidence(store.settings, seed, order, found),
     )
     for at in range(len(chosen)):
-        _examine(look, store, seed, triangles[chosen[at]], poses[at], variance, inertia, found)
+        _examine(look, store, seed, triangles[chosen[at]], poses[chosen[at]], variance, inertia, found)
+
+
+@compiled
+def _evidence(settings: Array, seed: Seed, order: IntArray, found: Found) -> Array:
+    """What a hit and a miss of each test of `order` say for a pose, (tests, 2): log-likelihood ratios right / chance.
+
+    Measurements that no bitmap covers are not tested. All 0 where poses are not to be given up by likelihood.
+    """
+    tests, m = 0, len(order) + 3
+    while tests < min(m - 3, 62) and seed.levels[order[tests]] < 2:
+        tests += 1
+    evidence = np.zeros((tests, 2))
+    if found.state[MODE] == LIKELY:
+        right = max((found.limits[0] - 3.0) / (m - 3.0), _LEAST)
+        for p in range(tests):
+            chance = min(max(settings[PAINTED + seed.levels[order[p]]], 1e-3), right)
+            evidence[p, 0], evidence[p, 1] = math.log(right / chance), math.log((1.0 - right) / (1.0 - chance))
+    return evidence
 
 
 @compiled
@@ -86,15 +114,59 @@ def _promising(
     around: Array,
     triangles: Small,
     allowed: int,
+    evidence: Array,
 ) -> tuple[IntArray, Array]:
-    """Which triangles imply a pose at which no more than `allowed` measurements find nothing; those poses (x, y, c, s).
+    """Which triangles imply a pose at which no more than `allowed` measurements find nothing; all poses (x, y, c, s).
 
-    The pose is the least-squares fit of the three corners, given as that of their centroid.
+    The first bitmap tests, as many as it takes to give a pose up, are made of every pose without a branch, so that the
+    processor waits for many places of the bitmap at a time; the rest are made one after another of those still left.
     """
-    chosen, poses, count = np.empty(len(triangles), np.int64), np.empty((len(triangles), 4)), 0
+    poses, tests, whole = _implied_poses(positions, corners, offsets, triangles), len(evidence), len(triangles)
+    chosen, missing = np.empty(whole + 1, np.int64), np.empty(whole + 1, np.int64)
+    left, trust = np.empty(whole + 1, np.int64), np.empty(whole + 1)
+    first, total, count = 0, 0.0, 0
+    while first < min(tests, allowed + 1) and total >= _GIVEN_UP:
+        total, first = total + evidence[first, 1], first + 1
     power, per_metre = int(settings[POWER]), 1.0 / settings[SIZE]
     behind = 1 << (2 * power)  # the coarse bitmap follows the fine one
-    u, v = np.empty(3), np.empty(3)
+    for at in range(whole):
+        x, y, c, s = poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3]
+        misses, which, total = 0, 0, 0.0
+        for p in range(first):
+            k = order[p]
+            px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
+            level = levels[k]
+            scale = per_metre if level == 0 else 0.5 * per_metre
+            miss = 1 - is_painted(bits, behind * level, power - level, px * scale, py * scale)
+            misses, which, total = misses + miss, which | miss << p, total + evidence[p, miss]
+        chosen[count], missing[count], left[count], trust[count] = at, which, allowed - misses, total
+        count += (misses <= allowed) & (total >= _GIVEN_UP)
+    for p in range(first, tests):
+        whole, count, k = count, 0, order[p]
+        level = levels[k]
+        scale = per_metre if level == 0 else 0.5 * per_metre
+        for q in range(whole):
+            at = chosen[q]
+            x, y, c, s = poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3]
+            px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
+            miss = 1 - is_painted(bits, behind * level, power - level, px * scale, py * scale)
+            chosen[count], missing[count] = at, missing[q] | miss << p
+            left[count], trust[count] = left[q] - miss, trust[q] + evidence[p, miss]
+            count += (left[count] >= 0) & (trust[count] >= _GIVEN_UP)
+    kept = 0
+    for q in range(count):
+        at = chosen[q]
+        pose = (poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3])
+        if _meets(positions, heads, following, settings, order, offsets, around, pose, missing[q], left[q]):
+            chosen[kept] = at
+            kept += 1
+    return chosen[:kept], poses
+
+
+@compiled
+def _implied_poses(positions: Array, corners: IntArray, offsets: Array, triangles: Small) -> Array:
+    """Least-squares fits of the three corners to triangles (t, 3), as (x, y, cos θ, sin θ) of their centroid, (t, 4)."""
+    poses, u, v = np.empty((len(triangles), 4)), np.empty(3), np.empty(3)
     for k in range(3):
         u[k], v[k] = offsets[corners[k], 0], offsets[corners[k], 1]
     for at in range(len(triangles)):
@@ -104,27 +176,9 @@ def _promising(
         x, y = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0
         c = (ax - x) * u[0] + (ay - y) * v[0] + (bx - x) * u[1] + (by - y) * v[1] + (cx - x) * u[2] + (cy - y) * v[2]
         s = (ay - y) * u[0] - (ax - x) * v[0] + (by - y) * u[1] - (bx - x) * v[1] + (cy - y) * u[2] - (cx - x) * v[2]
-        length = math.sqrt(c * c + s * s)
-        c, s, left, missing = c / length, s / length, allowed, 0
-        for p in range(min(len(order), 62)):
-            k = order[p]
-            px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
-            if levels[k] == 0:
-                miss = 1 - _painted(bits, 0, power, px * per_metre, py * per_metre)
-            elif levels[k] == 1:
-                miss = 1 - _painted(bits, behind, power - 1, 0.5 * px * per_metre, 0.5 * py * per_metre)
-            else:
-                miss = 0
-            left, missing = left - miss, missing | miss << p
-            if left < 0:
-                break
-        if left >= 0 and _meets(
-            positions, heads, following, settings, order, offsets, around, (x, y, c, s), missing, left
-        ):
-            chosen[count] = at
-            poses[count, 0], poses[count, 1], poses[count, 2], poses[count, 3] = x, y, c, s
-            count += 1
-    return chosen[:count], poses[:count]
+        scale = 1.0 / math.sqrt(c * c + s * s)
+        poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3] = x, y, c * scale, s * scale
+    return poses
 
 
 @compiled
@@ -170,13 +224,6 @@ def _meets(
         if left < 0:
             return False
     return True
-
-
-@compiled
-def _painted(bits: Bits, first: int, power: int, x: float, y: float) -> int:
-    mask = (1 << power) - 1
-    at = first + (((math.floor(y) & mask) << power) | (math.floor(x) & mask))
-    return (int(bits[at >> 3]) >> (at & 7)) & 1
 
 
 @compiled
