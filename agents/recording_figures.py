@@ -26,14 +26,15 @@ def maps(
     `errors` and `features` hold the columns of the files of each run, all in the frame of the reference; `landmarks`
     (L, 2) are the true places, if known.
     """
-    across = min(len(names), 3 if len(names) > 4 else 2)
-    down = math.ceil(len(names) / across)
-    width = 10.4
-    low, high = _bounds([*(np.column_stack([e["x"], e["y"]]) for e in errors.values()),
-                         *(np.column_stack([e["reference_x"], e["reference_y"]]) for e in errors.values())],
-                        landmarks)  # fmt: skip
-    shape = float(np.clip((high[1] - low[1]) / max(high[0] - low[0], 1e-9), 0.35, 1.6))
-    figure = Figure(figsize=(width, 0.6 + down * (0.35 + width / across * shape)), dpi=150, layout="constrained")
+    xy = [np.column_stack([c["x"], c["y"]]) for c in (*errors.values(), *features.values())]
+    xy += [np.column_stack([c["reference_x"], c["reference_y"]]) for c in errors.values()]
+    low, high = _bounds(np.concatenate(xy), landmarks)
+    shape = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.8))
+    across = min(len(names), 2 if len(names) <= 4 and shape < 1.2 else 3 if shape < 1.2 else 4)
+    down, width = math.ceil(len(names) / across), 10.4
+    figure = Figure(
+        figsize=(width, 0.6 + down * (0.3 + (width / across - 0.35) * shape)), dpi=150, layout="constrained"
+    )
     axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
     colour = colours(names)
     for axis, name in zip(axes, names):
@@ -55,12 +56,12 @@ def maps(
     return as_png(figure)
 
 
-def _bounds(paths: Sequence[Array], landmarks: Array) -> tuple[Array, Array]:
-    points = np.concatenate([*paths, landmarks])
-    if not len(points):
-        return np.zeros(2), np.ones(2)
-    low, high = points.min(axis=0), points.max(axis=0)
-    room = 0.06 * (high - low).max() + 1e-9
+def _bounds(points: Array, landmarks: Array) -> tuple[Array, Array]:
+    """Corners of what is drawn: the landmarks, and all but the outermost of the rest, since a GPS jumps."""
+    low, high = np.quantile(points, [0.003, 0.997], axis=0)
+    if len(landmarks):
+        low, high = np.minimum(low, landmarks.min(axis=0)), np.maximum(high, landmarks.max(axis=0))
+    room = 0.05 * (high - low).max() + 1e-9
     return low - room, high + room
 
 
@@ -88,14 +89,13 @@ def errors_over_time(errors: Mapping[str, Columns], names: Sequence[str]) -> byt
     """Distance to the reference, aligned, over the time of the log."""
     figure = Figure(figsize=(10.4, 3.6), dpi=150, layout="constrained")
     axis, colour = figure.subplots(), colours(names)
-    largest = []
     for name in names:
-        time, error = errors[name]["time"], errors[name]["error"]
-        largest.append(float(error.max()))
-        axis.plot(time, error, color=colour[name], linewidth=1.1, label=short(name))
-    if max(largest) > 8.0 * min(largest):
+        axis.plot(errors[name]["time"], errors[name]["error"], color=colour[name], linewidth=1.1, label=short(name))
+    every = np.concatenate([errors[name]["error"] for name in names])
+    if every.max() > 4.0 * np.quantile(every, 0.95):  # a reference that jumps, or an associator that got lost
         axis.set_yscale("log")
-        axis.set_ylim(bottom=max(0.01, 0.02 * min(largest)))
+        axis.set_ylim(bottom=0.5 * np.quantile(every, 0.05) + 1e-9)
+        axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     else:
         axis.set_ylim(0.0, None)
     axis.set_xlabel("time [s]")
