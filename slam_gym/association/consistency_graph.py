@@ -20,7 +20,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import eigsh
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.arrays import Problem, problem_arrays
 from slam_gym.association.constraints import (
     Gates,
     Mapped,
@@ -31,7 +31,6 @@ from slam_gym.association.constraints import (
     gates,
     measured,
 )
-from slam_gym.association.gcbb import allowed_pairings
 from slam_gym.association.located import locate_pairings
 from slam_gym.association.relocation import (
     BINARY,
@@ -40,6 +39,7 @@ from slam_gym.association.relocation import (
     LIMIT,
     NODES,
     UNARY,
+    allowed_pairings,
     location_gates,
     nothing_found,
     offer,
@@ -49,15 +49,6 @@ from slam_gym.association.relocation import (
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at
-
-
-class _Problem(NamedTuple):
-    """What the kernels take."""
-
-    seen: tuple[Array, Array]
-    intrinsic: tuple[Array, Array, IntArray]
-    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array]
-    of_intrinsic: tuple[Array, Array, IntArray]
 
 
 class _Graph(NamedTuple):
@@ -89,8 +80,8 @@ def max_clique(
     if library not in ("cliquematch", "igraph"):
         raise ValueError(f"library: {library!r} is neither 'cliquematch' nor 'igraph'")
     solver, start, counters = _import(library), time.perf_counter(), np.zeros(8, np.int64)
-    problem = _problem(scan, landmarks)
-    graph = _graph(problem, locality, len(landmarks), confidence, node_limit, counters)
+    problem = problem_arrays(scan, landmarks, locality)
+    graph = _Graph(*_consistent(*problem, gates(confidence), node_limit, counters))
     cliques = list(itertools.islice(_largest_cliques(solver, library, graph), _CLIQUES + 1))
     if len(cliques) > _CLIQUES:
         counters[LIMIT] = 1
@@ -116,17 +107,11 @@ def spectral(
     is found, so nothing is known of ties. Limits and errors as in `max_clique`.
     """
     start, counters = time.perf_counter(), np.zeros(8, np.int64)
-    problem = _problem(scan, landmarks)
-    graph = _graph(problem, locality, len(landmarks), confidence, node_limit, counters)
+    problem = problem_arrays(scan, landmarks, locality)
+    graph = _Graph(*_consistent(*problem, gates(confidence), node_limit, counters))
     found = _decide(problem, graph, _leading_cluster(graph), confidence, counters)
     seconds = time.perf_counter() - start
     return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
-
-
-def _problem(scan: Scan, landmarks: Landmarks) -> _Problem:
-    points, noise, sizes, variances, kinds = scan_arrays(scan)
-    a = map_arrays(landmarks)
-    return _Problem((points, noise), (sizes, variances, kinds), (a[0], a[1], a[5], a[6], a[7], a[8]), a[2:5])
 
 
 def _import(library: str) -> Any:
@@ -134,14 +119,6 @@ def _import(library: str) -> Any:
         return importlib.import_module(library)
     except ImportError as error:
         raise ImportError(f"max_clique needs {library}: pip install 'slam_gym[bench]'") from error
-
-
-def _graph(
-    problem: _Problem, locality: Locality | None, n: int, confidence: float, node_limit: int, counters: IntArray
-) -> _Graph:
-    local = locality_arrays(locality, n)
-    found = _consistent(*problem, local, gates(confidence), node_limit, counters)
-    return _Graph(*found)
 
 
 def _largest_cliques(solver: Any, library: str, graph: _Graph) -> Iterable[list[int]]:
@@ -175,7 +152,7 @@ def _leading_cluster(graph: _Graph) -> list[list[int]]:
 
 
 def _decide(
-    problem: _Problem, graph: _Graph, cliques: list[list[int]], confidence: float, counters: IntArray
+    problem: Problem, graph: _Graph, cliques: list[list[int]], confidence: float, counters: IntArray
 ) -> tuple[IntArray, Array, Array, float, int]:
     """The best of the cliques that are jointly compatible, or of what is left of them."""
     members = np.array([node for clique in cliques for node in sorted(clique)], np.int64)

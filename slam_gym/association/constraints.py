@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import map_arrays, scan_arrays
+from slam_gym.association.arrays import geometry_arrays, map_arrays, scan_arrays
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Scan
 
@@ -77,7 +77,7 @@ def binary(scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, co
     `map_arrays` do, and where a measurement or a feature does not exist.
     """
     rows = _checked(scan, landmarks, (first, second))
-    return bool(_binary(scan_arrays(scan)[:2], rows, gates(confidence), *_geometry(landmarks)))
+    return bool(_binary(scan_arrays(scan)[:2], rows, gates(confidence), *geometry_arrays(map_arrays(landmarks))))
 
 
 def orientation(
@@ -90,17 +90,12 @@ def orientation(
     as `binary` does.
     """
     rows = _checked(scan, landmarks, (first, second, third))
-    return bool(_orientation(scan_arrays(scan)[:2], rows, gates(confidence), *_geometry(landmarks)))
+    return bool(_orientation(scan_arrays(scan)[:2], rows, gates(confidence), *geometry_arrays(map_arrays(landmarks))))
 
 
 def gates(confidence: float) -> tuple[float, float]:
     """χ²_1 and χ²_2 at `confidence`, as `Gates` holds them. Raises ValueError unless 0 < confidence < 1."""
     return chi2_gate(1, confidence), chi2_gate(2, confidence)
-
-
-def _geometry(landmarks: Landmarks) -> tuple[Array, Array, Array, IntArray, IntArray, Array]:
-    arrays = map_arrays(landmarks)
-    return arrays[0], arrays[1], arrays[5], arrays[6], arrays[7], arrays[8]
 
 
 def _checked(scan: Scan, landmarks: Landmarks, pairings: tuple[Pairing, ...]) -> IntArray:

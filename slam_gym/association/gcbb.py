@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-import math
 import time
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.constraints import (
-    Gates,
-    Mapped,
-    Measured,
-    binary_test,
-    far_apart,
-    gates,
-    measured,
-    orientation_test,
-    unary_test,
-)
+from slam_gym.association.arrays import problem_arrays
+from slam_gym.association.constraints import Gates, Mapped, gates, measured
 from slam_gym.association.relocation import (
-    BINARY,
     LEAVES,
     LIMIT,
     NODES,
-    ORIENTATION,
-    UNARY,
     Best,
+    allowed_pairings,
     location_gates,
+    next_branch,
     nothing_found,
     offer,
     outcome,
     relocation,
 )
-from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import NONE, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _STAR = -1  # in place of a candidate: `*` comes next, the candidates are done
 
@@ -71,25 +59,14 @@ def gcbb(
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
-    points, noise, sizes, size_variances, kinds = scan_arrays(scan)
+    problem = problem_arrays(scan, landmarks, locality)
+    (points, noise), (sizes, variances, kinds) = problem.seen, problem.intrinsic
     levels = _from_centre(points) if outwards else np.arange(len(points))
-    points, noise, sizes, size_variances, kinds = (
-        part[levels] for part in (points, noise, sizes, size_variances, kinds)
+    problem = problem._replace(
+        seen=(points[levels], noise[levels]), intrinsic=(sizes[levels], variances[levels], kinds[levels])
     )
-    arrays, local = map_arrays(landmarks), locality_arrays(locality, len(landmarks))
     counters, start = np.zeros(8, np.int64), time.perf_counter()
-    found = _gcbb(
-        (points, noise),
-        (sizes, size_variances, kinds),
-        (arrays[0], arrays[1], *arrays[5:]),
-        arrays[2:5],
-        local,
-        gates(confidence),
-        location_gates(len(scan), confidence),
-        node_limit,
-        rivals,
-        counters,
-    )
+    found = _gcbb(*problem, gates(confidence), location_gates(len(scan), confidence), node_limit, rivals, counters)
     seconds = time.perf_counter() - start
     found[0][levels] = found[0].copy()
     return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
@@ -117,10 +94,8 @@ def _gcbb(
     counters: IntArray,
 ) -> tuple[IntArray, Array, Array, float, int]:
     """`outcome` of the search. By level: how many pairings there are above it, and which candidate comes next."""
-    scan, m, n = measured(seen[0], seen[1]), len(seen[0]), len(of_map[0])
+    scan, m = measured(seen[0], seen[1]), len(seen[0])
     mapped, gate = Mapped(of_map[0], of_map[1], of_map[2], of_map[3], of_map[4], of_map[5]), Gates(chi2[0], chi2[1])
-    starts, members = local
-    positions, distances, spreads = mapped.positions, scan.distances, scan.spreads
     traces = mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1]
     allowed = allowed_pairings(intrinsic, of_intrinsic, gate.one)
     best = nothing_found(m)
@@ -137,32 +112,18 @@ def _gcbb(
             offer(best, scan, mapped, paired, of, p, joint, counters)
             level -= 1
             continue
-        begin, end = 0, n
-        if p > 0 and len(starts) > 0:
-            begin, end = starts[of[0]], starts[of[0] + 1]
-        position, chosen = begin + following[level], _STAR
-        while position < end and chosen == _STAR:
-            j = members[position] if p > 0 and len(starts) > 0 else position
-            position += 1
-            counters[UNARY] += 1
-            if not allowed[level, j]:
-                continue
-            if p > 0:  # what `follows` would do first, with all at hand: it settles most pairings
-                x, y = positions[j, 0] - positions[of[0], 0], positions[j, 1] - positions[of[0], 1]
-                error = distances[level, paired[0]] - math.sqrt(x * x + y * y)
-                if far_apart(error, spreads[level, paired[0]], traces[j], traces[of[0]], gate.two):
-                    counters[BINARY] += of[0] != j
-                    continue
-            if follows(scan, mapped, gate, paired, of, p, level, j, counters):
-                chosen = j
-        following[level] = position - begin if chosen != _STAR else _STAR
-        if chosen == _STAR and not _promises(best, p + m - level - 1, rivals):
+        chosen, following[level] = next_branch(
+            scan, mapped, gate, allowed, traces, local, paired, of, p, level, following[level], counters
+        )
+        if chosen == NONE:
+            following[level] = _STAR
+        if chosen == NONE and not _promises(best, p + m - level - 1, rivals):
             continue
         if counters[NODES] == node_limit:
             counters[LIMIT] = 1
             break
         counters[NODES] += 1
-        if chosen != _STAR:
+        if chosen != NONE:
             paired[p], of[p] = level, chosen
             p += 1
         level += 1
@@ -174,45 +135,3 @@ def _gcbb(
 def _promises(best: Best, bound: int, rivals: bool) -> bool:
     """Whether so many pairings would beat the best; or equal it, where that is asked."""
     return bool(bound > best.state[0] or (rivals and best.state[1] > 0 and bound == best.state[0]))
-
-
-@compiled
-def allowed_pairings(
-    intrinsic: tuple[Array, Array, IntArray], of_map: tuple[Array, Array, IntArray], gate: float
-) -> BoolArray:
-    """The unary constraints (m, n), looked up for every test that is counted."""
-    sizes, variances, kinds = intrinsic
-    of_sizes, of_variances, of_kinds = of_map
-    allowed = np.empty((len(sizes), len(of_sizes)), np.bool_)
-    for i in range(len(sizes)):
-        for j in range(len(of_sizes)):
-            allowed[i, j] = unary_test(
-                sizes[i], variances[i], kinds[i], of_sizes[j], of_variances[j], of_kinds[j], gate
-            )
-    return allowed
-
-
-@compiled
-def follows(
-    scan: Measured,
-    mapped: Mapped,
-    gates: Gates,
-    paired: IntArray,
-    of: IntArray,
-    p: int,
-    i: int,
-    j: int,
-    counters: IntArray,
-) -> bool:
-    """Whether pairing (i, j) satisfies the constraints with all of the p pairings already made."""
-    for a in range(p):
-        if of[a] == j:
-            return False
-        counters[BINARY] += 1
-        if not binary_test(scan, mapped, gates, paired[a], of[a], i, j):
-            return False
-    for a in range(1, p):
-        counters[ORIENTATION] += 1
-        if not orientation_test(scan, mapped, gates, paired[0], of[0], paired[a], of[a], i, j):
-            return False
-    return True

@@ -9,21 +9,20 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.constraints import Gates, Mapped, Measured, far_apart, gates, measured
-from slam_gym.association.gcbb import allowed_pairings, follows
+from slam_gym.association.arrays import problem_arrays
+from slam_gym.association.constraints import Gates, Mapped, Measured, gates, measured
 from slam_gym.association.located import locate_pairings
 from slam_gym.association.relocation import (
-    BINARY,
     JOINT,
     LEAVES,
     LIMIT,
     NODES,
     TRIES,
-    UNARY,
     Best,
+    allowed_pairings,
     keep,
     location_gates,
+    next_branch,
     nothing_found,
     outcome,
     relocation,
@@ -62,24 +61,13 @@ def random_sampling(
     if not (0.0 < p_fail < 1.0 and 0.0 < p_good <= 1.0 and sample >= 2 and node_limit >= 1):
         settings = f"p_fail {p_fail}, p_good {p_good}, sample {sample}, node_limit {node_limit}"
         raise ValueError(f"{settings}: one is out of range")
-    points, noise, sizes, size_variances, kinds = scan_arrays(scan)
-    arrays, local = map_arrays(landmarks), locality_arrays(locality, len(landmarks))
+    problem = problem_arrays(scan, landmarks, locality)
     rng, m = np.random.default_rng(seed), len(scan)
     drawn = tries(p_fail, p_good, sample) if m >= sample else 0
     samples = np.array([rng.permutation(m)[:sample] for _ in range(drawn)], np.int64).reshape(drawn, sample)
     counters, start = np.zeros(8, np.int64), time.perf_counter()
-    found = _random_sampling(
-        (points, noise),
-        (sizes, size_variances, kinds),
-        (arrays[0], arrays[1], *arrays[5:]),
-        arrays[2:5],
-        local,
-        gates(confidence),
-        location_gates(m, confidence),
-        samples,
-        node_limit,
-        counters,
-    )
+    joint = location_gates(m, confidence)
+    found = _random_sampling(*problem, gates(confidence), joint, samples, node_limit, counters)
     seconds = time.perf_counter() - start
     return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
 
@@ -131,9 +119,7 @@ def _try(
     counters: IntArray,
 ) -> None:
     """All ways to pair every measurement of the sample, each extended."""
-    starts, members = local
-    m, n, size = len(scan.points), len(mapped.positions), len(sample)
-    positions, distances, spreads = mapped.positions, scan.distances, scan.spreads
+    m, size = len(scan.points), len(sample)
     paired, of = np.empty(m, np.int64), np.empty(m, np.int64)
     following, p = np.zeros(size + 1, np.int64), 0
     while p >= 0:
@@ -142,25 +128,10 @@ def _try(
             _extend(best, scan, mapped, gate.two, allowed, local, joint, paired, of, p, node_limit, counters)
             p -= 1
             continue
-        i, begin, end = sample[p], 0, n
-        if p > 0 and len(starts) > 0:
-            begin, end = starts[of[0]], starts[of[0] + 1]
-        position, chosen = begin + following[p], NONE
-        while position < end and chosen == NONE:
-            j = members[position] if p > 0 and len(starts) > 0 else position
-            position += 1
-            counters[UNARY] += 1
-            if not allowed[i, j]:
-                continue
-            if p > 0:
-                x, y = positions[j, 0] - positions[of[0], 0], positions[j, 1] - positions[of[0], 1]
-                error = distances[i, paired[0]] - math.sqrt(x * x + y * y)
-                if far_apart(error, spreads[i, paired[0]], traces[j], traces[of[0]], gate.two):
-                    counters[BINARY] += of[0] != j
-                    continue
-            if follows(scan, mapped, gate, paired, of, p, i, j, counters):
-                chosen = j
-        following[p] = position - begin
+        i = sample[p]
+        chosen, following[p] = next_branch(
+            scan, mapped, gate, allowed, traces, local, paired, of, p, i, following[p], counters
+        )
         if chosen == NONE:
             p -= 1
             continue

@@ -1,4 +1,4 @@
-"""What the searches without a prior share: the best hypotheses found so far, and the answer made of them."""
+"""What the searches without a prior share: which branches are legal, the best hypotheses so far, and the answer."""
 
 from __future__ import annotations
 
@@ -11,10 +11,18 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.constraints import Mapped, Measured
+from slam_gym.association.constraints import (
+    Gates,
+    Mapped,
+    Measured,
+    binary_test,
+    far_apart,
+    orientation_test,
+    unary_test,
+)
 from slam_gym.association.located import locate_pairings
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import NONE, Array, Effort, IntArray, Landmarks, Relocation, Scan
+from slam_gym.types import NONE, Array, BoolArray, Effort, IntArray, Landmarks, Relocation, Scan
 
 NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
 """Entries of the counters (8,) that every search keeps."""
@@ -161,3 +169,89 @@ def one_place(pose: Array, covariance: Array, other: Array, of_other: Array, gat
     v = (y - lyx * u) / lyy
     w = (t - ltx * u - lty * v) / ltt
     return bool(u * u + v * v + w * w < gate)
+
+
+@compiled
+def allowed_pairings(
+    intrinsic: tuple[Array, Array, IntArray], of_map: tuple[Array, Array, IntArray], gate: float
+) -> BoolArray:
+    """The unary constraints (m, n), looked up for every test that is counted."""
+    sizes, variances, kinds = intrinsic
+    of_sizes, of_variances, of_kinds = of_map
+    allowed = np.empty((len(sizes), len(of_sizes)), np.bool_)
+    for i in range(len(sizes)):
+        for j in range(len(of_sizes)):
+            allowed[i, j] = unary_test(
+                sizes[i], variances[i], kinds[i], of_sizes[j], of_variances[j], of_kinds[j], gate
+            )
+    return allowed
+
+
+@compiled
+def follows(
+    scan: Measured,
+    mapped: Mapped,
+    gates: Gates,
+    paired: IntArray,
+    of: IntArray,
+    p: int,
+    i: int,
+    j: int,
+    counters: IntArray,
+) -> bool:
+    """Whether pairing (i, j) satisfies the constraints with all of the p pairings already made."""
+    for a in range(p):
+        if of[a] == j:
+            return False
+        counters[BINARY] += 1
+        if not binary_test(scan, mapped, gates, paired[a], of[a], i, j):
+            return False
+    for a in range(1, p):
+        counters[ORIENTATION] += 1
+        if not orientation_test(scan, mapped, gates, paired[0], of[0], paired[a], of[a], i, j):
+            return False
+    return True
+
+
+@compiled
+def next_branch(
+    scan: Measured,
+    mapped: Mapped,
+    gates: Gates,
+    allowed: BoolArray,
+    traces: Array,
+    local: tuple[IntArray, IntArray],
+    paired: IntArray,
+    of: IntArray,
+    p: int,
+    i: int,
+    tried: int,
+    counters: IntArray,
+) -> tuple[int, int]:
+    """The next feature that measurement i may be paired with after the p pairings, or NONE; candidates tried by then.
+
+    Candidates are the features local to the first one paired, or all; the first `tried` of them are done with.
+    `allowed` (m, n) are the unary constraints, `traces` (n,) [m²] those of the features' covariances.
+    """
+    starts, members = local
+    restricted, positions = p > 0 and len(starts) > 0, mapped.positions
+    begin, end = 0, len(traces)
+    if restricted:
+        begin, end = starts[of[0]], starts[of[0] + 1]
+    x0, y0, trace, distance, spread = 0.0, 0.0, 0.0, 0.0, 0.0
+    if p > 0:
+        x0, y0, trace = positions[of[0], 0], positions[of[0], 1], traces[of[0]]
+        distance, spread = scan.distances[i, paired[0]], scan.spreads[i, paired[0]]
+    for position in range(begin + tried, end):
+        j = members[position] if restricted else position
+        counters[UNARY] += 1
+        if not allowed[i, j]:
+            continue
+        if p > 0:  # what `follows` would do first, with all at hand: it settles most pairings
+            x, y = positions[j, 0] - x0, positions[j, 1] - y0
+            if far_apart(distance - math.sqrt(x * x + y * y), spread, traces[j], trace, gates.two):
+                counters[BINARY] += of[0] != j
+                continue
+        if follows(scan, mapped, gates, paired, of, p, i, j, counters):
+            return j, position + 1 - begin
+    return NONE, end - begin

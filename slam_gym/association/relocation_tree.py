@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.arrays import problem_arrays
 from slam_gym.association.constraints import (
     Gates,
     Mapped,
@@ -87,17 +87,10 @@ class RelocationBranches:
 def relocation_tree(
     scan: Scan, landmarks: Landmarks, locality: Locality | None = None, confidence: float = 0.99
 ) -> RelocationTree:
-    """Raises ValueError where scan or map are bad, as `unary` does, and where the locality is of another map."""
-    rows, known = locality_arrays(locality, len(landmarks)), map_arrays(landmarks)
+    """The tree of a scan in a map, in the frame of the map. Raises ValueError as `problem_arrays` does."""
+    arrays, allowed = problem_arrays(scan, landmarks, locality), unary(scan, landmarks, confidence)
     return RelocationTree(
-        scan,
-        landmarks,
-        locality,
-        unary(scan, landmarks, confidence),
-        scan_arrays(scan)[:2],
-        (known[0], known[1], *known[5:]),
-        rows,
-        gates(confidence),
+        scan, landmarks, locality, allowed, arrays.seen, arrays.of_map, arrays.local, gates(confidence)
     )
 
 
