@@ -60,7 +60,8 @@ def row(shown: str, name: str) -> list[float]:
 
 
 def test_all_notebooks_are_there() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["01_quickstart", "02_why_joint_compatibility", "03_locality"]
+    names = ["01_quickstart", "02_why_joint_compatibility", "03_locality", "04_victoria_park"]
+    assert [path.stem for path in NOTEBOOKS] == names
 
 
 def test_committed_with_their_outputs_and_nothing_of_a_machine(committed: Any) -> None:
@@ -120,3 +121,36 @@ def test_locality(headless: None) -> None:
     pairs = row(shown, "pairs")
     assert 8.0 < pairs[0] < 16.0 and pairs[3] < 1.0 and pairs[5] == 0.0
     assert row(shown, "the rule")[3] == 0
+
+
+@pytest.mark.slow
+def test_victoria_park(headless: None, data_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SLAM_GYM_DATA", str(data_dir))
+    monkeypatch.setenv("SLAM_GYM_SCANS", "1500")
+    notebook = executed("04_victoria_park.ipynb")
+    shown = text(notebook)
+    assert not [output for output in outputs(notebook) if output.output_type == "error"]
+    assert pictures(notebook) == 7
+    assert "1500 scans in 5 minutes" in shown
+    nearest, joint = row(shown, "nearest neighbour, every 6"), row(shown, "JCBB, every 6")
+    assert nearest[1] > 5 and nearest[4] > 100 and joint[1] == 0 and joint[4] < 30  # duplicates, wrong pairings
+    assert joint[6] < 2.0 < nearest[6]
+    assert row(shown, "JCBB, every 1")[6] == pytest.approx(row(shown, "nearest neighbour, every 1")[6], abs=0.1)
+    assert re.search(r"nearest neighbour +11 pairings, +8 right", shown)
+    assert re.search(r"JCBB +11 pairings, 11 right", shown)
+    returns = [row(shown, name)[0] for name in ("nearest neighbour", "JCBB", "refuse everything", "true association")]
+    assert returns[0] < returns[1] < returns[2] == 0.0 < 0.9 < returns[3]
+    covisible, everything = row(shown, "covisibility"), row(shown, "everything")
+    assert covisible[0] >= 20 and covisible[1] == everything[1] == 0 and covisible[3] < 0.5 * everything[3]
+    standard, local_maps = row(shown, "standard EKF"), row(shown, "local maps, joined")
+    assert standard[0] < 1.0 and local_maps[0] < 1.0 and standard[6] < local_maps[6]
+
+
+@pytest.mark.slow
+def test_victoria_park_without_its_data_says_where_to_get_it(headless: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
+    notebook = executed("04_victoria_park.ipynb")
+    shown = text(notebook)
+    assert all(output.output_type == "stream" for output in outputs(notebook))
+    assert "SLAM_GYM_DATA" in shown and "Cite: Guivant and Nebot" in shown and "the cells below do nothing" in shown
+    assert "usyd.edu.au" in notebook.cells[0].source
