@@ -1,8 +1,7 @@
 """How a recording is mapped: the settings of the filter for each kind of log.
 
-Those of the public logs were chosen on a part of them, with JCBB: the first half of Victoria Park, robots 1 and 2 of
-set 6 of MR.CLAM. What was chosen along with them is the noise that their readers put in (`victoria_park.Noise`,
-`mrclam.Noise`).
+Victoria Park's were chosen on its first half, with JCBB. Those of MR.CLAM, and the noise that its reader puts in
+(`mrclam.Noise`), were judged with all robots of set 6 in view: results on that set are no held-out ones.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ _PAUSE = 10.0  # [s] between the log of one robot and that of the next
 
 @dataclass(frozen=True)
 class Noise:
-    """What the log does not say; chosen on robots 1 and 2 of set 6.
+    """What the log does not say; chosen on set 6, with all of its robots in view.
 
     Wheels report what they were told to do: the robots do it a little later, and less of it. Variances of the motion
     add up with time; those of a barcode grow with its range, and are half as much again in σ as the Vicon shows, since
