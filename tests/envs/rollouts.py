@@ -1,5 +1,6 @@
-"""Random episodes of `Explore-v0`, and a comparison of what they hand out, bit for bit."""
+"""Random episodes, single and vectorised, and a comparison of what they hand out, bit for bit."""
 
+import copy
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -27,9 +28,9 @@ def short(budget: int, name: str = "office-small", **changes: Any) -> Scenario:
     return replace(get_scenario(name), budget=budget, **changes)
 
 
-def in_any_process(action: str) -> gym.Env:
-    """Short episodes for vector environments, under the id that imports its own module in a fresh process."""
-    return gym.make("slam_gym:slam_gym/Explore-v0", scenario=short(35), action=action, reward="entropy")
+def in_any_process(name: str, **options: Any) -> gym.Env:
+    """An environment for vector environments, under the id that imports its own module in a fresh process."""
+    return gym.make(f"slam_gym:slam_gym/{name}", **options)
 
 
 def random_action(env: gym.Env, info: dict[str, Any], rng: np.random.Generator) -> Any:
@@ -49,6 +50,20 @@ def episode(env: gym.Env, steps: int = 10**6, seed: int = 0, options: dict[str, 
         step = env.step(random_action(env, info, rng))
         yield step
         steps, terminated, info = steps - 1, step[2], step[4]
+
+
+def vector_rollout(envs: gym.vector.VectorEnv, steps: int) -> list:
+    """Everything that `steps` handed out, with the environments' own autoresets in between; and the actions."""
+    rng = np.random.default_rng(0)
+    observations, infos = envs.reset(seed=[7, 11])
+    record = [(copy.deepcopy(observations), infos)]
+    for _ in range(steps):
+        masks = [{"action_mask": mask} for mask in infos.get("action_mask", ())] or [{}, {}]
+        actions = np.array([random_action(envs, mask, rng) for mask in masks])
+        observations, *rest, infos = envs.step(actions)
+        record.append((copy.deepcopy(observations), *rest, dict(sorted(infos.items())), actions))
+    envs.close()
+    return record
 
 
 def differences(a: Any, b: Any, at: str = "") -> list[str]:

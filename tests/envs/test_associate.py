@@ -1,6 +1,5 @@
 """`Associate-v0`: checkers, rewards that rank associators, classical associators through it, twins, snapshots."""
 
-import copy
 import pickle
 import warnings
 from dataclasses import replace
@@ -10,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from rollouts import differences, explore, short
+from rollouts import differences, explore, in_any_process, short, vector_rollout
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import slam_gym  # noqa: F401 (registers the environment)
@@ -326,25 +325,8 @@ def test_snapshots_restore_by_replay_also_in_another_environment_and_pickle(scen
         info = one[4]
 
 
-def make_for_vector(scenario):
-    return gym.make(f"slam_gym:{ID}", scenario=scenario)
-
-
-def vector_rollout(envs, steps):
-    """Everything that `steps` handed out, with the environments' own autoresets in between."""
-    rng = np.random.default_rng(0)
-    observations, infos = envs.reset(seed=[7, 11])
-    record = [(copy.deepcopy(observations), infos)]
-    for _ in range(steps):
-        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
-        observations, *rest, infos = envs.step(actions)
-        record.append((copy.deepcopy(observations), *rest, dict(sorted(infos.items()))))
-    envs.close()
-    return record
-
-
 def test_vectorised_in_other_processes_and_over_autoresets():
-    makers = [partial(make_for_vector, short(8))] * 2
+    makers = [partial(in_any_process, "Associate-v0", scenario=short(8))] * 2
     here = vector_rollout(gym.vector.SyncVectorEnv(makers), 150)
     there = vector_rollout(gym.vector.AsyncVectorEnv(makers, context="spawn"), 150)
     assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"

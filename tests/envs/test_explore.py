@@ -1,6 +1,5 @@
 """`Explore-v0` as Gymnasium knows it: checkers, spaces, twins, ends, snapshots, pictures; and no truth in sight."""
 
-import copy
 import pickle
 import warnings
 from dataclasses import replace
@@ -11,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from rollouts import SCENARIOS, differences, episode, explore, in_any_process, random_action, short
+from rollouts import SCENARIOS, differences, episode, explore, in_any_process, random_action, short, vector_rollout
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb
@@ -101,28 +100,14 @@ def test_train_and_test_worlds_differ_under_the_same_options() -> None:
     assert walls[0].shape != walls[1].shape or not np.array_equal(*walls)
 
 
-def _vector_rollout(envs: gym.vector.VectorEnv, steps: int) -> list:
-    """Everything that `steps` handed out, with the environments' own autoresets in between; and the actions."""
-    rng = np.random.default_rng(0)
-    observations, infos = envs.reset(seed=[7, 11])
-    record = [(copy.deepcopy(observations), infos)]
-    for _ in range(steps):
-        masks = [{"action_mask": mask} for mask in infos.get("action_mask", ())] or [{}, {}]
-        actions = np.array([random_action(envs, mask, rng) for mask in masks])
-        observations, *rest, infos = envs.step(actions)
-        record.append((copy.deepcopy(observations), *rest, dict(sorted(infos.items())), actions))
-    envs.close()
-    return record
-
-
 @pytest.mark.parametrize(("action", "steps"), [("goal", 8), ("twist", 80)])
 def test_vectorised_in_other_processes_and_over_autoresets(action, steps) -> None:
-    makers = [partial(in_any_process, action)] * 2
-    here = _vector_rollout(gym.vector.SyncVectorEnv(makers), steps)
-    there = _vector_rollout(gym.vector.AsyncVectorEnv(makers, context="spawn"), steps)
+    maker = partial(in_any_process, "Explore-v0", scenario=short(35), action=action, reward="entropy")
+    here = vector_rollout(gym.vector.SyncVectorEnv([maker] * 2), steps)
+    there = vector_rollout(gym.vector.AsyncVectorEnv([maker] * 2, context="spawn"), steps)
     assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"
     assert not differences(here[1:], there[1:])
-    alone, over = in_any_process(action), False
+    alone, over = maker(), False
     alone.reset(seed=11)
     for observations, rewards, *_, actions in here[1:]:
         observation, reward, over, *_ = (alone.reset()[0], 0.0, False) if over else alone.step(actions[1])
