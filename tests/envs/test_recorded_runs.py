@@ -1,6 +1,7 @@
 """Recordings as scenarios of `Associate-v0`: windows, identities, rewards, and what a user is told where data lack."""
 
 import math
+import pickle
 import warnings
 from dataclasses import replace
 
@@ -54,6 +55,10 @@ def arc(tmp_path, monkeypatch) -> str:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     save(drive(), tmp_path / "arc.npz")
     return f"recording:{tmp_path / 'arc.npz'}"
+
+
+def truth(env, info):
+    return env.K if info["truth"]["action"] == NONE else info["truth"]["action"]
 
 
 def looks_of(log, seed):
@@ -127,8 +132,16 @@ def test_same_seed_same_episode_and_other_seeds_other_windows(arc) -> None:
     assert len(starts) > 3
 
 
+def test_snapshots_restore_in_another_environment_and_pickle(arc) -> None:
+    env, choose = associate(f"{arc}?looks=12"), at_random(1)
+    for step in episode(env, choose, seed=3, steps=20):
+        last = step
+    other = pickle.loads(pickle.dumps(associate(f"{arc}?looks=12")))
+    observation, info = other.restore(pickle.loads(pickle.dumps(env.snapshot())))
+    assert not differences((observation, info), (last[0], last[4]))
+
+
 def test_refusing_everything_earns_nothing_and_the_truth_the_maximum(arc) -> None:
-    truth = lambda env, info: env.K if info["truth"]["action"] == NONE else info["truth"]["action"]  # noqa: E731
     for seed in range(5):
         env = associate(f"{arc}?looks=30", candidates=8)
         steps = list(episode(env, refuse, seed=seed))
@@ -198,6 +211,18 @@ def test_names_without_a_recording_are_refused_with_what_to_do(name, error, mess
         associate(name)
 
 
+def test_a_pose_graph_with_landmarks_is_a_scenario(tmp_path) -> None:
+    lines, positions = [], np.array([[2.0, 1.0], [2.0, -1.0], [4.0, 0.0]])
+    for k in range(40):
+        if k:
+            lines.append(f"EDGE_SE2 {k - 1} {k} 0.1 0 0 1e4 0 0 1e4 0 1e4")
+        for landmark, (x, y) in enumerate(positions - [0.1 * k, 0.0]):
+            lines.append(f"EDGE_SE2_XY {k} {100 + landmark} {x} {y} 1e3 0 1e3")
+    (tmp_path / "row.g2o").write_text("\n".join(lines))
+    env = associate(f"recording:{tmp_path / 'row.g2o'}?looks=10", split="test")
+    assert total(episode(env, Playing(jcbb))) == pytest.approx(1.0)
+
+
 def test_numbers_out_of_range_are_refused(arc) -> None:
     for query, message in (("looks=0", "looks=0"), ("every=0", "every 0"), ("every=60", "'arc': 1 steps are too few")):
         with pytest.raises(ValueError, match=message):
@@ -215,10 +240,16 @@ def test_victoria_park_ranks_nearest_neighbour_below_jcbb_below_the_truth(data_d
     env = associate(park, split="test", compatibility="individual", candidates=8)
     assert env.scenario.name == "victoria_park"
     returns = {}
-    truth = lambda env, info: env.K if info["truth"]["action"] == NONE else info["truth"]["action"]  # noqa: E731
     for name, player in (("nn", Playing(nearest_neighbour)), ("jcbb", Playing(jcbb)), ("truth", truth)):
         returns[name] = np.mean([total(episode(env, player, seed=seed)) for seed in range(4)])
     assert returns["nn"] + 0.1 < returns["jcbb"] < 0.8 < returns["truth"] <= 1.0
+
+
+def test_mrclam_is_set_6_of_the_robot_that_was_asked_for(data_dir, monkeypatch) -> None:
+    monkeypatch.setenv("SLAM_GYM_DATA", str(data_dir))
+    env = associate("recording:mrclam/3?looks=60", reward="map_error")
+    assert env.scenario.name == "mrclam/MRCLAM_Dataset6/robot3" and env.scenario.targets.shape == (15, 2)
+    assert min(total(episode(env, truth, seed=seed)) for seed in range(4)) > 0.0
 
 
 @pytest.mark.parametrize("name", ["victoria_park", "mrclam/3"])
