@@ -39,10 +39,15 @@ def usual_reach(positions: Array, triangles: float) -> float:
     return reach
 
 
+@compiled
 def _corners(around: Array, reach: float) -> int:
-    """Pairs of the points around one, itself among them, that are within reach of each other."""
-    apart = np.hypot(*(around[:, None] - around[None]).T) <= reach
-    return (int(apart.sum()) - len(around)) // 2 - (len(around) - 1)
+    """Pairs of the points around one, itself among them and no part of a pair, that are within reach of each other."""
+    pairs = 1 - len(around)
+    for i in range(len(around)):
+        for j in range(i):
+            dx, dy = around[i, 0] - around[j, 0], around[i, 1] - around[j, 1]
+            pairs += dx * dx + dy * dy <= reach * reach
+    return pairs
 
 
 def relative_covariances(landmarks: Landmarks) -> Array:

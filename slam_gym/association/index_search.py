@@ -2,7 +2,8 @@
 
 Completeness by pigeonhole: with the measurements in g groups, any 2g + 1 of them have three in one group. So once all
 triples within the groups have been looked up, no pose is unseen that explains more than 2g measurements. Of 2g + 2, one
-group may do with triples of which any four measurements hold one (Turán's, by and large a third of all). Groups are compact, since small triangles have few likes: they number n in proportion to the radius of their circumcircle.
+group may do with triples of which any four measurements hold one (Turán's, by and large a third of all). Groups are
+compact, since small triangles have few likes: they number n in proportion to the radius of their circumcircle.
 """
 
 from __future__ import annotations
@@ -232,7 +233,7 @@ def _triples(look: Look, store: Store, groups: int, loose: bool, done: BoolArray
         for p in range(low, starts[g + 1]):
             for q in range(low, p):
                 for r in range(low, q):
-                    if loose and g == groups - 1 and not _covers(low, size, p, q, r):
+                    if loose and g == groups - 1 and not covers(low, size, p, q, r):
                         continue
                     triple = triples[count]
                     triple[0], triple[1], triple[2] = order[p], order[q], order[r]
@@ -244,7 +245,7 @@ def _triples(look: Look, store: Store, groups: int, loose: bool, done: BoolArray
 
 
 @compiled
-def _covers(low: int, size: int, p: int, q: int, r: int) -> bool:
+def covers(low: int, size: int, p: int, q: int, r: int) -> bool:
     """Whether p, q, r lie in one third of low … low + size − 1, or two in one and the other in the next."""
     a, b, c = 3 * (p - low) // size, 3 * (q - low) // size, 3 * (r - low) // size
     if a == b:

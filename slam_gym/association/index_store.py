@@ -28,9 +28,11 @@ SIDE, REACH, QUANTUM, BUDGET, SIZE, RADIUS, WIDEST, FEATURES, POWER, PAINTED = 0
 TABLE = 16
 """Entries of `settings`: side of the grid [m], longest side of triangles [m], quantum q [m], triangles allowed per
 feature, cell [m] and radius [m] of the fine bitmap, largest λ(C_j) [m²], number of features, log₂ of the fine bitmap's
-side, share painted, near features, of the fine bitmap and of the coarse one; from TABLE on, the variances that codes stand for."""
+side, share painted, near features, of the fine bitmap and of the coarse one; from TABLE on, the variances that codes
+stand for."""
 
 CODES = 256
+CROWD = 4096  # features around one that are looked at; triangles run out long before
 FINEST = 1e-4  # [m] σ of code 0; each code is 5 % larger than the one before, the last 25 m
 STEP = 1.05
 
@@ -271,7 +273,7 @@ def enter_triangles(
     larger one.
     """
     side, reach, quantum = settings[SIDE], settings[REACH], settings[QUANTUM]
-    near, distances = np.empty(n, np.int64), np.empty(n)
+    near, distances = np.empty(min(n, CROWD), np.int64), np.empty(min(n, CROWD))
     while progress[0] < n:
         f, number, skip = progress[0], 0, progress[1]
         allowed = int(settings[BUDGET] * (f + 1)) - progress[2] + skip

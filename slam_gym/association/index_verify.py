@@ -22,8 +22,8 @@ ALL, LIKELY, ALIKE = 0, 1, 2
 """What of a pose is tested: that it may explain enough of the scan; the same, but given up on the likelihood of what it
 misses (Wald's sequential test); that it explains all but pairings / 3 − 1 of what the best explains."""
 
-_LEAST = 0.45
-_GIVEN_UP = -1.8  # log of the share of right poses that the sequential test may lose
+_LEAST = 0.45  # share of the other measurements that a right pose explains, in that test, at least
+_GIVEN_UP = -1.8  # log of the share of right poses that the test may lose
 
 
 class Seed(NamedTuple):
@@ -165,7 +165,7 @@ def _promising(
 
 @compiled
 def _implied_poses(positions: Array, corners: IntArray, offsets: Array, triangles: Small) -> Array:
-    """Least-squares fits of the three corners to triangles (t, 3), as (x, y, cos θ, sin θ) of their centroid, (t, 4)."""
+    """Least-squares fits of the corners to triangles (t, 3): x, y of their centroid, cos θ, sin θ, (t, 4)."""
     poses, u, v = np.empty((len(triangles), 4)), np.empty(3), np.empty(3)
     for k in range(3):
         u[k], v[k] = offsets[corners[k], 0], offsets[corners[k], 1]

@@ -10,8 +10,10 @@ from scipy.stats import chi2
 
 from slam_gym.association.index import FeatureIndex, indexed
 from slam_gym.association.index_map import relative_covariances
+from slam_gym.association.index_search import covers
 from slam_gym.geometry import observe
 from slam_gym.types import NONE, UNKNOWN, Array, Landmarks, Locality, Relocation, Scan
+from slam_gym.world import corridor
 
 SIGMA = 0.05
 
@@ -191,6 +193,38 @@ def test_says_ambiguous_where_two_places_look_alike() -> None:
         assert answer.ambiguous and answer.ties >= 1 and not answer.accepted
         single = alone.relocate(scan)
         assert single.accepted and is_near(single, pose)
+
+
+def test_the_corridor_has_four_places_like_every_one_until_it_is_thinned() -> None:
+    rng = np.random.default_rng(23)
+    world = corridor.features()
+    thinned = world[rng.random(len(world)) < 0.6]
+    for features, symmetric in ((world, True), (thinned, False)):
+        index, accepted = FeatureIndex(landmarks_at(features + 0.01 * rng.standard_normal(features.shape), 0.01)), 0
+        for _ in range(40):
+            turn = 0.5 * np.pi * rng.integers(4)
+            heading = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+            place = heading @ (np.array([rng.uniform(0.0, 10.0), 0.0]) - 5.0) + 5.0
+            pose = np.array([*place, turn])
+            seen = observe(pose, features)
+            seen = seen[(np.hypot(*seen.T) < corridor.RANGE) & (seen[:, 0] > 0.0)]
+            answer = index.relocate(scan_at(seen + 0.01 * rng.standard_normal(seen.shape), 0.01))
+            assert answer.ambiguous or not symmetric
+            assert not answer.accepted or is_near(answer, pose)
+            accepted += answer.accepted
+            if symmetric and answer.ties == 3:  # its own place, and those a quarter turn apart about the centre
+                centre, at = np.array([5.0, 5.0]), answer.pose[:2]
+                apart = np.hypot(*(place - centre)) - np.hypot(*(at - centre))
+                quarters = (answer.pose[2] - turn) / (0.5 * np.pi)
+                assert abs(apart) < 0.1 and abs(quarters - round(quarters)) < 0.05
+        assert accepted == 0 if symmetric else accepted >= 24
+
+
+def test_any_four_of_a_loose_group_hold_a_triple_looked_up() -> None:
+    for size in range(4, 13):
+        triples = [set(t) for t in itertools.combinations(range(size), 3) if covers(0, size, *sorted(t, reverse=True))]
+        assert all(any(t <= set(four) for t in triples) for four in itertools.combinations(range(size), 4))
+        assert len(triples) <= math.comb(size, 3) / 1.9
 
 
 def test_growing_it_feature_by_feature_changes_nothing() -> None:
