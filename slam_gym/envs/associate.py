@@ -51,7 +51,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
       ratio taken over all scans together. The identity of a map feature is the source of the measurement that created
       it; of duplicates the oldest is right; a pairing with or of what has no label earns nothing.
     - `reward="map_error"`: the decrease of the map's error, as Explore scores it, when a scan has been learned from.
-      Refused where nobody knows the true places of the features, as in most recordings; `info` has no `map_error` then.
+      Refused where nobody knows the true places of the features, as in most recordings; `map_error` stays 1 there.
 
     ## Starting state
     A world drawn from the seeds of the `split`; `reset(options={"world": i})` takes the i-th. On the reference corridor
@@ -286,12 +286,11 @@ class AssociateEnv(gym.Env[Observation, Any]):
         return observation | {"budget": np.array([1.0 - run.looks / run.length], np.float32)}
 
     def _info(self) -> Info:
-        map_error = {"map_error": self.run.map_error()} if self.places_known else {}
         return {
             "look": self.run.looks,
             "hidden": 0 if self.walk is None else self.walk.hidden,
             "score": self.score,
-            **map_error,
+            "map_error": self.run.map_error(),
             "action_mask": self.action_masks(),
             "truth": {"action": self.right_action()},
         }

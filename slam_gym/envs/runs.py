@@ -5,7 +5,6 @@ A run stops after every look, before its scan is associated, and goes on with th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -189,10 +188,8 @@ class LoggedRun:
         return observe(start, self.log.targets)
 
     def map_error(self) -> float:
-        """As `Run` has it; NaN where nobody knows the true features."""
-        if not len(self.log.targets):
-            return math.nan
-        if self._error_at != len(self.estimates):
+        """As `Run` has it; 1, that of an empty map, where nobody knows the true features."""
+        if len(self.log.targets) and self._error_at != len(self.estimates):
             self._error_at = len(self.estimates)
             self._error = map_quality.map_error(self.slam.map.confirmed, self.targets, self.log.prior_sigma)
         return self._error
