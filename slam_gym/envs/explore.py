@@ -191,7 +191,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
         episode = self.episode
         if self._renderer is None:
             mode: Any = self.render_mode
-            self._renderer = Renderer(mode, episode.site.plan.bounds)
+            fps = float(self.metadata["render_fps"])
+            self._renderer = Renderer(mode, episode.site.plan.bounds, fps=fps)
         self._renderer.bounds = episode.site.plan.bounds
         goals = self._goals.positions[1:][self._goals.legal[1:]] if self.goal_mode else np.empty((0, 2))
         frame = frame_of(episode, goals, covisibility=self.render_covisibility)

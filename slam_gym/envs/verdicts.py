@@ -21,6 +21,7 @@ class Verdicts:
 
     @classmethod
     def of(cls, truth: Truth, identities: IntArray) -> Verdicts:
+        """On the scan of `truth`, by a map whose features (n,) come from the true features `identities`."""
         oldest: dict[int, int] = {}
         for feature, source in enumerate(identities.tolist()):
             oldest.setdefault(source, feature)

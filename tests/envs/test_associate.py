@@ -32,11 +32,6 @@ def fixed_noise(_rng):
 WITH_FIXED_NOISE = replace(CORRIDOR, looks=fixed_noise)
 
 
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
 def associate(scenario="office-small", **options) -> AssociateEnv:
     """The bare environment, without the wrappers of `gym.make`."""
     env = gym.make(ID, scenario=scenario, disable_env_checker=True, **options).unwrapped

@@ -27,11 +27,6 @@ INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_m
 INFO += ["lost", "truth"]
 
 
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
 # -- checkers ------------------------------------------------------------------------------------------------------
 
 

@@ -34,11 +34,6 @@ SMALL = short(120)
 POLICIES = {"greedy": greedy_relocation, "sampled": SampledRelocation(8)}
 
 
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-
 def relocate(scenario=SMALL, **options) -> RelocateEnv:
     """The bare environment, without the wrappers of `gym.make`."""
     env = gym.make(ID, scenario=scenario, disable_env_checker=True, **options).unwrapped
