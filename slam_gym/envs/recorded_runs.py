@@ -8,7 +8,8 @@ what came before is unknown to the robot, and its first pose is the base of the 
 first 70 % of the log, those for testing in the rest. With `every` = k the robot looks at every k-th scan only and has
 its odometry compounded in between, which is how a log with a fast sensor becomes a test of association.
 
-Published logs are looked up in the folder that `SLAM_GYM_DATA` names; of MR.CLAM, robot 1 … 5 of set 6.
+Published logs are looked up in the folder that `SLAM_GYM_DATA` names; of MR.CLAM, robot 1 … 5 of set 6, or of the first
+set there is.
 """
 
 from __future__ import annotations
