@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from agents.recording_run import Run, interpolate
+from agents.recording_run import Run
 from slam_gym.geometry import transform
 from slam_gym.metrics.consistency import anees, pose_nees
 from slam_gym.metrics.map_quality import align_se2, landmark_rmse
 from slam_gym.metrics.trajectory import ate
-from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.types import NONE, Array
 
 GAP = 1.0  # [s] between samples, over which poses are not interpolated

@@ -13,9 +13,9 @@ import numpy as np
 from agents.association_drives import Metered
 from agents.association_evaluation import CEILING, gated
 from slam_gym.association import true_association
-from slam_gym.geometry import compose, inverse, wrap_angle
+from slam_gym.geometry import compose, inverse
 from slam_gym.metrics.association import Identities, Tally
-from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.slam import Slam, SlamSpec
 from slam_gym.types import NONE, Array, BoolArray, Hypothesis, IntArray, Prediction, Scan, Truth
 
@@ -108,10 +108,3 @@ def start_of(log: Recording) -> Array | None:
         return None
     first = interpolate(log.reference_times, log.reference_poses, log.times[:1])[0]
     return compose(first, inverse(log.motions[0])) if np.isfinite(first[2]) else None
-
-
-def interpolate(times: Array, poses: Array, at: Array) -> Array:
-    """Poses (k, 3) at instants (k,), linear between the given ones (t, 3)."""
-    columns = [np.interp(at, times, column) for column in (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))]
-    columns[2] = np.array([wrap_angle(heading) for heading in columns[2].tolist()])
-    return np.column_stack(columns)

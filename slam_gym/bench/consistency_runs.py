@@ -73,7 +73,7 @@ _CHI2_3_99 = 11.345
 _DOF = 3.0
 
 
-def run(log: Log, method: str, associator: str) -> tuple[Result, Array, Array]:
+def run(log: Log, method: str, associator: str) -> tuple[Result, IntArray, Array]:
     """The result, and at each checkpoint the step (c,) and the estimated pose (c, 3) in B."""
     spec = replace(log.slam, map=replace(log.slam.map, first_estimate_jacobians=method == "first estimates"))
     gated = functools.partial(jcbb, confidence=spec.map.confidence)

@@ -36,7 +36,7 @@ def exact_bound(n: int, m: int, c: int) -> int:
     """Equation 9.22 in integers, by its sum: n (c+1)^(m−1) + … + n + 1. Raises ValueError for a negative argument."""
     if min(n, m, c) < 0:
         raise ValueError(f"n, m, c: {n}, {m}, {c}: negative")
-    return 1 + sum(n * (c + 1) ** level for level in range(m))
+    return 1 + sum(n * int((c + 1) ** level) for level in range(m))
 
 
 def hypotheses(sizes: IntArray, m: int) -> float:

@@ -21,7 +21,7 @@ INK, GREY = "#2f3640", "#b8bec6"
 COLOURS = dict(zip(LOCALITIES, ("#2b6ca3", "#3a8a5c", "#e0a030", "#7d5ba6", "#9c755f", "#c8553d")))
 MARKS = dict(zip(LOCALITIES, "os^DPX"))
 NAMES = {"within 2r": "within $2r$", "two hops": "covisibility, two hops", "joined maps": "local maps, joined"}
-STYLE = {
+STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
@@ -92,7 +92,8 @@ def series(ax: Axes, cells: Sequence[Cell], axis: Callable[[Cell], float], name:
         line = [cell for cell in cells if cell.locality == locality]
         if not line:
             continue
-        x, style = [axis(cell) for cell in line], {"color": COLOURS[locality], "zorder": 3}
+        x = [axis(cell) for cell in line]
+        style: dict[str, Any] = {"color": COLOURS[locality], "zorder": 3}
         low, high = (np.array([np.quantile(cell.values[name], q) for cell in line]) for q in (0.25, 0.75))
         ax.fill_between(x, np.maximum(low, 1.0), np.maximum(high, 1.0), alpha=0.12, lw=0, **style)
         ax.plot(x, [cell.mean(name) for cell in line], lw=1.6, **style)

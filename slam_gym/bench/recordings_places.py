@@ -105,7 +105,7 @@ def park(folder: Path, associations: tuple[str, ...], scans: int, steps: int | N
     log = victoria_park(folder).part(0, steps)
     optimum, half = reference(log), len(log) // 2
     to_gps = _to_gps(log, optimum.poses)
-    places = []
+    places: list[Place] = []
     for name in associations:
         run = run_slam(log.part(0, half), name == "true association")
         looks = [_look(log, k, optimum, run, to_gps) for k in range(half, len(log))]

@@ -25,7 +25,7 @@ from slam_gym.envs.runs import Log
 from slam_gym.recording_settings import slam_for
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.mrclam import ROBOTS
-from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.scenarios import SPLITS
 from slam_gym.slam import SlamSpec
 from slam_gym.types import Array, Odometry, Scan, Truth
@@ -77,11 +77,7 @@ def reference_poses(recording: Recording) -> Array:
     if not len(known):
         return poses
     told = (times >= known[0]) & (times <= known[-1])
-    x, y, heading = recording.reference_poses.T
-    if np.isfinite(heading).all():
-        heading = np.unwrap(heading)
-    poses[told] = np.column_stack([np.interp(times[told], known, values) for values in (x, y, heading)])
-    poses[:, 2] = -np.remainder(math.pi - poses[:, 2], 2.0 * math.pi) + math.pi  # (−π, π]
+    poses[told] = interpolate(known, recording.reference_poses, times[told])
     return poses
 
 

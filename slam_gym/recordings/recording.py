@@ -6,6 +6,7 @@ that the simulator gives, so that whatever runs on one runs on the other.
 
 from __future__ import annotations
 
+import math
 import os
 import zipfile
 import zlib
@@ -152,6 +153,13 @@ class Recording:
 
 _PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
 _INTEGERS = ("starts", "sources", "landmark_ids")
+
+
+def interpolate(times: Array, poses: Array, at: Array) -> Array:
+    """Poses (k, 3) at instants (k,), linear between the given ones (t, 3); headings NaN where any of those is."""
+    headings = poses[:, 2] if np.isnan(poses[:, 2]).any() else np.unwrap(poses[:, 2])
+    x, y, heading = (np.interp(at, times, column) for column in (poses[:, 0], poses[:, 1], headings))
+    return np.column_stack([x, y, math.pi - np.remainder(math.pi - heading, 2.0 * math.pi)])
 
 
 def save(recording: Recording, path: str | Path) -> None:
