@@ -94,7 +94,7 @@ class FeatureIndex:
         self._settings[: WIDEST + 1] = [reach / 3.0, reach, quantum, triangles, 3.6 * noise, 5.0 * noise, _FLOOR]
         self._settings[TABLE:] = sigma_table()
         self._cells = np.zeros((number_of_cells(reach, quantum), 4), np.int32)
-        self._pool = np.empty((64, 4), np.int32)
+        self._pool = np.empty((4096, 4), np.int32)
         self._progress = np.zeros(5, np.int64)  # as in `enter_triangles`
         self._positions, self._details = np.empty((0, 2)), np.empty((0, 6))
         self._starts, self._crowding_of = np.zeros(64), NONE
@@ -316,7 +316,9 @@ class FeatureIndex:
             )
             if self._progress[0] == self.n:
                 return
-            larger = np.empty((int(1.5 * self._progress[2]) + 4096, 4), np.int32)
+            ready, triangles = max(int(self._progress[0]), 1), int(self._progress[2])
+            expected = 1.3 * triangles * self.n / ready if ready > 50 else 0.0  # of the features still to be entered
+            larger = np.empty((int(max(1.5 * triangles, min(expected, 8.0 * triangles))) + 4096, 4), np.int32)
             self._progress[4] = move_pool(self._cells, self._pool, larger)
             self._pool = larger
 

@@ -53,7 +53,9 @@ def search(
     done = np.zeros(m * (m - 1) * (m - 2) // 6, np.bool_)
     groups, whole, beyond = max(m // 5, 1), m, m  # no pose is unseen that explains more than `beyond`
     if m - needed > _MANY:
-        _try_quickly(look, store, found, groups, done)
+        found.state[MODE] = LIKELY
+        _try_groups(look, store, found, groups, False, done)
+        found.state[MODE] = ALL
     while m > 2 and beyond >= _wanted(found) and found.spent[LIMIT] == 0 and not _decided(found):
         groups = min(max(groups, _enough(found)), whole - 1)
         loose = _wanted(found) == 2 * groups + 2
@@ -85,35 +87,26 @@ def _enough(found: Found) -> int:
 
 
 @compiled
-def _try_quickly(look: Look, store: Store, found: Found, groups: int, done: BoolArray) -> None:
-    """Look the triples up, but give poses up on the likelihood of what they miss. Not held to be `done`."""
-    found.state[MODE] = LIKELY
-    triples, indexed = _triples(look, store, groups, False, done)
-    for triple in triples[:indexed]:
-        try_triple(look, store, triple, found)
-        if found.spent[LIMIT] > 0 or _decided(found):
-            break
-    found.state[MODE] = ALL
-
-
-@compiled
 def _try_groups(look: Look, store: Store, found: Found, groups: int, loose: bool, done: BoolArray) -> bool:
-    """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them."""
+    """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them.
+
+    Where poses are given up on likelihood, the triples are not held to be `done`, and those too wide are left out.
+    """
     triples, indexed = _triples(look, store, groups, loose, done)
-    for t in range(len(triples)):
-        if t < indexed:
-            try_triple(look, store, triples[t], found)
-        else:
-            _try_wide(look, store, triples[t], found, done)
-        done[_number(triples[t])] = True
-        if found.spent[LIMIT] > 0 or _enough(found) > groups or _decided(found):
+    likely = found.state[MODE] == LIKELY
+    for t in range(indexed if likely else len(triples)):
+        for triple in triples[t : t + 1] if t < indexed else _instead_of(look, store, triples[t], found, done):
+            try_triple(look, store, triple, found)
+            done[_number(triple)] = not likely
+        done[_number(triples[t])] = not likely
+        if found.spent[LIMIT] > 0 or _decided(found) or (_enough(found) > groups and not likely):
             return False
     return True
 
 
 @compiled
-def _try_wide(look: Look, store: Store, triple: IntArray, found: Found, done: BoolArray) -> None:
-    """Instead of a triple too wide for the index, look up its shortest side with other third measurements.
+def _instead_of(look: Look, store: Store, triple: IntArray, found: Found, done: BoolArray) -> IntArray:
+    """What to look up instead of a triple too wide for the index: its shortest side with other third measurements.
 
     Of m measurements a hypothesis leaves out m − k at most, so of m − k + 1 thirds it has one. Only where the index
     reaches fewer are the features gone through.
@@ -133,12 +126,13 @@ def _try_wide(look: Look, store: Store, triple: IntArray, found: Found, done: Bo
             radii[count] = _longest_first(look.points, third)
             count += 1
     if count <= m - _wanted(found):
-        try_triple(look, store, triple, found)
-        return
+        return triple.copy().reshape(1, 3)
+    chosen, number = np.empty((m, 3), np.int64), 0
     for at in np.argsort(radii[:count], kind="mergesort")[: m - _wanted(found) + 1]:
         if not done[_number(thirds[at])]:
-            done[_number(thirds[at])] = True
-            try_triple(look, store, thirds[at], found)
+            chosen[number] = thirds[at]
+            number += 1
+    return chosen[:number]
 
 
 @compiled

@@ -108,7 +108,9 @@ def try_triple(look: Look, store: Store, triple: IntArray, found: Found) -> None
             i, l = seed.corners[k], seed.corners[(k + 1) % 3]
             seed.sides[k], seed.doubts[k] = _side(look.points, look.noise, i, l)
         if indexed and seed.sides[0] + 2.0 * margin >= longest:
-            _visit_cells(look, store, seed, variance, inertia, found)
+            like, compared = _matches(store.cells, store.pool, store.settings, look.gates[0], seed.sides, seed.doubts)
+            found.spent[BINARY] += compared
+            verify(look, store, seed, like, variance, inertia, found)
         elif not indexed and seed.sides[0] <= min(seed.sides[1], seed.sides[2]):
             _visit_features(look, store, seed, variance, inertia, margin, found)
 
@@ -117,21 +119,6 @@ def try_triple(look: Look, store: Store, triple: IntArray, found: Found) -> None
 def _twice_area(points: Array, triple: IntArray) -> float:
     a, b, c = points[triple[0]], points[triple[1]], points[triple[2]]
     return float(abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
-
-
-@compiled
-def _visit_cells(look: Look, store: Store, seed: Seed, variance: float, inertia: float, found: Found) -> None:
-    """Verify the indexed triangles whose sides agree with those of the seed, each within its own gate."""
-    found_alike, compared = _matches(
-        store.cells,
-        store.pool,
-        store.settings,
-        look.gates[0],
-        seed.sides,
-        seed.doubts,
-    )
-    found.spent[BINARY] += compared
-    verify(look, store, seed, found_alike, variance, inertia, found)
 
 
 @compiled
