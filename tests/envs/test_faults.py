@@ -31,10 +31,10 @@ from slam_gym.world.sensor import Sensor, SensorSpec
         ({"reward": "coverage"}, "'coverage'.*map_error, a_opt, d_opt, entropy"),
         ({"locality": "distance"}, "locality='distance'.*covisibility, None"),
         ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, human"),
-        ({"associator": "icp"}, "'icp'.*jcbb, nearest_neighbour, singles, true_association"),
-        ({"associator": "no_such_module:f"}, "no_such_module.*known: jcbb"),
-        ({"associator": "slam_gym.association:no_such"}, "no_such.*known: jcbb"),
-        ({"associator": "slam_gym.types:NONE"}, "not callable.*known: jcbb"),
+        ({"associator": "icp"}, "'icp'.*known: .*jcbb, .*nearest_neighbour, .*true_association"),
+        ({"associator": "no_such_module:f"}, "no_such_module.*known: .*jcbb"),
+        ({"associator": "slam_gym.association:no_such"}, "no_such.*known: .*jcbb"),
+        ({"associator": "slam_gym.types:NONE"}, "not callable.*known: .*jcbb"),
     ],
 )
 def test_an_unknown_name_is_refused_with_the_known_ones(arguments, known) -> None:
