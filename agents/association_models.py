@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from agents.ppo import for_decisions, load_policy
-from slam_gym.association.policy import Policy, from_policy
-from slam_gym.association.walk_observation import Observation
+from slam_gym.association.walks.observation import Observation
+from slam_gym.association.walks.policy import Policy, from_policy
 from slam_gym.types import Associator, BoolArray
 
 

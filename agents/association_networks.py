@@ -17,7 +17,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from agents.networks import GoalScorer
-from slam_gym.association.walk_observation import CANDIDATE_FIELDS
+from slam_gym.association.walks.observation import CANDIDATE_FIELDS
 
 _CONTEXT = ("measurement", "pairings", "path")
 

@@ -14,7 +14,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.branch_and_bound import complete
 from slam_gym.association.compatibility import Candidates, chi2_gate
-from slam_gym.association.constraints import unary
+from slam_gym.association.relocation.constraints import unary
 from slam_gym.association.tree import Tree, interpretation_tree
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import NONE, Array, BoolArray, Effort, IntArray, Prediction, Scan

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from slam_gym.association import resolve_relocator
-from slam_gym.association.acceptance import min_pairings
+from slam_gym.association.relocation.acceptance import min_pairings
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.slam import Relocate, Slam
 from slam_gym.types import Hypothesis, Locality, Relocation, Relocator, Scan

@@ -10,7 +10,7 @@ import pytest
 
 import slam_gym  # noqa: F401  (registers the environments)
 from slam_gym.association import jcbb
-from slam_gym.association.gcbb import gcbb
+from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.bench.step import Pilot
 from slam_gym.geometry import relative, transform, wrap_angle
 from slam_gym.local_map_slam import LocalMapSlam

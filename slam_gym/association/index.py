@@ -13,19 +13,20 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.association.acceptance import min_pairings as least_by_rule
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.index_arguments import check_features, effort_of, kinds_as_numbers, pose_of, search_gates
-from slam_gym.association.index_map import (
+from slam_gym.association.relocation.acceptance import min_pairings as least_by_rule
+from slam_gym.association.relocation.located import locate
+from slam_gym.association.triangles.arguments import check_features, effort_of, kinds_as_numbers, pose_of, search_gates
+from slam_gym.association.triangles.map import (
     chance_tubes,
     crowding,
     least_pairings,
     relative_covariances,
     usual_reach,
 )
-from slam_gym.association.index_pose import StoreArrays
-from slam_gym.association.index_search import search
-from slam_gym.association.index_store import (
+from slam_gym.association.triangles.pose import StoreArrays
+from slam_gym.association.triangles.search import search
+from slam_gym.association.triangles.store import (
     CODES,
     FEATURES,
     POWER,
@@ -45,7 +46,6 @@ from slam_gym.association.index_store import (
     share_painted,
     sigma_table,
 )
-from slam_gym.association.located import locate
 from slam_gym.types import NONE, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_scan
 

@@ -26,10 +26,10 @@ from threadpoolctl import threadpool_limits
 
 import slam_gym  # noqa: F401  (registers the environments)
 from slam_gym.association import jcbb
-from slam_gym.association.acceptance import min_pairings
 from slam_gym.association.index import FeatureIndex
-from slam_gym.association.index_map import relative_covariances
-from slam_gym.association.located import locate
+from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.association.relocation.located import locate
+from slam_gym.association.triangles.map import relative_covariances
 from slam_gym.bench import jcbb as jcbb_bench
 from slam_gym.bench.associate_problems import (
     CLIQUES,

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from slam_gym.association.gcbb import gcbb
-from slam_gym.association.random_sampling import random_sampling
+from slam_gym.association.relocation.gcbb import gcbb
+from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.bench import locality_tracking
 from slam_gym.bench.locality_acceptance import Outcome, gather, outcomes
 from slam_gym.bench.locality_bound import verify

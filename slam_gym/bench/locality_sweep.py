@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from slam_gym.association.located import locate
+from slam_gym.association.relocation.located import locate
 from slam_gym.bench.locality_bound import hypotheses
 from slam_gym.bench.locality_worlds import LOCALITIES, Field, Look, inside, mapped_field
 from slam_gym.geometry import wrap_angle

@@ -23,10 +23,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.gcbb import gcbb
 from slam_gym.association.index import FeatureIndex
-from slam_gym.association.random_sampling import random_sampling
+from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.association.relocation.gcbb import gcbb
+from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.bench.locality_acceptance import RULE, Outcome, text
 from slam_gym.bench.locality_tables import Table, show
 from slam_gym.bench.recordings_places import LOCALITIES, Look, Place, park, room

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.association import RELOCATORS
-from slam_gym.association.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
+from slam_gym.association.walks.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
 from slam_gym.envs.kidnappings import Kidnapped, kidnap, map_world
 from slam_gym.geometry import relative
 from slam_gym.scenarios import get_scenario

@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym.association.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.association.walk_observation import lengths, nothing
+from slam_gym.association.walks.observation import lengths, nothing
+from slam_gym.association.walks.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.envs.episode import Site, survey
 from slam_gym.envs.recorded_runs import PREFIX, recorded_log
 from slam_gym.envs.runs import DRIVERS, LOGS, DrivenRun, Driver, Log, LoggedRun, Run
@@ -40,8 +40,8 @@ class AssociateEnv(gym.Env[Observation, Any]):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `path` and `pairings`, as
-    `slam_gym.association.walk_observation` lists them, and `budget`, the share of looks left. The first four are what
-    a policy sees as an associator elsewhere (`slam_gym.association.policy.from_policy`).
+    `slam_gym.association.walks.observation` lists them, and `budget`, the share of looks left. The first four are what
+    a policy sees as an associator elsewhere (`slam_gym.association.walks.policy.from_policy`).
 
     ## Rewards
     - `reward="truth"`: a right pairing +1, a wrong one −`wrong_cost`, `*` 0, divided by the measurements of features
@@ -69,7 +69,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
       keeps the seeds apart.
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
-      `slam_gym.association.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
+      `slam_gym.association.walks.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
     - `wrong_cost`: what a wrong pairing costs, in right ones.
     - `render_mode`: `"rgb_array"` or `"human"`.
     """

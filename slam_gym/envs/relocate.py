@@ -12,8 +12,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve
-from slam_gym.association.relocation_view import observe_walk, walk_shapes
-from slam_gym.association.relocation_walk import RelocationOrder, RelocationWalk, WalkSpec
+from slam_gym.association.walks.relocation_observation import observe_walk, walk_shapes
+from slam_gym.association.walks.relocation_walk import RelocationOrder, RelocationWalk, WalkSpec
 from slam_gym.envs.kidnappings import Kidnapped, MappedWorld, kidnap, map_world
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.geometry import relative
@@ -47,12 +47,12 @@ class RelocateEnv(gym.Env[Observation, Any]):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `scan`, `path` and `search`, as
-    `slam_gym.association.relocation_view` lists them.
+    `slam_gym.association.walks.relocation_observation` lists them.
 
     ## Rewards
-    −`node_cost` for every node; and at the end, of the best hypothesis: where it has the pairings that the rule of
-    `association.acceptance` asks for, and no other pose was found that explains as many measurements, it is believed,
-    and earns 1 if the pose is right, −`wrong_cost` if not. If it is not believed, that earns 1 outside the map, and 0
+    −`node_cost` for every node; and at the end, of the best hypothesis: where it has the pairings that
+    `association.relocation.acceptance` asks for, and no other pose was found that explains as many measurements, it is
+    believed, and earns 1 if the pose is right, −`wrong_cost` if not. If it is not believed, that earns 1 outside the map, and 0
     inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose lies in the map:
     carried there by the rigid motion that aligns the true features in reach with their mapped counterparts, so that
     the drift of the map is no error of the agent.
@@ -70,7 +70,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
     ## Arguments
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS` or a `Scenario`; `split`: `"train"` or `"test"`.
     - `locality`: `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
-    - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation_walk.WalkSpec`.
+    - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.walks.relocation_walk.WalkSpec`.
     - `outside`: probability that the robot is not in the map.
     - `associator`: that of the robot that made the map.
     - `render_mode`: `"rgb_array"` or `"human"`.

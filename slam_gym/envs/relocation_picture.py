@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.association.located import locate
-from slam_gym.association.relocation_tree import hypothesis
-from slam_gym.association.relocation_walk import RelocationWalk
+from slam_gym.association.relocation.located import locate
+from slam_gym.association.relocation.tree import hypothesis
+from slam_gym.association.walks.relocation_walk import RelocationWalk
 from slam_gym.envs import symbols
 from slam_gym.envs.drawing import Canvas, pygame, text
 from slam_gym.envs.kidnappings import Kidnapped, MappedWorld

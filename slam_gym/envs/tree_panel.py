@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from slam_gym.association.walk import Walk
+from slam_gym.association.walks.walk import Walk
 from slam_gym.envs import symbols
 from slam_gym.envs.drawing import pygame, text
 from slam_gym.envs.panel import ROW, Box, Choice, Figures, KeyEntry, figures, key, table

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.association.walk import Walk
+from slam_gym.association.walks.walk import Walk
 from slam_gym.envs import symbols
 from slam_gym.envs.drawing import Canvas, pygame
 from slam_gym.envs.panel import Figures, badges

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym.association.walk import Walk
+from slam_gym.association.walks.walk import Walk
 from slam_gym.metrics.association import Decision
 from slam_gym.types import NONE, UNKNOWN, IntArray, Truth
 

@@ -16,7 +16,7 @@ from agents.association_setting import AssociationSetting
 from agents.base import make_agent
 from agents.ppo import load_hyperparameters, read_model
 from agents.train import train
-from slam_gym.association.walk_observation import lengths
+from slam_gym.association.walks.observation import lengths
 from slam_gym.envs.runs import CORRIDOR
 from slam_gym.slam import Slam
 from slam_gym.types import NONE

@@ -7,7 +7,7 @@ import pytest
 import relocation_oracles as oracles
 
 from slam_gym.association import gcbb
-from slam_gym.association.acceptance import crowding_of, expected_by_chance, extent, min_pairings
+from slam_gym.association.relocation.acceptance import crowding_of, expected_by_chance, extent, min_pairings
 from slam_gym.types import UNKNOWN
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import relocation_oracles as oracles
 
-from slam_gym.association.constraints import Pairing, binary, orientation, unary
+from slam_gym.association.relocation.constraints import Pairing, binary, orientation, unary
 from slam_gym.types import UNKNOWN
 
 

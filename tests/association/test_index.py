@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from slam_gym.association.index import FeatureIndex, indexed
-from slam_gym.association.index_map import relative_covariances
-from slam_gym.association.index_search import covers
+from slam_gym.association.triangles.map import relative_covariances
+from slam_gym.association.triangles.search import covers
 from slam_gym.geometry import observe
 from slam_gym.types import NONE, UNKNOWN, Array, Landmarks, Locality, Relocation, Scan
 from slam_gym.world import corridor

@@ -5,7 +5,7 @@ import pytest
 import relocation_oracles as oracles
 from scipy.stats import chi2
 
-from slam_gym.association.located import locate
+from slam_gym.association.relocation.located import locate
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import NONE
 

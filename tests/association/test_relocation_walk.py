@@ -8,9 +8,9 @@ import pytest
 import relocation_oracles as oracles
 
 from slam_gym.association import gcbb
-from slam_gym.association.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
-from slam_gym.association.relocation_view import observe_walk, walk_shapes
-from slam_gym.association.relocation_walk import RelocationWalk, WalkSpec
+from slam_gym.association.walks.relocation_observation import observe_walk, walk_shapes
+from slam_gym.association.walks.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
+from slam_gym.association.walks.relocation_walk import RelocationWalk, WalkSpec
 from slam_gym.types import NONE, UNKNOWN
 
 LOCALITIES = ["everything", "distance", "covisibility"]

@@ -8,7 +8,7 @@ import relocation_oracles as oracles
 from scipy.stats import chi2
 
 from slam_gym.association import RELOCATORS, gcbb, max_clique, random_sampling, resolve_relocator
-from slam_gym.association.random_sampling import tries
+from slam_gym.association.relocation.random_sampling import tries
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Locality
 
@@ -209,7 +209,7 @@ def test_tries_are_those_of_the_formula():
 
 def test_names_resolve():
     assert resolve_relocator("gcbb") is gcbb and resolve_relocator(gcbb) is gcbb
-    assert resolve_relocator("slam_gym.association.gcbb:gcbb") is gcbb
+    assert resolve_relocator("slam_gym.association.relocation.gcbb:gcbb") is gcbb
     with pytest.raises(ValueError, match="rs"):
         resolve_relocator("nothing")
 

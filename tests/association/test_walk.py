@@ -8,10 +8,10 @@ import oracles
 import pytest
 
 from slam_gym.association import jcbb, nearest_neighbour, singles
-from slam_gym.association.policy import from_policy, greedy
 from slam_gym.association.tree import branches, extend, root
-from slam_gym.association.walk import COMPATIBILITIES, ORDERS, Walk
-from slam_gym.association.walk_observation import CANDIDATE_FIELDS, PATH_FIELDS, lengths, nothing
+from slam_gym.association.walks.observation import CANDIDATE_FIELDS, PATH_FIELDS, lengths, nothing
+from slam_gym.association.walks.policy import from_policy, greedy
+from slam_gym.association.walks.walk import COMPATIBILITIES, ORDERS, Walk
 from slam_gym.types import NONE
 
 CONFIDENCE = 0.99

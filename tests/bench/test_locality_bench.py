@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.association.gcbb import gcbb
+from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.bench import locality, locality_tables
 from slam_gym.bench.locality import searches
 from slam_gym.bench.locality_acceptance import RULE, Outcome, outcomes, share

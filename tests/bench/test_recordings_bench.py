@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slam_gym.association.located import locate
+from slam_gym.association.relocation.located import locate
 from slam_gym.bench import recordings
 from slam_gym.bench.locality_acceptance import RULE
 from slam_gym.bench.recordings import LEAST, Attempt, Setting, attempts, outcome, without_sizes

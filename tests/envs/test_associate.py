@@ -14,7 +14,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import jcbb, nearest_neighbour, singles
-from slam_gym.association.policy import from_policy, greedy
+from slam_gym.association.walks.policy import from_policy, greedy
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.envs.runs import CORRIDOR, nearest_frontier
 from slam_gym.slam import Slam

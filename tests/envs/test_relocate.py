@@ -17,9 +17,9 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import gcbb, jcbb
-from slam_gym.association.located import locate
-from slam_gym.association.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
-from slam_gym.association.relocation_view import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
+from slam_gym.association.relocation.located import locate
+from slam_gym.association.walks.relocation_observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
+from slam_gym.association.walks.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
 from slam_gym.envs import relocate as module
 from slam_gym.envs.kidnappings import KNOWN, kidnap, map_world
 from slam_gym.envs.relocate import RelocateEnv

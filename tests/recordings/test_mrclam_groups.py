@@ -8,7 +8,7 @@ from scipy.io import loadmat, savemat
 
 from agents.recording_run import run
 from slam_gym.association import gcbb
-from slam_gym.association.located import locate
+from slam_gym.association.relocation.located import locate
 from slam_gym.geometry import compose, relative, wrap_angle
 from slam_gym.metrics.map_quality import landmark_rmse
 from slam_gym.recording_settings import slam_for

@@ -4,7 +4,7 @@
 legal when the unary constraints hold, when its distance agrees with all pairings on the path, its orientation with the
 first and every other, when its feature is free, and when that is local to the feature of the first pairing: the tree of
 `gcbb`. What is illegal at a node is so in its whole subtree: every node keeps the pairings that are still alive, and a
-new pairing filters them. Tests are counted in `counters` (8,), whose entries `association.relocation` names.
+new pairing filters them. Tests are counted in `counters` (8,), whose entries `association.relocation.outcome` names.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import problem_arrays
-from slam_gym.association.constraints import (
+from slam_gym.association.relocation.arrays import problem_arrays
+from slam_gym.association.relocation.constraints import (
     Gates,
     Mapped,
     Measured,
@@ -26,7 +26,7 @@ from slam_gym.association.constraints import (
     orientation_test,
     unary,
 )
-from slam_gym.association.relocation import BINARY, ORIENTATION
+from slam_gym.association.relocation.outcome import BINARY, ORIENTATION
 from slam_gym.types import NONE, Array, BoolArray, IntArray, Landmarks, Locality, Scan
 
 _NOTHING = np.empty(0, np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 from slam_gym.association.compatibility import Candidates, individual
 from slam_gym.association.conditioning import condition, legal, outlook, unconditioned
 from slam_gym.association.tree import as_hypothesis, interpretation_tree
-from slam_gym.association.walk_observation import Observation, encode
+from slam_gym.association.walks.observation import Observation, encode
 from slam_gym.types import NONE, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
 Order = Literal["as_scanned", "nearest_first", "fewest_candidates"]

@@ -13,9 +13,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.located import Located, locate
-from slam_gym.association.relocation import (
+from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.association.relocation.located import Located, locate
+from slam_gym.association.relocation.outcome import (
     JOINT,
     LEAVES,
     LIMIT,
@@ -28,7 +28,7 @@ from slam_gym.association.relocation import (
     outcome,
     relocation,
 )
-from slam_gym.association.relocation_tree import (
+from slam_gym.association.relocation.tree import (
     RelocationBranches,
     branches,
     extend,
@@ -110,7 +110,7 @@ class RelocationWalk:
         self.spec = spec
         self.tree = relocation_tree(scan, landmarks, locality, spec.confidence)
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
-        self.counters = np.zeros(8, np.int64)  # effort, as `association.relocation` names it
+        self.counters = np.zeros(8, np.int64)  # effort, as `association.relocation.outcome` names it
         self.counters[UNARY] = self.tree.unary.size
         self.done = False
         self._rng = rng or np.random.default_rng(0)

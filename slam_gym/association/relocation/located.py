@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import floats, integers
-from slam_gym.association.constraints import Mapped, cross_covariance
+from slam_gym.association.relocation.arrays import floats, integers
+from slam_gym.association.relocation.constraints import Mapped, cross_covariance
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import NONE, Array, IntArray, Landmarks, Scan
 from slam_gym.validation import check_scan

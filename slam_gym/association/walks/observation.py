@@ -15,7 +15,7 @@ from slam_gym._compile import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
-    from slam_gym.association.walk import Walk
+    from slam_gym.association.walks.walk import Walk
 
 Observation = dict[str, NDArray[np.float32]]
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import problem_arrays
-from slam_gym.association.constraints import Gates, Mapped, Measured, gates, measured
-from slam_gym.association.located import locate_pairings
-from slam_gym.association.relocation import (
+from slam_gym.association.relocation.arrays import problem_arrays
+from slam_gym.association.relocation.constraints import Gates, Mapped, Measured, gates, measured
+from slam_gym.association.relocation.located import locate_pairings
+from slam_gym.association.relocation.outcome import (
     JOINT,
     LEAVES,
     LIMIT,

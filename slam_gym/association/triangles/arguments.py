@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.index_map import first_bad_feature
-from slam_gym.association.index_verify import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES
+from slam_gym.association.triangles.map import first_bad_feature
+from slam_gym.association.triangles.verify import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import UNKNOWN, Array, Effort, IntArray
 

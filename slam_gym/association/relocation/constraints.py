@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import geometry_arrays, map_arrays, scan_arrays
 from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.relocation.arrays import geometry_arrays, map_arrays, scan_arrays
 from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Scan
 
 _CLOSE = 16.0  # points are close when nearer than √16 = 4 σ to each other

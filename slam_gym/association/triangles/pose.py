@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.index_store import SIDE, WIDEST, Bits, Small
+from slam_gym.association.triangles.store import SIDE, WIDEST, Bits, Small
 from slam_gym.types import NONE, Array, IntArray
 
 FIT = 12

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.index_pose import FIT, Look, Store, alike, is_local, pair_around, settle
-from slam_gym.association.index_store import PAINTED, POWER, SIDE, SIZE, Bits, Small, is_painted
+from slam_gym.association.triangles.pose import FIT, Look, Store, alike, is_local, pair_around, settle
+from slam_gym.association.triangles.store import PAINTED, POWER, SIDE, SIZE, Bits, Small, is_painted
 from slam_gym.types import NONE, Array, IntArray
 
 NODES, BINARY, TRIES, LEAVES, JOINT, LIMIT = 0, 1, 2, 3, 4, 5  # of `spent`

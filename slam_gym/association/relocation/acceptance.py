@@ -32,9 +32,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import map_arrays, scan_arrays
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.constraints import Mapped, difference_covariance, unary_test
+from slam_gym.association.relocation.arrays import map_arrays, scan_arrays
+from slam_gym.association.relocation.constraints import Mapped, difference_covariance, unary_test
 from slam_gym.types import NONE, Array, IntArray, Landmarks, Scan
 
 _SAMPLE = 1000  # landmarks looked at for their errors and for what passes the unary constraints

@@ -7,9 +7,9 @@ import time
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import problem_arrays
-from slam_gym.association.constraints import Gates, Mapped, gates, measured
-from slam_gym.association.relocation import (
+from slam_gym.association.relocation.arrays import problem_arrays
+from slam_gym.association.relocation.constraints import Gates, Mapped, gates, measured
+from slam_gym.association.relocation.outcome import (
     LEAVES,
     LIMIT,
     NODES,

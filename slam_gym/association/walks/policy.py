@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from slam_gym.association.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.association.walk_observation import Observation
+from slam_gym.association.walks.observation import Observation
+from slam_gym.association.walks.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.types import Associator, BoolArray, Hypothesis, Prediction, Scan
 
 Policy = Callable[[Observation, BoolArray], int]

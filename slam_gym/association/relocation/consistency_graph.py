@@ -20,8 +20,8 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import eigsh
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import Problem, problem_arrays
-from slam_gym.association.constraints import (
+from slam_gym.association.relocation.arrays import Problem, problem_arrays
+from slam_gym.association.relocation.constraints import (
     Gates,
     Mapped,
     Measured,
@@ -31,8 +31,8 @@ from slam_gym.association.constraints import (
     gates,
     measured,
 )
-from slam_gym.association.located import locate_pairings
-from slam_gym.association.relocation import (
+from slam_gym.association.relocation.located import locate_pairings
+from slam_gym.association.relocation.outcome import (
     BINARY,
     JOINT,
     LEAVES,

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.index_pose import Look, Store
-from slam_gym.association.index_store import (
+from slam_gym.association.triangles.pose import Look, Store
+from slam_gym.association.triangles.store import (
     COUNT,
     FEATURES,
     QUANTUM,
@@ -22,7 +22,7 @@ from slam_gym.association.index_store import (
     cell_number,
     features_around,
 )
-from slam_gym.association.index_verify import BINARY, LIMIT, TRIES, Found, Seed, verify
+from slam_gym.association.triangles.verify import BINARY, LIMIT, TRIES, Found, Seed, verify
 from slam_gym.types import Array, IntArray
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam_gym._compile import compiled
-from slam_gym.association.arrays import map_arrays
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.constraints import Mapped, difference_covariance
+from slam_gym.association.relocation.arrays import map_arrays
+from slam_gym.association.relocation.constraints import Mapped, difference_covariance
 from slam_gym.types import Array, IntArray, Landmarks
 
 _WITHIN = 23  # features within reach of each

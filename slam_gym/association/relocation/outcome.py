@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.constraints import (
+from slam_gym.association.relocation.acceptance import min_pairings as by_rule
+from slam_gym.association.relocation.constraints import (
     Gates,
     Mapped,
     Measured,
@@ -20,7 +20,7 @@ from slam_gym.association.constraints import (
     orientation_test,
     unary_test,
 )
-from slam_gym.association.located import locate_pairings
+from slam_gym.association.relocation.located import locate_pairings
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import NONE, Array, BoolArray, Effort, IntArray, Landmarks, Relocation, Scan
 

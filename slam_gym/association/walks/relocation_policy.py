@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym.association.relocation_view import (
+from slam_gym.association.walks.relocation_observation import (
     CANDIDATE_FIELDS,
     COUNT_SCALE,
     PATH_FIELDS,
@@ -17,7 +17,7 @@ from slam_gym.association.relocation_view import (
     observe_walk,
     unsquash,
 )
-from slam_gym.association.relocation_walk import RelocationOrder, RelocationWalk, WalkSpec
+from slam_gym.association.walks.relocation_walk import RelocationOrder, RelocationWalk, WalkSpec
 from slam_gym.types import BoolArray, Landmarks, Locality, Relocation, Relocator, Scan
 
 RelocationPolicy = Callable[[WalkObservation, BoolArray], int]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.association.relocation_walk import RelocationWalk
+from slam_gym.association.walks.relocation_walk import RelocationWalk
 
 Float32Array = NDArray[np.float32]
 WalkObservation = dict[str, Float32Array]

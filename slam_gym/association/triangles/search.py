@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.index_pose import FIT, Look, Store, StoreArrays
-from slam_gym.association.index_seeds import is_indexed, try_triple
-from slam_gym.association.index_store import largest_variance
-from slam_gym.association.index_verify import ALIKE, ALL, LIKELY, LIMIT, MODE, Found
+from slam_gym.association.triangles.pose import FIT, Look, Store, StoreArrays
+from slam_gym.association.triangles.seeds import is_indexed, try_triple
+from slam_gym.association.triangles.store import largest_variance
+from slam_gym.association.triangles.verify import ALIKE, ALL, LIKELY, LIMIT, MODE, Found
 from slam_gym.types import NONE, Array, BoolArray, IntArray
 
 _MANY = 5  # measurements that may be missed; where it is more, poses are first tried by likelihood

@@ -1,0 +1,1 @@
+"""The parts of `association.index`: triangles of features by their sides, look-up, verification, pose."""
