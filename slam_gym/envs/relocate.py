@@ -53,9 +53,9 @@ class RelocateEnv(gym.Env[Observation, Any]):
     −`node_cost` for every node; and at the end, of the best hypothesis: where it has the pairings that
     `association.relocation.acceptance` asks for, and no other pose was found that explains as many measurements, it is
     believed, and earns 1 if the pose is right, −`wrong_cost` if not. If it is not believed, that earns 1 outside the
-    map, and 0 inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose lies in the map:
-    carried there by the rigid motion that aligns the true features in reach with their mapped counterparts, so that
-    the drift of the map is no error of the agent.
+    map, and 0 inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose lies
+    in the map: carried there by the rigid motion that aligns the true features in reach with their mapped
+    counterparts, so that the drift of the map is no error of the agent.
 
     ## Starting state
     A robot has explored a world drawn from the seeds of the `split`, with a baseline driver and `associator`. Inside,
