@@ -1,8 +1,9 @@
-"""Refuse scans that would corrupt a map, by name, before they reach it."""
+"""Refuse by name what would do harm further in: scans that would corrupt a map, arguments that nobody knows."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from slam_gym._compile import compiled
 from slam_gym.types import Array, Scan
@@ -48,3 +49,9 @@ def check_scan(scan: Scan) -> None:
     index, fault = _first_bad_measurement(scan.points, scan.covariances, _TOLERANCE)
     if fault:
         raise ValueError(f"Scan: measurement {index}: {_FAULTS[fault]}")
+
+
+def one_of(name: str, value: Any, known: Any) -> None:
+    """Raise ValueError, listing the known values of an argument, where `value` is none of them."""
+    if value not in known:
+        raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")

@@ -19,6 +19,7 @@ from slam_gym.envs.verdicts import Verdicts
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, world_generator, world_seed
 from slam_gym.types import NONE, Hypothesis
+from slam_gym.validation import one_of
 
 Observation = dict[str, Any]
 Info = dict[str, Any]
@@ -89,15 +90,15 @@ class AssociateEnv(gym.Env[Observation, Any]):
         render_mode: Literal["rgb_array", "human"] | None = None,
     ) -> None:
         check_arguments(candidates, order, compatibility)
-        _one_of("split", split, SPLITS)
-        _one_of("reward", reward, ("truth", "map_error"))
-        _one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        one_of("split", split, SPLITS)
+        one_of("reward", reward, ("truth", "map_error"))
+        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         if not 0.0 <= wrong_cost < np.inf:
             raise ValueError(f"wrong_cost={wrong_cost}: expected a finite number ≥ 0")
         if isinstance(scenario, str):
             scenario = _named(scenario, split)
         if not callable(driver):
-            _one_of("driver", driver, DRIVERS)
+            one_of("driver", driver, DRIVERS)
             driver = DRIVERS[driver]
         self.places_known = not isinstance(scenario, Log) or len(scenario.targets) > 0
         if reward == "map_error" and not self.places_known:
@@ -312,10 +313,5 @@ def _named(scenario: str, split: str) -> Scenario | Log:
         return recorded_log(scenario, split)
     if scenario in LOGS:
         return LOGS[scenario]
-    _one_of("scenario", scenario, (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1"))
+    one_of("scenario", scenario, (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1"))
     return SCENARIOS[scenario]
-
-
-def _one_of(name: str, value: Any, known: Any) -> None:
-    if value not in known:
-        raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")

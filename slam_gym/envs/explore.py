@@ -31,6 +31,7 @@ from slam_gym.metrics.association import Tally
 from slam_gym.relocation import Localities, relocate_by
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_generator, world_seed
 from slam_gym.types import NONE, Associator, Relocator
+from slam_gym.validation import one_of
 
 Observation = dict[str, Any]
 Info = dict[str, Any]
@@ -101,10 +102,10 @@ class ExploreEnv(gym.Env[Observation, Any]):
         render_mode: Literal["rgb_array", "human"] | None = None,
         render_covisibility: bool = False,
     ) -> None:
-        _one_of("split", split, SPLITS)
-        _one_of("action", action, ("goal", "twist"))
-        _one_of("locality", locality, ("covisibility", None))
-        _one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        one_of("split", split, SPLITS)
+        one_of("action", action, ("goal", "twist"))
+        one_of("locality", locality, ("covisibility", None))
+        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         if resolution is not None and floor_plan is None:
             raise ValueError(f"resolution={resolution} goes with a floor_plan, and there is none")
         self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
@@ -325,8 +326,3 @@ class ExploreEnv(gym.Env[Observation, Any]):
         if episode.over:
             info["map_quality"] = self.map_quality()
         return info
-
-
-def _one_of(name: str, value: Any, known: Any) -> None:
-    if value not in known:
-        raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")

@@ -20,6 +20,7 @@ from slam_gym.geometry import relative
 from slam_gym.relocation import Localities
 from slam_gym.scenarios import SPLITS, Scenario, get_scenario, world_seed
 from slam_gym.types import NONE, Associator, IntArray
+from slam_gym.validation import one_of
 
 Observation = dict[str, Any]
 Info = dict[str, Any]
@@ -96,9 +97,9 @@ class RelocateEnv(gym.Env[Observation, Any]):
         heading_tolerance: float = math.radians(3.0),
         render_mode: Literal["rgb_array", "human"] | None = None,
     ) -> None:
-        _one_of("split", split, SPLITS)
-        _one_of("locality", locality, ("covisibility", "two-hop covisibility", "distance", None))
-        _one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        one_of("split", split, SPLITS)
+        one_of("locality", locality, ("covisibility", "two-hop covisibility", "distance", None))
+        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         if not 0.0 <= outside <= 1.0:
             raise ValueError(f"outside={outside} is no probability")
         if not (isinstance(kidnappings_per_map, int) and kidnappings_per_map >= 1):
@@ -297,8 +298,3 @@ class RelocateEnv(gym.Env[Observation, Any]):
             ("pairings, best", f"{best.pairings}, {walk.needed} needed"),
             ("D², best", distance),
         )
-
-
-def _one_of(name: str, value: Any, known: Any) -> None:
-    if value not in known:
-        raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")
