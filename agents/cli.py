@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import slam_gym
-from agents.rollout import Setting
+from agents.evaluation.rollout import Setting
 
 CHECKOUT = Path(__file__).parents[1]
 PACKAGES = ("numpy", "scipy", "numba", "gymnasium", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "joblib")

@@ -21,10 +21,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from agents.base import AGENTS, BASELINES, is_learned
 from agents.cli import CHECKOUT, add_world_options, command_line, run_main, setting_of, versions
-from agents.parallel import BACKENDS, Driver, Task, connect, run_all
-from agents.results import (
+from agents.drivers.base import AGENTS, BASELINES, is_learned
+from agents.evaluation.parallel import BACKENDS, Driver, Task, connect, run_all
+from agents.evaluation.results import (
     TABLE,
     Column,
     Journal,
@@ -37,7 +37,7 @@ from agents.results import (
     write_csv,
     write_json,
 )
-from agents.rollout import Setting, reset_arguments
+from agents.evaluation.rollout import Setting, reset_arguments
 from slam_gym.metrics.statistics import Interval
 
 EPISODES = 40
@@ -116,7 +116,7 @@ def _describe(model: Path) -> dict[str, Any]:
     known: dict[str, Any] = {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
     if model.suffix == ".zip":
         return known
-    from agents.ppo import read_model  # torch is imported for learned agents only
+    from agents.learning.ppo import read_model  # torch is imported for learned agents only
 
     return known | {"training": read_model(model)[0].training}
 
@@ -251,7 +251,7 @@ def main(argv: list[str]) -> int:
     except KeyboardInterrupt:
         console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise
-    from agents.report import write_report  # matplotlib takes a second to import
+    from agents.reports.evaluation import write_report  # matplotlib takes a second to import
 
     show(
         records,

@@ -17,17 +17,17 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from agents.association_drives import Course, columns_for, drives
-from agents.association_drives import tables as drive_tables
-from agents.association_evaluation import ORDER, carry_out, row, shipped, short
-from agents.base import AGENTS
 from agents.cli import CHECKOUT, command_line, run_main
-from agents.parallel import BACKENDS
-from agents.recording_evaluation import add_recording_options, run_recording
-from agents.results import Record, cell
-from agents.suite import EXPERIMENTS, RELOCATION
-from agents.suite_run import OUTCOMES, by_world, capabilities, names_of, number, over_all, ranked, worlds
-from agents.suite_run import tables as suite_tables
+from agents.drivers.base import AGENTS
+from agents.evaluation.associators import ORDER, carry_out, row, shipped, short
+from agents.evaluation.drives import Course, columns_for, drives
+from agents.evaluation.drives import tables as drive_tables
+from agents.evaluation.parallel import BACKENDS
+from agents.evaluation.recordings import add_recording_options, run_recording
+from agents.evaluation.results import Record, cell
+from agents.suite.experiments import EXPERIMENTS, RELOCATION
+from agents.suite.run import OUTCOMES, by_world, capabilities, names_of, number, over_all, ranked, worlds
+from agents.suite.run import tables as suite_tables
 from slam_gym.association import RELOCATORS
 from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios import SCENARIOS, SPLITS
@@ -92,7 +92,7 @@ def run_drives(a: argparse.Namespace, out: Path, common: dict[str, Any], console
         rows = {name: [row(own, name, None, columns)[c.key] for c in columns] for name in names}
         titles = [(column.title, column.digits) for column in columns]
         show(rows, titles, f"{setting}, {a.episodes} episodes, driven by {a.driver}", console)
-    from agents.association_report import write_report  # matplotlib takes a second to import
+    from agents.reports.associators import write_report  # matplotlib takes a second to import
 
     console.print(f"report: {write_report(out, names, settings)}", soft_wrap=True)
 
@@ -121,7 +121,7 @@ def run_suite(a: argparse.Namespace, out: Path, common: dict[str, Any], console:
         }
         columns = [("score", 3), *((outcome, 0) for outcome in OUTCOMES)]
         show(rows, columns, f"kidnapped: searches without a prior, {about}", console)
-    from agents.suite_report import write_report
+    from agents.reports.suite import write_report
 
     console.print(f"report: {write_report(out)}", soft_wrap=True)
 

@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.association_setting import AssociationSetting, add_association_options, association_setting
 from agents.cli import run_main
+from agents.learning.association_setting import AssociationSetting, add_association_options, association_setting
 from slam_gym.types import NONE
 
 FORMAT = "slam_gym decisions 1"

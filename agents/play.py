@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
 from agents.cli import add_world_options, run_main, setting_of
-from agents.rollout import reset_arguments
+from agents.drivers.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
+from agents.evaluation.rollout import reset_arguments
 
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world

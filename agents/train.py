@@ -27,10 +27,11 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from threadpoolctl import threadpool_limits
 
-from agents.association_models import BestBranch, associate_episode
-from agents.association_setting import AssociationSetting
 from agents.cli import add_world_options, command_line, run_main, setting_of, versions
-from agents.ppo import (
+from agents.evaluation.rollout import Setting, run_episode
+from agents.learning.association_models import BestBranch, associate_episode
+from agents.learning.association_setting import AssociationSetting
+from agents.learning.ppo import (
     HYPERPARAMETERS,
     Hyperparameters,
     ModelSpec,
@@ -41,7 +42,6 @@ from agents.ppo import (
     read_model,
     save_model,
 )
-from agents.rollout import Setting, run_episode
 from slam_gym.metrics.statistics import interquartile_mean
 
 HELD_OUT = 5_000

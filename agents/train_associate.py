@@ -2,7 +2,7 @@
 
 MaskablePPO walks the interpretation tree of Associate-v0, while a baseline drives. Writes into OUT what `agents.train`
 writes. The model file is an associator wherever a command takes one by file (`python -m agents.evaluate_association`),
-and in Python through `agents.association_models.load`.
+and in Python through `agents.learning.association_models.load`.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from agents.association_setting import add_association_options, association_setting
 from agents.cli import command_line, run_main
-from agents.ppo import HYPERPARAMETERS, load_hyperparameters
+from agents.learning.association_setting import add_association_options, association_setting
+from agents.learning.ppo import HYPERPARAMETERS, load_hyperparameters
 from agents.train import train
 
 

@@ -1,4 +1,5 @@
-"""Dependencies point one way: types → geometry → { world | mapping, association → slam } → envs → agents."""
+"""Dependencies point one way: types → geometry → { world | mapping, navigation, association } → slam → simulation →
+{ rendering, envs } → agents."""
 
 import ast
 from pathlib import Path
@@ -7,41 +8,28 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 BASE = {"types", "geometry", "_compile", "validation"}
+ESTIMATE = BASE | {"mapping", "navigation", "association"}
+SIMULATION = ESTIMATE | {"world", "slam", "metrics", "recordings", "scenarios"}
 ALLOWED = {
     "types": set(),
     "_compile": set(),
     "geometry": {"types", "_compile"},
     "validation": {"types", "_compile"},
-    "world": BASE | {"world"},
-    "mapping": BASE | {"mapping"},
-    "association": BASE | {"association"},
-    "tracking": BASE,
-    "slam": BASE | {"mapping", "association", "tracking"},
-    "duplicates": BASE | {"mapping", "association"},
-    "local_map_slam": BASE | {"mapping", "association", "slam", "duplicates"},
-    "map_merging": BASE | {"mapping", "association", "slam", "duplicates"},
-    "relocation": BASE | {"mapping", "association", "slam"},
-    "metrics": BASE | {"metrics"},
-    "recordings": BASE | {"recordings"},
-    "recording_settings": BASE | {"mapping", "slam", "recordings"},
-    "scenarios": BASE | {"world", "mapping", "slam"},
-    "envs": BASE
-    | {
-        "world",
-        "mapping",
-        "association",
-        "slam",
-        "relocation",
-        "metrics",
-        "scenarios",
-        "recordings",
-        "recording_settings",
-        "envs",
-    },
-    "bench": {"__init__", "envs", "duplicates", "local_map_slam", "bench"},
+    "world": BASE,
+    "mapping": BASE,
+    "navigation": BASE | {"mapping"},
+    "association": BASE | {"mapping"},
+    "metrics": BASE,
+    "slam": ESTIMATE,
+    "recordings": BASE,
+    "scenarios": BASE | {"world", "mapping", "slam", "recordings"},
+    "simulation": SIMULATION,
+    "rendering": SIMULATION | {"simulation"},
+    "envs": SIMULATION | {"simulation", "rendering"},
+    "bench": SIMULATION | {"simulation", "rendering", "envs"},
     "__init__": set(),
 }
-ALLOWED["bench"] |= ALLOWED["envs"]
+"""The rooms that each room may import from, besides itself: always those below it."""
 
 
 def imports(path: Path) -> set[str]:

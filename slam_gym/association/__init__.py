@@ -11,24 +11,24 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from slam_gym.association.assignment import global_nearest_neighbour
-from slam_gym.association.ground_truth import true_association
-from slam_gym.association.index import indexed
-from slam_gym.association.ipjc import ipjc
-from slam_gym.association.jcbb import jcbb
-from slam_gym.association.most_probable import MostProbable, map_hypothesis
-from slam_gym.association.nearest import nearest_neighbour, singles
-from slam_gym.association.one_point_ransac import one_point_ransac
 from slam_gym.association.relocation.consistency_graph import max_clique, spectral
 from slam_gym.association.relocation.gcbb import gcbb
-from slam_gym.association.relocation.random_sampling import random_sampling
-from slam_gym.association.walks.policy import Policy, from_policy, greedy
-from slam_gym.association.walks.relocation_policy import (
+from slam_gym.association.relocation.policy import (
     RelocationPolicy,
     SampledRelocation,
     greedy_relocation,
     relocator_from_policy,
 )
+from slam_gym.association.relocation.random_sampling import random_sampling
+from slam_gym.association.tracking.global_nearest_neighbour import global_nearest_neighbour
+from slam_gym.association.tracking.ipjc import ipjc
+from slam_gym.association.tracking.jcbb import jcbb
+from slam_gym.association.tracking.map_hypothesis import MostProbable, map_hypothesis
+from slam_gym.association.tracking.nearest_neighbour import nearest_neighbour, singles
+from slam_gym.association.tracking.one_point_ransac import one_point_ransac
+from slam_gym.association.tracking.policy import Policy, from_policy, greedy
+from slam_gym.association.tracking.true_association import true_association
+from slam_gym.association.triangles.index import indexed
 from slam_gym.types import Hypothesis, Relocator
 
 __all__ = [

@@ -5,6 +5,20 @@ from __future__ import annotations
 import importlib
 import sys
 
+_MODULES = {
+    "corridor": "consistency.corridor",
+    "step": "speed.step",
+    "jcbb": "speed.jcbb",
+    "prior": "speed.prior",
+    "update": "speed.update",
+    "locality": "locality.locality",
+    "associate": "feature_index.associate",
+    "relocate": "speed.relocate",
+    "recordings": "recordings.recordings",
+    "consistency": "consistency.consistency",
+    "sight": "speed.sight",
+}
+
 BENCHMARKS = {
     "corridor": "reference experiment: associators in the corridor, 40 seeds, beside the bands expected of them",
     "step": "Explore-v0 steps per second, against map size, and where the time of a step goes",
@@ -26,7 +40,7 @@ def main(argv: list[str]) -> int:
         lines = "\n".join(f"  {name:10s} {text}" for name, text in BENCHMARKS.items())
         print(f"usage: python -m slam_gym.bench NAME [options]   (NAME --help lists them)\n{lines}", file=sys.stderr)
         return 0 if argv and argv[0] in ("-h", "--help") else 2
-    importlib.import_module(f"slam_gym.bench.{argv[0]}").main(argv[1:])
+    importlib.import_module(f"slam_gym.bench.{_MODULES[argv[0]]}").main(argv[1:])
     return 0
 
 

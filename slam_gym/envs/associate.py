@@ -10,14 +10,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym.association.walks.observation import lengths, nothing
-from slam_gym.association.walks.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.envs.episode import Site, survey
-from slam_gym.envs.recorded_runs import PREFIX, recorded_log
-from slam_gym.envs.runs import DRIVERS, LOGS, DrivenRun, Driver, Log, LoggedRun, Run
-from slam_gym.envs.verdicts import Verdicts
+from slam_gym.association.tracking.observation import lengths, nothing
+from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, world_generator, world_seed
+from slam_gym.simulation.episode import Site, survey
+from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
+from slam_gym.simulation.runs import DRIVERS, LOGS, DrivenRun, Driver, Log, LoggedRun, Run
+from slam_gym.simulation.verdicts import Verdicts
 from slam_gym.types import NONE, Hypothesis
 from slam_gym.validation import one_of
 
@@ -41,8 +41,8 @@ class AssociateEnv(gym.Env[Observation, Any]):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `path` and `pairings`, as
-    `slam_gym.association.walks.observation` lists them, and `budget`, the share of looks left. The first four are what
-    a policy sees as an associator elsewhere (`slam_gym.association.walks.policy.from_policy`).
+    `slam_gym.association.tracking.observation` lists them, and `budget`, the share of looks left. The first four are
+    what a policy sees as an associator elsewhere (`slam_gym.association.tracking.policy.from_policy`).
 
     ## Rewards
     - `reward="truth"`: a right pairing +1, a wrong one −`wrong_cost`, `*` 0, divided by the measurements of features
@@ -62,15 +62,15 @@ class AssociateEnv(gym.Env[Observation, Any]):
     The last scan is decided (`terminated`). An episode without any choice ends with its first step.
 
     ## Arguments
-    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, `"corridor"` (the reference experiment), a `Scenario`, or
-      a `slam_gym.envs.runs.Log`; `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps
-      with `?looks=…&every=…`, for a real log (see `slam_gym.envs.recorded_runs`): sources that nobody knows count
-      nowhere, what the labels leave out of a scan is spurious.
+    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, `"corridor"` (the reference experiment), a `Scenario`,
+      or a `slam_gym.simulation.runs.Log`; `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`,
+      perhaps with `?looks=…&every=…`, for a real log (see `slam_gym.simulation.recorded_logs`): sources that nobody
+      knows count nowhere, what the labels leave out of a scan is spurious.
     - `split`: `"train"` or `"test"`, whose worlds never overlap, nor do the parts of a recording; on another log it
       keeps the seeds apart.
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
-      `slam_gym.association.walks.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
+      `slam_gym.association.tracking.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
     - `wrong_cost`: what a wrong pairing costs, in right ones.
     - `render_mode`: `"rgb_array"` or `"human"`.
     """
@@ -175,7 +175,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
             gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
             return None
         # pygame is an extra, and runs without pictures never need it
-        from slam_gym.envs.tree_picture import TreeRenderer
+        from slam_gym.rendering.associate_view import TreeRenderer
 
         if self._renderer is None:
             mode: Any = self.render_mode

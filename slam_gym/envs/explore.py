@@ -13,10 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve
-from slam_gym.envs import goals as goals_module
-from slam_gym.envs.driver import carry_out
-from slam_gym.envs.episode import Episode, Site, survey
-from slam_gym.envs.goals import GOAL_FIELDS, SLOTS, Goals, Places, encode_goals
+from slam_gym.envs.goal_observation import GOAL_FIELDS, encode_goals
 from slam_gym.envs.observation import (
     encode_features,
     encode_image,
@@ -24,12 +21,16 @@ from slam_gym.envs.observation import (
     encode_uncertainty,
     observation_space,
 )
-from slam_gym.envs.quality import quality
 from slam_gym.envs.rewards import get_reward
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.metrics.association import Tally
-from slam_gym.relocation import Localities, relocate_by
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_generator, world_seed
+from slam_gym.simulation import goals as goals_module
+from slam_gym.simulation.driver import carry_out
+from slam_gym.simulation.episode import Episode, Site, survey
+from slam_gym.simulation.goals import SLOTS, Goals, Places
+from slam_gym.simulation.quality import quality
+from slam_gym.slam.relocation import Localities, relocate_by
 from slam_gym.types import NONE, Associator, Relocator
 from slam_gym.validation import one_of
 
@@ -58,8 +59,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
     A flat `Dict` of float32 vectors, scaled into [−1, 1] or [0, 1], and one image; all of it in the estimate's frame:
     `scan` and `features` (what the map expected to see in it), nearest first, `observation.POINT_FIELDS` per row;
     `uncertainty` (σ of x, y, θ), `budget` (share left), `image` (3, 48, 48) uint8: free, wall, feature density, the
-    robot in the middle heading up; and, in goal mode, `goals` (`goals.GOAL_FIELDS` per slot; `goals.unsquash_goals`
-    gives the numbers back in their units).
+    robot in the middle heading up; and, in goal mode, `goals` (`GOAL_FIELDS` per slot;
+    `goal_observation.unsquash_goals` gives the numbers back in their units).
 
     ## Rewards
     The decrease, since the last step, of `map_error` (uses the truth) or of `a_opt`, `d_opt`, `entropy` of a virtual
@@ -186,8 +187,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
             gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
             return None
         # pygame is an extra, and runs without pictures never need it
-        from slam_gym.envs.picture import frame_of
-        from slam_gym.envs.rendering import Renderer
+        from slam_gym.rendering.explore_view import Renderer
+        from slam_gym.rendering.frames import frame_of
 
         episode = self.episode
         if self._renderer is None:

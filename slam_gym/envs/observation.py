@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
-from slam_gym.mapping.coverage import CoverageGrid
+from slam_gym.navigation.explored_grid import CoverageGrid
 from slam_gym.types import Array, Prediction, Scan
 
 Float32Array = NDArray[np.float32]

@@ -12,13 +12,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve
-from slam_gym.association.walks.relocation_observation import observe_walk, walk_shapes
-from slam_gym.association.walks.relocation_walk import RelocationOrder, RelocationWalk, WalkSpec
-from slam_gym.envs.kidnappings import Kidnapped, MappedWorld, kidnap, map_world
+from slam_gym.association.relocation.observation import observe_walk, walk_shapes
+from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.geometry import relative
-from slam_gym.relocation import Localities
 from slam_gym.scenarios import SPLITS, Scenario, get_scenario, world_seed
+from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
+from slam_gym.slam.relocation import Localities
 from slam_gym.types import NONE, Associator, IntArray
 from slam_gym.validation import one_of
 
@@ -48,7 +48,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `scan`, `path` and `search`, as
-    `slam_gym.association.walks.relocation_observation` lists them.
+    `slam_gym.association.relocation.observation` lists them.
 
     ## Rewards
     −`node_cost` for every node; and at the end, of the best hypothesis: where it has the pairings that
@@ -71,7 +71,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
     ## Arguments
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS` or a `Scenario`; `split`: `"train"` or `"test"`.
     - `locality`: `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
-    - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.walks.relocation_walk.WalkSpec`.
+    - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation.walk.WalkSpec`.
     - `outside`: probability that the robot is not in the map.
     - `associator`: that of the robot that made the map.
     - `render_mode`: `"rgb_array"` or `"human"`.
@@ -167,7 +167,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
             gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
             return None
         # pygame is an extra, and runs without pictures never need it
-        from slam_gym.envs.relocation_picture import RelocationRenderer
+        from slam_gym.rendering.relocate_view import RelocationRenderer
 
         if self._renderer is None:
             mode: Any = self.render_mode

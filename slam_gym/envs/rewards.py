@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from slam_gym.envs.episode import Episode
-from slam_gym.mapping.virtual_map import VirtualMap
+from slam_gym.navigation.virtual_map import VirtualMap
+from slam_gym.simulation.episode import Episode
 
 
 def map_error(episode: Episode) -> float:

@@ -11,15 +11,17 @@ import sys
 
 import numpy as np
 
-from slam_gym import geometry, slam, validation
+from slam_gym import geometry, validation
 from slam_gym._compile import announce_compilation
 from slam_gym.association import compatibility, jcbb, tree
 from slam_gym.envs import observation
-from slam_gym.mapping import covisibility, ekf, grid, linear_algebra, measurement
-from slam_gym.mapping.coverage import CoverageGrid
-from slam_gym.mapping.expected_gain import expected_reduction
-from slam_gym.mapping.planner import distance_field, follow
+from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement
 from slam_gym.metrics import assignment, association, consistency, map_quality
+from slam_gym.navigation import grid
+from slam_gym.navigation.expected_gain import expected_reduction
+from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.planner import distance_field, follow
+from slam_gym.slam import slam
 from slam_gym.types import Beams, Nearby, Prediction, Scan
 from slam_gym.world import boxes, detection, ray_casting, reachability
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.base import AGENTS, BASELINES, find_agent, is_learned, make_agent, visible
+from agents.drivers.base import AGENTS, BASELINES, find_agent, is_learned, make_agent, visible
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,14 +25,14 @@ def test_an_unknown_name_lists_the_known_ones():
         make_agent("greedy")
 
 
-@pytest.mark.parametrize("name", ["agents.nowhere:Agent", "agents.random:Nobody"])
+@pytest.mark.parametrize("name", ["agents.nowhere:Agent", "agents.drivers.random:Nobody"])
 def test_a_path_that_leads_nowhere_is_an_error_that_names_it(name):
     with pytest.raises(ValueError, match=name.split(":")[0]):
         make_agent(name)
 
 
 def test_an_agent_of_ones_own_needs_no_registration():
-    assert make_agent("agents.frontier:NearestFrontier").name == "nearest_frontier"
+    assert make_agent("agents.drivers.nearest_frontier:NearestFrontier").name == "nearest_frontier"
 
 
 def test_a_learned_agent_without_model_says_how_to_get_one():
@@ -47,5 +47,6 @@ def test_agents_see_nothing_that_is_measured_against_the_truth():
 
 
 def test_the_classical_agents_import_no_torch():
-    code = "import sys; from agents.base import *; [make_agent(n) for n in BASELINES]; sys.exit('torch' in sys.modules)"
+    code = "import sys; from agents.drivers.base import BASELINES, make_agent; [make_agent(n) for n in BASELINES]; "
+    code += "sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0

@@ -10,15 +10,15 @@ import torch
 from gymnasium import spaces
 
 from agents import export_decisions, train_associate
-from agents.association_models import BestBranch, associate_episode, load
-from agents.association_networks import BranchPolicy
-from agents.association_setting import AssociationSetting
-from agents.base import make_agent
-from agents.ppo import load_hyperparameters, read_model
+from agents.drivers.base import make_agent
+from agents.learning.association_models import BestBranch, associate_episode, load
+from agents.learning.association_networks import BranchPolicy
+from agents.learning.association_setting import AssociationSetting
+from agents.learning.ppo import load_hyperparameters, read_model
 from agents.train import train
-from slam_gym.association.walks.observation import lengths
-from slam_gym.envs.runs import CORRIDOR
-from slam_gym.slam import Slam
+from slam_gym.association.tracking.observation import lengths
+from slam_gym.simulation.runs import CORRIDOR
+from slam_gym.slam.slam import Slam
 from slam_gym.types import NONE
 
 SETTING = AssociationSetting("corridor", candidates=3, order="fewest_candidates")

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from agents import association_evaluation as module
-from agents.association_drives import COLUMNS, Course, Drive, Metered, drives
-from agents.association_drives import tables as drive_tables
-from agents.association_evaluation import carry_out, gated, paired, row, shipped, short
-from agents.association_report import best_of
-from agents.base import make_agent
+from agents.drivers.base import make_agent
 from agents.evaluate_association import main, show
-from agents.results import Journal
-from agents.rollout import Setting, reset_arguments, run_episode
-from agents.suite_run import World
-from agents.suite_run import tables as suite_tables
+from agents.evaluation import associators as module
+from agents.evaluation.associators import carry_out, gated, paired, row, shipped, short
+from agents.evaluation.drives import COLUMNS, Course, Drive, Metered, drives
+from agents.evaluation.drives import tables as drive_tables
+from agents.evaluation.results import Journal
+from agents.evaluation.rollout import Setting, reset_arguments, run_episode
+from agents.reports.associators import best_of
+from agents.suite.run import World
+from agents.suite.run import tables as suite_tables
 from slam_gym.association import ASSOCIATORS, jcbb, nearest_neighbour
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.metrics.statistics import Interval, interquartile_mean
@@ -97,7 +97,7 @@ def test_the_meter_changes_nothing_and_counts_every_scan(finished):
 
 def test_associators_that_ship_are_told_the_gates_and_others_are_left_alone():
     assert gated("jcbb", 0.9).keywords == {"confidence": 0.9} and gated("jcbb", 0.9).func is jcbb
-    assert gated("slam_gym.association.jcbb:jcbb", 0.9).func is jcbb
+    assert gated("slam_gym.association.tracking.jcbb:jcbb", 0.9).func is jcbb
     assert gated("true_association", 0.9) is ASSOCIATORS["true_association"]
     assert gated(f"{__name__}:mine", 0.9) is mine
     assert set(shipped()) == set(ASSOCIATORS) and shipped()[0] == "nearest_neighbour"

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from agents.base import BASELINES, make_agent
-from agents.information_gain import GainSpec, InformationGain
-from agents.lawnmower import Lawnmower, LawnmowerSpec
-from slam_gym.envs.goals import FRONTIERS, SLOTS, Goals, encode_goals
+from agents.drivers.base import BASELINES, make_agent
+from agents.drivers.information_gain import GainSpec, InformationGain
+from agents.drivers.lawnmower import Lawnmower, LawnmowerSpec
+from slam_gym.envs.goal_observation import encode_goals
+from slam_gym.simulation.goals import FRONTIERS, SLOTS, Goals
 
 
 def offered(frontiers=(), revisits=(), pose=(0.0, 0.0, 0.0)):

@@ -13,12 +13,12 @@ import pytest
 from rich.console import Console
 
 from agents import evaluate as command
-from agents import film as filming
-from agents.base import make_agent
+from agents.drivers.base import make_agent
 from agents.evaluate import default_out, drivers_of, evaluate, main
-from agents.parallel import Driver
-from agents.results import Journal, in_order, table, write_json
-from agents.rollout import Setting, run_episode
+from agents.evaluation.parallel import Driver
+from agents.evaluation.results import Journal, in_order, table, write_json
+from agents.evaluation.rollout import Setting, run_episode
+from agents.reports import film as filming
 from slam_gym.metrics.statistics import interquartile_mean
 
 ROOT = Path(__file__).parents[2]

@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from agents.base import make_agent
-from agents.ppo import FORMAT, HYPERPARAMETERS, ModelSpec, build_policy, load_hyperparameters, read_model, save_model
+from agents.drivers.base import make_agent
+from agents.learning.ppo import (
+    FORMAT,
+    HYPERPARAMETERS,
+    ModelSpec,
+    build_policy,
+    load_hyperparameters,
+    read_model,
+    save_model,
+)
 
 
 class Payload:

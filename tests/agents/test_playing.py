@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from agents.evaluation.rollout import Setting
 from agents.play import Keyboard, main, play
-from agents.rollout import Setting
 
 pygame = pytest.importorskip("pygame")
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from agents.base import make_agent
-from agents.ppo import ModelSpec, PolicyAgent, build_policy, load_hyperparameters, read_model, save_model
-from slam_gym.envs.goals import GOAL_FIELDS
+from agents.drivers.base import make_agent
+from agents.learning.ppo import ModelSpec, PolicyAgent, build_policy, load_hyperparameters, read_model, save_model
+from slam_gym.envs.goal_observation import GOAL_FIELDS
 
 FIELDS = len(GOAL_FIELDS)
 

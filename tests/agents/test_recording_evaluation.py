@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from agents.evaluate_association import main
-from agents.recording_evaluation import COLUMNS, MORE, Log, RecordingRun, shown_columns, tables
-from agents.recording_files import ERROR_FIELDS, MAP_FIELDS, read_columns, stem, write_tum
-from agents.recording_measures import compare, measure
-from agents.recording_run import run, start_of
+from agents.evaluation.recording_files import ERROR_FIELDS, MAP_FIELDS, read_columns, stem, write_tum
+from agents.evaluation.recording_measures import compare, measure
+from agents.evaluation.recording_run import run, start_of
+from agents.evaluation.recordings import COLUMNS, MORE, Log, RecordingRun, shown_columns, tables
 from slam_gym.geometry import compose, compose_jacobians, observe, relative
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.metrics.trajectory import ate
-from slam_gym.recording_settings import GENERIC, MRCLAM, VICTORIA_PARK, slam_for
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.recording import Recording, interpolate, save
 from slam_gym.recordings.victoria_park import victoria_park
-from slam_gym.slam import SlamSpec
+from slam_gym.scenarios.recorded import GENERIC, MRCLAM, VICTORIA_PARK, slam_for
+from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import NONE, UNKNOWN
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=10), reach=8.0, new_confidence=1.0 - 1e-6)

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from agents.report import write_report
+from agents.reports.evaluation import write_report
 
 AGENTS = ["random", "nearest_frontier", "mine:Agent<b>"]
 

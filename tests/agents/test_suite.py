@@ -8,10 +8,10 @@ from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from agents.suite import EXPERIMENTS, RELOCATION, Level, load
-from agents.suite_problems import LEAST, Course, Judgement, Problem, ask, judge, problems
-from agents.suite_relocation import NEAR, TURNED, kidnappings, outcome
-from agents.suite_run import World, by_world, capabilities, difference, number, over_all, ranked, tables, worlds
+from agents.suite.experiments import EXPERIMENTS, RELOCATION, Level, load
+from agents.suite.problems import LEAST, Course, Judgement, Problem, ask, judge, problems
+from agents.suite.relocation import NEAR, TURNED, kidnappings, outcome
+from agents.suite.run import World, by_world, capabilities, difference, number, over_all, ranked, tables, worlds
 from slam_gym.association import true_association
 from slam_gym.association.compatibility import individual
 from slam_gym.geometry import transform

@@ -13,10 +13,10 @@ import pytest
 import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from agents.base import make_agent
+from agents.drivers.base import make_agent
 from agents.evaluate import main as evaluate_main
-from agents.ppo import load_hyperparameters, make_algorithm, read_model
-from agents.rollout import Setting, run_episode
+from agents.evaluation.rollout import Setting, run_episode
+from agents.learning.ppo import load_hyperparameters, make_algorithm, read_model
 from agents.train import HELD_OUT, main, train
 from slam_gym.scenarios import SPLITS
 
@@ -127,7 +127,7 @@ def test_worlds_watched_in_training_are_neither_trained_nor_reported_on():
 
 @pytest.mark.slow
 def test_the_command_trains_in_processes_and_evaluate_reads_its_model(tmp_path):
-    toml = (ROOT / "agents" / "hyperparameters.toml").read_text()
+    toml = (ROOT / "agents" / "learning" / "hyperparameters.toml").read_text()
     toml = re.sub(r"^steps = \d+", "steps = 16", toml, flags=re.MULTILINE)
     (tmp_path / "short.toml").write_text(toml)
     line = ["--scenario", "office-small", "--timesteps", "32", "--envs", "2", "--eval-episodes", "1"]

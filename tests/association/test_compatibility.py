@@ -4,13 +4,13 @@ import dataclasses
 import math
 
 import numpy as np
-import oracles
 import pytest
 from scipy.stats import chi2
 
 from slam_gym.association.compatibility import chi2_gate, has_compatible, individual, joint_distance, joint_gates
 from slam_gym.geometry import rotate_covariances, transform
 from slam_gym.types import NONE
+from tests.oracles import association as oracles
 
 
 @pytest.mark.parametrize("confidence", [0.5, 0.95, 0.99, 0.999])

@@ -9,17 +9,17 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from rollouts import differences, explore, in_any_process, short, vector_rollout
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import jcbb, nearest_neighbour, singles
-from slam_gym.association.walks.policy import from_policy, greedy
+from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.envs.associate import AssociateEnv
-from slam_gym.envs.runs import CORRIDOR, nearest_frontier
-from slam_gym.slam import Slam
+from slam_gym.simulation.runs import CORRIDOR, nearest_frontier
+from slam_gym.slam.slam import Slam
 from slam_gym.types import NONE
 from slam_gym.world.corridor import walk_round
+from tests.rollouts import differences, explore, in_any_process, short, vector_rollout
 
 INFO = ["look", "hidden", "score", "map_error", "action_mask", "truth"]
 ID = "slam_gym/Associate-v0"

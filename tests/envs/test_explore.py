@@ -10,18 +10,27 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from rollouts import SCENARIOS, differences, episode, explore, in_any_process, random_action, short, vector_rollout
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb
-from slam_gym.envs.goals import LOOK, SLOTS
 from slam_gym.envs.observation import POINT_FIELDS
 from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import get_scenario, world_generator
+from slam_gym.simulation.goals import LOOK, SLOTS
 from slam_gym.types import Truth
 from slam_gym.world.floor_plan import Door, Features, FloorPlan, Room, save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.sensor import Sensor
+from tests.rollouts import (
+    SCENARIOS,
+    differences,
+    episode,
+    explore,
+    in_any_process,
+    random_action,
+    short,
+    vector_rollout,
+)
 
 INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_missed", "pose_nees", "ticks", "pose"]
 INFO += ["lost", "truth"]

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rollouts import SCENARIOS, differences, episode, explore, random_action, short
 
 from slam_gym.association import jcbb
 from slam_gym.envs.explore import ExploreEnv
@@ -18,6 +17,7 @@ from slam_gym.scenarios import SPLITS, Scenario, get_scenario
 from slam_gym.types import NONE, Effort, Hypothesis, Scan
 from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.sensor import Sensor, SensorSpec
+from tests.rollouts import SCENARIOS, differences, episode, explore, random_action, short
 
 # -- unknown names -------------------------------------------------------------------------------------------------
 

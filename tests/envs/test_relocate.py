@@ -12,21 +12,21 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from rollouts import differences, explore, in_any_process, random_action, short, vector_rollout
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import gcbb, jcbb
-from slam_gym.association.relocation.located import locate
-from slam_gym.association.walks.relocation_observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
-from slam_gym.association.walks.relocation_policy import SampledRelocation, greedy_relocation, relocator_from_policy
+from slam_gym.association.relocation.location import locate
+from slam_gym.association.relocation.observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
+from slam_gym.association.relocation.policy import SampledRelocation, greedy_relocation, relocator_from_policy
 from slam_gym.envs import relocate as module
-from slam_gym.envs.kidnappings import KNOWN, kidnap, map_world
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.geometry import compose, relative, transform
 from slam_gym.scenarios import get_scenario
+from slam_gym.simulation.relocation_problems import KNOWN, kidnap, map_world
 from slam_gym.types import NONE
 from slam_gym.world.generators import OfficeGenerator
+from tests.rollouts import differences, explore, in_any_process, random_action, short, vector_rollout
 
 ID = "slam_gym/Relocate-v0"
 INFO = ["nodes", "tries", "hidden", "pairings", "needed", "accepted", "action_mask", "truth"]

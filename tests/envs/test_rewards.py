@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from rollouts import SCENARIOS, episode, explore, short
 
 from slam_gym.envs.rewards import REWARDS, get_reward
 from slam_gym.geometry import observe
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.mapping.virtual_map import VirtualMap
+from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.types import Scan
+from tests.rollouts import SCENARIOS, episode, explore, short
 
 
 @pytest.mark.parametrize("action", ["goal", "twist"])

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from oracles_map import KnownAssociation, Step, wander
 
 from slam_gym.geometry import compose, relative, transform
 from slam_gym.mapping.local_maps import LocalMaps
 from slam_gym.mapping.locality import locality_sizes, same_local_map
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import Array, IntArray
+from tests.oracles.map import KnownAssociation, Step, wander
 
 KEEP = MapSpec(unconfirmed_age=None)
 

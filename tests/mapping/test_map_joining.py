@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from oracles_map import SIGMA, KnownAssociation, Q, Step, make_scan, random_covariance, wander
 
 from slam_gym.geometry import compose, transform, wrap_angle
 from slam_gym.mapping.map_joining import equality_update, equate, join, joined_estimate
@@ -12,6 +11,7 @@ from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import anees_interval, nees
 from slam_gym.types import UNKNOWN, Array, IntArray, Odometry, Scan
+from tests.oracles.map import SIGMA, KnownAssociation, Q, Step, make_scan, random_covariance, wander
 
 KEEP = MapSpec(unconfirmed_age=None)
 

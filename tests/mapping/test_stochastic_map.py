@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracles_map import SIGMA, KnownAssociation, Q, Step, TextbookMap, make_scan, random_covariance, wander
 from scipy.stats import chi2
 
 from slam_gym.geometry import compose, observe, wrap_angle
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import NONE, UNKNOWN, Array, Odometry, Scan
+from tests.oracles.map import SIGMA, KnownAssociation, Q, Step, TextbookMap, make_scan, random_covariance, wander
 
 KEEP = MapSpec(unconfirmed_age=None)
 FEJ = MapSpec(first_estimate_jacobians=True, unconfirmed_age=None)

@@ -12,7 +12,7 @@ from slam_gym.metrics.association import Identities
 from slam_gym.recordings.least_squares import _Problem, least_squares
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park_clean
-from slam_gym.slam import Slam, SlamSpec
+from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NONE, Truth
 
 MOTION, NOISE = np.diag([0.05, 0.05, 0.03]) ** 2, 0.05**2 * np.eye(2)

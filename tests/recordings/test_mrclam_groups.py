@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from agents.recording_run import run
+from agents.evaluation.recording_run import run
 from slam_gym.association import gcbb
-from slam_gym.association.relocation.located import locate
+from slam_gym.association.relocation.location import locate
 from slam_gym.geometry import compose, relative, wrap_angle
 from slam_gym.metrics.map_quality import landmark_rmse
-from slam_gym.recording_settings import slam_for
 from slam_gym.recordings.mrclam import ROBOTS, mrclam, mrclam_all, stationary
 from slam_gym.recordings.recording import RecordingError
+from slam_gym.scenarios.recorded import slam_for
 from slam_gym.types import NONE
 
 

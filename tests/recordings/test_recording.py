@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.association import jcbb
 from slam_gym.recordings.recording import Recording, RecordingError, load, save
-from slam_gym.slam import Slam, SlamSpec
+from slam_gym.slam.slam import Slam, SlamSpec
 
 
 def by_hand(rng: np.random.Generator | None = None, steps: int = 6) -> dict[str, object]:

@@ -4,7 +4,7 @@ import numpy as np
 import pymunk
 import pytest
 
-from slam_gym.bench.sight import floor
+from slam_gym.bench.speed.sight import floor
 from slam_gym.world.floor_plan import Features, Kind
 from slam_gym.world.ray_casting import WallIndex, pull_back
 

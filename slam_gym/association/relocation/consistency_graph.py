@@ -20,19 +20,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import eigsh
 
 from slam_gym._compile import compiled
-from slam_gym.association.relocation.arrays import Problem, problem_arrays
-from slam_gym.association.relocation.constraints import (
-    Gates,
-    Mapped,
-    Measured,
-    binary_test,
-    difference_covariance,
-    far_apart,
-    gates,
-    measured,
-)
-from slam_gym.association.relocation.located import locate_pairings
-from slam_gym.association.relocation.outcome import (
+from slam_gym.association.relocation.answer import (
     BINARY,
     JOINT,
     LEAVES,
@@ -46,6 +34,18 @@ from slam_gym.association.relocation.outcome import (
     outcome,
     relocation,
 )
+from slam_gym.association.relocation.arrays import Problem, problem_arrays
+from slam_gym.association.relocation.constraints import (
+    Gates,
+    Mapped,
+    Measured,
+    binary_test,
+    difference_covariance,
+    far_apart,
+    gates,
+    measured,
+)
+from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at

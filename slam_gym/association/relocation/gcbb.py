@@ -7,9 +7,7 @@ import time
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.relocation.arrays import problem_arrays
-from slam_gym.association.relocation.constraints import Gates, Mapped, gates, measured
-from slam_gym.association.relocation.outcome import (
+from slam_gym.association.relocation.answer import (
     LEAVES,
     LIMIT,
     NODES,
@@ -22,6 +20,8 @@ from slam_gym.association.relocation.outcome import (
     outcome,
     relocation,
 )
+from slam_gym.association.relocation.arrays import problem_arrays
+from slam_gym.association.relocation.constraints import Gates, Mapped, gates, measured
 from slam_gym.types import NONE, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _STAR = -1  # in place of a candidate: `*` comes next, the candidates are done

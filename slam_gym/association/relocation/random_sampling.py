@@ -9,10 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.relocation.arrays import problem_arrays
-from slam_gym.association.relocation.constraints import Gates, Mapped, Measured, gates, measured
-from slam_gym.association.relocation.located import locate_pairings
-from slam_gym.association.relocation.outcome import (
+from slam_gym.association.relocation.answer import (
     JOINT,
     LEAVES,
     LIMIT,
@@ -27,6 +24,9 @@ from slam_gym.association.relocation.outcome import (
     outcome,
     relocation,
 )
+from slam_gym.association.relocation.arrays import problem_arrays
+from slam_gym.association.relocation.constraints import Gates, Mapped, Measured, gates, measured
+from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.types import NONE, Array, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
 
 _CANDIDATES = 64  # of a measurement, at one pose

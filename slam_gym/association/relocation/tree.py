@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._compile import compiled
+from slam_gym.association.relocation.answer import BINARY, ORIENTATION
 from slam_gym.association.relocation.arrays import problem_arrays
 from slam_gym.association.relocation.constraints import (
     Gates,
@@ -26,7 +27,6 @@ from slam_gym.association.relocation.constraints import (
     orientation_test,
     unary,
 )
-from slam_gym.association.relocation.outcome import BINARY, ORIENTATION
 from slam_gym.types import NONE, Array, BoolArray, IntArray, Landmarks, Locality, Scan
 
 _NOTHING = np.empty(0, np.int64)

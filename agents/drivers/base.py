@@ -1,0 +1,93 @@
+"""What an agent is, and the list of those that ship.
+
+A new agent is one class with `name`, `action`, `reset` and `act`, and one line in `AGENTS`; or no line at all, since
+`module:Class` is accepted wherever a name is.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+ActionKind = Literal["goal", "twist"]
+Observation = Mapping[str, NDArray[Any]]
+Info = Mapping[str, Any]
+
+
+class Agent(Protocol):
+    """The driver of an episode. It sees the observation and the part of `info` that the robot itself could know."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def action(self) -> ActionKind: ...
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode; all randomness of the next comes from `seed`."""
+
+    def act(self, observation: Observation, info: Info) -> int | NDArray[np.float32]:
+        """The slot of a legal goal (action "goal"), or forward and turning speed in [−1, 1] (action "twist")."""
+
+
+AGENTS: dict[str, str] = {
+    "random": "agents.drivers.random:RandomAgent",
+    "nearest_frontier": "agents.drivers.nearest_frontier:NearestFrontier",
+    "lawnmower": "agents.drivers.lawnmower:Lawnmower",
+    "information_gain": "agents.drivers.information_gain:InformationGain",
+    "information_gain_no_revisits": "agents.drivers.information_gain:InformationGainNoRevisits",
+    "ppo": "agents.learning.ppo:PolicyAgent",
+}
+
+BASELINES = ("random", "nearest_frontier", "lawnmower", "information_gain")
+"""The classical ones: they need no model file."""
+
+_VISIBLE = ("pose", "ticks", "action_mask")
+
+
+def visible(info: Info) -> dict[str, Any]:
+    """The part of `info` that an agent may see: nothing that is measured against the truth."""
+    return {key: info[key] for key in _VISIBLE if key in info}
+
+
+def find_agent(name: str) -> Any:
+    """The class behind a name of `AGENTS` or a `module:Class`. ValueError lists the known names."""
+    target = AGENTS.get(name, name)
+    if ":" not in target:
+        raise ValueError(f"unknown agent {name!r}: the known ones are {', '.join(AGENTS)}, or give module:Class")
+    module, _, attribute = target.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        if error.name is not None and not module.startswith(error.name):
+            raise ValueError(f"agent {name!r} needs {error.name}: pip install -e '.[agents]'") from error
+        raise ValueError(f"agent {name!r}: there is no module {module!r}") from error
+    except AttributeError as error:
+        raise ValueError(f"agent {name!r}: module {module!r} has no {attribute!r}") from error
+
+
+def is_learned(name: str) -> bool:
+    """Whether the agent is loaded from a model file, by its `load(path, trust)`."""
+    return hasattr(find_agent(name), "load")
+
+
+def make_agent(name: str, model: Path | str | None = None, *, trust: bool = False) -> Agent:
+    """A fresh agent. Learned ones need a model file; `trust` allows formats that can run code when they are read."""
+    cls = find_agent(name)
+    if not hasattr(cls, "load"):
+        return cast(Agent, cls())
+    if model is None:
+        raise ValueError(
+            f"agent {name!r} is learned: give its model file (--model FILE; python -m agents.train makes one)"
+        )
+    return cast(Agent, cls.load(Path(model), trust=trust))
+
+
+def legal_goals(info: Info) -> NDArray[np.bool_]:
+    """Which goals may be chosen, (K,); slot 0, to look around, always may."""
+    return np.asarray(info["action_mask"], dtype=bool)

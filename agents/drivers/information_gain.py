@@ -1,0 +1,55 @@
+"""Greedy information gain: the goal that takes the most uncertainty out of the map per tick.
+
+A-optimality is the trace of the covariance (Sim and Roy, ICRA 2005). A feature that has not been
+seen counts with its prior σ₀² per coordinate, so new area and revisits are weighed on one scale [m² per tick].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.drivers.base import ActionKind, Info, Observation, legal_goals
+from slam_gym.envs.goal_observation import unsquash_goals
+
+LOOK_AROUND = 0
+
+
+@dataclass(frozen=True)
+class GainSpec:
+    prior_sigma: float = 0.5  # [m] σ₀ of a feature that has not been seen
+    density: float = 0.3  # [1/m²] features expected per area of new floor
+    speed: float = 0.08  # [m/tick] along a path, turns included
+    overhead: float = 5.0  # [ticks] to set off and to stop
+    look: float = 32.0  # [ticks] to turn round once
+
+
+class InformationGain:
+    """argmax over the legal goals of (2 σ₀² · density · expected new area + expected trace reduction) / ticks."""
+
+    name = "information_gain"
+    action: ActionKind = "goal"
+
+    def __init__(self, spec: GainSpec | None = None) -> None:
+        self._spec = spec or GainSpec()
+
+    def reset(self, seed: int) -> None:
+        pass
+
+    def act(self, observation: Observation, info: Info) -> int:
+        goals, spec = unsquash_goals(observation["goals"]), self._spec
+        ticks = np.maximum(spec.overhead + goals["path"] / spec.speed, 1.0)
+        ticks[LOOK_AROUND] = spec.look
+        gain = 2.0 * spec.prior_sigma**2 * spec.density * goals["area"] + goals["reduction"]
+        return int(np.argmax(np.where(legal_goals(info), gain / ticks, -np.inf)))
+
+
+class InformationGainNoRevisits(InformationGain):
+    """The same without revisits: what it scores less is what they are worth."""
+
+    name = "information_gain_no_revisits"
+
+    def act(self, observation: Observation, info: Info) -> int:
+        mask = legal_goals(info) & ~(unsquash_goals(observation["goals"])["revisit"] > 0.5)
+        return super().act(observation, {**info, "action_mask": mask})

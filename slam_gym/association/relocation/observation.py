@@ -1,0 +1,153 @@
+"""What a learner sees of a relocation walk: flat, finite, scaled float32 vectors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym.association.relocation.walk import RelocationWalk
+
+Float32Array = NDArray[np.float32]
+WalkObservation = dict[str, Float32Array]
+
+MEASUREMENT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", "size", "legal", "hidden")
+"""Of the measurement to decide, in R; how many candidates are legal, and how many of those are not shown."""
+
+CANDIDATE_FIELDS = ("legal", "support", "bound", "mean", "worst", "size_difference", "covisibility")
+"""Columns of `candidates`, best first. `support`: share of the undecided measurements that keep a legal partner after
+this pairing; `bound`: share of the scan that the hypothesis could then come to pair; `mean`, `worst`: D² of its
+distances to the pairings of the path; `size_difference` in σ; `covisibility`: share of the path's features that are
+local to it."""
+
+SCAN_FIELDS = ("present", "x", "y", "size", "decided", "paired", "candidates")
+"""Columns of `scan`, a row for each measurement in the order of the levels."""
+
+PATH_FIELDS = (
+    "level",  # share of the measurements decided
+    "pairings",  # share of the measurements paired
+    "bound",  # share that no hypothesis below this node exceeds
+    "without",  # the same below `*`
+    "leaf",  # nothing is left to decide but to stop or to restart
+    "compatible",  # the leaf passed the joint test
+)
+"""`path`: the decisions of this try, and what is ahead."""
+
+SEARCH_FIELDS = (
+    "best",  # pairings of the best hypothesis so far, as a share
+    "best_distance",  # its D² over its degrees of freedom
+    "accepted",  # it would be believed
+    "needed",  # pairings that it takes to be believed, as a share
+    "nodes_left",  # share of the node limit
+    "tries",
+)
+"""`search`: what all tries have come to."""
+
+POSITION_SCALE = 6.0  # [m]
+SIGMA_SCALE = 0.1  # [m]
+SIZE_SCALE = 1.0  # [m]
+DISTANCE_SCALE = 2.0  # of D²
+COUNT_SCALE = 4.0
+
+
+def walk_shapes(candidates: int, measurements: int) -> dict[str, tuple[int, int]]:
+    """Rows and columns of each part of the observation for K `candidates` and scans of at most `measurements`."""
+    return {
+        "measurement": (1, len(MEASUREMENT_FIELDS)),
+        "candidates": (candidates, len(CANDIDATE_FIELDS)),
+        "scan": (measurements, len(SCAN_FIELDS)),
+        "path": (1, len(PATH_FIELDS)),
+        "search": (1, len(SEARCH_FIELDS)),
+    }
+
+
+def observe_walk(walk: RelocationWalk, measurements: int) -> WalkObservation:
+    """The parts of `walk_shapes`, flat, in [−1, 1]. Of a longer scan, the first `measurements` levels are shown."""
+    return {
+        "measurement": _measurement(walk),
+        "candidates": _candidates(walk),
+        "scan": _scan(walk, measurements),
+        "path": _path(walk),
+        "search": _search(walk),
+    }
+
+
+def _measurement(walk: RelocationWalk) -> Float32Array:
+    out, scan, i = np.zeros(len(MEASUREMENT_FIELDS), np.float32), walk.tree.scan, walk.measurement
+    if i is None or walk.offer is None:
+        return out
+    xx, xy, yy = (float(scan.covariances[i].flat[entry]) for entry in (0, 1, 3))
+    sx, sy = math.sqrt(max(xx, 0.0)), math.sqrt(max(yy, 0.0))
+    out[:4] = 1.0, *_squash(scan.points[i], POSITION_SCALE), _squash(sx, SIGMA_SCALE)
+    out[4] = min(max(xy / (sx * sy), -1.0), 1.0) if sx * sy > 0.0 else 0.0
+    out[5:7] = _squash(sy, SIGMA_SCALE), _squash(np.nan_to_num(scan.sizes[i]), SIZE_SCALE)
+    out[7:] = _squash(len(walk.offer.features), COUNT_SCALE), _squash(walk.hidden, COUNT_SCALE)
+    return out
+
+
+def _candidates(walk: RelocationWalk) -> Float32Array:
+    k, m, i, offer = walk.spec.candidates, len(walk.tree.scan), walk.measurement, walk.offer
+    out = np.zeros((k, len(CANDIDATE_FIELDS)), np.float32)
+    if i is None or offer is None:
+        return out.ravel()
+    scan, landmarks, shown = walk.tree.scan, walk.tree.landmarks, offer.features[:k]
+    rows, support = out[: len(shown)], offer.support[:k]
+    rows[:, 0] = 1.0
+    rows[:, 1] = support / max(m - walk.level - 1, 1)
+    rows[:, 2] = (len(walk.node.features) + 1 + support) / m
+    rows[:, 3], rows[:, 4] = _squash(offer.mean[:k], DISTANCE_SCALE), _squash(offer.worst[:k], DISTANCE_SCALE)
+    variances = np.maximum(scan.size_variances[i] + landmarks.size_variances[shown], 1e-12)
+    difference = (scan.sizes[i] - landmarks.sizes[shown]) / np.sqrt(variances)
+    rows[:, 5] = np.nan_to_num(_squash(difference, 1.0))
+    rows[:, 6] = offer.local[:k]
+    return out.ravel()
+
+
+def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
+    out = np.zeros((measurements, len(SCAN_FIELDS)), np.float32)
+    scan, shown = walk.tree.scan, walk.order[:measurements]
+    rows = out[: len(shown)]
+    rows[:, 0] = 1.0
+    rows[:, 1:3] = _squash(scan.points[shown], POSITION_SCALE)
+    rows[:, 3] = _squash(np.nan_to_num(scan.sizes[shown]), SIZE_SCALE)
+    rows[:, 4] = walk.node.decided[shown]
+    rows[:, 5] = np.isin(shown, walk.node.measurements)
+    rows[:, 6] = _squash(walk.node.alive[shown].sum(axis=1), COUNT_SCALE)
+    return out.ravel()
+
+
+def _path(walk: RelocationWalk) -> Float32Array:
+    m = max(len(walk.tree.scan), 1)
+    leaf, compatible = walk.leaf is not None, walk.leaf is not None and walk.leaf.compatible
+    pairings, without = len(walk.node.features), walk.node.bound_without(walk.measurement)
+    return np.array(
+        [walk.level / m, pairings / m, walk.node.bound / m, without / m, leaf, compatible],
+        np.float32,
+    )
+
+
+def _search(walk: RelocationWalk) -> Float32Array:
+    m, best = max(len(walk.tree.scan), 1), walk.best
+    return np.array(
+        [
+            best.pairings / m,
+            _squash(best.joint_distance / max(best.dof, 1), DISTANCE_SCALE),
+            best.accepted,
+            min(walk.needed / m, 1.0),
+            1.0 - walk.nodes / walk.spec.node_limit,
+            _squash(walk.tries - 1, COUNT_SCALE),
+        ],
+        np.float32,
+    )
+
+
+def _squash(value: Any, scale: float) -> Any:
+    """v / (|v| + scale): monotone, 0 at 0, into (−1, 1)."""
+    return value / (np.abs(value) + scale)
+
+
+def unsquash(value: float, scale: float) -> float:
+    """The inverse of the scaling of what has no bound, into (−1, 1): v / (|v| + scale)."""
+    return scale * value / max(1.0 - abs(value), 1e-6)

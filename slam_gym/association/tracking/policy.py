@@ -1,0 +1,56 @@
+"""A policy of the interpretation tree as an associator like any other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from slam_gym.association.tracking.observation import Observation
+from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
+from slam_gym.types import Associator, BoolArray, Hypothesis, Prediction, Scan
+
+Policy = Callable[[Observation, BoolArray], int]
+"""Observation of a walk and mask (K + 1,) -> a legal action: a < K pairs with the a-th candidate on offer, K is `*`."""
+
+
+def from_policy(
+    policy: Policy,
+    *,
+    candidates: int = 5,
+    order: Order = "as_scanned",
+    confidence: float = 0.99,
+    compatibility: Compatibility = "joint",
+) -> Associator:
+    """The associator that walks the tree by `policy`, with the arguments of `Walk`. It pickles if the policy does.
+
+    Raises ValueError for arguments that no `Walk` can have; the associator raises it for an action that is not legal.
+    """
+    check_arguments(candidates, order, compatibility)
+    return _PolicyAssociator(policy, candidates, order, confidence, compatibility)
+
+
+def greedy(observation: Observation, mask: BoolArray) -> int:
+    """The policy that always takes the nearest legal candidate: sequential compatibility nearest neighbour."""
+    return 0 if mask[0] else len(mask) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class _PolicyAssociator:
+    policy: Policy
+    candidates: int
+    order: Order
+    confidence: float
+    compatibility: Compatibility
+
+    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
+        walk = Walk(
+            scan,
+            prediction,
+            candidates=self.candidates,
+            order=self.order,
+            confidence=self.confidence,
+            compatibility=self.compatibility,
+        )
+        while not walk.done:
+            walk.take(int(self.policy(walk.observation(), walk.mask.copy())))
+        return walk.hypothesis()

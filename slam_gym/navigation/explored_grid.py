@@ -1,0 +1,105 @@
+"""What has been explored: a grid of free, wall and unknown cells, built from beams and the *estimated* poses."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slam_gym.navigation import grid
+from slam_gym.navigation.frontiers import Frontiers, find_frontiers
+from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells
+from slam_gym.types import Array, Beams
+
+if TYPE_CHECKING:
+    from slam_gym.navigation.planner import Field
+
+__all__ = ["FREE", "UNKNOWN", "WALL", "Cells", "CoverageGrid", "Frontiers"]
+
+_MAX_CELLS = 20_000_000
+
+
+class CoverageGrid:
+    """Explored space within fixed bounds.
+
+    Every cell holds saturating evidence, the integer form of log-odds: an echo counts +3, a beam crossing it −1, once a
+    sweep. Its sign is the cell's class (a tie leaves the class as it was), and its saturation at ±8 lets new evidence
+    overrule old after the pose estimate has been corrected, or a person has walked on.
+
+    `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `resolution` [m] side of a cell. Cells are addressed [row, column];
+    row 0 lies at ymin, column 0 at xmin. Raises ValueError for bounds that are not finite or enclose nothing, and for
+    more than 20 million cells.
+    """
+
+    def __init__(self, bounds: Array, resolution: float = 0.2) -> None:
+        bounds = np.array(bounds, dtype=np.float64)
+        if bounds.shape != (4,) or not np.isfinite(bounds).all() or (bounds[2:] <= bounds[:2]).any():
+            raise ValueError(f"bounds: expected finite xmin < xmax and ymin < ymax [m], got {bounds.tolist()}")
+        if not 0.0 < resolution < math.inf:
+            raise ValueError(f"resolution: expected a finite length > 0 [m], got {resolution}")
+        width, height = np.ceil((bounds[2:] - bounds[:2]) / resolution - 1e-9)
+        if width * height > _MAX_CELLS:
+            raise ValueError(f"bounds: {width:.0f} × {height:.0f} cells are more than {_MAX_CELLS}")
+        shape = (int(height), int(width))
+        self.resolution = float(resolution)
+        self.origin: Array = bounds[:2].copy()  # (2,) [m] in B
+        self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
+        self._evidence = np.zeros(shape, dtype=np.int8)
+        self._sweeps = np.zeros(shape, dtype=np.int32)
+        self._blocks = np.zeros([-(-side // grid.BLOCK) for side in shape], dtype=np.int16)
+        self._sweep = 0
+        self._free_cells = 0
+
+    @property
+    def cells(self) -> Cells:
+        """Class of every cell (h, w): UNKNOWN, FREE or WALL. A read-only view of the live grid."""
+        view = self._cells.view()
+        view.flags.writeable = False
+        return view
+
+    @property
+    def explored_area(self) -> float:
+        """Area known to be free [m²]."""
+        return self._free_cells * self.resolution**2
+
+    def integrate(self, pose: Array, beams: Beams) -> None:
+        """Enter one sweep of the range finder, taken at the estimated `pose` (3,) in B.
+
+        Beams at `max_range` had no echo. Readings that are negative or not a number are ignored, as is whatever falls
+        outside the bounds. Raises ValueError for a pose that is not finite.
+        """
+        self._sweep += 1
+        self._free_cells += grid.integrate(
+            self._cells, self._evidence, self._blocks, self._sweeps, self._sweep,
+            self.origin, self.resolution, pose, beams.bearings, beams.ranges, beams.max_range,
+        )  # fmt: skip
+
+    def frontiers(self, field: Field | None = None, min_length: float = 0.6, span: float = 3.0) -> Frontiers:
+        """Frontiers at least `min_length` [m] long: connected free cells with an unknown cell beside them.
+
+        A frontier reaching further than `span` [m] from its first cell is split there, since one centre could not
+        stand for all of it. A centre is the cell nearest to the frontier's centroid that `field` reaches; frontiers
+        that it cannot reach are left out. Without a field every free cell counts as reachable.
+        """
+        reachable = self._cells == FREE if field is None else np.isfinite(field.lengths)
+        borders = min_length / self.resolution - 1e-9
+        found = find_frontiers(self._cells, reachable, borders, span / self.resolution).astype(np.float64)
+        return Frontiers(self.origin + (found[:, :2] + 0.5) * self.resolution, found[:, 2] * self.resolution)
+
+    def expected_area(self, points: Array, reach: float, rays: int = 32) -> Array:
+        """Unknown area [m²] (q,) within `reach` [m] of each of `points` (q, 2) in B, in view past the known walls.
+
+        Integrates ∫∫ r dr dθ over the unknown stretches of `rays` evenly spaced rays.
+        """
+        points = (np.ascontiguousarray(points, dtype=np.float64) - self.origin) / self.resolution
+        return grid.unknown_areas(self._cells, points, reach / self.resolution, rays) * self.resolution**2
+
+    def egocentric(self, pose: Array, features: Array, pixels: int = 48, metres: float = 24.0) -> Cells:
+        """The grid around the robot at `pose` (3,) in B, heading up, its left on the left: (3, pixels, pixels).
+
+        Planes: free space (255 = all of the pixel), walls (255 = a quarter of the pixel or more, walls being thin) and
+        density of `features` (n, 2) in B (85 each, at most 255). The image covers `metres` × `metres` [m].
+        """
+        features = np.ascontiguousarray(features)
+        return grid.egocentric(self._blocks, self.origin, self.resolution, pose, features, pixels, metres)

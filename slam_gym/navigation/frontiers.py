@@ -1,0 +1,145 @@
+"""Frontiers (Yamauchi 1997): where known free space meets the unknown, the places from which more can be seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym._compile import compiled
+from slam_gym.navigation.grid import FREE, UNKNOWN, Cells
+from slam_gym.types import Array, BoolArray, IntArray
+
+Labels = NDArray[
+    np.int32
+]  # (h, w) ON_FRONTIER, or the component that a frontier cell is in or that last looked at a cell
+ON_FRONTIER = -1
+_RINGS = 2  # how many cells off a frontier the cell that stands for it may lie
+
+
+@dataclass(frozen=True, slots=True)
+class Frontiers:
+    """The frontiers of a grid."""
+
+    centres: Array  # (q, 2) [m] in B, centre of a reachable free cell of (or by) each frontier
+    sizes: Array  # (q,) [m] length of the border with the unknown
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+
+@compiled
+def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: float) -> IntArray:
+    """Column and row of the cell that stands for each frontier, and the number of unknown cells beside it (q, 3).
+
+    A frontier is a set of 8-connected free cells with an unknown 4-neighbour, none further than `span` from the first.
+    """
+    h, w = cells.shape
+    labels, queue = _mark(cells), np.empty((h * w, 2), dtype=np.int32)
+    found, count, component = np.empty((h * w, 3), dtype=np.int64), 0, 0
+    for r in range(h):
+        for c in range(w):
+            if labels[r, c] == ON_FRONTIER:
+                component += 1
+                end = _grow(labels, queue, r, c, component, span)
+                border = _border(cells, labels, queue, end, component)
+                if border >= min_border:
+                    row, column = _stand_in(cells, labels, reachable, queue, end, component)
+                    if row >= 0:
+                        found[count, 0], found[count, 1], found[count, 2] = column, row, border
+                        count += 1
+    return found[:count]
+
+
+@compiled
+def _mark(cells: Cells) -> Labels:
+    h, w = cells.shape
+    labels = np.zeros((h, w), dtype=np.int32)
+    for r in range(h):
+        for c in range(w):
+            if cells[r, c] == FREE and (
+                (r > 0 and cells[r - 1, c] == UNKNOWN)
+                or (r + 1 < h and cells[r + 1, c] == UNKNOWN)
+                or (c > 0 and cells[r, c - 1] == UNKNOWN)
+                or (c + 1 < w and cells[r, c + 1] == UNKNOWN)
+            ):
+                labels[r, c] = ON_FRONTIER
+    return labels
+
+
+@compiled
+def _grow(labels: Labels, queue: Labels, row: int, column: int, component: int, span: float) -> int:
+    """Collect in `queue` the 8-connected frontier cells within `span` of the first; returns their number."""
+    h, w = labels.shape
+    queue[0, 0], queue[0, 1] = row, column
+    labels[row, column] = component
+    head, end = 0, 1
+    while head < end:
+        r0, c0 = queue[head, 0], queue[head, 1]
+        head += 1
+        for r in range(max(0, r0 - 1), min(h, r0 + 2)):
+            for c in range(max(0, c0 - 1), min(w, c0 + 2)):
+                if labels[r, c] == ON_FRONTIER and math.hypot(r - row, c - column) <= span:
+                    labels[r, c] = component
+                    queue[end, 0], queue[end, 1] = r, c
+                    end += 1
+    return end
+
+
+@compiled
+def _border(cells: Cells, labels: Labels, queue: Labels, end: int, component: int) -> int:
+    """Number of distinct unknown cells beside queue[:end]."""
+    h, w = cells.shape
+    count = 0
+    for i in range(end):
+        for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            r, c = queue[i, 0] + dr, queue[i, 1] + dc
+            if 0 <= r < h and 0 <= c < w and cells[r, c] == UNKNOWN and labels[r, c] != component:
+                labels[r, c] = component
+                count += 1
+    return count
+
+
+@compiled
+def _stand_in(
+    cells: Cells, labels: Labels, reachable: BoolArray, queue: Labels, end: int, component: int
+) -> tuple[int, int]:
+    """The reachable cell of queue[:end] nearest to their centroid, (−1, −1) if there is none.
+
+    Where all of them are too near a wall to be reached, free cells around them will do.
+    """
+    row, column = 0.0, 0.0
+    for i in range(end):
+        row, column = row + queue[i, 0] / end, column + queue[i, 1] / end
+    best, best_row, best_column = math.inf, -1, -1
+    bounds = np.zeros(_RINGS + 3, dtype=np.int64)  # ring k is queue[bounds[k]:bounds[k + 1]]
+    bounds[1] = end
+    for ring in range(1 + _RINGS):
+        for i in range(bounds[ring], bounds[ring + 1]):
+            r, c = queue[i, 0], queue[i, 1]
+            distance = math.hypot(r - row, c - column)
+            if reachable[r, c] and distance < best:
+                best, best_row, best_column = distance, r, c
+        if best_row >= 0:
+            break
+        bounds[ring + 2] = _next_ring(cells, labels, queue, bounds[ring], bounds[ring + 1], component)
+    return best_row, best_column
+
+
+@compiled
+def _next_ring(cells: Cells, labels: Labels, queue: Labels, first: int, end: int, component: int) -> int:
+    """Append the free cells beside queue[first:end] that lie on no frontier; returns the new end of the queue."""
+    h, w = cells.shape
+    seen, last = -1 - component, end
+    for i in range(first, last):
+        for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            r, c = queue[i, 0] + dr, queue[i, 1] + dc
+            if not (0 <= r < h and 0 <= c < w) or cells[r, c] != FREE:
+                continue
+            if labels[r, c] <= 0 and labels[r, c] != ON_FRONTIER and labels[r, c] != seen:
+                labels[r, c] = seen
+                queue[end, 0], queue[end, 1] = r, c
+                end += 1
+    return end

@@ -1,0 +1,252 @@
+"""Paths over the explored grid: a compiled wavefront that prefers the middle of passages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym._compile import compiled
+from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.grid import FREE, WALL, Cells, border_crossings
+from slam_gym.navigation.pursuit import PursuitSpec, follow
+from slam_gym.types import Array, BoolArray, IntArray
+
+__all__ = ["CROWDING", "MARGIN", "STEPS", "Field", "PursuitSpec", "distance_field", "follow"]
+
+MARGIN = 0.4  # [m] beyond the clearance, up to which paths pay for being near a wall
+CROWDING = 8.0  # what a metre right at a wall costs more than one in the open
+STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))  # rows, columns; straight ones first
+
+Levels = NDArray[np.int32]  # (h, w) 0 = impassable, else 1 + squared distance to the nearest wall [cells²]
+Steps = NDArray[np.int8]  # (h, w) index into STEPS of the step by which a path enters each cell
+_ROWS, _COLUMNS = zip(*STEPS)
+_LENGTHS = tuple(math.hypot(dr, dc) for dr, dc in STEPS)
+_BUCKETS = 1 << math.ceil(math.log2(math.sqrt(2.0) * (1.0 + CROWDING) + 2.0))  # hold the dearest step, and wrap around
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """The least-cost paths from one start to every cell (see `distance_field`). Cells as in `CoverageGrid`."""
+
+    start: Array  # (2,) [m] in B
+    lengths: Array  # (h, w) [m] length of the path from the start; inf where none leads
+    costs: Array  # (h, w) [cells] cost of that path; a cell's side costs 1 in the open
+    levels: Levels  # (h, w) index into `weights` of each cell
+    weights: Array  # what a length costs at each level, ≥ 1; inf at level 0: walls and the unknown
+    steps: Steps  # (h, w) index into STEPS of the path's last step; −1 at the start and where no path leads
+    origin: Array  # (2,) [m] in B
+    resolution: float  # [m]
+
+    def cell(self, point: Array) -> tuple[int, int] | None:
+        """Row and column of the cell that holds `point` (2,) in B; None off the grid."""
+        return _cell_of(point, self.origin, self.resolution, self.lengths.shape)
+
+    def length_to(self, point: Array) -> float:
+        """Length [m] of the path to the cell that holds `point` (2,) in B; inf if none leads there."""
+        cell = self.cell(point)
+        return math.inf if cell is None else float(self.lengths[cell])
+
+    def nearest(self, point: Array) -> Array:
+        """Centre (2,) in B of the reachable cell nearest to `point` (2,); the start where no cell is reachable."""
+        rows, columns = np.nonzero(np.isfinite(self.lengths))
+        if len(rows) == 0:
+            return self.start.copy()
+        centres = self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.resolution
+        centre: Array = centres[np.argmin(((centres - point) ** 2).sum(axis=1))]
+        return centre
+
+    def path(self, goal: Array) -> Array:
+        """Waypoints (p, 2) in B from the start to `goal` (2,), shortened; (0, 2) if no path leads to the goal's cell.
+
+        A straight line replaces a stretch of the cell-by-cell path where it costs no more, so that corners are cut in
+        the open but the middle of a passage is kept.
+        """
+        cell = self.cell(goal)
+        if cell is None or not np.isfinite(self.costs[cell]):
+            return np.empty((0, 2))
+        cells = _trace(self.steps, *cell)
+        cells = cells[_shortened(self.costs, self.levels, self.weights, cells)]
+        inner = self.origin + (cells[1:-1, ::-1] + 0.5) * self.resolution
+        return np.concatenate([self.start[None], inner, np.asarray(goal, dtype=np.float64)[None]])
+
+
+def distance_field(grid: CoverageGrid, start: Array, clearance: float) -> Field:
+    """Least-cost paths from `start` (2,) in B over the free cells of `grid`, 8-connected.
+
+    Walls and the unknown are closed, and so are cells nearer than `clearance` [m] to a wall cell, centre to centre. At
+    a distance d < clearance + MARGIN, a length costs 1 + CROWDING (1 − d / (clearance + MARGIN))² times what it costs
+    in the open. A start within the clearance can leave it, but no path enters it again; a start off the grid
+    reaches nothing. Raises ValueError for a clearance that is negative or not finite.
+    """
+    if not 0.0 <= clearance < math.inf:
+        raise ValueError(f"clearance: expected a finite length ≥ 0 [m], got {clearance}")
+    start = np.array(start, dtype=np.float64)
+    levels, weights = _levels(grid.cells, (clearance + MARGIN) / grid.resolution)
+    first_open = 1 + math.ceil((clearance / grid.resolution) ** 2 - 1e-9)
+    cell = _cell_of(start, grid.origin, grid.resolution, grid.cells.shape)
+    row, column = cell or (-1, -1)  # off the grid: a corner of the border, from which no step leads
+    shape, stride = levels.shape, levels.shape[1]
+    offsets = np.array([dr * stride + dc for dr, dc in STEPS])
+    seed = (row + 1) * stride + column + 1
+    lengths, costs, steps = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution)
+    return Field(
+        start,
+        lengths.reshape(shape)[1:-1, 1:-1],
+        costs.reshape(shape)[1:-1, 1:-1],
+        levels[1:-1, 1:-1],
+        weights,
+        steps.reshape(shape)[1:-1, 1:-1],
+        grid.origin,
+        grid.resolution,
+    )
+
+
+def _cell_of(point: Array, origin: Array, resolution: float, shape: tuple[int, ...]) -> tuple[int, int] | None:
+    column, row = (float(point[0]) - origin[0]) / resolution, (float(point[1]) - origin[1]) / resolution
+    return (int(row), int(column)) if 0.0 <= row < shape[0] and 0.0 <= column < shape[1] else None
+
+
+@compiled
+def _squares_to_walls(cells: Cells, radius: int) -> NDArray[np.int32]:
+    """Squared distance [cells²] (h, w) to the nearest wall cell, exact up to `radius`, larger beyond it.
+
+    First the distances along each row, then the least sum of squares over each column.
+    """
+    h, w = cells.shape
+    across = np.empty((h, w), dtype=np.int32)
+    for r in range(h):
+        gap = radius + 1
+        for c in range(w):
+            gap = 0 if cells[r, c] == WALL else min(radius, gap) + 1
+            across[r, c] = gap
+        for c in range(w - 1, -1, -1):
+            gap = min(across[r, c], gap + 1)
+            across[r, c] = gap * gap
+    squares = np.full((h, w), (radius + 1) ** 2, dtype=np.int32)
+    for r in range(h):
+        for other in range(max(0, r - radius), min(h, r + radius + 1)):
+            along = np.int32((other - r) ** 2)
+            for c in range(w):
+                squares[r, c] = min(squares[r, c], across[other, c] + along)
+    return squares
+
+
+@compiled
+def _levels(cells: Cells, reach: float) -> tuple[Levels, Array]:
+    """Levels of the cells, within a border of impassable ones (h + 2, w + 2), and weights of the levels.
+
+    Walls crowd a path up to `reach` [cells] away.
+    """
+    h, w = cells.shape
+    radius = math.ceil(reach)
+    squares = _squares_to_walls(cells, radius)
+    levels = np.zeros((h + 2, w + 2), dtype=np.int32)
+    for r in range(h):
+        for c in range(w):
+            if cells[r, c] == FREE:
+                levels[r + 1, c + 1] = 1 + squares[r, c]
+    weights = np.full((radius + 1) ** 2 + 2, math.inf)
+    for level in range(1, weights.shape[0]):
+        weights[level] = 1.0 + CROWDING * (1.0 - min(1.0, math.sqrt(level - 1) / reach)) ** 2
+    return levels, weights
+
+
+@compiled
+def _wavefront(
+    levels: Levels, weights: Array, first_open: int, offsets: IntArray, start: int, resolution: float
+) -> tuple[Array, Array, Steps]:
+    """Lengths [m], costs [cells] and last steps of the least-cost paths from a cell. Flat arrays with a border.
+
+    Dijkstra with buckets as wide as the cheapest step, 1: no step ends in the bucket that it started from, so the order
+    within a bucket does not matter (Denardo and Fox 1979). A cell may wait in several buckets; the first one counts. A
+    step costs its length times the mean weight of its ends; a diagonal one needs both cells that it passes between.
+    Levels below `first_open` are closed to paths from higher ones.
+    """
+    size = levels.shape[0]
+    lengths, costs = np.full(size, math.inf), np.full(size, math.inf)
+    steps, settled = np.full(size, -1, dtype=np.int8), np.zeros(size, dtype=np.bool_)
+    waiting = np.empty((8 * size + 1, 2), dtype=np.int32)  # cell and the entry below it in its bucket
+    tops = np.full(_BUCKETS, -1)
+    costs[start] = 0.0
+    tops[0], waiting[0, 0], waiting[0, 1], entries = 0, start, -1, 1
+    front, idle = 0, 0  # the bucket being emptied, and how many before it were empty
+    while idle < _BUCKETS:
+        entry = tops[front & (_BUCKETS - 1)]
+        if entry < 0:
+            front, idle = front + 1, idle + 1
+            continue
+        node, idle = waiting[entry, 0], 0
+        tops[front & (_BUCKETS - 1)] = waiting[entry, 1]
+        if settled[node]:
+            continue
+        settled[node] = True
+        last = steps[node]
+        lengths[node] = 0.0 if last < 0 else lengths[node - offsets[last]] + _LENGTHS[last] * resolution
+        weight = min(weights[levels[node]], 1.0 + CROWDING)  # of a start in a wall or in the unknown
+        lowest = 1 if last < 0 or levels[node] < first_open else first_open
+        for k in range(8):
+            other = node + offsets[k]
+            cost = costs[node] + 0.5 * _LENGTHS[k] * (weight + weights[levels[other]])
+            if cost >= costs[other] or levels[other] < lowest:
+                continue
+            if k >= 4 and (levels[node + offsets[k - 4]] == 0 or levels[node + offsets[(k - 3) % 4]] == 0):
+                continue
+            costs[other], steps[other] = cost, k
+            bucket = int(cost) & (_BUCKETS - 1)
+            waiting[entries, 0], waiting[entries, 1], tops[bucket] = other, tops[bucket], entries
+            entries += 1
+    return lengths, costs, steps
+
+
+@compiled
+def _trace(steps: Steps, row: int, column: int) -> IntArray:
+    """Cells (p, 2) [row, column] from the start of the wavefront to the cell given."""
+    count, r, c = 1, row, column
+    while steps[r, c] >= 0:
+        k = steps[r, c]
+        count, r, c = count + 1, r - _ROWS[k], c - _COLUMNS[k]
+    cells = np.empty((count, 2), dtype=np.int64)
+    r, c = row, column
+    for i in range(count - 1, -1, -1):
+        cells[i, 0], cells[i, 1] = r, c
+        k = max(0, steps[r, c])
+        r, c = r - _ROWS[k], c - _COLUMNS[k]
+    return cells
+
+
+@compiled
+def _line_cost(costs: Array, levels: Levels, weights: Array, r0: int, c0: int, r1: int, c1: int) -> float:
+    """Cost [cells] of the straight line between the centres of two cells; inf if it leaves the cells reached."""
+    dx, dy = float(c1 - c0), float(r1 - r0)
+    length = math.hypot(dx, dy)
+    step_x, next_x, stride_x = border_crossings(c0 + 0.5, dx / length)
+    step_y, next_y, stride_y = border_crossings(r0 + 0.5, dy / length)
+    row, column, entered, cost = r0, c0, 0.0, 0.0
+    while entered < length - 1e-9:
+        if costs[row, column] == math.inf:
+            return math.inf
+        left = min(next_x, next_y, length)
+        cost += (left - entered) * weights[levels[row, column]]
+        entered = left
+        if next_x < next_y:
+            column, next_x = column + step_x, next_x + stride_x
+        else:
+            row, next_y = row + step_y, next_y + stride_y
+    return cost
+
+
+@compiled
+def _shortened(costs: Array, levels: Levels, weights: Array, cells: IntArray) -> BoolArray:
+    """Which cells (p,) of a path (p, 2) remain when straight lines replace whatever they do not make dearer."""
+    kept = np.zeros(cells.shape[0], dtype=np.bool_)
+    kept[0] = kept[-1] = True
+    anchor = 0
+    for i in range(2, cells.shape[0]):
+        r0, c0, r1, c1 = cells[anchor, 0], cells[anchor, 1], cells[i, 0], cells[i, 1]
+        if _line_cost(costs, levels, weights, r0, c0, r1, c1) > costs[r1, c1] - costs[r0, c0] + 1e-9:
+            anchor = i - 1
+            kept[anchor] = True
+    return kept

@@ -1,0 +1,192 @@
+"""Which features the sensor should have in view: range, field of view, and line of sight over the explored grid.
+
+Each is a probability, for neither feature nor robot is known exactly. With r, β the range and bearing of the predicted
+position in R, σ_r along the line of sight and σ_t across it, and Φ the normal distribution function,
+
+    P(in range) = Φ((range − r) / σ_r) − Φ((min_range − r) / σ_r),
+    P(in the field) = Φ((α − β) / σ_β) − Φ((−α − β) / σ_β),  α half the field of view, σ_β = σ_t / r,
+    P(in sight) = mean over rays of Π over the unknown cells crossed of τ^(length in it), and 0 through a wall.
+
+The rays of one feature end at the quantiles .1, .3, .5, .7, .9 of where it may lie across the line of sight, so that a
+feature at the end of a wall, seen along it, is neither surely hidden nor surely in sight.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.grid import UNKNOWN, WALL, Cells, border_crossings
+from slam_gym.types import Array
+
+_QUANTILES = (-1.2815515655446004, -0.5244005127080407, 0.0, 0.5244005127080407, 1.2815515655446004)
+_SHORT = 2.0  # [cells] lines of sight end so much before the feature: it may stand on a wall
+_BLUR = 1.0  # [cells] σ of where the wall lies that a cell shows
+_NO_CELLS = np.empty((0, 0), np.uint8)
+_NOWHERE = np.zeros(3)
+
+
+class _Sensor(NamedTuple):
+    half: float  # [rad] of the field of view
+    near: float  # [m]
+    far: float  # [m]
+
+
+def in_view(
+    positions: Array,
+    covariances: Array,
+    field_of_view: float,
+    range: float,
+    *,
+    min_range: float = 0.0,
+    grid: CoverageGrid | None = None,
+    pose: Array | None = None,
+    unknown: float = 0.9,
+) -> Array:
+    """Probability (k,) that each predicted feature is in the sensor's view.
+
+    Arguments:
+        positions: (k, 2) [m] of the features in R (`Prediction.positions`).
+        covariances: (k, 2, 2) [m²] of those positions.
+        field_of_view: [rad] centred on the heading.
+        range, min_range: [m] of the sensor.
+        grid: explored space; without one nothing hides a feature.
+        pose: (3,) [m, m, rad] of the robot in B, the frame of the grid.
+        unknown: probability that a metre of unexplored space lets a line of sight through.
+
+    Raises ValueError where a length, angle or probability is out of its range, a position or the pose is not finite,
+    a variance is negative or not finite, or a grid comes without a pose.
+    """
+    if not 0.0 < field_of_view <= 2.0 * math.pi:
+        raise ValueError(f"field_of_view: {field_of_view} is not in (0, 2π] rad")
+    if not 0.0 <= min_range < range < math.inf:
+        raise ValueError(f"range: expected 0 <= min_range < range < ∞ [m], got {min_range} and {range}")
+    if not 0.0 <= unknown <= 1.0:
+        raise ValueError(f"unknown: {unknown} is not a probability")
+    cells, origin, resolution, at = _NO_CELLS, _NOWHERE, 1.0, _NOWHERE
+    if grid is not None:
+        if pose is None:
+            raise ValueError("pose: needed to look into the grid")
+        if not np.isfinite(pose).all():
+            raise ValueError(f"pose: expected finite numbers, got {np.asarray(pose).tolist()}")
+        cells, origin, resolution, at = grid._cells, grid.origin, grid.resolution, np.ascontiguousarray(pose)
+    sensor = (0.5 * field_of_view, float(min_range), float(range))
+    out, fault = _in_view(positions, covariances, sensor, cells, origin, resolution, at, float(unknown))
+    if fault >= 0:
+        raise ValueError(
+            f"feature {fault}: position {positions[fault].tolist()} or covariance {covariances[fault].tolist()} is not "
+            "finite, or a variance is negative"
+        )
+    return out
+
+
+@compiled
+def _in_view(
+    positions: Array,
+    covariances: Array,
+    sensor: tuple[float, float, float],
+    cells: Cells,
+    origin: Array,
+    resolution: float,
+    pose: Array,
+    unknown: float,
+) -> tuple[Array, int]:
+    """Probabilities (k,), and the first feature with a bad number or −1."""
+    out = np.empty(len(positions))
+    for j in range(len(positions)):
+        x, y = positions[j, 0], positions[j, 1]
+        xx, xy, yy = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 1]
+        if not (math.isfinite(x + y + xx + xy + yy) and xx >= 0.0 and yy >= 0.0):
+            return out, j
+        r = math.sqrt(x * x + y * y)
+        c, s = (x / r, y / r) if r > 0.0 else (1.0, 0.0)
+        along = math.sqrt(max(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0))
+        across = math.sqrt(max(s * s * xx - 2.0 * c * s * xy + c * c * yy, 0.0))
+        out[j] = _in_field(r, math.atan2(y, x), along, across, _Sensor(sensor[0], sensor[1], sensor[2]))
+        if cells.size > 0 and out[j] > 0.0:
+            shorten = min(1.0, sensor[2] / r) if r > 0.0 else 1.0  # what is seen at all is seen within the range
+            out[j] *= _in_sight(cells, origin, resolution, pose, shorten * x, shorten * y, across, unknown)
+    return out, -1
+
+
+@compiled
+def _below(z: float, sigma: float) -> float:
+    """P(a normal deviate of σ is below z)."""
+    if sigma > 0.0:
+        return 0.5 * math.erfc(-z / (sigma * math.sqrt(2.0)))
+    return 1.0 if z >= 0.0 else 0.0
+
+
+@compiled
+def _in_field(r: float, bearing: float, along: float, across: float, sensor: _Sensor) -> float:
+    """P(in range) · P(in the field of view)."""
+    in_range = _below(sensor.far - r, along)
+    if sensor.near > 0.0:
+        in_range -= _below(sensor.near - r, along)
+    if sensor.half >= math.pi:
+        return in_range
+    # a bearing that is wide open is as good as uniform, and three turns of the circle hold all of it
+    sigma = min(across / r, math.pi) if r > 0.0 else math.pi
+    in_field = 0.0
+    for turn in range(-1, 2):
+        to = bearing + 2.0 * math.pi * turn
+        in_field += _below(sensor.half - to, sigma) - _below(-sensor.half - to, sigma)
+    return in_range * min(in_field, 1.0)
+
+
+@compiled
+def _in_sight(
+    cells: Cells,
+    origin: Array,
+    resolution: float,
+    pose: Array,
+    x: float,
+    y: float,
+    across: float,
+    unknown: float,
+) -> float:
+    """Mean passage of the rays from the robot at `pose` to where the feature at (x, y) [m] in R may lie."""
+    r = math.sqrt(x * x + y * y)
+    if not r > 0.0:
+        return 1.0
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    from_x, from_y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
+    spread = math.sqrt(across * across + (_BLUR * resolution) ** 2) / r
+    tau, total = unknown**resolution, 0.0
+    for quantile in _QUANTILES:
+        u, v = x - quantile * spread * y, y + quantile * spread * x
+        total += _passage(cells, from_x, from_y, (c * u - s * v) / resolution, (s * u + c * v) / resolution, tau)
+    return total / len(_QUANTILES)
+
+
+@compiled
+def _passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) -> float:
+    """How likely the ray from (x, y) by (dx, dy) [cells] gets through: τ per cell's length of unknown, 0 for a wall.
+
+    The robot's own cell never stops it, and outside the grid all is unknown.
+    """
+    length = math.sqrt(dx * dx + dy * dy)
+    reach = length - _SHORT
+    if not reach > 0.0:
+        return 1.0
+    h, w = cells.shape
+    step_x, next_x, stride_x = border_crossings(x, dx / length)
+    step_y, next_y, stride_y = border_crossings(y, dy / length)
+    column, row, entered, through, first = math.floor(x), math.floor(y), 0.0, 0.0, True
+    while entered < reach:
+        left = min(next_x, next_y, reach)
+        inside = 0 <= row < h and 0 <= column < w
+        if inside and not first and cells[row, column] == WALL:
+            return 0.0
+        if not inside or cells[row, column] == UNKNOWN:
+            through += left - entered
+        entered, first = left, False
+        if next_x < next_y:
+            column, next_x = column + step_x, next_x + stride_x
+        else:
+            row, next_y = row + step_y, next_y + stride_y
+    return float(tau**through)

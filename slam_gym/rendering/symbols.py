@@ -1,0 +1,147 @@
+"""How each thing looks: the palette and the symbols that the map and its legend share."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym.geometry import transform
+from slam_gym.metrics.association import Decision
+from slam_gym.rendering.canvas import Canvas, Colour
+from slam_gym.types import Array, BoolArray, IntArray
+
+PAPER: Colour = (255, 255, 255)
+INK: Colour = (38, 43, 51)
+MUTED: Colour = (112, 121, 133)
+LINE: Colour = (205, 210, 217)
+UNKNOWN_CELL: Colour = (229, 232, 237)
+FREE_CELL: Colour = (255, 255, 255)
+WALL_CELL: Colour = (208, 214, 223)
+WALL: Colour = (62, 68, 79)
+FURNITURE: tuple[Colour, Colour] = ((243, 236, 224), (193, 177, 150))  # fill, line
+PERSON: tuple[Colour, Colour] = ((251, 222, 199), (216, 142, 91))
+TRUE_FEATURE: Colour = (132, 141, 154)
+MAPPED: Colour = (31, 95, 173)
+UNCERTAIN: Colour = (216, 230, 247)
+PROVISIONAL: Colour = (138, 176, 221)
+COVISIBLE: Colour = (206, 219, 238)
+TRAIL: Colour = (172, 178, 187)
+ESTIMATED_TRAIL: Colour = (92, 143, 206)
+PLAN: Colour = (0, 124, 128)
+BAND: Colour = (237, 243, 250)  # behind the level at hand
+CHOICE: Colour = (255, 196, 61)  # the measurement to decide now
+DECISIONS: dict[int, Colour] = {
+    Decision.RIGHT: (0, 150, 105),
+    Decision.WRONG: (208, 32, 58),
+    Decision.NEW: (236, 156, 0),
+    Decision.SPURIOUS: (138, 63, 178),
+    Decision.DISCARDED: (150, 157, 168),
+    Decision.UNJUDGED: (150, 157, 168),
+}
+
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_DIAMOND = 1.3 * np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+_TURN = np.linspace(0.0, 2.0 * math.pi, 25)[:-1]
+_CIRCLE = 1.15 * np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
+_OUTLINES = (_SQUARE, _DIAMOND, _CIRCLE)  # of corners, door jambs, pillars
+
+
+def true_features(canvas: Canvas, positions: Array, kinds: IntArray, radius: float) -> None:
+    """Hollow marks of `radius` [pixels] at positions (N, 2), a shape for each kind (N,)."""
+    for kind, outline in enumerate(_OUTLINES):
+        canvas.markers(positions[kinds == kind], radius * outline, PAPER, TRUE_FEATURE)
+
+
+def uncertainties(canvas: Canvas, positions: Array, covariances: Array, provisional: BoolArray) -> None:
+    """95 % ellipses (n, 2), (n, 2, 2): filled for mapped features, an outline for provisional ones."""
+    sure = ~provisional
+    canvas.ellipses(positions[sure], covariances[sure], UNCERTAIN, PROVISIONAL)
+    canvas.ellipses(positions[provisional], covariances[provisional], None, PROVISIONAL)
+
+
+def landmarks(canvas: Canvas, positions: Array, provisional: BoolArray, radius: float) -> None:
+    """Mapped features (n, 2): full dots of `radius` [pixels], hollow ones where provisional (n,)."""
+    canvas.discs(positions[~provisional], radius, MAPPED)
+    canvas.discs(positions[provisional], radius, PAPER, MAPPED, 0.8)
+
+
+def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes: IntArray) -> None:
+    """Measurements (m, 2) as rays from `robot` (2,), and lines to the landmarks (m, 2) that they were paired with."""
+    for code, colour in DECISIONS.items():
+        mine = codes == code
+        if not mine.any():
+            continue
+        rays = np.concatenate([np.broadcast_to(robot, (mine.sum(), 2)), points[mine]], axis=1)
+        canvas.segments(rays, _mixed(colour, 0.6), 0.9)
+    for code, colour in DECISIONS.items():
+        pairs = (codes == code) & np.isfinite(paired).all(axis=1)
+        canvas.segments(np.concatenate([points[pairs], paired[pairs]], axis=1), colour, 2.4)
+        canvas.discs(points[codes == code], 3.2, colour, PAPER, 0.8)
+
+
+def undecided(canvas: Canvas, points: Array) -> None:
+    """Measurements (m, 2) that nothing has been decided about."""
+    canvas.discs(points, 3.4, PAPER, INK, 1.2)
+
+
+def choice(canvas: Canvas, point: Array) -> None:
+    """The measurement (2,) to decide now."""
+    canvas.discs(point[None], 5.0, CHOICE, INK, 1.4)
+
+
+def robot_body(canvas: Canvas, pose: Array, radius: float) -> None:
+    """The true robot, pose (3,), radius [m]: a disc with a wedge that points ahead. Nothing where nobody knows it."""
+    if not np.isfinite(pose).all():
+        return
+    pixels = max(radius * canvas.scale, 6.0)
+    canvas.discs(pose[None, :2], pixels, INK, PAPER, 1.0)
+    wedge = np.array([[0.72, 0.0], [-0.42, 0.5], [-0.42, -0.5]]) * (pixels / canvas.scale)
+    canvas.polygons(transform(pose, wedge)[None], PAPER)
+
+
+def robot_estimate(canvas: Canvas, pose: Array, radius: float) -> None:
+    """The estimated robot, pose (3,), radius [m]: a ring with its heading."""
+    pixels = max(radius * canvas.scale, 6.0)
+    canvas.discs(pose[None, :2], pixels + 1.5, None, MAPPED, 1.6)
+    nose = np.array([[pixels + 2.0, 0.0], [pixels + 8.0, 0.0]]) / canvas.scale
+    canvas.polyline(transform(pose, nose), MAPPED, 1.8)
+
+
+def plan(canvas: Canvas, robot: Array, path: Array, goals: Array) -> None:
+    """Goals on offer (g, 2), and the path (p, 2) to the one chosen, from where the robot (2,) is by now."""
+    canvas.discs(goals, 3.6, PAPER, PLAN, 1.2)
+    if len(path):
+        canvas.dashes(_ahead(robot, path), PLAN, 2.2)
+        canvas.discs(path[-1:], 4.6, PLAN, PAPER, 1.2)
+        canvas.discs(path[-1:], 1.6, PAPER)
+
+
+def furniture(canvas: Canvas, boxes: Array) -> None:
+    """Boxes (f, 5): x, y, length, width [m], heading [rad]."""
+    for x, y, length, width, heading in boxes.tolist():
+        corners = transform(np.array([x, y, heading]), 0.5 * _SQUARE * np.array([length, width]))
+        canvas.polygons(corners[None], *FURNITURE)
+
+
+def people(canvas: Canvas, discs: Array) -> None:
+    """People (p, 3): x, y, radius [m]."""
+    for x, y, radius in discs.tolist():
+        canvas.discs(np.array([[x, y]]), radius * canvas.scale, *PERSON)
+
+
+def _ahead(robot: Array, path: Array) -> Array:
+    """The part of a path (p, 2) beyond its point closest to the robot (2,)."""
+    start, along = path[:-1], np.diff(path, axis=0)
+    share = ((robot - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
+    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    if not len(nearest):
+        return path
+    k = int(np.argmin(((nearest - robot) ** 2).sum(axis=1)))
+    return np.concatenate([nearest[k : k + 1], path[k + 1 :]])
+
+
+def _mixed(colour: Colour, share: float) -> Colour:
+    """`share` of a colour on white paper."""
+    red, green, blue = (round(share * part + (1.0 - share) * 255) for part in colour)
+    return red, green, blue

@@ -1,0 +1,113 @@
+"""Carrying out a goal: plan a path over the explored grid, follow it tick by tick, and know when to hand back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from slam_gym.navigation.planner import PursuitSpec, distance_field, follow
+from slam_gym.simulation.episode import Episode
+from slam_gym.simulation.goals import CLEARANCE, FRONTIERS, LOOK, WORTH_SEEING
+from slam_gym.types import Array
+
+ARRIVED = 0.4  # [m] from the goal
+REPLAN = 10  # [ticks] at most between looks at whether the path still holds
+KEEP = 1.1  # a path is kept until a fresh one is shorter by more than this factor
+STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] no nearer than this in so many ticks: lost
+
+AfterTick = Callable[[], None]
+Command = tuple[float, float]  # fractions in [−1, 1] of the greatest forward and turning speed
+
+
+def carry_out(episode: Episode, slot: int, goal: Array, after_tick: AfterTick) -> None:
+    """Carry a goal out, tick by tick (see `commands`). `after_tick` is called after every tick."""
+    for forward, turn in commands(episode, slot, goal):
+        episode.tick(forward, turn)
+        after_tick()
+
+
+def commands(episode: Episode, slot: int, goal: Array) -> Iterator[Command]:
+    """Look around (slot `LOOK`), or drive to `goal` (2,) in B until it is reached, lost or out of date.
+
+    Yields forward and turning speed for one tick after the other; each is to be carried out before the next is asked
+    for. A frontier is out of date once there is little left to see from it; a revisit is driven to its end. Ends at
+    once when the budget is spent.
+    """
+    return _look_around(episode) if slot == LOOK else _drive(episode, goal, slot <= FRONTIERS)
+
+
+def _look_around(episode: Episode) -> Iterator[Command]:
+    """One full turn on the spot, as the odometry tells it; given up after twice the time that it takes."""
+    robot, tick = episode.scenario.robot, episode.scenario.dynamics.tick
+    turned = 0.0
+    for _ in range(math.ceil(4.0 * math.pi / (robot.max_turn * tick))):
+        if episode.over or turned >= 2.0 * math.pi:
+            return
+        yield 0.0, 1.0
+        turned += abs(float(episode.odometry.motion[2]))
+
+
+def _drive(episode: Episode, goal: Array, frontier: bool) -> Iterator[Command]:
+    robot = episode.scenario.robot
+    pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
+    path = np.empty((0, 2))
+    nearest, since = math.inf, 0
+    ticks = 0
+    while not episode.over:
+        pose = episode.slam.map.pose
+        if ticks % REPLAN == 0:
+            path = _plan(episode, pose, goal, path)
+            if len(path) == 0 or (frontier and ticks and _out_of_date(episode, goal)):
+                break
+        left = _length_left(path, pose[:2])
+        nearest, since = (left, 0) if left < nearest - STUCK_DISTANCE else (nearest, since + 1)
+        if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
+            break
+        episode.path = path
+        yield follow(pose, path, pursuit)
+        ticks += 1
+    episode.path = np.empty((0, 2))
+    if ticks == 0 and not episode.over:
+        yield 0.0, 0.0  # a step always costs time, or a lost goal could be asked for for ever
+
+
+def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
+    """A path (p, 2) to the goal, or (0, 2). The one that is followed stays, as long as it is open and not much longer.
+
+    Otherwise two ways round an obstacle that cost the same would take turns, and the robot would go neither.
+    """
+    field = distance_field(episode.grid, pose[:2], episode.scenario.robot.radius + CLEARANCE)
+    fresh = field.path(goal)
+    if len(path) and len(fresh):
+        open_ = all(math.isfinite(field.length_to(point)) for point in _ahead(path, pose[:2]))
+        if open_ and _length_left(path, pose[:2]) < KEEP * _length_left(fresh, pose[:2]):
+            return path
+    return fresh
+
+
+def _ahead(path: Array, position: Array) -> Array:
+    """Points (q, 2) along the path from the waypoint nearest to `position`, 0.2 m apart."""
+    rest = path[int(np.argmin(((path - position) ** 2).sum(axis=1))) :]
+    if len(rest) < 2:
+        return rest
+    lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rest, axis=0).T))])
+    along = np.arange(0.0, lengths[-1], 0.2)
+    return np.column_stack([np.interp(along, lengths, rest[:, axis]) for axis in range(2)])
+
+
+def _out_of_date(episode: Episode, goal: Array) -> bool:
+    """What was to be seen from the frontier has been seen on the way."""
+    return float(episode.grid.expected_area(goal[None], episode.scenario.beams.range)[0]) < WORTH_SEEING
+
+
+def _length_left(path: Array, position: Array) -> float:
+    """[m] to the point of the path (p, 2), p ≥ 2, that is nearest to `position` (2,), and along it from there."""
+    steps = np.diff(path, axis=0)
+    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
+    along = np.minimum(np.maximum(along, 0.0), 1.0)
+    gaps = np.hypot(*(position - path[:-1] - along[:, None] * steps).T)
+    nearest = int(np.argmin(gaps))
+    return float(gaps[nearest] + lengths[nearest:].sum() - along[nearest] * lengths[nearest])

@@ -1,0 +1,225 @@
+"""One episode behind every environment: the true world, the robot's estimate of it, and the tick that moves both on.
+
+Truth and estimate meet here and nowhere else: the estimate side receives `Odometry`, `Scan` and `Beams`, and works in
+B, the frame of the robot's first pose.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam_gym.association import ASSOCIATORS, resolve
+from slam_gym.geometry import compose, observe, relative, transform
+from slam_gym.metrics import map_quality
+from slam_gym.metrics.association import Identities
+from slam_gym.metrics.consistency import pose_nees
+from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.virtual_map import VirtualMap
+from slam_gym.navigation.visibility import in_view
+from slam_gym.scenarios import Scenario
+from slam_gym.simulation.kidnapping import Kidnapping
+from slam_gym.slam.slam import Relocate, Slam, SlamSpec
+from slam_gym.types import Array, Associator, Beams, BoolArray, Hypothesis, Prediction, Truth
+from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.world.physics import Motion, World
+from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.reachability import free_start, observable, reachable
+from slam_gym.world.sensor import Sensor
+
+_GRID_MARGIN = 2.0  # [m] of explored grid around the plan, for estimates that drift out of it
+_TRUE = ASSOCIATORS["true_association"]
+_LOOK_AT_MEASUREMENTS = [known for name, known in ASSOCIATORS.items() if name != "map_hypothesis"]
+_AT_REST = Motion(moved=np.zeros(3), wheels=np.zeros(3), contact=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A floor plan with what follows from it: the wall index, where the robot can get to, what it can see there."""
+
+    plan: FloorPlan
+    index: WallIndex
+    cells: Array  # (c, 2) [m] centres of the reachable cells, in W
+    observable: BoolArray  # (N,) features that can be seen from one of them
+
+
+def survey(plan: FloorPlan, scenario: Scenario) -> Site:
+    """Find out where the robot can get to and what it can map. Raises ValueError where that is nowhere or nothing."""
+    index = WallIndex(plan.walls)
+    cells = reachable(plan, scenario.robot.radius)
+    if len(cells) == 0:
+        raise ValueError(f"floor plan {plan.name!r}: no free space for a robot of radius {scenario.robot.radius} m")
+    if len(plan.features) == 0:
+        raise ValueError(f"floor plan {plan.name!r}: has no features, so there is nothing to map")
+    seen = observable(plan, index, cells, scenario.sensor.range)
+    if not seen.any():
+        where = "can be seen from where the robot can get to"
+        raise ValueError(f"floor plan {plan.name!r}: none of its {len(seen)} features {where}")
+    return Site(plan, index, cells, seen)
+
+
+class Episode:
+    """The state of one episode, moved on by `tick`.
+
+    `associator` is a name, `"module:function"` or a callable. `virtual` asks for the virtual map, which only the
+    uncertainty rewards need. Without `relocate`, a robot that was carried away never finds back.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        site: Site,
+        associator: str | Associator,
+        rng: np.random.Generator,
+        *,
+        locality: bool = True,
+        virtual: bool = False,
+        relocate: Relocate | None = None,
+    ) -> None:
+        self.scenario = scenario
+        self.site = site
+        self.rng = rng
+        self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
+        self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
+        self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
+        self.associate = _gated(resolve(associator), scenario.slam.map.confidence)
+        visible = self._visible if relocate or _wants_visibility(self.associate) else None
+        self.slam = Slam(_slam_spec(scenario, locality), self.associate, relocate, visible)
+        self.kidnapping = Kidnapping()
+        bounds = _bounds_in_base(site.plan.bounds, self.base)
+        self.grid = CoverageGrid(bounds, scenario.grid_resolution)
+        # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
+        self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
+        self.identities = Identities()
+        self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
+        in_base, grid = observe(self.base, site.cells), self.grid
+        self._places = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
+        self.poses: list[Array] = []  # true, in W, one per tick
+        self.estimates: list[Array] = []  # in B
+        self.nees: list[float] = []  # of the pose
+        self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
+        self.ticks = -1  # the first look, from where the robot stands, is no tick
+        self._error, self._error_at = 1.0, -1  # map error, and the tick that it is of
+        self._sense(_AT_REST)
+        self.learn(self._associator(self.truth)(self.scan, self.prediction))
+
+    def tick(self, forward: float, turn: float) -> None:
+        """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and update the map."""
+        self.look(forward, turn)
+        self.learn(self._associator(self.truth)(self.scan, self.prediction))
+
+    def look(self, forward: float, turn: float) -> None:
+        """First half of a tick, for those who associate from outside: drive, look, and predict what the scan shows."""
+        motion = self.world.tick(forward, turn)
+        self.kidnapping.happens(self)
+        self._sense(motion)
+
+    def _sense(self, motion: Motion) -> None:
+        world, rng = self.world, self.rng
+        self.odometry = self.sensor.odometry(motion, rng)
+        self.scan, self.truth = self.sensor.scan(world.pose, rng, world.people, world.furniture_segments)
+        self.beams = self.sensor.beams(world.pose, rng, world.people, world.furniture_segments)
+        self.prediction = self.slam.expect(self.odometry, self.scan)
+
+    def learn(self, hypothesis: Hypothesis) -> None:
+        """Second half: the map updated by a `hypothesis` on the scan, explored space, and the judgement of it all."""
+        self.last_step = self.slam.learn(self.scan, self.prediction, hypothesis)
+        self.tally = self.identities.update(self.last_step, self.truth)
+        if not self.slam.tracking.doubted:  # from a pose that cannot be right, walls would be drawn where none are
+            self._explore(self.beams)
+        self._log(self.truth.pose)
+        self.kidnapping.judge(self)
+
+    def _visible(self, pose: Array, prediction: Prediction) -> Array:
+        """Probability (k,) that the sensor has each predicted feature in view, as far as walls are known."""
+        sensor = self.scenario.sensor
+        return in_view(
+            prediction.positions,
+            prediction.covariances,
+            sensor.field_of_view,
+            sensor.range,
+            min_range=sensor.min_range,
+            grid=self.grid,
+            pose=pose,
+        )
+
+    def _associator(self, truth: Truth) -> Associator:
+        """The run's associator; the true one is handed the truth of this scan."""
+        if self.associate is not _TRUE:
+            return self.associate
+        known = self.identities.source_of(self.slam.map.ids)
+        return functools.partial(_TRUE, sources=truth.sources, identities=known)
+
+    def _explore(self, beams: Beams) -> None:
+        pose = self.slam.map.pose
+        self.grid.integrate(pose, beams)
+        if self.virtual_map is not None:
+            covariance = turned(self.base, self.slam.map.pose_covariance)
+            sigma = self.scenario.sensor.sigma_halfway
+            self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
+
+    def _log(self, true_pose: Array) -> None:
+        pose = self.slam.map.pose
+        self.ticks += 1
+        self.poses.append(true_pose)
+        self.estimates.append(pose)
+        self.nees.append(pose_nees(pose, self.slam.map.pose_covariance, relative(self.base, true_pose)))
+
+    @property
+    def over(self) -> bool:
+        """The budget is spent."""
+        return self.ticks >= self.scenario.budget
+
+    @property
+    def landmarks(self) -> Array:
+        """(e, 2) [m] confirmed features of the map, in W."""
+        return transform(self.base, self.slam.map.confirmed)
+
+    def map_error(self) -> float:
+        """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
+        if self._error_at != self.ticks:  # rewards and info both ask for it
+            self._error_at = self.ticks
+            self._error = map_quality.map_error(self.landmarks, self.targets, self.scenario.prior_sigma)
+        return self._error
+
+    def coverage(self) -> float:
+        """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""
+        return map_quality.coverage(self.grid.cells, self._places)
+
+
+def _gated(associator: Associator, confidence: float) -> Associator:
+    """The associators that ship are told the confidence of the filter's gates; others know their own."""
+    for known in ASSOCIATORS.values():
+        if associator is known and known is not _TRUE:
+            return functools.partial(known, confidence=confidence)
+    return associator
+
+
+def _wants_visibility(associator: Associator) -> bool:
+    """Whoever is not known to ignore it: most associators only look at what was measured."""
+    given = getattr(associator, "func", associator)
+    return all(given is not known for known in _LOOK_AT_MEASUREMENTS)  # by identity: it need not be hashable
+
+
+def turned(base: Array, covariance: Array) -> Array:
+    """Covariance (3, 3) of a pose given in B, turned into W."""
+    turn = np.eye(3)
+    c, s = math.cos(base[2]), math.sin(base[2])
+    turn[:2, :2] = [[c, -s], [s, c]]
+    out: Array = turn @ covariance @ turn.T
+    return out
+
+
+def _slam_spec(scenario: Scenario, locality: bool) -> SlamSpec:
+    """The scenario's, told how far the sensor reaches and whether to offer localities."""
+    return replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
+
+
+def _bounds_in_base(bounds: Array, base: Array) -> Array:
+    """Bounds (4,) in B of the rectangle `bounds` (4,) in W, with a margin."""
+    x0, y0, x1, y1 = bounds
+    corners = observe(base, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+    return np.concatenate([corners.min(axis=0) - _GRID_MARGIN, corners.max(axis=0) + _GRID_MARGIN])

@@ -1,0 +1,124 @@
+"""The candidate goals of `Explore-v0`: look around, go to a frontier, or revisit a place. Estimate side only."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.navigation.expected_gain import expected_reduction
+from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.planner import Field, distance_field
+from slam_gym.scenarios import Scenario
+from slam_gym.types import Array, BoolArray
+
+LOOK = 0  # the slot that looks around, always legal
+FRONTIERS = 10  # slots 1 … 10: the nearest frontiers
+REVISITS = 5  # slots 11 … 15: known places that promise to improve the map
+SLOTS = 1 + FRONTIERS + REVISITS
+
+CLEARANCE = 0.05  # [m] beyond the robot's radius that paths keep from walls
+PLACE_SPACING = 1.5  # [m] between the remembered places along the robot's way
+_PLACES = 32  # at most so many are weighed at a decision
+_REVISIT_SPACING = 3.0  # [m] between the revisits on offer
+_LOOKS = 5  # independent scans that a look is taken to be worth, a rule of thumb
+WORTH_SEEING = 0.5  # [m²] a frontier from which less than this is to be seen is none, or has become out of date
+
+
+@dataclass(frozen=True)
+class Goals:
+    """What the agent may choose from, one row per slot; rows that are not legal are zero."""
+
+    positions: Array  # (SLOTS, 2) [m] in B
+    lengths: Array  # (SLOTS,) [m] of the path there
+    areas: Array  # (SLOTS,) [m²] unknown area in view from there
+    reductions: Array  # (SLOTS,) [m²] expected decrease of Σ tr P over the mapped features
+    legal: BoolArray  # (SLOTS,)
+
+
+class Places:
+    """Where the robot has been, thinned out: the candidates for revisits."""
+
+    def __init__(self) -> None:
+        self._points: list[Array] = []
+
+    def pass_by(self, position: Array) -> None:
+        """Remember `position` (2,) in B unless a remembered place is near."""
+        for point in reversed(self._points):
+            if abs(point[0] - position[0]) < PLACE_SPACING and abs(point[1] - position[1]) < PLACE_SPACING:
+                return
+        self._points.append(position.copy())
+
+    def candidates(self) -> Array:
+        """(q, 2) evenly chosen among all remembered places."""
+        if not self._points:
+            return np.empty((0, 2))
+        chosen = np.unique(np.linspace(0, len(self._points) - 1, _PLACES).astype(np.int64))
+        return np.array(self._points)[chosen]
+
+
+def propose(scenario: Scenario, slam_map: StochasticMap, grid: CoverageGrid, places: Places) -> Goals:
+    """The goals from where the robot believes to be, over what it believes to have explored."""
+    here = slam_map.pose[:2]
+    field = distance_field(grid, here, scenario.robot.radius + CLEARANCE)
+    ends = _ends(grid, field, scenario.beams.range)
+    seen = places.candidates()
+    seen = seen[[np.isfinite(field.length_to(place)) for place in seen]] if len(seen) else seen
+    spots = np.concatenate([here[None], ends, seen])
+    reductions = _reductions(scenario, slam_map, grid, spots)
+    lengths = np.array([0.0] + [field.length_to(spot) for spot in spots[1:]])
+    back = 1 + len(ends) + _best_revisits(seen, reductions[1 + len(ends) :], lengths[1 + len(ends) :])
+    rows = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), back]).astype(np.int64)
+    slots = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), 1 + FRONTIERS + np.arange(len(back))])
+    areas = grid.expected_area(spots[rows], scenario.beams.range)
+    return Goals(
+        positions=_scatter(slots, spots[rows]),
+        lengths=_scatter(slots, lengths[rows]),
+        areas=_scatter(slots, areas),
+        reductions=_scatter(slots, reductions[rows]),
+        legal=_scatter(slots, np.ones(len(slots), np.bool_)),
+    )
+
+
+def _ends(grid: CoverageGrid, field: Field, reach: float) -> Array:
+    """The nearest frontiers that a path leads to and that are worth it, nearest first, (≤ FRONTIERS, 2)."""
+    centres = grid.frontiers(field).centres
+    if len(centres) == 0:
+        return centres
+    centres = centres[grid.expected_area(centres, reach) >= WORTH_SEEING]
+    lengths = np.array([field.length_to(centre) for centre in centres])
+    order = [int(i) for i in np.argsort(lengths, kind="stable") if np.isfinite(lengths[i])]
+    return centres[order[:FRONTIERS]].reshape(-1, 2)
+
+
+def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: CoverageGrid, spots: Array) -> Array:
+    """Foreseen from each spot; on the way there the known map is taken to hold the drift down to that of a metre."""
+    sigma = scenario.sensor.sigma_halfway / math.sqrt(_LOOKS)
+    odometry = scenario.odometry
+    drift = np.array([odometry.forward, odometry.forward, odometry.turn_per_metre])
+    return expected_reduction(
+        slam_map.mean, slam_map.covariance, grid, spots, reach=scenario.sensor.range, sigma=sigma, drift=drift
+    )
+
+
+def _best_revisits(places: Array, reductions: Array, lengths: Array) -> NDArray[np.int64]:
+    """Indices of the places that promise most per metre, kept apart from each other and from here."""
+    chosen: list[int] = []
+    for i in np.argsort(-reductions / (lengths + 1.0), kind="stable"):
+        near = any(np.hypot(*(places[i] - places[j])) < _REVISIT_SPACING for j in chosen)
+        if not near and lengths[i] > PLACE_SPACING:
+            chosen.append(int(i))
+        if len(chosen) == REVISITS:
+            break
+    return np.array(chosen, np.int64)
+
+
+def _scatter(slots: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:
+    """`values` (q, …) at their slots, zeros elsewhere, (SLOTS, …)."""
+    out: NDArray[Any] = np.zeros((SLOTS, *values.shape[1:]), values.dtype)
+    out[slots] = values
+    return out

@@ -1,0 +1,62 @@
+"""Every measure of an episode at once: the map, the trajectory, the associations, the consistency of the filter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam_gym.geometry import transform
+from slam_gym.metrics.consistency import anees
+from slam_gym.metrics.map_quality import gospa, landmark_rmse
+from slam_gym.metrics.trajectory import ate
+from slam_gym.simulation.episode import Episode
+
+_CUTOFF = 1.0  # [m] of the GOSPA that is reported
+
+
+def quality(episode: Episode) -> dict[str, float]:
+    """Measures of the episode so far; provisional features (seen too seldom to be confirmed) count nowhere.
+
+    `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
+    duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `ate` [m] is that of the positions,
+    without alignment, since both start from one known pose. `anees` is the pose NEES over its 3 degrees of freedom,
+    averaged over the ticks. `recovered`: after a kidnapping, the pose was right again; `ticks_astray` until then.
+    """
+    kidnapping = episode.kidnapping
+    slam_map, tally = episode.slam.map, episode.identities.total
+    confirmed = np.flatnonzero(~slam_map.provisional)
+    sources = episode.identities.source_of(slam_map.ids[confirmed])
+    real, first = np.unique(sources, return_index=True)
+    first, real = first[real >= 0], real[real >= 0]
+    landmarks = episode.landmarks
+    true = episode.site.plan.features.positions
+    parts = gospa(landmarks, episode.targets, p=2.0, cutoff=_CUTOFF)
+    return {
+        "map_error": episode.map_error(),
+        "coverage": episode.coverage(),
+        "landmark_rmse_raw": landmark_rmse(landmarks[first], true[real]),
+        "landmark_rmse_aligned": landmark_rmse(landmarks[first], true[real], aligned=True),
+        "gospa": parts.total,
+        "gospa_localisation": parts.localisation,
+        "gospa_missed": parts.missed,
+        "gospa_false": parts.false,
+        "precision": tally.precision,
+        "recall": tally.recall,
+        "duplicates": float((sources >= 0).sum() - len(real)),
+        "features": float(len(landmarks)),
+        "anees": anees(np.array(episode.nees[1:]), 3),
+        "ate": ate(transform(episode.base, np.array(episode.estimates)[:, :2]), np.array(episode.poses)[:, :2]),
+        "ticks": float(episode.ticks),
+        "kidnapped": float(kidnapping.happened is not None),
+        "recovered": float(kidnapping.recovered is not None),
+        "ticks_astray": _ticks_astray(episode),
+        "relocations_right": float(kidnapping.right),
+        "relocations_wrong": float(kidnapping.wrong),
+    }
+
+
+def _ticks_astray(episode: Episode) -> float:
+    """From the kidnapping until the pose was right again, or until now."""
+    kidnapping = episode.kidnapping
+    if kidnapping.happened is None:
+        return 0.0
+    return float((episode.ticks if kidnapping.recovered is None else kidnapping.recovered) - kidnapping.happened)

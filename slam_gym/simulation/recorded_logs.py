@@ -1,0 +1,111 @@
+"""Recordings as scenarios of `Associate-v0`: the log drives, the agent associates, identities give the reward.
+
+    recording:victoria_park            recording:mrclam/3            recording:FILE (.npz, .g2o, .txt)
+    recording:victoria_park?every=5    recording:mine.npz?looks=200&every=2
+
+An episode is a window of `looks` steps (default 500, or all there are) with a random start, and maps it from scratch:
+what came before is unknown to the robot, and its first pose is the base of the map. Windows for training lie in the
+first 70 % of the log, those for testing in the rest. With `every` = k the robot looks at every k-th scan only and has
+its odometry compounded in between, which is how a log with a fast sensor becomes a test of association.
+
+Published logs are looked up in the folder that `SLAM_GYM_DATA` names; of MR.CLAM, robot 1 … 5 of set 6, or of the first
+set there is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from slam_gym.recordings.catalogue import open_recordings
+from slam_gym.recordings.mrclam import ROBOTS
+from slam_gym.recordings.recording import Recording, interpolate
+from slam_gym.scenarios import SPLITS
+from slam_gym.scenarios.recorded import slam_for
+from slam_gym.simulation.runs import Log
+from slam_gym.slam.slam import SlamSpec
+from slam_gym.types import Array, Odometry, Scan, Truth
+
+PREFIX = "recording:"
+LOOKS = 500
+_TRAINING = 0.7  # share of a log
+_SET = "/MRCLAM_Dataset6/"
+
+
+def recorded_log(scenario: str, split: str) -> Log:
+    """The log behind the name of a scenario, "recording:…".
+
+    Raises ValueError for a name or an option that there is none of; FileNotFoundError, which says where to get the data
+    and what to cite; RecordingError for files that are not what they should be.
+    """
+    name, question, query = scenario.removeprefix(PREFIX).partition("?")
+    options = _options(scenario, query) if question else {}
+    return windows(_open(name), split, options.get("looks", LOOKS), options.get("every", 1))
+
+
+def windows(
+    recording: Recording, split: str | None = None, looks: int = LOOKS, every: int = 1, slam: SlamSpec | None = None
+) -> Log:
+    """A log whose episodes are windows of a `split` of a recording, or of all of it, on every `every`-th step.
+
+    See the module. Features have known places, which `reward="map_error"` asks for, if the recording has landmarks and
+    the pose of every step. Raises ValueError for an unknown split, numbers below 1, and recordings too short to split.
+    """
+    if split is not None and split not in SPLITS:
+        raise ValueError(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
+    if looks < 1:
+        raise ValueError(f"looks={looks}: expected at least 1")
+    log = recording.every(every)
+    if split is not None and len(log) < 2:
+        raise ValueError(f"recording {recording.name!r}: {len(log)} steps are too few to be split")
+    cut = min(max(round(_TRAINING * len(log)), 1), len(log) - 1)
+    if split is not None:
+        log = log.part(0, cut) if split == "train" else log.part(cut)
+    length, poses = min(looks, len(log)), reference_poses(log)
+    targets = log.landmarks if np.isfinite(poses).all() else log.landmarks[:0]
+    return Log(log.name, partial(_window, log, poses, length), length, slam or slam_for(log), targets)
+
+
+def reference_poses(recording: Recording) -> Array:
+    """(T, 3) of the reference at the steps, between its neighbours in time; NaN where it does not tell."""
+    times, known = recording.times, recording.reference_times
+    poses = np.full((len(times), 3), math.nan)
+    if not len(known):
+        return poses
+    told = (times >= known[0]) & (times <= known[-1])
+    poses[told] = interpolate(known, recording.reference_poses, times[told])
+    return poses
+
+
+def _window(
+    log: Recording, poses: Array, length: int, rng: np.random.Generator
+) -> Iterator[tuple[Odometry, Scan, Truth]]:
+    first = int(rng.integers(len(log) - length + 1))
+    for step in range(first, first + length):
+        odometry = log.odometry(step) if step > first else Odometry(np.zeros(3), np.zeros((3, 3)))
+        yield odometry, log.scan(step), Truth(poses[step], log.sources_of(step))
+
+
+def _open(name: str) -> Recording:
+    published, _, robot = name.partition("/")
+    if published == "mrclam" and "." not in name:
+        if robot not in map(str, ROBOTS):
+            raise ValueError(f"recording {name!r}; known: {', '.join(f'mrclam/{number}' for number in ROBOTS)}")
+        logs = open_recordings(published, robots=[int(robot)])
+        return next((log for log in logs if _SET in log.name), logs[0])
+    return open_recordings(name)[0]
+
+
+def _options(scenario: str, query: str) -> dict[str, int]:
+    """The options behind the question mark."""
+    try:
+        options = {name: int(value) for name, value in parse_qsl(query, keep_blank_values=True, strict_parsing=True)}
+    except ValueError:
+        options = {}
+    if not options or not set(options) <= {"looks", "every"}:
+        raise ValueError(f"scenario={scenario!r}: expected ?looks=NUMBER, ?every=NUMBER or both, joined by &")
+    return options

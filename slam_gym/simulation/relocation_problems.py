@@ -1,0 +1,163 @@
+"""Kidnappings to relocate from: a map that a robot made by SLAM, and scans from inside and from outside of it."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam_gym.geometry import compose
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.locality import covisible, within
+from slam_gym.metrics.map_quality import align_se2
+from slam_gym.scenarios import SPLITS, Scenario, world_generator, world_seed
+from slam_gym.simulation.driver import carry_out
+from slam_gym.simulation.episode import Episode, Site, survey
+from slam_gym.simulation.goals import LOOK, Places, propose
+from slam_gym.simulation.runs import nearest_frontier
+from slam_gym.slam.relocation import Localities
+from slam_gym.types import NONE, Array, Associator, IntArray, Landmarks, Locality, Scan
+from slam_gym.world.reachability import free_start
+from slam_gym.world.sensor import Sensor
+
+KNOWN = 5  # measurements of mapped features, at least, in a scan from inside
+_DRAWS = 100  # places tried for such a scan
+
+
+@dataclass(frozen=True, eq=False)
+class MappedWorld:
+    """A world, the map that SLAM made of it, and where the truth is: all that kidnappings in it are drawn from."""
+
+    site: Site
+    base: Array  # (3,) pose of B in W
+    landmarks: Landmarks
+    graph: CovisibilityGraph
+    reach: float  # [m] of the sensor
+    identities: IntArray  # (n,) true feature behind each landmark; NONE where it is none, or an older landmark has it
+    trail: Array  # (t, 3) true poses of the robot that made the map, in W
+    people: Array  # (p, 3) [m] as they stood when the map was done
+    furniture: Array  # (o, 4) [m] likewise, as segments
+    sensor: Sensor
+    elsewhere: Site | None  # another world; None where the scenario has but one
+
+    def locality(self, kind: Localities | None) -> Locality | None:
+        """Which landmarks are local to which."""
+        if kind is None:
+            return None
+        if kind == "distance":
+            return within(self.landmarks.positions, 2.0 * self.reach)
+        return covisible(self.graph, hops=2 if kind == "two-hop covisibility" else 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Kidnapped:
+    """A scan from an unknown place, with the truth about it."""
+
+    scan: Scan
+    inside: bool  # the place is in the map
+    true_pose: Array  # (3,) in W of the world that the scan is from
+    pose: Array  # (3,) in B of the map: where the true pose lies among the landmarks around it; NaN outside
+    features: IntArray  # (m,) landmark that each measurement is of; NONE for what is spurious or not in the map
+
+
+def map_world(scenario: Scenario, split: str, world: int, associator: str | Associator) -> MappedWorld:
+    """Have a robot explore a world, to the nearest frontier or else to revisits, until the scenario's budget is spent.
+
+    A function of its arguments alone. Raises ValueError for a world outside the split, and as `survey` does.
+    """
+    rng = np.random.default_rng((world_seed(split, world), 2))
+    site = survey(scenario.generator(world_generator(split, world)), scenario)
+    episode = Episode(scenario, site, associator, rng)
+    _explore(episode)
+    return MappedWorld(
+        site,
+        episode.base,
+        episode.slam.map.landmarks(),
+        copy.deepcopy(episode.slam.covisibility),
+        scenario.sensor.range,
+        _identities(episode),
+        np.array(episode.poses),
+        episode.world.people.copy(),
+        episode.world.furniture_segments.copy(),
+        episode.sensor,
+        _elsewhere(scenario, split, world, site),
+    )
+
+
+def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random.Generator) -> Kidnapped:
+    """A scan from where the robot has been, facing anywhere, or from another world.
+
+    Inside, at least `KNOWN` measurements are of mapped features; outside, the scan has so many measurements at least:
+    places are drawn until one gives such a scan, or the best of many is taken.
+    """
+    best, most = None, -1
+    for _ in range(_DRAWS):
+        drawn = _inside(mapped, rng) if inside else _outside(mapped, scenario, rng)
+        found = int((drawn.features != NONE).sum()) if inside else len(drawn.scan)
+        if found > most:
+            best, most = drawn, found
+        if most >= KNOWN:
+            break
+    assert best is not None
+    return best
+
+
+def _explore(episode: Episode) -> None:
+    places = Places()
+
+    def after_tick() -> None:
+        places.pass_by(episode.estimates[-1][:2])
+
+    carry_out(episode, LOOK, np.zeros(2), after_tick)
+    while not episode.over:
+        goals = propose(episode.scenario, episode.slam.map, episode.grid, places)
+        slot = nearest_frontier(goals, episode.rng)
+        carry_out(episode, slot, goals.positions[slot], after_tick)
+
+
+def _identities(episode: Episode) -> IntArray:
+    """True feature behind each landmark, NONE for those that have none and for duplicates of an older one."""
+    sources = episode.identities.source_of(episode.slam.map.ids)
+    first = np.zeros(len(sources), np.bool_)
+    first[np.unique(sources, return_index=True)[1]] = True
+    return np.where(first & (sources >= 0), sources, NONE)
+
+
+def _elsewhere(scenario: Scenario, split: str, world: int, site: Site) -> Site | None:
+    plan = scenario.generator(world_generator(split, (world + 1) % SPLITS[split][1]))
+    same = plan.walls.shape == site.plan.walls.shape and np.array_equal(plan.walls, site.plan.walls)
+    return None if same else survey(plan, scenario)
+
+
+def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:
+    place = mapped.trail[rng.integers(len(mapped.trail)), :2]
+    true = np.array([place[0], place[1], rng.uniform(-math.pi, math.pi)])
+    scan, truth = mapped.sensor.scan(true, rng, mapped.people, mapped.furniture)
+    landmark = np.full(len(mapped.site.plan.features) + 1, NONE)  # the last one is that of NONE
+    known = np.flatnonzero(mapped.identities != NONE)
+    landmark[mapped.identities[known]] = known
+    return Kidnapped(scan, True, true, _in_map(mapped, true), landmark[truth.sources])
+
+
+def _in_map(mapped: MappedWorld, true: Array) -> Array:
+    """A true pose (3,) carried into B by the landmarks around it, so that the drift of the map is no error of a pose.
+
+    True features within the sensor's reach are aligned rigidly with their landmarks.
+    """
+    positions = mapped.site.plan.features.positions
+    known = np.flatnonzero(mapped.identities != NONE)
+    away = positions[mapped.identities[known]] - true[:2]
+    near = known[np.hypot(away[:, 0], away[:, 1]) <= mapped.reach]
+    return compose(align_se2(positions[mapped.identities[near]], mapped.landmarks.positions[near]), true)
+
+
+def _outside(mapped: MappedWorld, scenario: Scenario, rng: np.random.Generator) -> Kidnapped:
+    site = mapped.elsewhere
+    if site is None:
+        raise ValueError(f"outside: the scenario {scenario.name!r} has one world only, and all of it is inside")
+    sensor = Sensor(site.plan, site.index, scenario.sensor)
+    true = free_start(site.plan, site.cells, rng)
+    scan, _ = sensor.scan(true, rng)
+    return Kidnapped(scan, False, true, np.full(3, np.nan), np.full(len(scan), NONE))

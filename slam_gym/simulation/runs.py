@@ -1,0 +1,207 @@
+"""Where the scans of `Associate-v0` come from: a robot that a baseline drives through a scenario, or a log.
+
+A run stops after every look, before its scan is associated, and goes on with the hypothesis that it is handed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from slam_gym.association import nearest_neighbour
+from slam_gym.geometry import observe
+from slam_gym.metrics import map_quality
+from slam_gym.metrics.association import Identities
+from slam_gym.scenarios import Scenario
+from slam_gym.simulation.driver import Command, commands
+from slam_gym.simulation.episode import Episode, Site
+from slam_gym.simulation.goals import FRONTIERS, LOOK, Goals, Places, propose
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import Array, Hypothesis, Odometry, Prediction, Scan, Truth
+from slam_gym.world import corridor
+
+
+class Run(Protocol):
+    """A SLAM run whose hypotheses come from outside: `look`, then `learn`, and again, until it is `over`."""
+
+    slam: Slam
+    identities: Identities
+
+    @property
+    def scan(self) -> Scan: ...
+
+    @property
+    def truth(self) -> Truth: ...
+
+    @property
+    def prediction(self) -> Prediction:
+        """What the map expects of the scan."""
+
+    @property
+    def looks(self) -> int:
+        """Number of looks so far, the first from where the robot starts."""
+
+    @property
+    def length(self) -> int:
+        """Number of looks in all."""
+
+    @property
+    def over(self) -> bool: ...
+
+    def look(self) -> None:
+        """On to the next scan."""
+
+    def learn(self, hypothesis: Hypothesis) -> None:
+        """Update the map by a hypothesis on the scan."""
+
+    def map_error(self) -> float:
+        """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
+
+
+Driver = Callable[[Goals, np.random.Generator], int]
+"""Chooses among the legal goals: a slot."""
+
+
+def nearest_frontier(goals: Goals, rng: np.random.Generator) -> int:
+    """The nearest frontier (Yamauchi, CIRA 1997); once there is none, a revisit at random, so that loops close."""
+    frontiers = np.flatnonzero(goals.legal[1 : 1 + FRONTIERS])
+    if len(frontiers):
+        return 1 + int(frontiers[0])
+    revisits = np.flatnonzero(goals.legal[1 + FRONTIERS :])
+    return 1 + FRONTIERS + int(rng.choice(revisits)) if len(revisits) else LOOK
+
+
+def random_goal(goals: Goals, rng: np.random.Generator) -> int:
+    """Any of the legal goals."""
+    return int(rng.choice(np.flatnonzero(goals.legal)))
+
+
+DRIVERS: dict[str, Driver] = {"nearest_frontier": nearest_frontier, "random": random_goal}
+
+
+class DrivenRun:
+    """A robot explores a scenario, one goal of `driver` after the other."""
+
+    def __init__(self, scenario: Scenario, site: Site, driver: Driver, rng: np.random.Generator) -> None:
+        self._choices = np.random.default_rng(rng.integers(2**63))  # what is driven does not depend on the noise
+        # the first look meets an empty map, so there is nothing to associate
+        self.episode = Episode(scenario, site, nearest_neighbour, rng)
+        self.slam, self.identities = self.episode.slam, self.episode.identities
+        self._driver, self._places = driver, Places()
+        self._commands: Iterator[Command] = iter(())
+
+    @property
+    def scan(self) -> Scan:
+        return self.episode.scan
+
+    @property
+    def truth(self) -> Truth:
+        return self.episode.truth
+
+    @property
+    def prediction(self) -> Prediction:
+        return self.episode.prediction
+
+    @property
+    def looks(self) -> int:
+        return self.episode.ticks + 1
+
+    @property
+    def length(self) -> int:
+        return self.episode.scenario.budget + 1
+
+    @property
+    def over(self) -> bool:
+        return self.episode.over
+
+    def look(self) -> None:
+        """Drive on for a tick, towards a new goal where the last one is done with."""
+        command = next(self._commands, None)
+        while command is None:
+            goals = propose(self.episode.scenario, self.slam.map, self.episode.grid, self._places)
+            slot = self._driver(goals, self._choices)
+            self._commands = commands(self.episode, slot, goals.positions[slot])
+            command = next(self._commands, None)
+        self.episode.look(*command)
+
+    def learn(self, hypothesis: Hypothesis) -> None:
+        self.episode.learn(hypothesis)
+        self._places.pass_by(self.episode.estimates[-1][:2])
+
+    def map_error(self) -> float:
+        return self.episode.map_error()
+
+
+@dataclass(frozen=True)
+class Log:
+    """Looks that do not depend on what is made of them: a recording, or a simulator that drives itself."""
+
+    name: str
+    looks: Callable[[np.random.Generator], Iterator[tuple[Odometry, Scan, Truth]]]
+    length: int  # looks in all
+    slam: SlamSpec
+    targets: Array  # (N, 2) [m] true features, in the frame of the true poses; none where nobody knows them
+    prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
+
+    def __post_init__(self) -> None:
+        if self.length < 1:
+            raise ValueError(f"Log.length: {self.length} is less than 1")
+
+
+class LoggedRun:
+    """SLAM on a log."""
+
+    def __init__(self, log: Log, rng: np.random.Generator) -> None:
+        self.log = log
+        self.slam, self.identities = Slam(log.slam, nearest_neighbour), Identities()
+        self._looks = log.looks(rng)
+        self.looks, self.length = 0, log.length
+        self.poses: list[Array] = []  # true, (3,) in the frame of the log
+        self.estimates: list[Array] = []  # (3,) in B
+        self._error, self._error_at = 1.0, 0
+
+    @property
+    def over(self) -> bool:
+        return len(self.estimates) == self.length
+
+    def look(self) -> None:
+        """On to the next scan. Raises ValueError where the log is shorter than it says."""
+        found = next(self._looks, None)
+        if found is None:
+            raise ValueError(f"log {self.log.name!r}: ends after {self.looks} looks, not {self.length}")
+        odometry, self.scan, self.truth = found
+        self.prediction = self.slam.expect(odometry, self.scan)
+        self.looks += 1
+
+    def learn(self, hypothesis: Hypothesis) -> None:
+        self.identities.update(self.slam.learn(self.scan, self.prediction, hypothesis), self.truth)
+        self.poses.append(self.truth.pose)
+        self.estimates.append(self.slam.map.pose)
+
+    @property
+    def targets(self) -> Array:
+        """(N, 2) [m] true features, in B."""
+        start = self.poses[0] if self.poses else self.truth.pose
+        return observe(start, self.log.targets)
+
+    def map_error(self) -> float:
+        """As `Run` has it; 1, that of an empty map, where nobody knows the true features."""
+        if len(self.log.targets) and self._error_at != len(self.estimates):
+            self._error_at = len(self.estimates)
+            self._error = map_quality.map_error(self.slam.map.confirmed, self.targets, self.log.prior_sigma)
+        return self._error
+
+
+CORRIDOR = Log(
+    "corridor",
+    corridor.walk_round,
+    corridor.STEPS + 1,
+    SlamSpec(reach=corridor.RANGE),
+    corridor.features(),
+)
+"""The reference corridor, whose noise alone differs from seed to seed."""
+
+LOGS: dict[str, Log] = {CORRIDOR.name: CORRIDOR}

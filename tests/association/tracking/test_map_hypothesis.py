@@ -1,0 +1,225 @@
+"""The most probable hypothesis against the density of every hypothesis there is."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym.association import MostProbable, jcbb, map_hypothesis
+from slam_gym.types import NONE
+from tests.oracles import association as oracles
+
+WIDE = {"width": 3000, "margin": 1e9}
+DETECTION, CLUTTER, NEW, UNSEEN = 0.8, 0.02, 0.05, 0.1
+MODEL = {"detection": DETECTION, "clutter_density": CLUTTER, "new_density": NEW, "unseen": UNSEEN}
+
+
+def small_problem(seed, **options):
+    rng = np.random.default_rng(seed)
+    m, n = int(rng.integers(0, 5)), int(rng.integers(0, 6))
+    return oracles.problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
+
+
+def stacked(scan, prediction, pairs):
+    """ν and S of pairings (measurement, row)."""
+    S = prediction.joint(np.array([j for _, j in pairs])).copy()
+    for k, (i, _) in enumerate(pairs):
+        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
+    return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
+
+
+def view(positions, covariances):
+    """A sensor that sees to the right of a soft edge."""
+    return 1.0 / (1.0 + np.exp(-3.0 * positions[:, 0] + np.trace(covariances, axis1=1, axis2=2)))
+
+
+def visibilities(scan, prediction, pairs):
+    """v_j of every row: from where the hypothesis puts the robot, or as predicted, or unknown."""
+    if prediction.view is None:
+        return prediction.visibility
+    n = len(prediction)
+    positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))
+    if pairs:
+        nu, S = stacked(scan, prediction, pairs)
+        entries = np.array([2 * j + a for _, j in pairs for a in range(2)])
+        gain = P[:, entries] @ np.linalg.inv(S)
+        positions, P = positions + gain @ nu, P - gain @ P[entries]
+    blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
+    return view(positions.reshape(n, 2), blocks)
+
+
+def log_density(scan, prediction, rows):
+    """By the formula."""
+    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != NONE]
+    total = (len(rows) - len(pairs)) * math.log(CLUTTER + NEW)
+    if pairs:
+        nu, S = stacked(scan, prediction, pairs)
+        total -= 0.5 * nu @ np.linalg.solve(S, nu) + 0.5 * np.linalg.slogdet(2.0 * np.pi * S)[1]
+    v, paired = visibilities(scan, prediction, pairs), [j for _, j in pairs]
+    if v is None:
+        return total + len(pairs) * math.log(DETECTION)
+    for j in range(len(prediction)):
+        total += math.log(DETECTION * max(v[j], UNSEEN)) if j in paired else math.log(1.0 - DETECTION * v[j])
+    return total
+
+
+def hypotheses(scan, prediction, allowed, given, related):
+    """Every hypothesis that keeps `given`, most probable first: [(log density, rows)]."""
+    lists = oracles.compatible(scan, prediction, 0.999)
+    options = [
+        [given[i]] if given[i] != NONE else [NONE, *(j for _, j in found if allowed[j])]
+        for i, found in enumerate(lists)
+    ]
+    out = []
+    for rows in itertools.product(*options):
+        paired = [j for j in rows if j != NONE]
+        new = [j for i, j in enumerate(rows) if j != NONE and given[i] == NONE]
+        # which pairing is the first is up to the order of the search, so every one must be local to every other
+        local = related is None or all(related[a, b] for a in new for b in new)
+        if len(set(paired)) == len(paired) and local:
+            out.append((log_density(scan, prediction, rows), list(rows)))
+    return sorted(out, reverse=True)
+
+
+def dressed(prediction, seed):
+    """With visibilities, a view, both or neither."""
+    v = np.random.default_rng(seed).random(len(prediction))
+    kind = seed % 4
+    return dataclasses.replace(
+        prediction, visibility=v if kind in (1, 3) else None, view=view if kind in (2, 3) else None
+    )
+
+
+def check(answer, prediction, ranking):
+    best, rows = ranking[0]
+    features = [NONE if j == NONE else int(prediction.features[j]) for j in rows]
+    assert answer.features.tolist() == features
+    assert answer.posterior.log_density == pytest.approx(best, rel=1e-8, abs=1e-8)
+    shares = np.exp(np.array([density for density, _ in ranking]) - best)
+    shares /= shares.sum()
+    assert answer.posterior.probability == pytest.approx(shares[0])
+    second = [NONE if j == NONE else int(prediction.features[j]) for j in ranking[1][1]] if len(ranking) > 1 else None
+    assert answer.posterior.runner_up_probability == pytest.approx(shares[1] if second else 0.0)
+    assert answer.posterior.runner_up.tolist() == (second or [NONE] * len(rows))
+
+
+@pytest.mark.parametrize("seed", range(240))
+def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(seed):
+    scan, prediction = small_problem(seed)
+    prediction = dressed(prediction, seed)
+    everything = hypotheses(scan, prediction, np.ones(len(prediction), bool), [NONE] * len(scan), None)
+    answer = map_hypothesis(scan, prediction, **MODEL, **WIDE)
+    check(answer, prediction, everything)
+    assert not answer.effort.limit_hit
+
+
+@pytest.mark.parametrize("seed", range(120))
+def test_with_locality_what_is_near_is_decided_first(seed):
+    scan, prediction = small_problem(500 + seed, locality=True)
+    # localities without strays: each pairing is local to all that are local to the first
+    group = np.random.default_rng(seed).integers(0, 3, len(prediction))
+    prediction = dataclasses.replace(
+        dressed(prediction, seed),
+        locality=dataclasses.replace(prediction.locality, among=lambda rows: group[rows][:, None] == group[rows]),
+    )
+    near = prediction.locality.near
+    related = prediction.locality.among(np.arange(len(prediction)))
+    ranking = hypotheses(scan, prediction, near, [NONE] * len(scan), None)
+    first = ranking[0][1]
+    lists = oracles.compatible(scan, prediction, 0.999)
+    if any(not near[j] for i, found in enumerate(lists) if first[i] == NONE for _, j in found):
+        ranking = hypotheses(scan, prediction, ~near, first, related)
+    check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking)
+    apart = hypotheses(scan, prediction, np.ones(len(prediction), bool), [NONE] * len(scan), None)
+    check(map_hypothesis(scan, prediction, locality=None, **MODEL, **WIDE), prediction, apart)
+
+
+def test_the_problems_above_are_hard_enough():
+    """Answers differ from JCBB's and depend on what is in view, and runners-up are not far."""
+    other = seen = close = 0
+    for seed in range(240):
+        scan, prediction = small_problem(seed)
+        plain = map_hypothesis(scan, prediction, **MODEL)
+        other += not np.array_equal(plain.features, jcbb(scan, prediction, confidence=0.999).features)
+        looking = map_hypothesis(scan, dataclasses.replace(prediction, view=view), **MODEL)
+        seen += not np.array_equal(plain.features, looking.features)
+        close += plain.posterior.runner_up_probability > 0.1
+    assert other > 30 and seen > 10 and close > 30, (other, seen, close)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_beam_of_the_default_width_loses_nothing_on_larger_problems(seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 9, 12, spread=2.5)
+    answer = map_hypothesis(scan, prediction)
+    wide = map_hypothesis(scan, prediction, width=4000, margin=1e9)
+    assert answer.features.tolist() == wide.features.tolist()
+    assert answer.posterior.probability == pytest.approx(wide.posterior.probability, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_narrow_beam_says_so(seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 9, 12, spread=2.0)
+    narrow = map_hypothesis(scan, prediction, width=1)
+    assert narrow.effort.limit_hit
+    assert narrow.posterior.probability == 1.0 and narrow.posterior.runner_up_probability == 0.0
+    wide = map_hypothesis(scan, prediction)
+    assert wide.posterior.log_density >= narrow.posterior.log_density
+    assert wide.effort.nodes > narrow.effort.nodes
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_the_denser_the_clutter_the_fewer_the_pairings(seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
+    pairings = [map_hypothesis(scan, prediction, clutter_density=d).dof for d in (1e-6, 1e-2, 1.0, 1e3, 1e9)]
+    assert pairings == sorted(pairings, reverse=True) and pairings[-1] == 0
+
+
+def test_the_online_density_tends_to_what_is_there():
+    density, area, rng = 0.3, 16.0, np.random.default_rng(0)
+    associate = MostProbable(area=area)
+    for _ in range(120):
+        scan, prediction = oracles.problem(rng, 0, 4, spread=2.0)
+        count = int(rng.poisson(density * area))
+        noise = np.tile(1e-4 * np.eye(2), (count, 1, 1))
+        points = rng.uniform(-2.0, 2.0, (count, 2)) + 50.0
+        associate(dataclasses.replace(scan, points=points, covariances=noise), prediction)
+    assert associate.density == pytest.approx(density, rel=0.25)
+    fresh = MostProbable()
+    scan, prediction = oracles.problem(rng, 8, 10, spread=2.0)
+    given = map_hypothesis(scan, prediction, clutter_density=0.01, new_density=0.01)
+    assert fresh(scan, prediction).features.tolist() == given.features.tolist()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"detection": 1.0},
+        {"detection": math.nan},
+        {"unseen": 0.0},
+        {"clutter_density": -1.0},
+        {"clutter_density": 0.0, "new_density": 0.0},
+        {"width": 0},
+        {"margin": 0.0},
+        {"confidence": 1.0},
+        {"locality": "distance"},
+    ],
+)
+def test_meaningless_options_are_refused(options):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
+    with pytest.raises(ValueError, match=next(iter(options))):
+        map_hypothesis(scan, prediction, **options)
+
+
+@pytest.mark.parametrize("v", [[0.5, 0.5], [0.5, 0.5, 1.5], [0.5, math.nan, 0.5]])
+def test_a_visibility_that_is_no_probability_is_refused(v):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
+    with pytest.raises(ValueError, match="visibility"):
+        map_hypothesis(scan, dataclasses.replace(prediction, visibility=np.array(v)))
+
+
+@pytest.mark.parametrize("options", [{"density": 0.0}, {"prior": -1.0}, {"memory": 2.0}, {"area": 0.0}])
+def test_meaningless_settings_of_the_online_variant_are_refused(options):
+    with pytest.raises(ValueError, match=next(iter(options))):
+        MostProbable(**options)

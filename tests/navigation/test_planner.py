@@ -1,0 +1,302 @@
+"""The wavefront against Dijkstra on the explicit graph, its paths, and a robot that drives them through doors."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, CoverageGrid
+from slam_gym.navigation.planner import CROWDING, MARGIN, STEPS, PursuitSpec, distance_field, follow
+from slam_gym.types import Beams
+
+RESOLUTION = 0.2
+
+
+def grid_of(cells):
+    """A grid with these cells, its lower left corner at (−1, 2)."""
+    grid = CoverageGrid(np.array([-1.0, 2.0, -1.0 + cells.shape[1] * RESOLUTION, 2.0 + cells.shape[0] * RESOLUTION]))
+    assert grid.cells.shape == cells.shape
+    grid._cells[:] = cells
+    return grid
+
+
+def centre(grid, row, column):
+    return grid.origin + (np.array([column, row]) + 0.5) * grid.resolution
+
+
+def random_cells(rng, shape=(25, 32)):
+    noise = ndimage.gaussian_filter(rng.normal(size=shape), rng.uniform(0.6, 1.5))
+    return np.digitize(noise, np.quantile(noise, [0.12, 0.8])).astype(np.uint8)
+
+
+def costs_by_graph(cells, start, clearance):
+    """Least costs [cells] to every cell from the explicit graph of all legal steps, and the weights of the cells."""
+    distances = np.inf if not (cells == WALL).any() else ndimage.distance_transform_edt(cells != WALL) * RESOLUTION
+    weights = 1.0 + CROWDING * np.clip(1.0 - distances / (clearance + MARGIN), 0.0, None) ** 2
+    weights = np.where(cells == FREE, weights, np.inf)
+    closed = (cells == FREE) & (distances < clearance - 1e-9)
+    h, w = cells.shape
+    entries = []
+    for r in range(h):
+        for c in range(w):
+            is_start = (r, c) == start
+            if not (is_start or cells[r, c] == FREE):
+                continue
+            weight = min(weights[r, c], 1.0 + CROWDING)
+            for dr, dc in STEPS:
+                r1, c1 = r + dr, c + dc
+                if not (0 <= r1 < h and 0 <= c1 < w) or cells[r1, c1] != FREE:
+                    continue
+                if dr and dc and (cells[r, c1] != FREE or cells[r1, c] != FREE):
+                    continue
+                if closed[r1, c1] and not (closed[r, c] or is_start):
+                    continue
+                cost = math.hypot(dr, dc) * (weight + weights[r1, c1]) / 2.0
+                entries.append((cost, r * w + c, r1 * w + c1))
+    values, rows, columns = zip(*entries)
+    graph = csr_matrix((values, (rows, columns)), shape=(h * w, h * w))
+    return dijkstra(graph, indices=start[0] * w + start[1]).reshape(h, w), weights
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_costs_are_those_of_dijkstra_on_the_explicit_graph(seed):
+    rng = np.random.default_rng(seed)
+    cells = random_cells(rng)
+    clearance = rng.choice([0.0, 0.2, 0.25, 0.4])
+    kind = FREE if seed < 20 else rng.choice([WALL, UNKNOWN])  # a start where no robot should be still leads out
+    start = tuple(rng.choice(np.argwhere(cells == kind)))
+    grid = grid_of(cells)
+    field = distance_field(grid, centre(grid, *start), clearance)
+    expected, weights = costs_by_graph(cells, start, clearance)
+    assert np.array_equal(np.isfinite(field.costs), np.isfinite(expected))
+    reached = np.isfinite(expected)
+    assert np.allclose(field.costs[reached], expected[reached], rtol=1e-12)
+    assert np.allclose(field.weights[field.levels], weights, rtol=1e-12)
+    assert np.array_equal(np.isfinite(field.lengths), reached)
+    for row, column in rng.permutation(np.argwhere(reached))[:20]:  # a length is that of the steps back to the start
+        length, r, c = 0.0, row, column
+        while field.steps[r, c] >= 0:
+            dr, dc = STEPS[field.steps[r, c]]
+            length, r, c = length + math.hypot(dr, dc) * RESOLUTION, r - dr, c - dc
+        assert (r, c) == start and field.lengths[row, column] == pytest.approx(length)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_paths_are_short_legal_and_no_dearer(seed):
+    rng = np.random.default_rng(100 + seed)
+    cells = random_cells(rng, (60, 80))
+    grid = grid_of(cells)
+    free = np.argwhere(cells == FREE)
+    field = distance_field(grid, centre(grid, *rng.choice(free)), 0.2)
+    for row, column in rng.permutation(np.argwhere(np.isfinite(field.lengths)))[:30]:
+        goal = centre(grid, row, column) + rng.uniform(-0.09, 0.09, 2)
+        path = field.path(goal)
+        assert np.array_equal(path[0], field.start) and np.array_equal(path[-1], goal)
+        inner = np.concatenate([[centre(grid, *field.cell(path[0]))], path[1:-1], [centre(grid, row, column)]])
+        cost, length = 0.0, 0.0
+        for a, b in itertools.pairwise(inner):
+            points = a + (np.linspace(0.0, 1.0, 2000, endpoint=False)[:, None] + 1 / 4000) * (b - a)
+            walked = tuple(np.floor((points - grid.origin) / RESOLUTION).astype(int).T[::-1])
+            assert np.isfinite(field.costs[walked]).all()
+            length += np.hypot(*(b - a))
+            cost += np.hypot(*(b - a)) / RESOLUTION * field.weights[field.levels[walked]].mean()
+        assert cost <= field.costs[row, column] * 1.01 + 0.05
+        assert length <= field.lengths[row, column] + 1e-9
+
+
+def test_open_space_is_crossed_straight():
+    grid = grid_of(np.full((60, 80), FREE, dtype=np.uint8))
+    field = distance_field(grid, centre(grid, 5, 5), 0.25)
+    goal = centre(grid, 41, 72)
+    assert np.array_equal(field.path(goal), [centre(grid, 5, 5), goal])
+    assert np.array_equal(field.path(field.start + 0.01), [field.start, field.start + 0.01])
+
+
+@pytest.mark.parametrize("width", [3, 4, 5, 9])
+def test_passages_are_taken_in_the_middle(width):
+    """A door `width` cells wide in a wall two cells thick; start and goal hug one side of their rooms."""
+    cells = np.full((41, 60), FREE, dtype=np.uint8)
+    first = (41 - width) // 2
+    cells[:, 30:32] = WALL
+    cells[first : first + width, 30:32] = FREE
+    grid = grid_of(cells)
+    path = distance_field(grid, centre(grid, 2, 3), 0.25).path(centre(grid, 2, 57))
+    middle = grid.origin[1] + (first + width / 2.0) * RESOLUTION
+    at_door = np.interp(grid.origin[0] + 31 * RESOLUTION, path[:, 0], path[:, 1])
+    room = width * RESOLUTION / 2.0
+    assert abs(at_door - middle) <= max(0.11, room - 0.49)
+
+
+def test_gaps_too_narrow_and_goals_unreachable():
+    cells = np.full((21, 40), FREE, dtype=np.uint8)
+    cells[:, 20] = WALL
+    cells[10, 20] = FREE
+    grid = grid_of(cells)
+    start, goal = centre(grid, 10, 3), centre(grid, 10, 37)
+    assert distance_field(grid, start, 0.2).length_to(goal) == pytest.approx(34 * RESOLUTION)
+    field = distance_field(grid, start, 0.25)
+    assert field.length_to(goal) == math.inf and field.path(goal).shape == (0, 2)
+    assert field.length_to(np.array([99.0, 0.0])) == math.inf and field.path(np.array([99.0, 0.0])).shape == (0, 2)
+    nearest = field.nearest(goal)
+    assert np.isfinite(field.length_to(nearest)) and nearest[0] == pytest.approx(centre(grid, 10, 19)[0])
+
+
+def test_start_within_the_clearance_leads_out_and_off_the_grid_nowhere():
+    cells = np.full((30, 30), FREE, dtype=np.uint8)
+    cells[:, 0] = WALL
+    grid = grid_of(cells)
+    field = distance_field(grid, centre(grid, 10, 1), 0.5)
+    assert np.isfinite(field.length_to(centre(grid, 25, 25)))
+    away = distance_field(grid, centre(grid, 10, 20), 0.5)
+    assert away.length_to(centre(grid, 10, 1)) == math.inf
+    assert np.isinf(away.lengths[:, 1:3]).all() and np.isfinite(away.lengths[:, 3:]).all()
+    outside = distance_field(grid, np.array([-50.0, 0.0]), 0.25)
+    assert np.isinf(outside.lengths).all() and np.array_equal(outside.nearest(np.zeros(2)), [-50.0, 0.0])
+    for clearance in (-0.1, math.nan, math.inf):
+        with pytest.raises(ValueError, match="clearance"):
+            distance_field(grid, np.zeros(2), clearance)
+
+
+def test_nothing_known_is_nowhere_to_go():
+    grid = CoverageGrid(np.array([0.0, 0.0, 4.0, 4.0]))
+    field = distance_field(grid, np.array([2.0, 2.0]), 0.25)
+    assert np.isfinite(field.lengths).sum() == 1 and field.length_to(np.array([2.05, 2.05])) == 0.0
+
+
+def test_follow_turns_first_slows_down_and_rests():
+    path = np.array([[0.0, 0.0], [5.0, 0.0]])
+    forward, turn = follow(np.array([0.0, 0.0, 0.0]), path)
+    assert forward == pytest.approx(1.0) and turn == pytest.approx(0.0)
+    for heading in (math.pi - 0.01, 2.0, 0.8):  # facing away: turn on the spot, the shorter way round
+        assert follow(np.array([0.0, 0.0, heading]), path) == (0.0, -1.0)
+        assert follow(np.array([0.0, 0.0, -heading]), path) == (0.0, 1.0)
+    assert 0.0 < follow(np.array([4.9, 0.0, 0.0]), path)[0] < 0.6
+    assert follow(np.array([5.0, 0.01, 1.0]), path) == (0.0, 0.0)
+    assert follow(np.zeros(3), np.empty((0, 2))) == (0.0, 0.0)
+    beside = follow(np.array([1.0, 0.3, 0.0]), path)
+    mirrored = follow(np.array([1.0, -0.3, 0.0]), path)
+    assert beside[1] < 0 and beside == pytest.approx((mirrored[0], -mirrored[1]))
+
+
+def test_follow_stays_within_the_fractions_whatever_it_is_given():
+    rng = np.random.default_rng(7)
+    spec = PursuitSpec(max_speed=0.6, max_turn=1.0)
+    for _ in range(500):
+        path = rng.normal(scale=3.0, size=(rng.integers(1, 6), 2))
+        path = np.repeat(path, rng.integers(1, 3), axis=0)  # stretches of no length
+        forward, turn = follow(np.array([*rng.normal(scale=3.0, size=2), rng.uniform(-9, 9)]), path, spec)
+        assert 0.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0
+
+
+THICKNESS, DOOR, RADIUS = 0.15, 0.9, 0.2
+
+
+def floor_walls():
+    """Six rooms on both sides of a corridor 1.8 m wide, walls (s, 4): solid boxes with doors of .9 m left between."""
+    boxes = [(-0.15, -0.15, 12.15, 0.0), (-0.15, 10.0, 12.15, 10.15), (-0.15, 0.0, 0.0, 10.0), (12.0, 0.0, 12.15, 10.0)]
+    for y, doors in ((4.0, (0.8, 6.7, 9.5)), (5.8, (2.9, 4.3, 9.9))):
+        ends = [0.0, *(x for door in doors for x in (door, door + DOOR)), 12.0]
+        boxes += [(a, y, b, y + THICKNESS) for a, b in zip(ends[::2], ends[1::2])]
+    for x in (4.0, 8.0):
+        boxes += [(x - 0.075, 0.0, x + 0.075, 4.0), (x - 0.075, 5.95, x + 0.075, 10.0)]
+    return np.array([s for x, y, u, v in boxes for s in ((x, y, u, y), (u, y, u, v), (u, v, x, v), (x, v, x, y))])
+
+
+WALLS = floor_walls()
+ROOMS = np.array([(2, 2), (6, 2), (10, 2), (2, 8), (6, 8), (10, 8)], dtype=float)
+BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
+
+
+class Drive:
+    """A kinematic robot with limited acceleration among `WALLS`; its base frame is turned by a random angle."""
+
+    def __init__(self, seed):
+        self.rng = np.random.default_rng(seed)
+        self.position = np.array([6.0, 4.9]) + self.rng.uniform(-0.3, 0.3, 2)
+        self.heading = self.rng.uniform(-3, 3)
+        self.base, self.turned = self.position.copy(), self.rng.uniform(-3, 3)
+        self.speed = self.turning = 0.0
+        self.contacts, self.least, self.visited = 0, math.inf, set()
+        corners = self.to_base(np.array([[-0.5, -0.5], [12.5, -0.5], [12.5, 10.5], [-0.5, 10.5]]))
+        self.grid = CoverageGrid(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
+        for _ in range(12):
+            self.move(0.0, 0.7)
+
+    def to_base(self, points):
+        c, s = math.cos(self.turned), math.sin(self.turned)
+        return (points - self.base) @ np.array([[c, -s], [s, c]])
+
+    @property
+    def pose(self):
+        return np.array([*self.to_base(self.position), self.heading - self.turned])
+
+    def ranges(self):
+        angles = BEARINGS + self.heading
+        d, e = np.stack([np.cos(angles), np.sin(angles)], axis=1), WALLS[:, 2:] - WALLS[:, :2]
+        a = WALLS[:, :2] - self.position
+        across = d[:, :1] * e[:, 1] - d[:, 1:] * e[:, 0]
+        t = (a[:, 0] * e[:, 1] - a[:, 1] * e[:, 0]) / across
+        u = (a[:, 0] * d[:, 1:] - a[:, 1] * d[:, :1]) / across
+        t = np.where((t > 0) & (u >= 0) & (u <= 1), t, 6.0).min(axis=1)
+        return np.where(t < 6.0, np.clip(t + 0.03 * self.rng.normal(size=40), 0.0, 6.0), 6.0)
+
+    def distance_to_walls(self, point):
+        a, e = WALLS[:, :2], WALLS[:, 2:] - WALLS[:, :2]
+        t = np.clip(((point - a) * e).sum(axis=1) / (e * e).sum(axis=1), 0, 1)
+        return np.hypot(*(a + t[:, None] * e - point).T).min()
+
+    def move(self, forward, turn):
+        self.speed += np.clip(forward - self.speed, -0.3, 0.3)
+        self.turning += np.clip(2.0 * turn - self.turning, -1.0, 1.0)
+        middle = self.heading + 0.05 * self.turning
+        point = self.position + 0.1 * self.speed * np.array([math.cos(middle), math.sin(middle)])
+        self.heading += 0.1 * self.turning
+        distance = self.distance_to_walls(point)
+        self.least = min(self.least, distance)
+        if distance < RADIUS:
+            self.contacts, self.speed = self.contacts + 1, 0.0
+        else:
+            self.position = point
+        self.visited |= set(np.flatnonzero(np.hypot(*(ROOMS - self.position).T) < 1.9))
+        self.grid.integrate(self.pose, Beams(BEARINGS, self.ranges(), 6.0))
+
+    def go(self, goal, ticks=600, until=lambda: False):
+        """Drive to `goal` in B, replanning every half second; whether it was reached."""
+        path = np.empty((0, 2))
+        for tick in range(ticks):
+            if np.hypot(*(goal - self.pose[:2])) < 0.3 or until():
+                return True
+            if tick % 5 == 0:
+                path = distance_field(self.grid, self.pose[:2], 0.25).path(goal)
+                if len(path) == 0:
+                    return False
+            self.move(*follow(self.pose, path))
+        return False
+
+    def explore(self, decisions=200):
+        """To the nearest frontier, two seconds at a time, until there is none; whether that came to be."""
+        for _ in range(decisions):
+            field = distance_field(self.grid, self.pose[:2], 0.25)
+            frontiers = self.grid.frontiers(field)
+            if len(frontiers) == 0:
+                return True
+            lengths = [field.length_to(centre) for centre in frontiers.centres]
+            if not self.go(frontiers.centres[np.argmin(lengths)], ticks=20) or min(lengths) < 0.3:
+                self.move(0.0, 0.7)
+        return False
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_robot_explores_a_floor_and_drives_to_every_room_without_touching_a_wall(seed):
+    drive = Drive(seed)
+    assert drive.explore()
+    free = 12 * 10 - 2 * 12 * THICKNESS - 4 * 4.05 * THICKNESS + 6 * DOOR * THICKNESS
+    assert 0.88 * free < drive.grid.explored_area < 1.02 * free
+    for room in drive.rng.permutation(len(ROOMS)):
+        assert drive.go(drive.to_base(ROOMS[room] + drive.rng.uniform(-1, 1, 2))), f"room {room} not reached"
+    assert drive.visited == set(range(6))
+    assert drive.contacts == 0 and drive.least > RADIUS + 0.02

@@ -1,0 +1,126 @@
+"""The virtual map against the equations written out, and the laws its criteria must keep."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym.geometry import observe, transform_jacobians
+from slam_gym.navigation.virtual_map import VirtualMap
+from slam_gym.types import Beams
+
+BOUNDS = np.array([-6.0, -4.0, 7.0, 5.0])
+BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
+CLEAR = Beams(BEARINGS, np.full(40, 6.0), 6.0)
+
+
+def random_covariance(rng, scale=0.1):
+    a = rng.normal(scale=scale, size=(3, 3))
+    return a @ a.T
+
+
+def centres(virtual):
+    h, w = virtual.covariances.shape[:2]
+    columns, rows = np.meshgrid(np.arange(w), np.arange(h))
+    return virtual.origin + (np.stack([columns, rows], axis=-1) + 0.5) * virtual.cell
+
+
+def observed_by_hand(virtual, pose, covariance, beams, sigma):
+    """The covariances that `observe` should leave, cell by cell with the Jacobians of geometry."""
+    out = virtual.covariances.copy()
+    half_gap = abs(beams.bearings[1] - beams.bearings[0]) / 2
+    for index in np.ndindex(out.shape[:2]):
+        z = observe(pose, centres(virtual)[index][None])[0]
+        off = np.abs(np.angle(np.exp(1j * (math.atan2(z[1], z[0]) - beams.bearings))))
+        k = off.argmin()
+        if off[k] <= half_gap + 1e-9 and np.hypot(*z) <= min(beams.ranges[k], beams.max_range):
+            J, _ = transform_jacobians(pose, z)
+            candidate = J @ covariance @ J.T + sigma**2 * np.eye(2)
+            if np.trace(candidate) < np.trace(out[index]):
+                out[index] = candidate
+    return out
+
+
+@pytest.mark.parametrize("field_of_view", [2 * math.pi, 1.5 * math.pi, 1.0])
+def test_observation_is_the_propagated_covariance_where_smaller(field_of_view):
+    rng = np.random.default_rng(1)
+    virtual = VirtualMap(BOUNDS, 0.8, prior_sigma=0.5)
+    bearings = np.linspace(-field_of_view / 2, field_of_view / 2, 40, endpoint=field_of_view < 6)
+    for _ in range(25):
+        pose = np.array([*rng.uniform(-7, 7, 2), rng.uniform(-4, 4)])
+        ranges = np.where(rng.random(40) < 0.3, 5.0, rng.uniform(0.0, 5.0, 40))
+        beams, covariance = Beams(bearings, ranges, 5.0), random_covariance(rng)
+        before = virtual.covariances.copy()
+        expected = observed_by_hand(virtual, pose, covariance, beams, 0.05)
+        improved = virtual.observe(pose, covariance, beams, 0.05)
+        assert np.allclose(virtual.covariances, expected, rtol=1e-9, atol=1e-12)
+        assert improved == (virtual.covariances != before).any(axis=(2, 3)).sum()
+    assert 0 < virtual.observed.sum() < virtual.observed.size
+
+
+def test_criteria_are_those_of_the_eigenvalues():
+    rng = np.random.default_rng(2)
+    virtual = VirtualMap(BOUNDS, 1.0, prior_sigma=0.7)
+    assert virtual.a_opt() == pytest.approx(0.49) and virtual.d_opt() == pytest.approx(0.49)
+    assert virtual.entropy() == pytest.approx(0.5 * math.log(2 * math.pi * math.e * 0.49))
+    for _ in range(5):
+        virtual.observe(rng.uniform(-3, 3, 3), random_covariance(rng), CLEAR, 0.03)
+    eigenvalues = np.linalg.eigvalsh(virtual.covariances)
+    assert virtual.a_opt() == pytest.approx(eigenvalues.mean())
+    assert virtual.d_opt() == pytest.approx(math.exp(np.log(eigenvalues).mean()))
+    assert virtual.entropy() == pytest.approx((0.5 * np.log(2 * math.pi * math.e * eigenvalues)).mean())
+    assert virtual.d_opt() <= virtual.a_opt()
+
+
+def test_uncertainty_never_grows_and_the_order_of_observations_does_not_matter():
+    rng = np.random.default_rng(3)
+    looks = [(rng.uniform(-3, 3, 3), random_covariance(rng), CLEAR, 0.03) for _ in range(8)]
+    one, other = VirtualMap(BOUNDS), VirtualMap(BOUNDS)
+    values = [one.a_opt()]
+    for look in looks:
+        one.observe(*look)
+        values.append(one.a_opt())
+    for look in reversed(looks):
+        other.observe(*look)
+    assert np.all(np.diff(values) <= 0) and values[-1] < values[0]
+    assert np.array_equal(one.covariances, other.covariances)
+
+
+def test_criteria_do_not_depend_on_the_units_of_heading():
+    """Rotating the whole situation by a quarter turn, which maps the grid onto itself, changes no criterion."""
+    rng = np.random.default_rng(4)
+    square = np.array([-5.0, -5.0, 5.0, 5.0])
+    straight, turned = VirtualMap(square), VirtualMap(square)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for _ in range(5):
+        pose, covariance = rng.uniform(-3, 3, 3), random_covariance(rng)
+        beams = Beams(BEARINGS, rng.uniform(1.0, 6.0, 40), 6.0)
+        straight.observe(pose, covariance, beams, 0.03)
+        turned.observe(quarter @ pose + [0, 0, math.pi / 2], quarter @ covariance @ quarter.T, beams, 0.03)
+    assert turned.a_opt() == pytest.approx(straight.a_opt()) and turned.d_opt() == pytest.approx(straight.d_opt())
+
+
+def test_walls_hide_and_nothing_bad_gets_in():
+    virtual = VirtualMap(BOUNDS, 1.0, 1.0)
+    virtual.observe(np.zeros(3), np.zeros((3, 3)), Beams(BEARINGS, np.full(40, 2.0), 6.0), 0.05)
+    distance = np.hypot(centres(virtual)[..., 0], centres(virtual)[..., 1])
+    assert np.array_equal(virtual.observed, distance <= 2.0)
+    before = virtual.covariances.copy()
+    assert virtual.observe(np.zeros(3), np.full((3, 3), np.nan), CLEAR, 0.05) == 0
+    assert virtual.observe(np.array([1e6, 0.0, 0.0]), np.zeros((3, 3)), CLEAR, 0.05) == 0
+    assert virtual.observe(np.zeros(3), np.zeros((3, 3)), Beams(BEARINGS, np.full(40, np.nan), 6.0), 0.05) == 0
+    assert np.array_equal(virtual.covariances, before)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (([0, 0, -1, 1],), "bounds"),
+        (([0, 0, math.inf, 1],), "bounds"),
+        (([0, 0, 1, 1], 0.0), "cell"),
+        (([0, 0, 1, 1], 1.0, math.nan), "prior_sigma"),
+    ],
+)
+def test_absurd_maps_are_refused(arguments, name):
+    with pytest.raises(ValueError, match=name):
+        VirtualMap(np.array(arguments[0], dtype=float), *arguments[1:])

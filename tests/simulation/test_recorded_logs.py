@@ -1,0 +1,261 @@
+"""Recordings as scenarios of `Associate-v0`: windows, identities, rewards, and what a user is told where data lack."""
+
+import math
+import pickle
+import warnings
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+from slam_gym.association import jcbb, nearest_neighbour
+from slam_gym.geometry import compose, observe, relative
+from slam_gym.recordings.recording import Recording, save
+from slam_gym.simulation.recorded_logs import reference_poses, windows
+from slam_gym.types import NONE, UNKNOWN
+from tests.envs.test_associate import ID, Playing, associate, at_random, episode, refuse, total
+from tests.rollouts import differences
+
+STEPS = 60
+
+
+def drive(seed=0, steps=STEPS, headings=True, **changes) -> Recording:
+    """A robot on an arc among 40 features in a frame W of its own, with spurious measurements and unknown sources."""
+    rng = np.random.default_rng(seed)
+    world, poses = rng.uniform(-12.0, 12.0, (40, 2)), [np.array([-8.0, 3.0, 2.0])]
+    motions, points, sources, starts = [np.array([0.1, 0.0, 0.0])], [], [], [0]
+    for step in range(steps):
+        if step:
+            motion = np.array([0.4, 0.0, 0.1])
+            poses.append(compose(poses[-1], motion))
+            motions.append(motion + 0.01 * rng.standard_normal(3))
+        local = observe(poses[-1], world)
+        seen = np.flatnonzero(np.hypot(*local.T) < 8.0)
+        points.append(local[seen] + 0.05 * rng.standard_normal((len(seen), 2)))
+        points.append(rng.uniform(-8.0, 8.0, (1, 2)))
+        sources += [*np.where(rng.random(len(seen)) < 0.1, UNKNOWN, seen), NONE]
+        starts.append(len(sources))
+    unknown = np.full(len(sources), math.nan)
+    reference = np.array(poses) if headings else np.column_stack([np.array(poses)[:, :2], np.full(steps, math.nan)])
+    log = Recording(
+        name="arc", source="made", terms="none", times=np.arange(steps) + 5.0, motions=np.array(motions),
+        motion_covariances=np.tile(1e-4 * np.eye(3), (steps, 1, 1)), starts=np.array(starts),
+        points=np.concatenate(points), covariances=np.tile(0.0025 * np.eye(2), (len(sources), 1, 1)), sizes=unknown,
+        size_variances=unknown.copy(), sources=np.array(sources), reference_times=np.arange(steps) + 5.0,
+        reference_poses=reference, landmark_ids=np.arange(40), landmarks=world, range=9.0, field_of_view=2.0 * math.pi,
+    )  # fmt: skip
+    return replace(log, **changes)
+
+
+@pytest.fixture
+def arc(tmp_path, monkeypatch) -> str:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    save(drive(), tmp_path / "arc.npz")
+    return f"recording:{tmp_path / 'arc.npz'}"
+
+
+def truth(env, info):
+    return env.K if info["truth"]["action"] == NONE else info["truth"]["action"]
+
+
+def looks_of(log, seed):
+    return list(log.looks(np.random.default_rng(seed)))
+
+
+# -- windows -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+@pytest.mark.parametrize("split", ["train", "test", None])
+def test_windows_are_pieces_of_their_part_of_the_log_and_start_where_the_robot_stands(split, every) -> None:
+    recording, starts = drive(), set()
+    thinned = recording.every(every)
+    cut = round(0.7 * len(thinned))
+    parts = {"train": range(cut), "test": range(cut, len(thinned)), None: range(len(thinned))}
+    steps = parts[split]
+    log, step_of = windows(recording, split, 5, every), {thinned.scan(k).points.tobytes(): k for k in steps}
+    for seed in range(400):
+        looks = looks_of(log, seed)
+        assert len(looks) == log.length == 5
+        first = step_of[looks[0][1].points.tobytes()]
+        starts.add(first)
+        for k, (odometry, scan, truth) in enumerate(looks):
+            np.testing.assert_array_equal(scan.points, thinned.scan(first + k).points)
+            np.testing.assert_array_equal(truth.sources, thinned.sources_of(first + k))
+            expected = thinned.motions[first + k] if k else np.zeros(3)
+            np.testing.assert_array_equal(odometry.motion, expected)
+            assert k or not odometry.covariance.any()
+    assert starts == set(steps[: len(steps) - 4])
+
+
+def test_a_window_is_no_longer_than_its_part() -> None:
+    assert windows(drive(), "train").length == 42 and windows(drive(), "test").length == 18
+    assert [windows(drive(steps=2), split).length for split in ("train", "test")] == [1, 1]
+
+
+def test_reference_poses_are_read_between_their_neighbours_and_across_the_cut_of_the_circle() -> None:
+    recording = drive()
+    every_third = replace(
+        recording, reference_times=recording.reference_times[::3], reference_poses=recording.reference_poses[::3]
+    )
+    poses, true = reference_poses(every_third), recording.reference_poses
+    for k in range(58):  # the last one given is that of step 57
+        error = relative(true[k], poses[k])
+        assert np.hypot(*error[:2]) < 0.05 and abs(error[2]) < 1e-9
+        assert -math.pi < poses[k, 2] <= math.pi
+    assert np.isnan(poses[58:]).all()
+    assert np.isnan(reference_poses(drive(headings=False))[:, 2]).all()
+    nothing = replace(recording, reference_times=np.empty(0), reference_poses=np.empty((0, 3)))
+    assert np.isnan(reference_poses(nothing)).all()
+
+
+# -- the environment -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{}, {"reward": "map_error", "split": "test"}, {"render_mode": "rgb_array"}])
+def test_checkers_find_nothing_to_warn_of(arc, options) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(ID, scenario=f"{arc}?looks=12", **options).unwrapped)
+        check_env_sb3(gym.make(ID, scenario=f"{arc}?looks=12&every=2", **options))
+
+
+def test_same_seed_same_episode_and_other_seeds_other_windows(arc) -> None:
+    env, other, starts = associate(f"{arc}?looks=8"), associate(f"{arc}?looks=8"), set()
+    for seed in range(6):
+        record = list(episode(env, at_random(seed), seed=seed))
+        assert not differences(record, list(episode(other, at_random(seed), seed=seed)))
+        starts.add(env.run.poses[0].tobytes())
+    assert len(starts) > 3
+
+
+def test_snapshots_restore_in_another_environment_and_pickle(arc) -> None:
+    env, choose = associate(f"{arc}?looks=12"), at_random(1)
+    for step in episode(env, choose, seed=3, steps=20):
+        last = step
+    other = pickle.loads(pickle.dumps(associate(f"{arc}?looks=12")))
+    observation, info = other.restore(pickle.loads(pickle.dumps(env.snapshot())))
+    assert not differences((observation, info), (last[0], last[4]))
+
+
+def test_refusing_everything_earns_nothing_and_the_truth_the_maximum(arc) -> None:
+    for seed in range(5):
+        env = associate(f"{arc}?looks=30", candidates=8)
+        steps = list(episode(env, refuse, seed=seed))
+        assert all(step[1] == 0.0 for step in steps) and steps[-1][4]["score"] == 0.0
+        steps = list(episode(env, truth, seed=seed))
+        tally = env.run.identities.total
+        assert tally.fp == 0 and tally.tp > 40
+        assert steps[-1][4]["score"] == pytest.approx(tally.recall) and tally.recall > 0.9
+        for player in (Playing(nearest_neighbour), Playing(jcbb), at_random(seed)):
+            assert total(episode(env, player, seed=seed)) <= total(steps)
+
+
+def test_sources_that_nobody_knows_earn_nothing_and_spurious_ones_cost() -> None:
+    for source, earns in ((UNKNOWN, 0.0), (NONE, -1.0)):
+        log = drive()
+        env = associate(windows(replace(log, sources=np.full_like(log.sources, source)), "train"), wrong_cost=2.0)
+        steps = list(episode(env, at_random(0)))
+        assert len(steps) > 100 and np.sign(total(steps)) == earns
+        tally = env.run.identities.total
+        assert (tally.fp_spurious > 50) == (source == NONE) and tally.fp == tally.fp_spurious and tally.tp == 0
+        assert steps[-1][4]["score"] == pytest.approx(-2.0 * tally.fp)
+
+
+def test_a_map_is_scored_against_the_landmarks_wherever_the_window_starts(arc) -> None:
+    errors = []
+    for seed in range(5):
+        env = associate(f"{arc}?looks=30", reward="map_error")
+        steps = list(episode(env, Playing(jcbb), seed=seed))
+        assert total(steps) == pytest.approx(steps[0][4]["map_error"] - steps[-1][4]["map_error"])
+        errors.append(steps[-1][4]["map_error"])
+    assert max(errors) < 0.9  # a map in another frame would be worse than none
+
+
+def test_without_known_places_no_map_is_scored(monkeypatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    for recording in (drive(headings=False), drive(landmark_ids=np.empty(0, np.int64), landmarks=np.empty((0, 2)))):
+        log = windows(recording, "train", 5)
+        with pytest.raises(ValueError, match="nobody knows where the features of 'arc' are; known: truth"):
+            associate(log, reward="map_error")
+        env = associate(log, render_mode="rgb_array")
+        for _, _, _, _, info in episode(env, at_random(0)):
+            assert info["map_error"] == 1.0
+        assert env.render().shape == (720, 1140, 3)
+
+
+# -- names ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [
+        ("recording:atlantis", ValueError, "unknown recording 'atlantis'; known: victoria_park, mrclam"),
+        ("recording:nowhere.npz", FileNotFoundError, "nowhere.npz: not there"),
+        ("recording:mrclam", ValueError, "known: mrclam/1, "),
+        ("recording:mrclam/6", ValueError, "known: mrclam/1, "),
+        ("recording:victoria_park", FileNotFoundError, "(?s)SLAM_GYM_DATA.*Cite"),
+        ("recording:mrclam/1", FileNotFoundError, "(?s)SLAM_GYM_DATA.*Cite"),
+        ("recording:victoria_park?look=3", ValueError, "looks=NUMBER"),
+        ("recording:victoria_park?looks=few", ValueError, "looks=NUMBER"),
+        ("recording:victoria_park?", ValueError, "looks=NUMBER"),
+        ("recordings", ValueError, "recording:FILE, recording:victoria_park"),
+    ],
+)
+def test_names_without_a_recording_are_refused_with_what_to_do(name, error, message, monkeypatch) -> None:
+    monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
+    with pytest.raises(error, match=message):
+        associate(name)
+
+
+def test_a_pose_graph_with_landmarks_is_a_scenario(tmp_path) -> None:
+    lines, positions = [], np.array([[2.0, 1.0], [2.0, -1.0], [4.0, 0.0]])
+    for k in range(40):
+        if k:
+            lines.append(f"EDGE_SE2 {k - 1} {k} 0.1 0 0 1e4 0 0 1e4 0 1e4")
+        for landmark, (x, y) in enumerate(positions - [0.1 * k, 0.0]):
+            lines.append(f"EDGE_SE2_XY {k} {100 + landmark} {x} {y} 1e3 0 1e3")
+    (tmp_path / "row.g2o").write_text("\n".join(lines))
+    env = associate(f"recording:{tmp_path / 'row.g2o'}?looks=10", split="test")
+    assert total(episode(env, Playing(jcbb))) == pytest.approx(1.0)
+
+
+def test_numbers_out_of_range_are_refused(arc) -> None:
+    for query, message in (("looks=0", "looks=0"), ("every=0", "every 0"), ("every=60", "'arc': 1 steps are too few")):
+        with pytest.raises(ValueError, match=message):
+            associate(f"{arc}?{query}")
+    with pytest.raises(ValueError, match="unknown split 'valid'"):
+        windows(drive(), "valid")
+
+
+# -- the published logs --------------------------------------------------------------------------------------------
+
+
+def test_victoria_park_ranks_nearest_neighbour_below_jcbb_below_the_truth(data_dir, monkeypatch) -> None:
+    monkeypatch.setenv("SLAM_GYM_DATA", str(data_dir))
+    park = "recording:victoria_park?looks=100&every=10"
+    env = associate(park, split="test", compatibility="individual", candidates=8)
+    assert env.scenario.name == "victoria_park"
+    returns = {}
+    for name, player in (("nn", Playing(nearest_neighbour)), ("jcbb", Playing(jcbb)), ("truth", truth)):
+        returns[name] = np.mean([total(episode(env, player, seed=seed)) for seed in range(4)])
+    assert returns["nn"] + 0.1 < returns["jcbb"] < 0.8 < returns["truth"] <= 1.0
+
+
+def test_mrclam_is_set_6_of_the_robot_that_was_asked_for(data_dir, monkeypatch) -> None:
+    monkeypatch.setenv("SLAM_GYM_DATA", str(data_dir))
+    env = associate("recording:mrclam/3?looks=60", reward="map_error")
+    assert env.scenario.name == "mrclam/MRCLAM_Dataset6/robot3" and env.scenario.targets.shape == (15, 2)
+    assert min(total(episode(env, truth, seed=seed)) for seed in range(4)) > 0.0
+
+
+@pytest.mark.parametrize("name", ["victoria_park", "mrclam/3"])
+def test_published_logs_pass_the_checkers(data_dir, monkeypatch, name) -> None:
+    monkeypatch.setenv("SLAM_GYM_DATA", str(data_dir))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(ID, scenario=f"recording:{name}?looks=20").unwrapped, skip_render_check=True)
+        check_env_sb3(gym.make(ID, scenario=f"recording:{name}?looks=20", split="test"))

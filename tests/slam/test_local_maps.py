@@ -1,0 +1,311 @@
+"""Local maps as a mode of the core, on the corridor; duplicates against every subset of pairs."""
+
+import functools
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym.association import jcbb, true_association
+from slam_gym.geometry import relative, wrap_angle
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.locality import covisible, locality_sizes
+from slam_gym.mapping.map_joining import join
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.metrics.association import Identities, Tally
+from slam_gym.metrics.consistency import anees_interval, nees
+from slam_gym.slam.duplicates import find_duplicates
+from slam_gym.slam.local_maps import LocalMapSlam
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import Array, IntArray, Odometry, Scan
+from slam_gym.world import corridor
+from tests.oracles.association import gate
+
+WORLD = corridor.features()
+
+
+class Loop:
+    """One loop through the corridor of the reference experiment in local maps."""
+
+    def __init__(self, seed: int, features_per_map: int | None, *, truth: bool = True, ask: int | None = None) -> None:
+        rng, self.identities, self.tally = np.random.default_rng(seed), Identities(), Tally()
+        spec = SlamSpec(MapSpec(unconfirmed_age=None), reach=corridor.RANGE)
+        self.slam = LocalMapSlam(spec, functools.partial(jcbb, confidence=0.99), features_per_map)
+        self.pose, self.starts, self.views, self.scans = np.zeros(3), [np.zeros(3)], [], []
+        for step, (odometry, scan, seen) in enumerate(corridor.walk_round(rng)):
+            if ask and step and step % ask == 0:
+                self.slam.new_map()
+            self.pose = seen.pose
+            self.scans.append(seen.sources)
+            known = self.identities.source_of(self.slam.map.ids)
+            right = functools.partial(true_association, sources=seen.sources, identities=known)
+            before = len(self.slam.maps)
+            result = self.slam.step(odometry, scan, right if truth else None)
+            if len(self.slam.maps) > before:
+                self.starts.append(self.pose)  # true pose of the base
+                self.views.append(seen.sources)
+            self.tally += self.identities.update(result, seen)
+
+    def joined_error(self) -> tuple[Array, Array, Array]:
+        """Error of the joined map (robot, oldest feature of each source), its covariance, source of every feature."""
+        m = self.slam.joined()
+        sources = self.identities.source_of(m.ids)
+        _, first = np.unique(sources, return_index=True)
+        entries = np.concatenate([np.arange(3), (3 + 2 * first[:, None] + np.arange(2)).ravel()])
+        error = m.mean[entries] - np.concatenate([self.pose, WORLD[sources[first]].ravel()])
+        error[2] = wrap_angle(error[2])
+        return error, np.ascontiguousarray(m.covariance[np.ix_(entries, entries)]), sources
+
+
+@functools.cache
+def loop(seed: int, features_per_map: int | None, truth: bool = True) -> Loop:
+    return Loop(seed, features_per_map, truth=truth)
+
+
+def test_maps_are_closed_when_full_and_start_from_nothing() -> None:
+    run = loop(0, 20)
+    assert len(run.slam.maps) > 5
+    for closed in list(run.slam.maps)[:-1]:
+        assert 20 <= closed.n < 40
+    for base, start in zip(run.slam.maps.bases, run.starts):
+        np.testing.assert_allclose(base[:2], start[:2], atol=2.0)
+    np.testing.assert_array_equal(run.slam.maps.bases[0], np.zeros(3))
+
+
+def test_each_map_is_right_in_its_base_and_begins_as_certain_as_a_scan() -> None:
+    run = loop(0, 20)
+    for number, (m, start) in enumerate(zip(run.slam.maps, run.starts)):
+        true = WORLD[run.identities.source_of(m.ids)]
+        first = m.first_seen == m.first_seen.min()
+        c, s = math.cos(start[2]), math.sin(start[2])
+        error = m.positions - (true - start[:2]) @ np.array([[c, -s], [s, c]])
+        assert np.hypot(*error[first].T).max() < 0.2, number
+        assert np.sqrt(np.linalg.eigvalsh(m.covariances[first])).max() < 0.06
+
+
+def test_the_joined_map_is_consistent_and_has_few_duplicates() -> None:
+    total, dofs, duplicates = 0.0, 0, 0
+    for seed in range(8):
+        error, covariance, sources = loop(seed, 30).joined_error()
+        total, dofs = total + nees(error, covariance), dofs + len(error)
+        duplicates += len(sources) - len(np.unique(sources))
+        assert len(np.unique(sources)) == len(WORLD)
+    low, high = anees_interval(1, dofs, 0.999)
+    assert low - 0.05 < total / dofs < high + 0.05  # linearisation at headings degrees off
+    assert duplicates <= 8  # of 8 × 88 features
+
+
+def test_with_its_own_associations_it_maps_like_one_filter() -> None:
+    """Median over loops, for both lose a loop now and then."""
+    errors = []
+    for seed in range(7):
+        run = loop(seed, 30, truth=False)
+        error, _, _ = run.joined_error()
+        errors.append(np.sqrt((error[3:] ** 2).reshape(-1, 2).sum(axis=1).mean()))
+        assert run.tally.precision > 0.95
+    assert np.median(errors) < 0.06
+
+
+def test_identities_hold_in_each_map_and_in_the_joined_one() -> None:
+    """With right associations every decision is right, though each map begins its features anew."""
+    run = loop(0, 20)
+    tally = run.tally
+    assert tally.fp == tally.fn == tally.new_wrong == 0 and tally.tp > 100
+    assert tally.new_right == sum(m.n for m in run.slam.maps)
+    joined = run.slam.joined()
+    np.testing.assert_allclose(joined.positions, WORLD[run.identities.source_of(joined.ids)], atol=1.0)
+
+
+def test_locality_is_the_local_map_a_feature_was_first_seen_in() -> None:
+    run = loop(0, 20)
+    joined = run.slam.joined()
+    numbers = run.slam.map_of(joined)
+    for number, m in enumerate(run.slam.maps):
+        assert set(joined.ids[numbers == number].tolist()) <= set(m.ids.tolist())
+    sizes = locality_sizes(run.slam.locality(joined), joined.n)
+    assert sizes.max() <= max(m.n for m in run.slam.maps)
+
+
+def test_covisibility_goes_over_into_the_joined_map() -> None:
+    """With right associations: exactly the pairs of true features that some scan saw, but for duplicates left over."""
+    run = loop(0, 20)
+    joined = run.slam.joined()
+    sources = run.identities.source_of(joined.ids)
+    once = np.flatnonzero([(sources == s).sum() == 1 for s in sources])
+    expected = np.eye(joined.n, dtype=np.bool_)
+    for scan in run.scans:
+        in_view = np.isin(sources, scan)
+        expected |= in_view[:, None] & in_view
+    locality = run.slam.covisible(joined)
+    found = np.array([np.isin(np.arange(joined.n), locality.of(j)) for j in range(joined.n)])
+    assert len(once) > 80
+    np.testing.assert_array_equal(found[np.ix_(once, once)], expected[np.ix_(once, once)])
+    assert locality_sizes(run.slam.covisible(joined, hops=2), joined.n).mean() > found.sum(axis=1).mean()
+    joined.remove(np.array([0]))
+    with pytest.raises(ValueError, match="m: not the map"):
+        run.slam.covisible(joined)
+
+
+def test_at_a_border_no_local_map_holds_what_the_robot_sees() -> None:
+    """The weakness of this locality: the scan that follows a border has most of its features in two maps."""
+    run = loop(0, 20)
+    joined = run.slam.joined()
+    sources = run.identities.source_of(joined.ids)
+    locality, shares = run.slam.locality(joined), []
+    for view in run.views:
+        in_view = np.flatnonzero(np.isin(sources, view))
+        shares.append(max(np.isin(in_view, locality.of(j)).mean() for j in in_view))
+    assert min(shares) < 0.6 and np.mean(shares) < 0.8
+    graph = CovisibilityGraph()
+    graph.add(joined.n)
+    graph.see_together(in_view)
+    assert max(np.isin(in_view, covisible(graph).of(j)).mean() for j in in_view) == 1.0
+
+
+def test_a_new_map_on_demand() -> None:
+    asked = Loop(3, None, ask=10)
+    assert len(asked.slam.maps) == 5
+    assert asked.tally.fp == asked.tally.fn == asked.tally.new_wrong == 0
+    never = Loop(3, None)
+    assert len(never.slam.maps) == 1
+    np.testing.assert_array_equal(never.slam.joined().mean, never.slam.map.mean)
+
+
+def test_one_map_is_plain_slam() -> None:
+    local, plain = LocalMapSlam(SlamSpec(), jcbb, None), Slam(SlamSpec(), jcbb)
+    for odometry, scan, _ in corridor.walk_round(np.random.default_rng(5)):
+        ours, theirs = local.step(odometry, scan), plain.step(odometry, scan)
+        np.testing.assert_array_equal(ours.ids, theirs.ids)
+        np.testing.assert_array_equal(ours.removed, theirs.removed)
+    np.testing.assert_array_equal(local.joined().mean, plain.map.mean)
+    np.testing.assert_array_equal(local.pose, plain.map.pose)
+
+
+def test_a_bad_scan_is_refused_before_a_new_map_begins() -> None:
+    slam = LocalMapSlam(SlamSpec(), jcbb, 1)
+    still, unknown = Odometry(np.zeros(3), 1e-4 * np.eye(3)), np.full(1, np.nan)
+    good = Scan(np.ones((1, 2)), np.eye(2)[None], unknown, unknown)
+    slam.step(still, good)
+    before = slam.map.pose_covariance
+    with pytest.raises(ValueError, match="measurement 0"):
+        slam.step(still, Scan(np.full((1, 2), np.nan), np.eye(2)[None], unknown, unknown))
+    assert len(slam.maps) == 1
+    np.testing.assert_array_equal(slam.map.pose_covariance, before)
+    with pytest.raises(ValueError, match="features_per_map"):
+        LocalMapSlam(SlamSpec(), jcbb, 0)
+
+
+# --- duplicates -------------------------------------------------------------------------------------------------------
+
+
+def two_maps(rng: np.random.Generator, shared: int, own: int, spread: float = 1.2) -> tuple[StochasticMap, IntArray]:
+    """A join of two small crowded maps; the number of older features, and the true pairs."""
+    landmarks = np.array([2.0, 0.0]) + rng.uniform(-spread, spread, (shared + 2 * own, 2))
+    base = np.array([0.3, -0.2, 0.1])
+    groups = [np.arange(shared + own), np.concatenate([np.arange(shared), np.arange(shared + own, len(landmarks))])]
+    maps = []
+    for group, pose in zip(groups, (np.zeros(3), base)):
+        m, sigma = StochasticMap(MapSpec(unconfirmed_age=None)), 0.12
+        seen = np.array([relative(pose, np.array([*landmark, 0.0]))[:2] for landmark in landmarks[group]])
+        noisy = seen + sigma * rng.standard_normal(seen.shape)
+        unknown = np.full(len(group), np.nan)
+        m.add(Scan(noisy, np.tile(sigma**2 * np.eye(2), (len(group), 1, 1)), unknown, unknown), np.arange(len(group)))
+        maps.append(m)
+    Q = np.diag([0.15, 0.15, 0.05]) ** 2
+    maps[0].predict(Odometry(base + np.sqrt(np.diag(Q)) * rng.standard_normal(3), Q))
+    pairs = np.column_stack([np.arange(shared), shared + own + np.arange(shared)])
+    return join(maps[0], maps[1], renumber=True), pairs
+
+
+def pair_distance(m: StochasticMap, pairs: list[tuple[int, int]]) -> float:
+    """D² of F_i = F_j for all pairs (j, i), by the formula."""
+    H = np.zeros((2 * len(pairs), 3 + 2 * m.n))
+    for row, (j, i) in enumerate(pairs):
+        for axis in range(2):
+            H[2 * row + axis, 3 + 2 * i + axis], H[2 * row + axis, 3 + 2 * j + axis] = 1.0, -1.0
+    nu = H @ m.mean
+    return float(nu @ np.linalg.solve(H @ m.covariance @ H.T, nu))
+
+
+def best_pairs(m: StochasticMap, older: int) -> tuple[int, float]:
+    """Most pairs, then least D², over every one-to-one path of jointly compatible prefixes."""
+    best = (0, 0.0)
+    stack: list[tuple[int, list[tuple[int, int]]]] = [(older, [])]
+    options = {i: [j for j in range(older) if pair_distance(m, [(j, i)]) < gate(2, 0.9999)] for i in range(older, m.n)}
+    while stack:
+        i, pairs = stack.pop()
+        if i == m.n:
+            distance = pair_distance(m, pairs) if pairs else 0.0
+            if len(pairs) > best[0] or (len(pairs) == best[0] and distance < best[1]):
+                best = (len(pairs), distance)
+            continue
+        stack.append((i + 1, pairs))
+        for j in options[i]:
+            longer = [*pairs, (j, i)]
+            if all(j != used for used, _ in pairs) and pair_distance(m, longer) < gate(2 * len(longer), 0.99):
+                stack.append((i + 1, longer))
+    return best
+
+
+def test_duplicates_equal_the_best_of_all_paths() -> None:
+    rng, largest, limits = np.random.default_rng(0), 0, 0
+    for _ in range(150):
+        shared, own = int(rng.integers(0, 4)), int(rng.integers(0, 3))
+        m, _ = two_maps(rng, shared, own)
+        found = find_duplicates(m, np.arange(shared + own), np.arange(shared + own, m.n))
+        pairs = [(int(j), int(i)) for j, i in found.pairs]
+        assert len({j for j, _ in pairs}) == len({i for _, i in pairs}) == len(pairs)
+        assert found.dof == 2 * len(pairs)
+        if pairs:
+            assert found.joint_distance == pytest.approx(pair_distance(m, pairs), rel=1e-6, abs=1e-9)
+            assert found.joint_distance < gate(found.dof, 0.99)
+        count, distance = best_pairs(m, shared + own)
+        largest = max(largest, count)
+        if found.effort.limit_hit:
+            limits += 1
+            continue
+        assert len(pairs) == count
+        assert found.joint_distance == pytest.approx(distance, rel=1e-6, abs=1e-9)
+    assert largest >= 4 and limits <= 3
+
+
+def test_features_in_common_are_found_under_a_poor_relation() -> None:
+    rng, right, wrong = np.random.default_rng(1), 0, 0
+    for _ in range(40):
+        m, true = two_maps(rng, 6, 2, spread=3.0)
+        found = find_duplicates(m, np.arange(8), np.arange(8, 16)).pairs
+        hits = len(set(map(tuple, found.tolist())) & set(map(tuple, true.tolist())))
+        right, wrong = right + hits, wrong + len(found) - hits
+    assert right > 0.9 * 240 and wrong < 0.15 * right
+
+
+def test_sizes_and_kinds_tell_features_apart() -> None:
+    m, exact = StochasticMap(), np.tile(0.01 * np.eye(2), (4, 1, 1))
+    points = np.array([[1.0, 0.0], [3.0, 0.0], [1.02, 0.0], [3.01, 0.0]])
+    sizes, variances = np.array([0.2, 0.5, 0.9, 0.5]), np.full(4, 1e-3)
+    m.add(Scan(points, exact, sizes, variances, np.array([0, 1, 0, 1])), np.arange(4))
+    np.testing.assert_array_equal(find_duplicates(m, np.arange(2), np.arange(2, 4)).pairs, [[1, 3]])
+    m = StochasticMap()
+    m.add(Scan(points, exact, np.full(4, np.nan), np.full(4, np.nan), np.array([0, 1, 0, 2])), np.arange(4))
+    np.testing.assert_array_equal(find_duplicates(m, np.arange(2), np.arange(2, 4)).pairs, [[0, 2]])
+
+
+def test_a_node_limit_is_reported() -> None:
+    m, _ = two_maps(np.random.default_rng(2), 6, 2)
+    assert find_duplicates(m, np.arange(8), np.arange(8, 16), node_limit=1).effort.limit_hit
+    assert not find_duplicates(m, np.arange(8), np.arange(8, 16)).effort.limit_hit
+
+
+@pytest.mark.parametrize(("older", "newer"), [([0, 0], [1]), ([0], [0]), ([0], [99]), ([-1], [1])])
+def test_features_that_make_no_sense_are_refused(older: list[int], newer: list[int]) -> None:
+    m, _ = two_maps(np.random.default_rng(3), 2, 1)
+    with pytest.raises(ValueError, match="older, newer"):
+        find_duplicates(m, np.array(older), np.array(newer))
+
+
+def test_nothing_to_compare_gives_no_pairs() -> None:
+    m, _ = two_maps(np.random.default_rng(4), 2, 1)
+    for older, newer in itertools.product(([], [0]), ([], [5])):
+        found = find_duplicates(m, np.array(older), np.array(newer))
+        assert len(found.pairs) <= min(len(older), len(newer))

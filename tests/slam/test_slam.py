@@ -1,0 +1,233 @@
+"""One SLAM step: what is paired, what starts a feature, what is forgotten, what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam_gym.association import jcbb, nearest_neighbour
+from slam_gym.bench.consistency.corridor import run
+from slam_gym.geometry import compose, observe
+from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import NONE, Effort, Hypothesis, Odometry, Scan
+
+STILL = Odometry(np.zeros(3), np.diag([1e-4, 1e-4, 1e-5]))
+
+
+def scan_of(points, sigma: float = 0.02) -> Scan:
+    points = np.array(points, float).reshape(-1, 2)
+    unknown = np.full(len(points), np.nan)
+    return Scan(points, np.tile(np.eye(2) * sigma**2, (len(points), 1, 1)), unknown, unknown)
+
+
+def slam_of(associate=jcbb, **settings) -> Slam:
+    return Slam(SlamSpec(**settings), associate)
+
+
+def test_first_scan_starts_a_feature_for_every_measurement() -> None:
+    slam = slam_of()
+    step = slam.step(STILL, scan_of([[1, 0], [2, 1], [0, -3]]))
+    assert step.created.all() and slam.map.n == 3
+    np.testing.assert_array_equal(step.ids, slam.map.ids)
+    assert slam.covisibility.count(0, 1) == slam.covisibility.count(1, 2) == 1
+
+
+def test_seen_again_is_paired_and_no_longer_provisional() -> None:
+    slam = slam_of()
+    points = [[1, 0], [2, 1], [0, -3]]
+    slam.step(STILL, scan_of(points))
+    step = slam.step(STILL, scan_of(points[::-1]))
+    np.testing.assert_array_equal(step.hypothesis.features, [2, 1, 0])
+    assert not step.created.any() and not slam.map.provisional.any()
+    assert slam.covisibility.count(0, 2) == 2
+
+
+def test_compatible_but_unpaired_is_discarded_and_starts_nothing() -> None:
+    slam = slam_of()
+    slam.step(STILL, scan_of([[2, 0]]))
+    # two measurements compete for one feature: JCBB pairs the nearer, the other is compatible with it
+    step = slam.step(STILL, scan_of([[2.0, 0.0], [2.03, 0.0]]))
+    np.testing.assert_array_equal(step.hypothesis.features, [0, NONE])
+    assert step.ids[1] == NONE and not step.created.any() and slam.map.n == 1
+
+
+def test_unconfirmed_features_are_dropped_and_everything_is_renumbered() -> None:
+    slam = slam_of(map=MapSpec(unconfirmed_age=2))
+    slam.step(STILL, scan_of([[5, 5], [1, 0], [2, 1]]))
+    spurious = slam.map.ids[0]
+    kept = slam.map.ids[1:]
+    removed = np.concatenate([slam.step(STILL, scan_of([[1, 0], [2, 1]])).removed for _ in range(4)])
+    np.testing.assert_array_equal(removed, [spurious])
+    np.testing.assert_array_equal(slam.map.ids, kept)
+    assert slam.covisibility.n == 2 and slam.covisibility.count(0, 1) == 5
+    step = slam.step(STILL, scan_of([[1, 0], [2, 1]]))
+    np.testing.assert_array_equal(step.ids, kept)
+
+
+def test_locality_offers_first_what_is_near_what_was_just_paired() -> None:
+    slam = slam_of(recent=1, reach=20.0)
+    slam.step(STILL, scan_of([[1, 0], [2, 1]]))
+    slam.step(STILL, scan_of([[10, 0], [11, 1]]))
+    prediction = slam.predict_features()
+    np.testing.assert_array_equal(prediction.features, [0, 1, 2, 3])
+    np.testing.assert_array_equal(prediction.locality.near, [False, False, True, True])
+    among = prediction.locality.among(np.array([0, 1, 2]))
+    np.testing.assert_array_equal(among, [[True, True, False], [True, True, False], [False, False, True]])
+    slam.spec = replace(slam.spec, locality=False)
+    assert slam.predict_features().locality is None
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda s: s.points.__setitem__((1, 0), np.nan), "measurement 1: points are not finite"),
+        (lambda s: s.covariances.__setitem__((0, 0, 0), np.inf), "measurement 0: covariance is not finite"),
+        (lambda s: s.covariances.__setitem__((1, 0, 1), 0.1), "measurement 1: covariance is not symmetric"),
+        (lambda s: s.covariances.__setitem__((0, 0, 0), -1.0), "measurement 0: covariance is not PSD"),
+        (lambda s: s.covariances.__setitem__(0, [[1, 2], [2, 1]]), "measurement 0: covariance is not PSD"),
+        (lambda s: s.covariances.__setitem__(0, [[1, 2e-6], [2e-6, 1e-12]]), "measurement 0: covariance is not PSD"),
+    ],
+)
+def test_a_bad_scan_is_refused_by_name_and_changes_nothing(spoil, message) -> None:
+    slam = slam_of()
+    slam.step(STILL, scan_of([[1, 0], [2, 1]]))
+    mean, covariance = slam.map.mean, slam.map.covariance
+    bad = scan_of([[1, 0], [2, 1]])
+    spoil(bad)
+    with pytest.raises(ValueError, match=message):
+        slam.step(STILL, bad)
+    np.testing.assert_array_equal(slam.map.mean, mean)
+    np.testing.assert_array_equal(slam.map.covariance, covariance)
+
+
+@pytest.mark.parametrize(
+    "odometry",
+    [
+        Odometry(np.array([np.nan, 0, 0]), np.eye(3)),
+        Odometry(np.zeros(3), np.diag([1.0, -1.0, 1.0])),
+        Odometry(np.zeros(3), np.full((3, 3), np.inf)),
+    ],
+)
+def test_bad_odometry_is_refused_and_changes_nothing(odometry) -> None:
+    slam = slam_of()
+    slam.step(STILL, scan_of([[1, 0]]))
+    mean, covariance = slam.map.mean, slam.map.covariance
+    with pytest.raises(ValueError, match="odometry"):
+        slam.step(odometry, scan_of([[1, 0]]))
+    np.testing.assert_array_equal(slam.map.mean, mean)
+    np.testing.assert_array_equal(slam.map.covariance, covariance)
+
+
+def test_empty_scans_are_fine() -> None:
+    slam = slam_of()
+    for points in ([], [[1, 0]], [], [[1, 0]], []):
+        step = slam.step(STILL, scan_of(points))
+        assert len(step.ids) == len(points)
+    assert slam.map.n == 1
+
+
+def test_relocation_is_called_when_pairings_collapse_and_only_then() -> None:
+    calls = []
+
+    def relocate(slam: Slam, scan: Scan) -> Hypothesis:
+        calls.append(slam.map.step)
+        return Hypothesis(np.array([1, 0]), 0.0, 4, Effort())
+
+    slam = Slam(SlamSpec(collapse_scans=3, collapse_least=2), jcbb, relocate)
+    here, elsewhere = scan_of([[1, 0], [2, 1]]), scan_of([[4, 4], [5, 3]])
+    for _ in range(5):
+        slam.step(STILL, here)
+    assert not calls
+    paired = []
+    for turn in range(3):
+        # a different place each time, so that what the last scan started is no help
+        step = slam.step(STILL, scan_of(elsewhere.points + 3.0 * turn))
+        paired.append(step.hypothesis.features.tolist())
+    assert calls == [7]
+    assert paired == [[NONE, NONE], [NONE, NONE], [1, 0]]
+
+
+def test_jcbb_maps_the_corridor_where_nearest_neighbour_fails() -> None:
+    seeds = range(8)
+    joint = [run("jcbb", seed) for seed in seeds]
+    nearest = [run("nearest_neighbour", seed) for seed in seeds]
+    assert all(88 <= r.slam.map.n <= 91 for r in joint)
+    assert sum(r.tally.tp for r in joint) / sum(r.tally.tp + r.tally.fp for r in joint) >= 0.985
+    assert np.mean([r.slam.map.n for r in nearest]) >= 103
+    assert sum(r.tally.fp for r in nearest) >= 10 * sum(r.tally.fp for r in joint)
+
+
+def test_true_association_maps_the_corridor_consistently() -> None:
+    runs = [run("true_association", seed) for seed in range(20)]
+    assert all(r.slam.map.n == 88 and r.tally.fp == r.tally.fn == 0 for r in runs)
+    assert 0.9 < np.mean([r.nees[1:].mean() for r in runs]) / 3.0 < 1.2
+
+
+def test_singles_is_precise_with_few_pairings_in_the_corridor() -> None:
+    runs = [run("singles", seed, q=2.0) for seed in range(6)]
+    tp, fp, fn = (sum(getattr(r.tally, name) for r in runs) for name in ("tp", "fp", "fn"))
+    assert tp / (tp + fp) > 0.96 and fn > tp
+
+
+def test_locality_hardly_changes_a_decision_while_tracking() -> None:
+    for seed in range(3):
+        with_locality, without = run("jcbb", seed, q=2.0), run("jcbb", seed, q=2.0, locality=False)
+        assert abs(with_locality.tally.tp - without.tally.tp) <= 6
+        assert with_locality.tally.precision > 0.98
+
+
+def test_nearest_neighbour_may_be_given_for_one_step() -> None:
+    slam = slam_of()
+    slam.step(STILL, scan_of([[2, 0]]))
+    step = slam.step(STILL, scan_of([[2.0, 0.0], [2.03, 0.0]]), nearest_neighbour)
+    np.testing.assert_array_equal(step.hypothesis.features, [0, 0])
+
+
+def test_a_drive_in_a_known_world_stays_accurate() -> None:
+    rng = np.random.default_rng(3)
+    world = rng.uniform(-8, 8, (60, 2))
+    slam, pose = slam_of(reach=6.0), np.zeros(3)
+    noise = np.diag([0.02**2, 0.01**2, 0.01**2])
+    for _ in range(150):
+        move = np.array([0.2, 0.0, 0.1])
+        pose = compose(pose, move)
+        local = observe(pose, world)
+        local = local[np.hypot(*local.T) < 6.0]
+        slam.step(
+            Odometry(move + np.sqrt(np.diag(noise)) * rng.standard_normal(3), noise),
+            scan_of(local + 0.02 * rng.standard_normal(local.shape)),
+        )
+    assert np.hypot(*(slam.map.pose - pose)[:2]) < 0.15
+    distances = np.hypot(*(slam.map.positions[:, None] - world[None]).transpose(2, 0, 1)).min(axis=1)
+    assert np.median(distances) < 0.1
+
+
+def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pose() -> None:
+    here, moved = scan_of([[1, 0], [2, 1]]), Odometry(np.array([0.0, 8.0, 0.0]), 1e-4 * np.eye(3))
+
+    def relocate(slam: Slam, scan: Scan) -> Hypothesis:
+        slam.map.predict(Odometry(-moved.motion, 1e-4 * np.eye(3)))  # back to where the scan makes sense
+        return Hypothesis(np.array([0, NONE]), 0.0, 2, Effort())
+
+    slam = Slam(SlamSpec(collapse_scans=1, collapse_least=2, reach=20.0), jcbb, relocate)
+    slam.step(STILL, here)
+    slam.step(STILL, here)
+    step = slam.step(moved, here)
+    assert not step.created.any() and slam.map.n == 2  # the second measurement fits feature 1, once relocated
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"reach": np.nan},
+        {"new_confidence": 1.0},
+        {"collapse": 1.5},
+        {"recent": 0},
+        {"collapse_scans": 0},
+        {"collapse_least": 0},
+    ],
+)
+def test_settings_that_cannot_be_are_refused_by_name(settings) -> None:
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        SlamSpec(**settings)
