@@ -25,12 +25,12 @@ from agents.evaluation.drives import tables as drive_tables
 from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.recordings import add_recording_options, run_recording
 from agents.evaluation.results import Record, cell
-from agents.suite.experiments import EXPERIMENTS, RELOCATION
 from agents.suite.run import OUTCOMES, by_world, capabilities, names_of, number, over_all, ranked, worlds
 from agents.suite.run import tables as suite_tables
 from slam_gym.association import RELOCATORS
 from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios import SCENARIOS, SPLITS
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 
 SETTINGS = ("office-small", "hall", "crowd")
 EPISODES = 8

@@ -16,8 +16,7 @@ from agents.drivers.base import make_agent
 from agents.evaluation.associators import CEILING, Key, Task, gated, row
 from agents.evaluation.results import Column, Record
 from agents.evaluation.rollout import ENV_ID, run_episode
-from agents.suite.experiments import EXPERIMENTS, load
-from slam_gym.scenarios import SCENARIOS, Scenario
+from slam_gym.scenarios import Scenario, get_scenario
 from slam_gym.types import Hypothesis, Prediction, Scan
 
 COLUMNS = (
@@ -72,13 +71,7 @@ class Course:
     @property
     def scenario(self) -> Scenario:
         """ValueError with the known names where there is none."""
-        name, slash, _ = self.setting.partition("/")
-        if slash and name in EXPERIMENTS:
-            return load(self.setting).scenario
-        if self.setting not in SCENARIOS:
-            levels = ", ".join(f"{name}/…" for name in EXPERIMENTS)
-            raise ValueError(f"unknown scenario {self.setting!r}; known: {', '.join(SCENARIOS)}; {levels}")
-        return SCENARIOS[self.setting]
+        return get_scenario(self.setting)
 
 
 @dataclass(frozen=True)

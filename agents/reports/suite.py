@@ -21,7 +21,6 @@ from agents.reports.associators import (
     read,
     unfinished,
 )
-from agents.suite.experiments import EXPERIMENTS, RELOCATION
 from agents.suite.run import (
     by_world,
     capabilities,
@@ -33,6 +32,7 @@ from agents.suite.run import (
     ranked,
     tables,
 )
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 
 ABOUT = {
     "nearest_neighbour": "decides each measurement by itself, for the nearest compatible feature.",

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agents.suite.experiments import Level
 from slam_gym.association import true_association
 from slam_gym.geometry import relative
 from slam_gym.metrics.association import Identities
 from slam_gym.navigation.explored_grid import CoverageGrid
 from slam_gym.navigation.visibility import in_view
 from slam_gym.scenarios import world_generator, world_seed
+from slam_gym.scenarios.suite import Level
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.slam.slam import Slam
 from slam_gym.types import NONE, Array, Hypothesis, IntArray, Odometry, Prediction, Scan, Truth

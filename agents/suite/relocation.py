@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from agents.suite.experiments import Level
 from agents.suite.problems import LEAST, Course
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.locality import covisible
+from slam_gym.scenarios.suite import Level
 from slam_gym.types import Array, Landmarks, Locality, Relocation, Scan
 
 NEAR = 0.3  # [m] an answer is right within this distance …

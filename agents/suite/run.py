@@ -13,11 +13,11 @@ import numpy as np
 
 from agents.evaluation.associators import Key, Task, find_associator, gated
 from agents.evaluation.results import Record, estimate
-from agents.suite.experiments import EXPERIMENTS, RELOCATION, Experiment, load
 from agents.suite.problems import Course, ask, judge, problems
 from agents.suite.relocation import kidnappings, outcome
 from slam_gym.association import resolve_relocator
 from slam_gym.metrics.statistics import Interval
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Experiment, get_level
 from slam_gym.types import Array, Effort
 
 OUTCOMES = ("correct", "silent", "wrong", "refused", "invented")
@@ -42,13 +42,13 @@ class World:
         return replace(self, asked=left) if left else None
 
     def run(self) -> list[Record]:
-        level = load(self.setting)
+        level = get_level(self.setting)
         answer = self._relocate if level.experiment == RELOCATION else self._associate
         about = {"setting": self.setting, "episode": self.episode, "experiment": level.experiment, "knob": level.knob}
         return [{"associator": name} | about | record for name, record in answer().items()]
 
     def _associate(self) -> dict[str, Record]:
-        level = load(self.setting)
+        level = get_level(self.setting)
         confidence = level.scenario.slam.map.confidence
         asked = {name: gated(name, confidence) for name in self.asked}
         judged: dict[str, list[Any]] = {name: [] for name in asked}
@@ -65,7 +65,7 @@ class World:
         asked = {name: resolve_relocator(name) for name in self.asked}
         outcomes: dict[str, Counter[str]] = {name: Counter() for name in asked}
         efforts: dict[str, list[tuple[Effort, float]]] = {name: [] for name in asked}
-        for kidnapping in kidnappings(load(self.setting), self.episode, self.problems, self.split):
+        for kidnapping in kidnappings(get_level(self.setting), self.episode, self.problems, self.split):
             for name, search in asked.items():
                 start = time.perf_counter()
                 found = search(kidnapping.scan, kidnapping.landmarks, kidnapping.locality)

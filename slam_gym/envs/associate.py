@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slam_gym.association.tracking.observation import lengths, nothing
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.envs.warm_up import compile_on_two_cores
-from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, world_generator, world_seed
+from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, get_scenario, world_generator, world_seed
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
 from slam_gym.simulation.runs import DRIVERS, LOGS, DrivenRun, Driver, Log, LoggedRun, Run
@@ -313,5 +313,8 @@ def _named(scenario: str, split: str) -> Scenario | Log:
         return recorded_log(scenario, split)
     if scenario in LOGS:
         return LOGS[scenario]
-    one_of("scenario", scenario, (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1"))
-    return SCENARIOS[scenario]
+    if "/" not in scenario:
+        one_of(
+            "scenario", scenario, (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1")
+        )
+    return get_scenario(scenario)

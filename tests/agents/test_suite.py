@@ -3,62 +3,21 @@
 import functools
 import json
 import math
-from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from agents.suite.experiments import EXPERIMENTS, RELOCATION, Level, load
 from agents.suite.problems import LEAST, Course, Judgement, Problem, ask, judge, problems
 from agents.suite.relocation import NEAR, TURNED, kidnappings, outcome
 from agents.suite.run import World, by_world, capabilities, difference, number, over_all, ranked, tables, worlds
 from slam_gym.association import true_association
 from slam_gym.association.compatibility import individual
 from slam_gym.geometry import transform
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
 from slam_gym.types import NONE, Effort, Hypothesis, Relocation
 
-LEVELS = [level for experiment in EXPERIMENTS.values() for level in experiment.levels]
 ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
-
-
-@pytest.mark.parametrize("level", LEVELS, ids=lambda level: level.id)
-def test_every_setting_is_loaded_by_id_and_frozen_to_the_bottom(level):
-    assert load(level.id) is level and level.scenario.name == level.id
-
-    def freeze_check(record):
-        for field in fields(record):
-            with pytest.raises(FrozenInstanceError):
-                setattr(record, field.name, None)
-            if is_dataclass(getattr(record, field.name)):
-                freeze_check(getattr(record, field.name))
-
-    freeze_check(level)
-    hash(level)  # all of it is immutable
-
-
-def test_a_sweep_turns_one_knob_and_nothing_else():
-    for name, experiment in EXPERIMENTS.items():
-        knobs = [level.knob for level in experiment.levels]
-        assert len(set(knobs)) == len(knobs) >= 3 and knobs in (sorted(knobs), sorted(knobs, reverse=True))
-        assert [level.number for level in experiment.levels] == list(range(len(knobs)))
-        assert {level.experiment for level in experiment.levels} == {name}
-    blind = {name: {level.blind for level in EXPERIMENTS[name].levels} for name in EXPERIMENTS}
-    assert all((len(found) > 1) == (name == "closure") for name, found in blind.items())
-
-
-@pytest.mark.parametrize(
-    ("id", "said"),
-    [
-        ("closures/1", "unknown experiment 'closures'; known: closure, aliasing"),
-        ("closure", "'closure': expected closure/0 … closure/4"),
-        ("closure/5", "expected closure/0 … closure/4"),
-        ("closure/-1", "expected closure/0"),
-        ("closure/1/2", "expected closure/0"),
-    ],
-)
-def test_an_id_that_is_none_is_refused_with_those_that_are(id, said):
-    with pytest.raises(ValueError, match=said):
-        load(id)
 
 
 def drawn(level: Level, world: int, count: int = 6, split: str = "train") -> list[Problem]:
@@ -67,11 +26,11 @@ def drawn(level: Level, world: int, count: int = 6, split: str = "train") -> lis
 
 @functools.cache
 def pool(id: str, seeds: int = 2) -> list[Problem]:
-    return [problem for world in range(seeds) for problem in drawn(load(id), world)]
+    return [problem for world in range(seeds) for problem in drawn(get_level(id), world)]
 
 
 def test_problems_are_the_same_every_time_and_others_in_other_worlds():
-    first, again, other = (drawn(load("clutter/1"), world) for world in (0, 0, 1))
+    first, again, other = (drawn(get_level("clutter/1"), world) for world in (0, 0, 1))
     assert len(first) == 6
     for a, b in zip(first, again):
         np.testing.assert_array_equal(a.scan.points, b.scan.points)
@@ -79,7 +38,7 @@ def test_problems_are_the_same_every_time_and_others_in_other_worlds():
         np.testing.assert_array_equal(a.right, b.right)
     assert all(a.scan.points.shape != c.scan.points.shape or (a.scan.points != c.scan.points).any()
                for a in first for c in other)  # fmt: skip
-    test = drawn(load("clutter/1"), 0, split="test")
+    test = drawn(get_level("clutter/1"), 0, split="test")
     assert all(a.scan.points.shape != c.scan.points.shape or (a.scan.points != c.scan.points).any()
                for a in first for c in test)  # fmt: skip
 
@@ -138,14 +97,6 @@ def test_a_detector_that_misses_shows_less():
     mapped = [np.mean([(problem.right != NONE).sum() for problem in pool(level.id)])
               for level in EXPERIMENTS["detection"].levels]  # fmt: skip
     assert mapped[-1] < 0.6 * mapped[0]
-
-
-def test_identical_rooms_repeat_at_their_pitch():
-    for level in EXPERIMENTS["aliasing"].levels:
-        positions = level.scenario.generator(np.random.default_rng(1)).features.positions
-        shifted = positions + np.array([level.knob, 0.0])
-        again = [np.hypot(*(positions - point).T).min() < 2e-3 for point in shifted]
-        assert np.mean(again) > 0.6
 
 
 @pytest.mark.parametrize("name", ["closure", "clutter", "density", "dynamics"])
@@ -227,7 +178,7 @@ def test_kidnappings_are_half_inside_the_map_and_half_in_another_building():
         gaps = [np.hypot(*(case.landmarks.positions - point).T).min() for point in seen]
         return float(np.mean(np.array(gaps) < 0.3))
 
-    cases = list(kidnappings(load("kidnapped/0"), 0, 8, "train"))
+    cases = list(kidnappings(get_level("kidnapped/0"), 0, 8, "train"))
     inside, outside = [c for c in cases if c.pose is not None], [c for c in cases if c.pose is None]
     assert len(inside) == len(outside) == 4 and all(len(case.scan) >= LEAST for case in cases)
     assert all(explained(case, case.pose) > 0.8 for case in inside)

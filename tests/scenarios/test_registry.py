@@ -1,15 +1,16 @@
-"""Named scenarios, their seeds, and floor plans from files."""
+"""Scenarios by name, those that users add, and floor plans from files."""
 
-from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from slam_gym.envs.explore import ExploreEnv
-from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, from_floor_plan, get_scenario, world_seed
+from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, from_floor_plan, get_scenario, register, world_seed
 from slam_gym.simulation.episode import survey
 from slam_gym.world.floor_plan import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
+from tests.scenarios.test_scenario import assert_frozen
 
 
 def test_the_known_scenarios_are_found_by_name() -> None:
@@ -22,15 +23,23 @@ def test_the_known_scenarios_are_found_by_name() -> None:
 
 @pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
 def test_scenarios_are_frozen_to_the_bottom(scenario) -> None:
-    def freeze_check(record) -> None:
-        for field in fields(record):
-            with pytest.raises(FrozenInstanceError):
-                setattr(record, field.name, None)
-            if is_dataclass(getattr(record, field.name)):
-                freeze_check(getattr(record, field.name))
+    assert_frozen(scenario)
 
-    freeze_check(scenario)
-    hash(scenario)  # all of it is immutable
+
+def test_a_user_s_scenario_is_found_by_its_name(monkeypatch) -> None:
+    for name in list(SCENARIOS):
+        monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name])
+    mine = replace(get_scenario("office-small"), name="mine", budget=40)
+    monkeypatch.setitem(SCENARIOS, "mine", mine)  # taken back at the end of the test, as the others are
+    del SCENARIOS["mine"]
+    register(mine)
+    register(mine)  # the same again, as when the cell of a notebook is run twice
+    assert get_scenario("mine") is mine and ExploreEnv("mine").scenario is mine
+    with pytest.raises(ValueError, match="another scenario 'mine'"):
+        register(replace(mine, budget=41))
+    for name in ("", "closure/0", "mine/2"):
+        with pytest.raises(ValueError, match="is empty or has a slash"):
+            register(replace(mine, name=name))
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
@@ -45,55 +54,6 @@ def test_worlds_are_reproducible_differ_and_can_be_explored(scenario, split) -> 
         drawn.append(first)
         site = survey(first, scenario)
         assert len(site.cells) > 100 and 20 <= site.observable.sum() <= len(first.features)
-
-
-def test_train_and_test_seeds_never_overlap() -> None:
-    ranges = [range(first, first + count) for first, count in SPLITS.values()]
-    assert set(SPLITS) == {"train", "test"} and all(len(r) >= 10_000 for r in ranges)
-    assert ranges[0].stop <= ranges[1].start or ranges[1].stop <= ranges[0].start
-    ends = {split: (world_seed(split, 0), world_seed(split, count - 1)) for split, (_, count) in SPLITS.items()}
-    for split, reach in zip(SPLITS, ranges):
-        assert ends[split] == (reach.start, reach.stop - 1)
-    for index in (-1, SPLITS["test"][1], 1.5, float("nan")):
-        with pytest.raises(ValueError, match=r"of split 'test': expected a whole number 0 … 9999"):
-            world_seed("test", index)
-    with pytest.raises(ValueError, match=r"unknown split 'validation'; known: train, test"):
-        world_seed("validation", 0)
-
-
-def test_whatever_reset_draws_belongs_to_its_split(monkeypatch) -> None:
-    drawn: dict[str, set[int]] = {}
-    for split, (first, count) in SPLITS.items():
-        env = ExploreEnv("office-small", split=split, action="twist")
-        seen = drawn.setdefault(split, set())
-        monkeypatch.setattr(env, "_draw_site", _record(env._draw_site, split, seen))
-        for seed in range(20):
-            env.reset(seed=seed)
-        assert len(seen) == 20 and all(first <= world < first + count for world in seen)
-    assert not drawn["train"] & drawn["test"]
-
-
-def _record(draw, split: str, seen: set[int]):
-    def draw_and_record(world: int):
-        seen.add(world_seed(split, world))
-        return draw(world)
-
-    return draw_and_record
-
-
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"budget": 0}, "budget"),
-        ({"budget": 1.5}, "budget"),
-        ({"prior_sigma": 0.0}, "prior_sigma"),
-        ({"prior_sigma": float("nan")}, "prior_sigma"),
-        ({"grid_resolution": -0.1}, "grid_resolution"),
-    ],
-)
-def test_a_scenario_that_cannot_be_is_refused_by_field(changes, field) -> None:
-    with pytest.raises(ValueError, match=f"Scenario.{field}"):
-        replace(get_scenario("hall"), **changes)
 
 
 def drive(scenario: Scenario, steps: int) -> dict[str, float]:

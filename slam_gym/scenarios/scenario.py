@@ -1,19 +1,16 @@
-"""Named, frozen scenarios: a world to draw, a robot with its sensors and filter, a budget; train and test seeds."""
+"""A scenario: a world to draw, a robot with its sensors and filter, a budget; and the seeds of its worlds."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.world.floor_plan import FloorPlan, load_floor_plan
-from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
+from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
 
@@ -74,57 +71,3 @@ def world_seed(split: str, index: int) -> int:
 def world_generator(split: str, index: int) -> np.random.Generator:
     """What the plan of a world is drawn from; never the stream of `reset(seed=…)`. Raises as `world_seed`."""
     return np.random.default_rng((world_seed(split, index), 1))
-
-
-def from_floor_plan(path: str | Path, resolution: float | None = None, like: Scenario | None = None) -> Scenario:
-    """A scenario on a floor plan file: the package's JSON, or an occupancy image with its `resolution` [m per pixel].
-
-    Robot, people, sensors and filter are those of `like` (default: office). The plan is read once, here; faults in the
-    file are reported by `load_floor_plan`. Seeds vary the start and the noise. The budget grows with the floor.
-    """
-    plan = load_floor_plan(path, resolution)
-    x0, y0, x1, y1 = plan.bounds
-    budget = int(np.clip(3.0 * (x1 - x0) * (y1 - y0), 1_000, 20_000))
-    return replace(like or SCENARIOS["office"], name=plan.name, generator=partial(_given, plan), budget=budget)
-
-
-def _given(plan: FloorPlan, _rng: np.random.Generator) -> FloorPlan:
-    return plan
-
-
-SCENARIOS: dict[str, Scenario] = {
-    scenario.name: scenario
-    for scenario in (
-        Scenario("office-small", OfficeGenerator(rooms=4), budget=300),
-        Scenario("office", OfficeGenerator(), budget=800),
-        Scenario("aliased", AliasedGenerator(), budget=800),
-        Scenario(
-            "hall",  # long views, and a robot whose noise makes drift count
-            HallGenerator(),
-            budget=600,
-            sensor=SensorSpec(range_sigma=0.04, bearing_sigma=0.015),
-            odometry=OdometrySpec(forward=0.05, turn_per_radian=0.05, turn_per_metre=0.05),
-        ),
-        Scenario(
-            "crowd",  # people hide features and are taken for some, so that it takes more sightings to believe in one
-            OfficeGenerator(),
-            budget=800,
-            dynamics=DynamicsSpec(people=6),
-            sensor=SensorSpec(person_detection=0.3),
-            slam=SlamSpec(MapSpec(confirmations=6, unconfirmed_age=12), new_confidence=1.0 - 1e-6),
-        ),
-        Scenario(
-            "kidnapped",  # carried away at half time, to where it has been: pass relocation="gcbb" to find back
-            OfficeGenerator(),
-            budget=800,
-            kidnapping=KidnappingSpec(),
-        ),
-    )
-}
-
-
-def get_scenario(name: str) -> Scenario:
-    """The scenario of that name. Raises ValueError that lists the known ones."""
-    if name not in SCENARIOS:
-        raise ValueError(f"unknown scenario {name!r}; known: {', '.join(SCENARIOS)}")
-    return SCENARIOS[name]

@@ -1,8 +1,9 @@
 """The association suite: one question, one sweep and one number in [0, 1] per capability, in the manner of bsuite.
 
 An experiment is a sweep over one knob. Each of its levels is a frozen setting with an id such as `closure/3`, to be
-had from `load`; its `scenario` can be driven like any other. What is done with a level is in `suite_problems`: maps are
-built by SLAM with true associations, and then every associator is asked about the same scans.
+had from `get_level`; its `scenario` can be driven like any other, and goes by that id in `get_scenario`. What is done
+with a level is up to `agents.suite`: maps are built by SLAM with true associations, and then every associator is asked
+about the same scans.
 """
 
 from __future__ import annotations
@@ -10,10 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from slam_gym.scenarios import Scenario
+from slam_gym.scenarios.scenario import Scenario
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
 from slam_gym.world.generators import AliasedGenerator, Contents, OfficeGenerator
 from slam_gym.world.physics import DynamicsSpec
@@ -33,7 +35,7 @@ class Level:
 
     @property
     def id(self) -> str:
-        """`experiment/number`, as `load` takes it."""
+        """`experiment/number`, as `get_level` takes it."""
         return f"{self.experiment}/{self.number}"
 
 
@@ -86,7 +88,8 @@ def _sweep(
 
 
 def _with_sensor(knobs: Sequence[float], field: str, **fixed: float) -> list[Scenario]:
-    sensors = [replace(_SENSOR, **{**fixed, field: knob}) for knob in knobs]
+    settings: list[dict[str, Any]] = [{**fixed, field: knob} for knob in knobs]
+    sensors = [replace(_SENSOR, **setting) for setting in settings]
     return [replace(_OFFICE, sensor=sensor) for sensor in sensors]
 
 
@@ -202,7 +205,7 @@ RELOCATION = "kidnapped"
 """The experiment that asks relocators; all others ask associators."""
 
 
-def load(id: str) -> Level:
+def get_level(id: str) -> Level:
     """The frozen setting behind an id such as `closure/3`. Raises ValueError that lists what there is."""
     name, slash, number = id.partition("/")
     if name not in EXPERIMENTS:

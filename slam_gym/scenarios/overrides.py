@@ -1,0 +1,113 @@
+"""A scenario changed by dotted names and plain values, as a command line or a JSON file gives them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from slam_gym.scenarios.scenario import Scenario
+
+Plain = bool | int | float | str | None
+"""The values that an override may have: those of JSON without lists and objects."""
+
+_PLAIN = (bool, int, float, str)
+_Record = TypeVar("_Record")
+
+
+def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
+    """The scenario with some fields changed, e.g. `{"sensor.range": 4.0, "dynamics.people": 3, "generator.rooms": 4}`.
+
+    A name leads through the fields of dataclasses to a bool, a number or a string. `None` is for fields that may be
+    None. Naming a field within one that is None, such as `kidnapping.at` in most scenarios, starts from its defaults.
+    All changes of one dataclass are made at once, so that their order does not matter.
+
+    Raises ValueError that names the override: where no such field exists (it lists those that do), for a value of the
+    wrong type or a number that is not finite, and for what the dataclasses themselves refuse.
+    """
+    tree: dict[str, Any] = {}
+    for name, value in overrides.items():
+        if not (value is None or isinstance(value, _PLAIN)):
+            raise ValueError(f"override {name!r}: expected a bool, a number, a string or None, got {value!r}")
+        *way, last = name.split(".")
+        branch = tree
+        for part in way:
+            branch = branch.setdefault(part, {})
+            if not isinstance(branch, dict):
+                raise ValueError(f"override {name!r}: {part!r} is given a value and fields")
+        if last in branch:
+            raise ValueError(f"override {name!r}: {last!r} is given a value and fields")
+        branch[last] = value
+    return _changed(scenario, tree, "")
+
+
+def parse_override(text: str) -> tuple[str, Plain]:
+    """Name and value of a command's `--set NAME=VALUE`: `true`, `false`, `null` and numbers as in JSON, else a string.
+
+    Raises ValueError where the text has another form.
+    """
+    name, equals, value = text.partition("=")
+    if not (name.strip() and equals):
+        raise ValueError(f"{text!r}: expected NAME=VALUE, such as sensor.range=4")
+    try:
+        parsed = json.loads(value)
+    except ValueError:
+        return name.strip(), value
+    return name.strip(), parsed if parsed is None or isinstance(parsed, _PLAIN) else value
+
+
+def _changed(record: _Record, tree: Mapping[str, Any], prefix: str) -> _Record:
+    """`record`, a dataclass reached by the names in `prefix`, with the fields changed that `tree` names."""
+    hints = get_type_hints(type(record))
+    values: dict[str, Any] = {}
+    known = [f.name for f in fields(record) if _can_change(getattr(record, f.name), hints[f.name])]  # type: ignore[arg-type]
+    for name, change in tree.items():
+        if name not in known:
+            where = f"known in {prefix[:-1]!r}" if prefix else "known"
+            raise ValueError(f"override {prefix + name!r}: there is no such field; {where}: {', '.join(known)}")
+        old = getattr(record, name)
+        if not isinstance(change, dict):
+            values[name] = _checked(prefix + name, change, hints[name])
+        elif (inner := old if is_dataclass(old) else _dataclass_of(hints[name])) is None:
+            raise ValueError(f"override {prefix + name!r}: has no fields")
+        else:
+            values[name] = _changed(inner() if isinstance(inner, type) else inner, change, f"{prefix}{name}.")
+    try:
+        return replace(record, **values)  # type: ignore[type-var]
+    except ValueError as error:
+        names = ", ".join(prefix + name for name in values)
+        raise ValueError(f"override of {names}: {error}") from None
+
+
+def _types(hint: Any) -> tuple[Any, ...]:
+    """The alternatives of an annotation."""
+    return get_args(hint) if NoneType in get_args(hint) else (hint,)
+
+
+def _dataclass_of(hint: Any) -> type[Any] | None:
+    return next((kind for kind in _types(hint) if isinstance(kind, type) and is_dataclass(kind)), None)
+
+
+def _can_change(value: Any, hint: Any) -> bool:
+    return is_dataclass(value) or _dataclass_of(hint) is not None or any(kind in _PLAIN for kind in _types(hint))
+
+
+def _checked(name: str, value: Plain, hint: Any) -> Plain:
+    """The value as the annotation wants it; a whole number will do for a float."""
+    types = _types(hint)
+    if value is None and NoneType in types:
+        return None
+    if type(value) is int and float in types:
+        value = float(value)
+    for kind in _PLAIN:
+        fits = kind in types and isinstance(value, kind) and isinstance(value, bool) == (kind is bool)
+        if fits and (kind is not float or math.isfinite(value)):  # type: ignore[arg-type]
+            return kind(value)  # type: ignore[arg-type]
+    words = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string", NoneType: "None"}
+    wanted = [words[kind] for kind in types if kind in words]
+    if _dataclass_of(hint) is not None or not wanted:
+        wanted.append(f"the name of a field in it, {name}.…")
+    raise ValueError(f"override {name!r}: expected {' or '.join(wanted)}, got {value!r}")

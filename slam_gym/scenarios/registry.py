@@ -1,0 +1,87 @@
+"""The scenarios of the package by name, and those that users add."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
+from slam_gym.scenarios.suite import EXPERIMENTS, get_level
+from slam_gym.slam.slam import SlamSpec
+from slam_gym.world.floor_plan import FloorPlan, load_floor_plan
+from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
+from slam_gym.world.physics import DynamicsSpec
+from slam_gym.world.sensor import OdometrySpec, SensorSpec
+
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario
+    for scenario in (
+        Scenario("office-small", OfficeGenerator(rooms=4), budget=300),
+        Scenario("office", OfficeGenerator(), budget=800),
+        Scenario("aliased", AliasedGenerator(), budget=800),
+        Scenario(
+            "hall",  # long views, and a robot whose noise makes drift count
+            HallGenerator(),
+            budget=600,
+            sensor=SensorSpec(range_sigma=0.04, bearing_sigma=0.015),
+            odometry=OdometrySpec(forward=0.05, turn_per_radian=0.05, turn_per_metre=0.05),
+        ),
+        Scenario(
+            "crowd",  # people hide features and are taken for some, so that it takes more sightings to believe in one
+            OfficeGenerator(),
+            budget=800,
+            dynamics=DynamicsSpec(people=6),
+            sensor=SensorSpec(person_detection=0.3),
+            slam=SlamSpec(MapSpec(confirmations=6, unconfirmed_age=12), new_confidence=1.0 - 1e-6),
+        ),
+        Scenario(
+            "kidnapped",  # carried away at half time, to where it has been: pass relocation="gcbb" to find back
+            OfficeGenerator(),
+            budget=800,
+            kidnapping=KidnappingSpec(),
+        ),
+    )
+}
+"""The scenarios with a name of their own; the levels of the suite (`slam_gym.scenarios.suite`) go by their ids."""
+
+
+def get_scenario(name: str) -> Scenario:
+    """The scenario of that name, or of a level of the suite such as `closure/3`. ValueError lists the known ones."""
+    if name in SCENARIOS:
+        return SCENARIOS[name]
+    if name.partition("/")[0] in EXPERIMENTS and "/" in name:
+        return get_level(name).scenario
+    levels = ", ".join(f"{experiment}/…" for experiment in EXPERIMENTS)
+    raise ValueError(f"unknown scenario {name!r}; known: {', '.join(SCENARIOS)}; levels of the suite: {levels}")
+
+
+def register(scenario: Scenario) -> None:
+    """Make a scenario known by its name, in this process, to `get_scenario` and the environments.
+
+    Raises ValueError where another scenario goes by that name, or the name could be that of a level of the suite.
+    """
+    if SCENARIOS.get(scenario.name, scenario) != scenario:
+        raise ValueError(f"there is another scenario {scenario.name!r} already")
+    if not scenario.name or "/" in scenario.name:
+        raise ValueError(f"scenario name {scenario.name!r}: is empty or has a slash, as only levels of the suite have")
+    SCENARIOS[scenario.name] = scenario
+
+
+def from_floor_plan(path: str | Path, resolution: float | None = None, like: Scenario | None = None) -> Scenario:
+    """A scenario on a floor plan file: the package's JSON, or an occupancy image with its `resolution` [m per pixel].
+
+    Robot, people, sensors and filter are those of `like` (default: office). The plan is read once, here; faults in the
+    file are reported by `load_floor_plan`. Seeds vary the start and the noise. The budget grows with the floor.
+    """
+    plan = load_floor_plan(path, resolution)
+    x0, y0, x1, y1 = plan.bounds
+    budget = int(np.clip(3.0 * (x1 - x0) * (y1 - y0), 1_000, 20_000))
+    return replace(like or SCENARIOS["office"], name=plan.name, generator=partial(_given, plan), budget=budget)
+
+
+def _given(plan: FloorPlan, _rng: np.random.Generator) -> FloorPlan:
+    return plan

@@ -1,0 +1,74 @@
+"""What a scenario may be, and the seeds of its worlds."""
+
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from typing import Any
+
+import pytest
+
+from slam_gym.envs.explore import ExploreEnv
+from slam_gym.scenarios import SPLITS, KidnappingSpec, get_scenario, world_seed
+
+
+def assert_frozen(record: Any) -> None:
+    """Nothing of a record of records can be changed, and all of it can be hashed."""
+    for field in fields(record):
+        with pytest.raises(FrozenInstanceError):
+            setattr(record, field.name, None)
+        if is_dataclass(getattr(record, field.name)):
+            assert_frozen(getattr(record, field.name))
+    hash(record)
+
+
+def test_train_and_test_seeds_never_overlap() -> None:
+    ranges = [range(first, first + count) for first, count in SPLITS.values()]
+    assert set(SPLITS) == {"train", "test"} and all(len(r) >= 10_000 for r in ranges)
+    assert ranges[0].stop <= ranges[1].start or ranges[1].stop <= ranges[0].start
+    ends = {split: (world_seed(split, 0), world_seed(split, count - 1)) for split, (_, count) in SPLITS.items()}
+    for split, reach in zip(SPLITS, ranges):
+        assert ends[split] == (reach.start, reach.stop - 1)
+    for index in (-1, SPLITS["test"][1], 1.5, float("nan")):
+        with pytest.raises(ValueError, match=r"of split 'test': expected a whole number 0 … 9999"):
+            world_seed("test", index)
+    with pytest.raises(ValueError, match=r"unknown split 'validation'; known: train, test"):
+        world_seed("validation", 0)
+
+
+def test_whatever_reset_draws_belongs_to_its_split(monkeypatch) -> None:
+    drawn: dict[str, set[int]] = {}
+    for split, (first, count) in SPLITS.items():
+        env = ExploreEnv("office-small", split=split, action="twist")
+        seen = drawn.setdefault(split, set())
+        monkeypatch.setattr(env, "_draw_site", _record(env._draw_site, split, seen))
+        for seed in range(20):
+            env.reset(seed=seed)
+        assert len(seen) == 20 and all(first <= world < first + count for world in seen)
+    assert not drawn["train"] & drawn["test"]
+
+
+def _record(draw, split: str, seen: set[int]):
+    def draw_and_record(world: int):
+        seen.add(world_seed(split, world))
+        return draw(world)
+
+    return draw_and_record
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"budget": 0}, "budget"),
+        ({"budget": 1.5}, "budget"),
+        ({"prior_sigma": 0.0}, "prior_sigma"),
+        ({"prior_sigma": float("nan")}, "prior_sigma"),
+        ({"grid_resolution": -0.1}, "grid_resolution"),
+    ],
+)
+def test_a_scenario_that_cannot_be_is_refused_by_field(changes, field) -> None:
+    with pytest.raises(ValueError, match=f"Scenario.{field}"):
+        replace(get_scenario("hall"), **changes)
+
+
+@pytest.mark.parametrize(("field", "value"), [("at", 0.0), ("at", 1.0), ("distance", -1.0), ("distance", float("inf"))])
+def test_a_kidnapping_that_cannot_be_is_refused_by_field(field, value) -> None:
+    with pytest.raises(ValueError, match=f"KidnappingSpec.{field}"):
+        KidnappingSpec(**{field: value})
