@@ -17,8 +17,8 @@ import numpy as np
 from slam_gym.association import true_association
 from slam_gym.geometry import relative
 from slam_gym.metrics.association import Identities
-from slam_gym.navigation.explored_grid import CoverageGrid
-from slam_gym.navigation.visibility import in_view
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import world_generator, world_seed
 from slam_gym.scenarios.suite import Level
 from slam_gym.simulation.episode import Site, survey
@@ -53,7 +53,7 @@ class Look:
     scan: Scan
     truth: Truth
     identities: IntArray  # (n,) true feature behind each feature of the map
-    grid: CoverageGrid  # explored so far
+    grid: ExploredGrid  # explored so far
 
     @property
     def right(self) -> IntArray:
@@ -101,7 +101,7 @@ class Course:
         slam = Slam(replace(scenario.slam, reach=scenario.sensor.range), true_association)
         identities, at = Identities(), self.base
         reach = float(np.hypot(*(self.site.plan.bounds[2:] - self.site.plan.bounds[:2]))) + 1.0
-        grid = CoverageGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
+        grid = ExploredGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
         for pose in self.poses:
             moved = relative(at, pose)
             odometry = self.sensor.odometry(Motion(moved, moved, False), self.rng)
@@ -144,16 +144,9 @@ def problems(course: Course, count: int) -> Iterator[Problem]:
         yield Problem(look.scan, prediction, look.truth.sources, look.identities, look.right)
 
 
-def _visibility(sensor: SensorSpec, prediction: Prediction, grid: CoverageGrid, pose: Array) -> Array:
-    return in_view(
-        prediction.positions,
-        prediction.covariances,
-        sensor.field_of_view,
-        sensor.range,
-        min_range=sensor.min_range,
-        grid=grid,
-        pose=pose,
-    )
+def _visibility(sensor: SensorSpec, prediction: Prediction, grid: ExploredGrid, pose: Array) -> Array:
+    view = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
+    return view.in_view(prediction.positions, prediction.covariances, grid.explored, pose)
 
 
 def ask(associate: Callable[..., Hypothesis], problem: Problem) -> Hypothesis:

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
-from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.types import Array, Prediction, Scan
 
 Float32Array = NDArray[np.float32]
@@ -99,6 +99,6 @@ def encode_uncertainty(covariance: Array) -> Float32Array:
     return out
 
 
-def encode_image(grid: CoverageGrid, pose: Array, features: Array) -> NDArray[np.uint8]:
+def encode_image(grid: ExploredGrid, pose: Array, features: Array) -> NDArray[np.uint8]:
     """(3, 48, 48): free space, walls and feature density around the robot, heading up."""
     return grid.egocentric(pose, features, PIXELS, METRES)

@@ -19,8 +19,9 @@ from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement
 from slam_gym.metrics import assignment, association, consistency, map_quality
 from slam_gym.navigation import grid
 from slam_gym.navigation.expected_gain import expected_reduction
-from slam_gym.navigation.explored_grid import CoverageGrid
-from slam_gym.navigation.planner import distance_field, follow
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.planner import distance_field
+from slam_gym.navigation.pursuit import follow
 from slam_gym.slam import slam
 from slam_gym.types import Beams, Nearby, Prediction, Scan
 from slam_gym.world import boxes, detection, ray_casting, reachability
@@ -46,12 +47,12 @@ def main() -> None:
     points = np.array([[1.0, 0.0], [1.0, 1.0]])
     _associate(points)
     map_quality.map_error(points, points, 0.5)
-    pose, explored = np.zeros(3), CoverageGrid(np.array([-4.0, -4.0, 4.0, 4.0]))
+    pose, explored = np.zeros(3), ExploredGrid(np.array([-4.0, -4.0, 4.0, 4.0]))
     bearings = np.linspace(-3.0, 3.0, 60)
     explored.integrate(pose, Beams(bearings, np.full(60, 2.0), 6.0))
     explored.egocentric(pose, points)
     field = distance_field(explored, pose[:2], 0.25)
-    explored.expected_area(explored.frontiers(field).centres, 6.0)
+    explored.expected_area(explored.frontiers(field.reachable).centres, 6.0)
     follow(pose, field.path(field.nearest(points[0])))
     mean, covariance = np.concatenate([pose, points.ravel()]), 0.01 * np.eye(7)
     expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full(3, 0.01))

@@ -8,7 +8,7 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.mapping.linear_algebra import cholesky
-from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import WALL, Cells, border_crossings
 from slam_gym.types import Array, IntArray
 
@@ -16,7 +16,7 @@ MOST_FEATURES = 12  # nearest features in view that the foreseen update uses
 
 
 def expected_reduction(
-    mean: Array, covariance: Array, grid: CoverageGrid, places: Array, *, reach: float, sigma: float, drift: Array
+    mean: Array, covariance: Array, grid: ExploredGrid, places: Array, *, reach: float, sigma: float, drift: Array
 ) -> Array:
     """(q,) [m²] decrease of Σ_j tr P_jj, over all mapped features, by one look around from each place (q, 2) in B.
 

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slam_gym.navigation import grid
 from slam_gym.navigation.frontiers import Frontiers, find_frontiers
-from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells
-from slam_gym.types import Array, Beams
+from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells, ExploredCells
+from slam_gym.types import Array, Beams, BoolArray
 
-if TYPE_CHECKING:
-    from slam_gym.navigation.planner import Field
-
-__all__ = ["FREE", "UNKNOWN", "WALL", "Cells", "CoverageGrid", "Frontiers"]
+__all__ = ["FREE", "UNKNOWN", "WALL", "Cells", "ExploredCells", "ExploredGrid", "Frontiers"]
 
 _MAX_CELLS = 20_000_000
 
 
-class CoverageGrid:
+class ExploredGrid:
     """Explored space within fixed bounds.
 
     Every cell holds saturating evidence, the integer form of log-odds: an echo counts +3, a beam crossing it −1, once a
@@ -59,6 +55,11 @@ class CoverageGrid:
         return view
 
     @property
+    def explored(self) -> ExploredCells:
+        """The cells and where they lie: what may be handed on to be looked at, but not changed."""
+        return ExploredCells(self.cells, self.origin.copy(), self.resolution)
+
+    @property
     def explored_area(self) -> float:
         """Area known to be free [m²]."""
         return self._free_cells * self.resolution**2
@@ -75,14 +76,15 @@ class CoverageGrid:
             self.origin, self.resolution, pose, beams.bearings, beams.ranges, beams.max_range,
         )  # fmt: skip
 
-    def frontiers(self, field: Field | None = None, min_length: float = 0.6, span: float = 3.0) -> Frontiers:
+    def frontiers(self, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0) -> Frontiers:
         """Frontiers at least `min_length` [m] long: connected free cells with an unknown cell beside them.
 
         A frontier reaching further than `span` [m] from its first cell is split there, since one centre could not
-        stand for all of it. A centre is the cell nearest to the frontier's centroid that `field` reaches; frontiers
-        that it cannot reach are left out. Without a field every free cell counts as reachable.
+        stand for all of it. A centre is the `reachable` (h, w) cell nearest to the frontier's centroid; frontiers
+        without one are left out. By default every free cell counts as reachable.
         """
-        reachable = self._cells == FREE if field is None else np.isfinite(field.lengths)
+        if reachable is None:
+            reachable = self._cells == FREE
         borders = min_length / self.resolution - 1e-9
         found = find_frontiers(self._cells, reachable, borders, span / self.resolution).astype(np.float64)
         return Frontiers(self.origin + (found[:, :2] + 0.5) * self.resolution, found[:, 2] * self.resolution)

@@ -6,6 +6,7 @@ Cells are addressed [row, column]; row 0 lies at the least y, column 0 at the le
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,18 @@ Evidence = NDArray[np.int8]  # (h, w) for a wall where > 0, for free space where
 Sweeps = NDArray[np.int32]  # (h, w) the sweep that last touched each cell
 Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
 
-HIT, MISS = (
-    np.int64(3),
-    np.int64(-1),
-)  # evidence that one sweep adds to the cell of an echo, and to a cell that a beam crossed
+HIT, MISS = np.int64(3), np.int64(-1)  # evidence of one sweep for the cell of an echo, and for one that a beam crossed
 SATURATION = 8  # |evidence| never exceeds it, so that nine crossings wash out a wall that has gone
 BLOCK = 2  # cells on a block's side
 SHADE = 85  # brightness that one feature adds to its pixel
+
+
+class ExploredCells(NamedTuple):
+    """Free, wall and unknown cells, to be looked at."""
+
+    cells: Cells
+    origin: Array  # (2,) [m] in B of the lower left corner
+    resolution: float  # [m] side of a cell
 
 
 @compiled
@@ -63,7 +69,7 @@ def integrate(
     cells: Cells, evidence: Evidence, blocks: Blocks, sweeps: Sweeps, sweep: int,
     origin: Array, resolution: float, pose: Array, bearings: Array, ranges: Array, max_range: float,
 ) -> int:  # fmt: skip
-    """Enter one sweep of beams, each cell once: see `CoverageGrid.integrate`. Returns the change in free cells.
+    """Enter one sweep of beams, each cell once: see `ExploredGrid.integrate`. Returns the change in free cells.
 
     Echoes come first, so that no other beam grazing past them in the same sweep erases them. Cells that are free beyond
     doubt are passed without a touch.
@@ -129,7 +135,7 @@ def unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Array
 def egocentric(
     blocks: Blocks, origin: Array, resolution: float, pose: Array, features: Array, pixels: int, metres: float
 ) -> Cells:
-    """See `CoverageGrid.egocentric`. Two samples of the blocks per pixel, staggered, so that hardly a thin wall slips
+    """See `ExploredGrid.egocentric`. Two samples of the blocks per pixel, staggered, so that hardly a thin wall slips
     through; block indices advance in fixed point, 16 bits behind the point."""
     h, w = blocks.shape
     unit, pixel = 65536.0 / (resolution * BLOCK), metres / pixels

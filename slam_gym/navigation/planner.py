@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
-from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import FREE, WALL, Cells, border_crossings
-from slam_gym.navigation.pursuit import PursuitSpec, follow
 from slam_gym.types import Array, BoolArray, IntArray
-
-__all__ = ["CROWDING", "MARGIN", "STEPS", "Field", "PursuitSpec", "distance_field", "follow"]
 
 MARGIN = 0.4  # [m] beyond the clearance, up to which paths pay for being near a wall
 CROWDING = 8.0  # what a metre right at a wall costs more than one in the open
@@ -28,8 +25,8 @@ _BUCKETS = 1 << math.ceil(math.log2(math.sqrt(2.0) * (1.0 + CROWDING) + 2.0))  #
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
-    """The least-cost paths from one start to every cell (see `distance_field`). Cells as in `CoverageGrid`."""
+class DistanceField:
+    """The least-cost paths from one start to every cell (see `distance_field`). Cells as in `ExploredGrid`."""
 
     start: Array  # (2,) [m] in B
     lengths: Array  # (h, w) [m] length of the path from the start; inf where none leads
@@ -39,6 +36,11 @@ class Field:
     steps: Steps  # (h, w) index into STEPS of the path's last step; −1 at the start and where no path leads
     origin: Array  # (2,) [m] in B
     resolution: float  # [m]
+
+    @property
+    def reachable(self) -> BoolArray:
+        """(h, w) cells to which a path leads."""
+        return np.isfinite(self.lengths)
 
     def cell(self, point: Array) -> tuple[int, int] | None:
         """Row and column of the cell that holds `point` (2,) in B; None off the grid."""
@@ -51,7 +53,7 @@ class Field:
 
     def nearest(self, point: Array) -> Array:
         """Centre (2,) in B of the reachable cell nearest to `point` (2,); the start where no cell is reachable."""
-        rows, columns = np.nonzero(np.isfinite(self.lengths))
+        rows, columns = np.nonzero(self.reachable)
         if len(rows) == 0:
             return self.start.copy()
         centres = self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.resolution
@@ -73,7 +75,7 @@ class Field:
         return np.concatenate([self.start[None], inner, np.asarray(goal, dtype=np.float64)[None]])
 
 
-def distance_field(grid: CoverageGrid, start: Array, clearance: float) -> Field:
+def distance_field(grid: ExploredGrid, start: Array, clearance: float) -> DistanceField:
     """Least-cost paths from `start` (2,) in B over the free cells of `grid`, 8-connected.
 
     Walls and the unknown are closed, and so are cells nearer than `clearance` [m] to a wall cell, centre to centre. At
@@ -92,7 +94,7 @@ def distance_field(grid: CoverageGrid, start: Array, clearance: float) -> Field:
     offsets = np.array([dr * stride + dc for dr, dc in STEPS])
     seed = (row + 1) * stride + column + 1
     lengths, costs, steps = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution)
-    return Field(
+    return DistanceField(
         start,
         lengths.reshape(shape)[1:-1, 1:-1],
         costs.reshape(shape)[1:-1, 1:-1],

@@ -14,19 +14,19 @@ feature at the end of a wall, seen along it, is neither surely hidden nor surely
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.navigation.explored_grid import CoverageGrid
-from slam_gym.navigation.grid import UNKNOWN, WALL, Cells, border_crossings
+from slam_gym.navigation.grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
 from slam_gym.types import Array
 
 _QUANTILES = (-1.2815515655446004, -0.5244005127080407, 0.0, 0.5244005127080407, 1.2815515655446004)
 _SHORT = 2.0  # [cells] lines of sight end so much before the feature: it may stand on a wall
 _BLUR = 1.0  # [cells] σ of where the wall lies that a cell shows
-_NO_CELLS = np.empty((0, 0), np.uint8)
+_NOTHING_EXPLORED = ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0)
 _NOWHERE = np.zeros(3)
 
 
@@ -34,69 +34,65 @@ class _Sensor(NamedTuple):
     half: float  # [rad] of the field of view
     near: float  # [m]
     far: float  # [m]
+    unknown: float  # see `FieldOfView`
 
 
-def in_view(
-    positions: Array,
-    covariances: Array,
-    field_of_view: float,
-    range: float,
-    *,
-    min_range: float = 0.0,
-    grid: CoverageGrid | None = None,
-    pose: Array | None = None,
-    unknown: float = 0.9,
-) -> Array:
-    """Probability (k,) that each predicted feature is in the sensor's view.
+@dataclass(frozen=True, slots=True)
+class FieldOfView:
+    """What a sensor can have in view. Raises ValueError, naming the field, for what cannot be."""
 
-    Arguments:
-        positions: (k, 2) [m] of the features in R (`Prediction.positions`).
-        covariances: (k, 2, 2) [m²] of those positions.
-        field_of_view: [rad] centred on the heading.
-        range, min_range: [m] of the sensor.
-        grid: explored space; without one nothing hides a feature.
-        pose: (3,) [m, m, rad] of the robot in B, the frame of the grid.
-        unknown: probability that a metre of unexplored space lets a line of sight through.
+    angle: float  # [rad] centred on the heading
+    range: float  # [m] of the sensor
+    min_range: float = 0.0  # [m]
+    unknown: float = 0.9  # probability that a metre of unexplored space lets a line of sight through
 
-    Raises ValueError where a length, angle or probability is out of its range, a position or the pose is not finite,
-    a variance is negative or not finite, or a grid comes without a pose.
-    """
-    if not 0.0 < field_of_view <= 2.0 * math.pi:
-        raise ValueError(f"field_of_view: {field_of_view} is not in (0, 2π] rad")
-    if not 0.0 <= min_range < range < math.inf:
-        raise ValueError(f"range: expected 0 <= min_range < range < ∞ [m], got {min_range} and {range}")
-    if not 0.0 <= unknown <= 1.0:
-        raise ValueError(f"unknown: {unknown} is not a probability")
-    cells, origin, resolution, at = _NO_CELLS, _NOWHERE, 1.0, _NOWHERE
-    if grid is not None:
-        if pose is None:
-            raise ValueError("pose: needed to look into the grid")
-        if not np.isfinite(pose).all():
-            raise ValueError(f"pose: expected finite numbers, got {np.asarray(pose).tolist()}")
-        cells, origin, resolution, at = grid._cells, grid.origin, grid.resolution, np.ascontiguousarray(pose)
-    sensor = (0.5 * field_of_view, float(min_range), float(range))
-    out, fault = _in_view(positions, covariances, sensor, cells, origin, resolution, at, float(unknown))
-    if fault >= 0:
-        raise ValueError(
-            f"feature {fault}: position {positions[fault].tolist()} or covariance {covariances[fault].tolist()} is not "
-            "finite, or a variance is negative"
-        )
-    return out
+    def __post_init__(self) -> None:
+        if not 0.0 < self.angle <= 2.0 * math.pi:
+            raise ValueError(f"FieldOfView.angle: {self.angle} is not in (0, 2π] rad")
+        if not 0.0 <= self.min_range < self.range < math.inf:
+            given = f"{self.min_range} and {self.range}"
+            raise ValueError(f"FieldOfView.range: expected 0 <= min_range < range < ∞ [m], got {given}")
+        if not 0.0 <= self.unknown <= 1.0:
+            raise ValueError(f"FieldOfView.unknown: {self.unknown} is not a probability")
+
+    def in_view(
+        self, positions: Array, covariances: Array, explored: ExploredCells | None = None, pose: Array | None = None
+    ) -> Array:
+        """Probability (k,) that each predicted feature is in view.
+
+        Arguments:
+            positions: (k, 2) [m] of the features in R (`Prediction.positions`).
+            covariances: (k, 2, 2) [m²] of those positions.
+            explored: space in which walls hide features; without it nothing hides one.
+            pose: (3,) [m, m, rad] of the robot in B, the frame of `explored`.
+
+        Raises ValueError where a position or the pose is not finite, a variance is negative or not finite, or explored
+        space comes without a pose.
+        """
+        if explored is not None and (pose is None or not np.isfinite(pose).all()):
+            raise ValueError(f"pose: expected three finite numbers to look into explored space, got {pose}")
+        sensor = (0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown))
+        cells, origin, resolution = explored or _NOTHING_EXPLORED
+        at = _NOWHERE if pose is None else np.ascontiguousarray(pose)
+        out, fault = _in_view(positions, covariances, sensor, (cells, origin, resolution), at)
+        if fault >= 0:
+            raise ValueError(
+                f"feature {fault}: position {positions[fault].tolist()} or covariance {covariances[fault].tolist()} is "
+                "not finite, or a variance is negative"
+            )
+        return out
 
 
 @compiled
 def _in_view(
     positions: Array,
     covariances: Array,
-    sensor: tuple[float, float, float],
-    cells: Cells,
-    origin: Array,
-    resolution: float,
+    sensor_figures: tuple[float, float, float, float],
+    explored: tuple[Cells, Array, float],
     pose: Array,
-    unknown: float,
 ) -> tuple[Array, int]:
     """Probabilities (k,), and the first feature with a bad number or −1."""
-    out = np.empty(len(positions))
+    sensor, grid, out = _Sensor(*sensor_figures), ExploredCells(*explored), np.empty(len(positions))
     for j in range(len(positions)):
         x, y = positions[j, 0], positions[j, 1]
         xx, xy, yy = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 1]
@@ -106,10 +102,10 @@ def _in_view(
         c, s = (x / r, y / r) if r > 0.0 else (1.0, 0.0)
         along = math.sqrt(max(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0))
         across = math.sqrt(max(s * s * xx - 2.0 * c * s * xy + c * c * yy, 0.0))
-        out[j] = _in_field(r, math.atan2(y, x), along, across, _Sensor(sensor[0], sensor[1], sensor[2]))
-        if cells.size > 0 and out[j] > 0.0:
-            shorten = min(1.0, sensor[2] / r) if r > 0.0 else 1.0  # what is seen at all is seen within the range
-            out[j] *= _in_sight(cells, origin, resolution, pose, shorten * x, shorten * y, across, unknown)
+        out[j] = _in_field(r, math.atan2(y, x), along, across, sensor)
+        if grid.cells.size > 0 and out[j] > 0.0:
+            shorten = min(1.0, sensor.far / r) if r > 0.0 else 1.0  # what is seen at all is seen within the range
+            out[j] *= _in_sight(grid, pose, shorten * x, shorten * y, across, sensor.unknown)
     return out, -1
 
 
@@ -139,27 +135,19 @@ def _in_field(r: float, bearing: float, along: float, across: float, sensor: _Se
 
 
 @compiled
-def _in_sight(
-    cells: Cells,
-    origin: Array,
-    resolution: float,
-    pose: Array,
-    x: float,
-    y: float,
-    across: float,
-    unknown: float,
-) -> float:
+def _in_sight(grid: ExploredCells, pose: Array, x: float, y: float, across: float, unknown: float) -> float:
     """Mean passage of the rays from the robot at `pose` to where the feature at (x, y) [m] in R may lie."""
     r = math.sqrt(x * x + y * y)
     if not r > 0.0:
         return 1.0
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    from_x, from_y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
+    resolution = grid.resolution
+    from_x, from_y = (pose[0] - grid.origin[0]) / resolution, (pose[1] - grid.origin[1]) / resolution
     spread = math.sqrt(across * across + (_BLUR * resolution) ** 2) / r
     tau, total = unknown**resolution, 0.0
     for quantile in _QUANTILES:
         u, v = x - quantile * spread * y, y + quantile * spread * x
-        total += _passage(cells, from_x, from_y, (c * u - s * v) / resolution, (s * u + c * v) / resolution, tau)
+        total += _passage(grid.cells, from_x, from_y, (c * u - s * v) / resolution, (s * u + c * v) / resolution, tau)
     return total / len(_QUANTILES)
 
 

@@ -12,7 +12,8 @@ from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
 from slam_gym.scenarios.suite import EXPERIMENTS, get_level
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.world.floor_plan import FloorPlan, load_floor_plan
+from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.world.floor_plan_file import load_floor_plan
 from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
 from slam_gym.world.physics import DynamicsSpec
 from slam_gym.world.sensor import OdometrySpec, SensorSpec

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from slam_gym.navigation.planner import PursuitSpec, distance_field, follow
+from slam_gym.navigation.planner import distance_field
+from slam_gym.navigation.pursuit import PursuitSpec, follow
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import CLEARANCE, FRONTIERS, LOOK, WORTH_SEEING
 from slam_gym.types import Array

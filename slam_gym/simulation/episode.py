@@ -17,9 +17,9 @@ from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import pose_nees
-from slam_gym.navigation.explored_grid import CoverageGrid
+from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.virtual_map import VirtualMap
-from slam_gym.navigation.visibility import in_view
+from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.kidnapping import Kidnapping
 from slam_gym.slam.slam import Relocate, Slam, SlamSpec
@@ -90,7 +90,7 @@ class Episode:
         self.slam = Slam(_slam_spec(scenario, locality), self.associate, relocate, visible)
         self.kidnapping = Kidnapping()
         bounds = _bounds_in_base(site.plan.bounds, self.base)
-        self.grid = CoverageGrid(bounds, scenario.grid_resolution)
+        self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
         self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
         self.identities = Identities()
@@ -136,15 +136,8 @@ class Episode:
     def _visible(self, pose: Array, prediction: Prediction) -> Array:
         """Probability (k,) that the sensor has each predicted feature in view, as far as walls are known."""
         sensor = self.scenario.sensor
-        return in_view(
-            prediction.positions,
-            prediction.covariances,
-            sensor.field_of_view,
-            sensor.range,
-            min_range=sensor.min_range,
-            grid=self.grid,
-            pose=pose,
-        )
+        view = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
+        return view.in_view(prediction.positions, prediction.covariances, self.grid.explored, pose)
 
     def _associator(self, truth: Truth) -> Associator:
         """The run's associator; the true one is handed the truth of this scan."""

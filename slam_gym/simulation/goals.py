@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.expected_gain import expected_reduction
-from slam_gym.navigation.explored_grid import CoverageGrid
-from slam_gym.navigation.planner import Field, distance_field
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.planner import DistanceField, distance_field
 from slam_gym.scenarios import Scenario
 from slam_gym.types import Array, BoolArray
 
@@ -61,7 +61,7 @@ class Places:
         return np.array(self._points)[chosen]
 
 
-def propose(scenario: Scenario, slam_map: StochasticMap, grid: CoverageGrid, places: Places) -> Goals:
+def propose(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, places: Places) -> Goals:
     """The goals from where the robot believes to be, over what it believes to have explored."""
     here = slam_map.pose[:2]
     field = distance_field(grid, here, scenario.robot.radius + CLEARANCE)
@@ -84,9 +84,9 @@ def propose(scenario: Scenario, slam_map: StochasticMap, grid: CoverageGrid, pla
     )
 
 
-def _ends(grid: CoverageGrid, field: Field, reach: float) -> Array:
+def _ends(grid: ExploredGrid, field: DistanceField, reach: float) -> Array:
     """The nearest frontiers that a path leads to and that are worth it, nearest first, (≤ FRONTIERS, 2)."""
-    centres = grid.frontiers(field).centres
+    centres = grid.frontiers(field.reachable).centres
     if len(centres) == 0:
         return centres
     centres = centres[grid.expected_area(centres, reach) >= WORTH_SEEING]
@@ -95,7 +95,7 @@ def _ends(grid: CoverageGrid, field: Field, reach: float) -> Array:
     return centres[order[:FRONTIERS]].reshape(-1, 2)
 
 
-def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: CoverageGrid, spots: Array) -> Array:
+def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array) -> Array:
     """Foreseen from each spot; on the way there the known map is taken to hold the drift down to that of a metre."""
     sigma = scenario.sensor.sigma_halfway / math.sqrt(_LOOKS)
     odometry = scenario.odometry

@@ -1,17 +1,14 @@
-"""FloorPlan: walls, point features, rooms, doors, furniture. Pure data in the world frame W, JSON in and out.
+"""FloorPlan: walls, point features, rooms, doors, furniture. Pure data in the world frame W.
 
 A plan is checked when it is built: what it holds is finite, of sane size and refers to nothing that is missing.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from pathlib import Path
-from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +17,6 @@ from slam_gym.types import Array, BoolArray, IntArray
 
 MAX_EXTENT = 2_000.0  # [m] longest side of a plan, and farthest coordinate from the origin
 MAX_SIZE = 100.0  # [m] largest feature, door or piece of furniture
-FORMAT, VERSION = "slam_gym floor plan", 1
 _SAME_POINT = 1e-3  # [m] features closer than this are one feature
 
 
@@ -43,7 +39,7 @@ class Kind(IntEnum):
     PILLAR = 2  # the centre of a free-standing column
 
 
-def _array(field: str, value: ArrayLike, *columns: int) -> Array:
+def checked_array(field: str, value: ArrayLike, *columns: int) -> Array:
     """`value` as a new float64 array (rows, *columns); FloorPlanError unless finite and of that shape."""
     try:
         raw = np.array(value)
@@ -79,9 +75,9 @@ class Features:
     sizes: Array  # (N,) [m] the intrinsic attribute: diameter of a pillar, width of a jamb's door, wall at a corner
 
     def __post_init__(self) -> None:
-        positions = _array("features.positions", self.positions, 2)
-        sizes = _array("features.sizes", self.sizes)
-        kinds = _array("features.kinds", self.kinds)
+        positions = checked_array("features.positions", self.positions, 2)
+        sizes = checked_array("features.sizes", self.sizes)
+        kinds = checked_array("features.kinds", self.kinds)
         if not len(positions) == len(kinds) == len(sizes):
             raise FloorPlanError("features", f"{len(positions)} positions, {len(kinds)} kinds, {len(sizes)} sizes")
         _refuse("features.kinds", ~np.isin(kinds, [kind.value for kind in Kind]), "is no known kind")
@@ -102,7 +98,7 @@ class Room:
     polygon: Array  # (p, 2) [m] W
 
     def __post_init__(self) -> None:
-        _set(self, polygon=_array(f"room {self.name!r}: polygon", self.polygon, 2))
+        _set(self, polygon=checked_array(f"room {self.name!r}: polygon", self.polygon, 2))
         if len(self.polygon) < 3 or self.area < 1e-3:
             raise FloorPlanError(f"room {self.name!r}: polygon", "encloses no area")
 
@@ -158,8 +154,8 @@ class Door:
     rooms: tuple[str, str]  # names of the rooms that it joins
 
     def __post_init__(self) -> None:
-        position = _array("door: position", [self.position], 2)[0]
-        _refuse_sizes("door: width", _array("door: width", [self.width]))
+        position = checked_array("door: position", [self.position], 2)[0]
+        _refuse_sizes("door: width", checked_array("door: width", [self.width]))
         if len(self.rooms) != 2 or self.rooms[0] == self.rooms[1]:
             raise FloorPlanError("door: rooms", f"{self.rooms!r} are not two different rooms")
         _set(self, position=position, width=float(self.width), rooms=tuple(self.rooms))
@@ -177,7 +173,7 @@ class FloorPlan:
     furniture: Array = ()  # type: ignore[assignment]  # (f, 5) [x m, y m, length m, width m, heading rad] at the start
 
     def __post_init__(self) -> None:
-        walls, furniture = _array("walls", self.walls, 4), _array("furniture", self.furniture, 5)
+        walls, furniture = checked_array("walls", self.walls, 4), checked_array("furniture", self.furniture, 5)
         _set(self, walls=walls, furniture=furniture, rooms=tuple(self.rooms), doors=tuple(self.doors))
         if len(walls) == 0:
             raise FloorPlanError("walls", "there are none, so nothing encloses the floor")
@@ -211,123 +207,3 @@ def _set(record: object, **fields: object) -> None:
 
 Generator = Callable[[np.random.Generator], FloorPlan]
 """Draws a floor plan: the same plan from the same state of the random generator."""
-
-
-def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
-    """Write `plan` as JSON; `load_floor_plan` gives back exactly the same numbers."""
-    features = plan.features
-    document = {
-        "format": FORMAT,
-        "version": VERSION,
-        "name": plan.name,
-        "walls": plan.walls.tolist(),
-        "features": [
-            {"position": position.tolist(), "kind": Kind(kind).name.lower(), "size": float(size)}
-            for position, kind, size in zip(features.positions, features.kinds, features.sizes)
-        ],
-        "rooms": [{"name": room.name, "polygon": room.polygon.tolist()} for room in plan.rooms],
-        "doors": [
-            {"position": door.position.tolist(), "width": door.width, "rooms": list(door.rooms)} for door in plan.doors
-        ],
-        "furniture": [
-            dict(zip(("position", "length", "width", "heading"), ([x, y], length, width, heading)))
-            for x, y, length, width, heading in plan.furniture.tolist()
-        ],
-    }
-    Path(path).write_text(json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n", encoding="utf-8")
-
-
-def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorPlan:
-    """Read a floor plan: `.json` as written by `save_floor_plan`, a ROS map `.yaml`, or an occupancy image.
-
-    Images (`.pgm`, `.png`, `.npy`, `.npy.gz`) need their `resolution` [m/pixel]; a ROS map brings its own.
-    Raises FloorPlanError naming file, field and reason, FileNotFoundError, and ImportError naming the missing extra.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no floor plan file at {path}")
-    try:
-        if path.suffix == ".json":
-            return _parse(path.read_bytes())
-        from slam_gym.world.raster import read_raster  # images need the extra `maps`
-
-        return read_raster(path, resolution)
-    except FloorPlanError as error:
-        raise FloorPlanError(error.field, error.reason, str(path)) from None
-
-
-def _parse(content: bytes) -> FloorPlan:
-    def refuse_constant(name: str) -> NoReturn:
-        raise FloorPlanError("file", f"holds the number {name}, which is not finite")
-
-    try:
-        document = json.loads(content.decode("utf-8"), parse_constant=refuse_constant)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise FloorPlanError("file", f"is not JSON ({error})") from None
-    known = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
-    format_, version, name, walls, features, rooms, doors, furniture = _fields("file", document, *known)
-    if format_ != FORMAT or version != VERSION:
-        raise FloorPlanError("format, version", f"{format_!r}, {version!r}: expected {FORMAT!r}, {VERSION}")
-    _text("name", name)
-    return FloorPlan(
-        name,
-        walls,
-        _parse_features(features),
-        tuple(
-            Room(_text(f"{at}.name", name), outline) for at, name, outline in _rows("rooms", rooms, "name", "polygon")
-        ),
-        tuple(
-            Door(position, width, _pair(f"{at}.rooms", names))
-            for at, position, width, names in _rows("doors", doors, "position", "width", "rooms")
-        ),
-        np.array(
-            [
-                [*_array(f"{at}.position", [position], 2)[0], *_array(at, sizes)]
-                for at, position, *sizes in _rows("furniture", furniture, "position", "length", "width", "heading")
-            ]
-        ),
-    )
-
-
-def _parse_features(value: Any) -> Features:
-    rows = list(_rows("features", value, "position", "kind", "size"))
-    names = [kind.name.lower() for kind in Kind]
-    for at, _, kind, _ in rows:
-        if kind not in names:
-            raise FloorPlanError(f"{at}.kind", f"{kind!r}: known are {', '.join(names)}")
-    return Features(
-        _array("features.positions", [position for _, position, _, _ in rows], 2),
-        np.array([names.index(kind) for _, _, kind, _ in rows], dtype=np.int64),
-        _array("features.sizes", [size for _, _, _, size in rows]),
-    )
-
-
-def _fields(where: str, value: Any, *known: str) -> list[Any]:
-    """The values of a JSON object that has exactly the `known` keys, in that order."""
-    if not isinstance(value, dict):
-        raise FloorPlanError(where, "is not an object")
-    if unknown := sorted(set(value) - set(known)):
-        raise FloorPlanError(where, f"unknown key {unknown[0]!r}; known are {', '.join(known)}")
-    if missing := [key for key in known if key not in value]:
-        raise FloorPlanError(where, f"{missing[0]!r} is missing")
-    return [value[key] for key in known]
-
-
-def _rows(where: str, value: Any, *known: str) -> Iterator[list[Any]]:
-    """For each object of a JSON list: its place in the file, then the values of its `known` keys."""
-    if not isinstance(value, list):
-        raise FloorPlanError(where, "is not a list")
-    for i, row in enumerate(value):
-        yield [f"{where}[{i}]", *_fields(f"{where}[{i}]", row, *known)]
-
-
-def _pair(where: str, value: Any) -> tuple[str, str]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise FloorPlanError(where, "is not a pair of room names")
-    return _text(where, value[0]), _text(where, value[1])
-
-
-def _text(where: str, value: Any) -> str:
-    if not isinstance(value, str) or not 0 < len(value) <= 200:
-        raise FloorPlanError(where, "is not a text of 1 to 200 characters")
-    return value

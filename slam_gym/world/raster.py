@@ -1,4 +1,4 @@
-"""Occupancy images → floor plans: real buildings as worlds. Needs the extra `maps`.
+"""Occupancy grids → floor plans: real buildings as worlds. Needs the extra `maps`.
 
 Images are grey: dark = wall, light = free, and whatever lies between (a ROS map's 205) is unknown and counts as wall.
 Row 0 is the upper edge, so y = (h − row) · resolution.
@@ -6,10 +6,7 @@ Row 0 is the upper edge, so y = (h − row) · resolution.
 
 from __future__ import annotations
 
-import gzip
-import io
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +20,6 @@ from slam_gym.world.contours import Mask, Outlines, corners, import_cv2, thinned
 from slam_gym.world.floor_plan import MAX_EXTENT, Door, Features, FloorPlan, FloorPlanError, Kind, Room
 
 FREE_ABOVE = 229  # grey level: lighter pixels are free; halfway between a ROS map's unknown (205) and free (254)
-MAX_BYTES = 1 << 28  # an image that unpacks to more is refused
 _PASSAGE = 1.0  # [m] deepest doorway: unlabelled free pixels between two labelled ones
 _OPENING = 0.5  # [m] passages and spikes narrower than this are closed in maps without labels
 _MAX_CORNER_SIZE = 4.0  # [m]
@@ -34,76 +30,6 @@ _DRAWN, _MEASURED = 0.8, 1.25  # [pixels] by how much outlines may be simplified
 _MIN_DOOR = 0.3  # [m]
 _MAX_DOOR = 3.0  # [m] rooms that meet along more than this are open to each other
 _JAMB_REACH = 0.4  # [m] from the end of a door line to the corners that frame it
-
-
-def read_raster(path: Path, resolution: float | None) -> FloorPlan:
-    """A floor plan from an image file or a ROS map `.yaml`; see `load_floor_plan`.
-
-    An array named `…_occ_map.npy.gz` is read together with its room labels `…_valid_space.npy.gz` where they lie beside
-    it, the naming of the KTH floor plan data set.
-    """
-    if path.suffix in (".yaml", ".yml"):
-        return _read_ros_map(path, resolution)
-    if resolution is None:
-        raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
-    image = _read_image(path)
-    name = path.name.split(".")[0].removesuffix("_occ_map")
-    labels = path.with_name(path.name.replace("_occ_map", "_valid_space"))
-    return from_raster(
-        image, resolution, valid=_read_image(labels) if labels != path and labels.is_file() else None, name=name
-    )
-
-
-def _read_image(path: Path) -> NDArray[Any]:
-    if path.name.endswith((".npy", ".npy.gz")):
-        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
-            try:
-                content = file.read(MAX_BYTES + 1)
-                if len(content) > MAX_BYTES:
-                    raise FloorPlanError("image", f"unpacks to more than {MAX_BYTES >> 20} MB")
-                return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
-            except (ValueError, EOFError, OSError) as error:
-                if isinstance(error, FloorPlanError):
-                    raise
-                raise FloorPlanError("image", f"is not a numpy array ({error})") from None
-    if path.suffix.lower() not in (".pgm", ".png"):
-        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
-    cv2 = import_cv2()
-    try:
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    except cv2.error as error:  # among others: more than 2³⁰ pixels
-        raise FloorPlanError("image", f"cannot be read ({error.err})") from None
-    if image is None:
-        raise FloorPlanError("image", "is not a PGM or PNG image")
-    return np.asarray(image)
-
-
-def _read_ros_map(path: Path, resolution: float | None) -> FloorPlan:
-    """The map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
-    try:
-        import yaml
-    except ImportError as error:
-        raise ImportError('ROS maps need PyYAML: pip install "slam_gym[maps]"') from error
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FloorPlanError("file", f"is not YAML ({error})") from None
-    if not isinstance(document, dict) or not isinstance(document.get("image"), str):
-        raise FloorPlanError("image", "the map names no image")
-    numbers = {"resolution": resolution, "free_thresh": 0.196, "negate": 0, **document}
-    for key in ("resolution", "free_thresh", "negate"):
-        if isinstance(numbers[key], bool) or not isinstance(numbers[key], int | float):
-            raise FloorPlanError(key, f"{numbers[key]!r} is not a number")
-    origin = np.asarray(document.get("origin", [0.0, 0.0, 0.0]))
-    if origin.shape != (3,) or origin.dtype.kind not in "if" or not np.isfinite(origin).all() or origin[2] != 0.0:
-        raise FloorPlanError("origin", f"{document.get('origin')!r} is not [x, y, 0]")
-    image_path = path.parent / document["image"]
-    if not image_path.is_file():
-        raise FloorPlanError("image", f"no file at {image_path}")
-    grey = _read_image(image_path).astype(np.float64)
-    occupied = grey / 255.0 if numbers["negate"] else (255.0 - grey) / 255.0
-    free = np.where(occupied < numbers["free_thresh"], 255, 0).astype(np.uint8)
-    return from_raster(free, numbers["resolution"], name=path.stem, origin=(float(origin[0]), float(origin[1])))
 
 
 def from_raster(

@@ -18,7 +18,8 @@ from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import get_scenario, world_generator
 from slam_gym.simulation.goals import LOOK, SLOTS
 from slam_gym.types import Truth
-from slam_gym.world.floor_plan import Door, Features, FloorPlan, Room, save_floor_plan
+from slam_gym.world.floor_plan import Door, Features, FloorPlan, Room
+from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.sensor import Sensor
 from tests.rollouts import (

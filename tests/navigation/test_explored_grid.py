@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, CoverageGrid
+from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.frontiers import find_frontiers
 from slam_gym.navigation.planner import distance_field
 from slam_gym.types import Beams
@@ -41,7 +41,7 @@ def crossed(start, end, shape):
 
 def test_evidence_of_a_sweep_is_that_of_every_cell_clipped_against_every_beam():
     rng = np.random.default_rng(1)
-    grid = CoverageGrid(np.array([-3.0, -2.0, 4.0, 3.1]), 0.2)
+    grid = ExploredGrid(np.array([-3.0, -2.0, 4.0, 3.1]), 0.2)
     shape = grid.cells.shape
     evidence, cells = np.zeros(shape, dtype=int), np.full(shape, UNKNOWN)
     for _ in range(40):
@@ -68,7 +68,7 @@ def test_room_is_mapped_where_it_is(heading):
     rng = np.random.default_rng(2)
     c, s = math.cos(heading), math.sin(heading)
     to_base = np.array([[c, s], [-s, c]])  # rows of W → B
-    grid = CoverageGrid(np.array([-7.0, -7.0, 7.0, 7.0]))
+    grid = ExploredGrid(np.array([-7.0, -7.0, 7.0, 7.0]))
     room = np.array([-2.5, -1.7, 2.5, 1.7])
     for _ in range(400):
         pose = np.array([*rng.uniform([-2.2, -1.4], [2.2, 1.4]), rng.uniform(-4, 4)])
@@ -84,7 +84,7 @@ def test_room_is_mapped_where_it_is(heading):
 
 
 def test_wall_that_has_gone_is_washed_out_in_nine_sweeps():
-    grid = CoverageGrid(np.array([0.0, 0.0, 5.0, 1.0]))
+    grid = ExploredGrid(np.array([0.0, 0.0, 5.0, 1.0]))
     pose, ahead = np.array([0.1, 0.5, 0.0]), np.zeros(1)
     for _ in range(100):
         grid.integrate(pose, sweep([2.05], ahead))
@@ -100,13 +100,13 @@ def test_wall_that_has_gone_is_washed_out_in_nine_sweeps():
 
 
 def test_echo_is_not_erased_by_other_beams_of_its_sweep():
-    grid = CoverageGrid(np.array([0.0, 0.0, 5.0, 1.0]))
+    grid = ExploredGrid(np.array([0.0, 0.0, 5.0, 1.0]))
     grid.integrate(np.array([0.1, 0.5, 0.0]), sweep([4.0, 2.05, 4.0, 4.0], np.array([0.0, 0.0, 0.01, -0.01])))
     assert grid.cells[2, 10] == WALL
 
 
 def test_bad_readings_are_ignored_and_bad_poses_refused():
-    grid = CoverageGrid(np.array([0.0, 0.0, 2.0, 2.0]))
+    grid = ExploredGrid(np.array([0.0, 0.0, 2.0, 2.0]))
     grid.integrate(np.array([1.0, 1.0, 0.0]), sweep([math.nan, -1.0, -math.inf], np.zeros(3)))
     assert (grid.cells == UNKNOWN).all()
     grid.integrate(np.array([1.0, 1.0, 0.0]), sweep([math.inf], np.zeros(1)))
@@ -133,12 +133,12 @@ def test_bad_readings_are_ignored_and_bad_poses_refused():
 )
 def test_absurd_grids_are_refused(bounds, resolution, name):
     with pytest.raises(ValueError, match=name):
-        CoverageGrid(np.array(bounds, dtype=float), resolution)
+        ExploredGrid(np.array(bounds, dtype=float), resolution)
 
 
 def test_copies_are_independent_and_the_view_is_read_only():
     rng = np.random.default_rng(3)
-    grid = CoverageGrid(np.array([-3.0, -3.0, 3.0, 3.0]))
+    grid = ExploredGrid(np.array([-3.0, -3.0, 3.0, 3.0]))
     grid.integrate(np.zeros(3), sweep(rng.uniform(0, 6, 40)))
     twins = [copy.deepcopy(grid), pickle.loads(pickle.dumps(grid))]
     ranges = rng.uniform(0, 6, 40)
@@ -207,17 +207,17 @@ def test_frontiers_left_out_without_a_way_to_them():
     """Two free areas with a wall between them: the robot's side has a frontier, and so has the other."""
     cells = np.full((20, 41), FREE, dtype=np.uint8)
     cells[:, 20], cells[15:, :] = WALL, UNKNOWN
-    grid = CoverageGrid(np.array([0.0, 0.0, 41 * 0.2, 4.0]))
+    grid = ExploredGrid(np.array([0.0, 0.0, 41 * 0.2, 4.0]))
     grid._cells[:] = cells
     assert {side for side in grid.frontiers().centres[:, 0] > 20.5 * 0.2} == {False, True}
     field = distance_field(grid, np.array([1.0, 1.0]), 0.25)
-    reached = grid.frontiers(field)
+    reached = grid.frontiers(field.reachable)
     assert len(reached) > 0 and (reached.centres[:, 0] < 20 * 0.2).all()
     assert all(math.isfinite(field.length_to(centre)) for centre in reached.centres)
 
 
 def test_expected_area_of_discs_half_discs_and_rooms():
-    grid = CoverageGrid(np.array([-10.0, -10.0, 10.0, 10.0]))
+    grid = ExploredGrid(np.array([-10.0, -10.0, 10.0, 10.0]))
     origin = np.zeros((1, 2))
     assert grid.expected_area(origin, 5.0)[0] == pytest.approx(25 * math.pi)
     grid._cells[:, 50:] = FREE  # x > 0 is known
@@ -231,7 +231,7 @@ def test_expected_area_of_discs_half_discs_and_rooms():
 
 
 def test_expected_area_sees_no_further_than_walls():
-    grid = CoverageGrid(np.array([-10.0, -10.0, 10.0, 10.0]))
+    grid = ExploredGrid(np.array([-10.0, -10.0, 10.0, 10.0]))
     grid._cells[:, 60] = WALL  # x in 2.0 … 2.2 from end to end
     r, d = 5.0, 2.0
     cap = r * r * math.acos(d / r) - d * math.sqrt(r * r - d * d)
@@ -239,7 +239,7 @@ def test_expected_area_sees_no_further_than_walls():
 
 
 def explored_grid(rng):
-    grid = CoverageGrid(np.array([-4.0, -3.0, 5.0, 4.0]))
+    grid = ExploredGrid(np.array([-4.0, -3.0, 5.0, 4.0]))
     for _ in range(60):
         pose = np.array([*rng.uniform([-3.5, -2.5], [4.5, 3.5]), rng.uniform(-4, 4)])
         grid.integrate(pose, sweep(rng.uniform(0.5, 6.0, 40)))
@@ -271,7 +271,7 @@ def test_egocentric_image_is_the_grid_sampled_in_the_robots_frame():
 
 
 def test_egocentric_heading_is_up_and_left_is_left():
-    grid = CoverageGrid(np.array([-20.0, -20.0, 20.0, 20.0]))
+    grid = ExploredGrid(np.array([-20.0, -20.0, 20.0, 20.0]))
     for heading in (0.0, 0.7, -2.5, math.pi):
         c, s = math.cos(heading), math.sin(heading)
         pose = np.array([1.0, -2.0, heading])

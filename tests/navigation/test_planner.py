@@ -9,8 +9,9 @@ from scipy import ndimage
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, CoverageGrid
-from slam_gym.navigation.planner import CROWDING, MARGIN, STEPS, PursuitSpec, distance_field, follow
+from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
+from slam_gym.navigation.planner import CROWDING, MARGIN, STEPS, distance_field
+from slam_gym.navigation.pursuit import PursuitSpec, follow
 from slam_gym.types import Beams
 
 RESOLUTION = 0.2
@@ -18,7 +19,7 @@ RESOLUTION = 0.2
 
 def grid_of(cells):
     """A grid with these cells, its lower left corner at (−1, 2)."""
-    grid = CoverageGrid(np.array([-1.0, 2.0, -1.0 + cells.shape[1] * RESOLUTION, 2.0 + cells.shape[0] * RESOLUTION]))
+    grid = ExploredGrid(np.array([-1.0, 2.0, -1.0 + cells.shape[1] * RESOLUTION, 2.0 + cells.shape[0] * RESOLUTION]))
     assert grid.cells.shape == cells.shape
     grid._cells[:] = cells
     return grid
@@ -162,7 +163,7 @@ def test_start_within_the_clearance_leads_out_and_off_the_grid_nowhere():
 
 
 def test_nothing_known_is_nowhere_to_go():
-    grid = CoverageGrid(np.array([0.0, 0.0, 4.0, 4.0]))
+    grid = ExploredGrid(np.array([0.0, 0.0, 4.0, 4.0]))
     field = distance_field(grid, np.array([2.0, 2.0]), 0.25)
     assert np.isfinite(field.lengths).sum() == 1 and field.length_to(np.array([2.05, 2.05])) == 0.0
 
@@ -222,7 +223,7 @@ class Drive:
         self.speed = self.turning = 0.0
         self.contacts, self.least, self.visited = 0, math.inf, set()
         corners = self.to_base(np.array([[-0.5, -0.5], [12.5, -0.5], [12.5, 10.5], [-0.5, 10.5]]))
-        self.grid = CoverageGrid(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
+        self.grid = ExploredGrid(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
         for _ in range(12):
             self.move(0.0, 0.7)
 
@@ -281,7 +282,7 @@ class Drive:
         """To the nearest frontier, two seconds at a time, until there is none; whether that came to be."""
         for _ in range(decisions):
             field = distance_field(self.grid, self.pose[:2], 0.25)
-            frontiers = self.grid.frontiers(field)
+            frontiers = self.grid.frontiers(field.reachable)
             if len(frontiers) == 0:
                 return True
             lengths = [field.length_to(centre) for centre in frontiers.centres]

@@ -1,15 +1,18 @@
 """Visibility against Monte Carlo, against lines of sight drawn by hand, and against what it must never depend on."""
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
 from slam_gym.geometry import observe, transform
-from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, CoverageGrid
-from slam_gym.navigation.visibility import in_view
+from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
+from slam_gym.navigation.visibility import FieldOfView
 
 FULL = 2.0 * math.pi
+ALL_ROUND = FieldOfView(FULL, 6.0)
+NARROW = FieldOfView(2.0, 5.0)
 
 
 def covariance(rng, sigma):
@@ -19,7 +22,7 @@ def covariance(rng, sigma):
 
 def grid_of(*rows, resolution=0.5):
     """A grid drawn as text, top row first: `.` free, `#` wall, `?` unknown."""
-    grid = CoverageGrid(np.array([0.0, 0.0, len(rows[0]) * resolution, len(rows) * resolution]), resolution)
+    grid = ExploredGrid(np.array([0.0, 0.0, len(rows[0]) * resolution, len(rows) * resolution]), resolution)
     kinds = {".": FREE, "#": WALL, "?": UNKNOWN}
     grid._cells[:] = [[kinds[letter] for letter in row] for row in reversed(rows)]
     return grid
@@ -32,7 +35,7 @@ def test_range_and_field_of_view_against_sampling(seed):
     positions = rng.uniform(-7.0, 7.0, (8, 2))
     covariances = np.array([rng.uniform(0.01, 0.4) ** 2 * np.eye(2) for _ in range(8)])
     field, far, near = float(rng.uniform(0.5, FULL)), 6.0, 1.0
-    got = in_view(positions, covariances, field, far, min_range=near)
+    got = FieldOfView(field, far, near).in_view(positions, covariances)
     for position, P, probability in zip(positions, covariances, got):
         if np.hypot(*position) < 2.0:
             continue  # where the bearing is all but unknown, it is no longer normal
@@ -48,15 +51,15 @@ def test_without_uncertainty_it_is_the_test_itself(seed):
     positions, field = rng.uniform(-8.0, 8.0, (50, 2)), float(rng.uniform(0.3, FULL))
     r, bearing = np.hypot(*positions.T), np.arctan2(positions[:, 1], positions[:, 0])
     expected = (r <= 6.0) & (r >= 0.5) & (np.abs(bearing) <= field / 2)
-    got = in_view(positions, np.zeros((50, 2, 2)), field, 6.0, min_range=0.5)
+    got = FieldOfView(field, 6.0, 0.5).in_view(positions, np.zeros((50, 2, 2)))
     assert got.tolist() == expected.astype(float).tolist()
 
 
 @pytest.mark.parametrize("bearing", [0.0, 1.0, math.pi, -math.pi, 3.1])
 def test_the_whole_circle_knows_no_bearing(bearing):
     position = 3.0 * np.array([[math.cos(bearing), math.sin(bearing)]])
-    assert in_view(position, np.diag([0.2, 0.1])[None], FULL, 6.0)[0] == pytest.approx(1.0)
-    nearly = in_view(position, 1e-4 * np.eye(2)[None], FULL - 1e-9, 6.0)[0]
+    assert ALL_ROUND.in_view(position, np.diag([0.2, 0.1])[None])[0] == pytest.approx(1.0)
+    nearly = FieldOfView(FULL - 1e-9, 6.0).in_view(position, 1e-4 * np.eye(2)[None])[0]
     assert nearly == pytest.approx(1.0, abs=1e-3)
 
 
@@ -73,18 +76,20 @@ ROOM = (
 )
 
 
-def seen_in_room(robot, target, **options):
+EXPLORED_ROOM = grid_of(*ROOM).explored
+
+
+def seen_in_room(robot, target, explored=EXPLORED_ROOM):
     """Probability that a robot at `robot` (x, y, θ) sees `target` (x, y), both in cells of ROOM from its lower left."""
     pose = np.array([0.5 * robot[0], 0.5 * robot[1], robot[2]])
     position = observe(pose, 0.5 * np.array([target], float))
-    options.setdefault("grid", grid_of(*ROOM))
-    return float(in_view(position, 1e-6 * np.eye(2)[None], FULL, 20.0, pose=pose, **options)[0])
+    return float(FieldOfView(FULL, 20.0).in_view(position, 1e-6 * np.eye(2)[None], explored, pose)[0])
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.3, -2.9])
 def test_walls_hide_what_lies_behind_them(heading):
     assert seen_in_room((3.5, 5.5, heading), (10.5, 5.5)) == 0.0
-    assert seen_in_room((3.5, 5.5, heading), (10.5, 5.5), grid=None) == 1.0
+    assert seen_in_room((3.5, 5.5, heading), (10.5, 5.5), None) == 1.0
     assert seen_in_room((3.5, 3.0, heading), (10.5, 3.0)) == 1.0  # through the opening
     assert seen_in_room((3.5, 5.5, heading), (7.5, 5.5)) == 1.0  # on the wall itself
     assert seen_in_room((3.5, 5.5, heading), (3.5, 1.5)) == 1.0
@@ -92,74 +97,81 @@ def test_walls_hide_what_lies_behind_them(heading):
 
 
 def test_unknown_space_lets_through_by_its_length():
-    grid = CoverageGrid(np.array([0.0, 0.0, 10.0, 10.0]), 0.1)
+    grid = ExploredGrid(np.array([0.0, 0.0, 10.0, 10.0]), 0.1)
     pose, position, tight = np.array([1.0, 5.0, 0.0]), np.array([[4.2, 0.0]]), 1e-12 * np.eye(2)[None]
     for unknown in (0.0, 0.5, 0.9, 1.0):
-        got = in_view(position, tight, FULL, 6.0, grid=grid, pose=pose, unknown=unknown)[0]
+        got = FieldOfView(FULL, 6.0, unknown=unknown).in_view(position, tight, grid.explored, pose)[0]
         assert got == pytest.approx(unknown**4.0, abs=2e-3)  # 4.2 m less the two cells at the end
     grid._cells[:, :30] = FREE
-    got = in_view(position, tight, FULL, 6.0, grid=grid, pose=pose, unknown=0.5)[0]
+    got = FieldOfView(FULL, 6.0, unknown=0.5).in_view(position, tight, grid.explored, pose)[0]
     assert got == pytest.approx(0.5**2.0, abs=2e-3)
 
 
 def test_the_robot_may_stand_outside_the_grid_or_in_a_wall():
     grid = grid_of("....", "....", "....")
     tight = 1e-6 * np.eye(2)[None]
-    outside = in_view(np.array([[2.0, 0.0]]), tight, FULL, 6.0, grid=grid, pose=np.array([-1.0, 0.7, 0.0]))[0]
+    outside = ALL_ROUND.in_view(np.array([[2.0, 0.0]]), tight, grid.explored, np.array([-1.0, 0.7, 0.0]))[0]
     assert 0.8 < outside < 1.0
     grid._cells[1, 0] = WALL
-    inside = in_view(np.array([[1.6, 0.0]]), tight, FULL, 6.0, grid=grid, pose=np.array([0.2, 0.75, 0.0]))[0]
+    inside = ALL_ROUND.in_view(np.array([[1.6, 0.0]]), tight, grid.explored, np.array([0.2, 0.75, 0.0]))[0]
     assert inside == 1.0
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_walls_only_ever_hide_and_a_turn_of_everything_changes_nothing(seed):
     rng = np.random.default_rng(seed)
-    grid = CoverageGrid(np.array([0.0, 0.0, 8.0, 8.0]), 0.2)
+    grid = ExploredGrid(np.array([0.0, 0.0, 8.0, 8.0]), 0.2)
     grid._cells[:] = rng.choice(
         [UNKNOWN, FREE, FREE, FREE, FREE, FREE, WALL], grid.cells.shape, p=[0.1] + [0.16] * 5 + [0.1]
     )
     pose = np.array([*rng.uniform(0.0, 8.0, 2), rng.uniform(-math.pi, math.pi)])
     features = rng.uniform(0.0, 8.0, (20, 2))
     covariances = np.array([covariance(rng, 0.1) for _ in range(20)])
-    got = in_view(observe(pose, features), covariances, 2.0, 5.0, grid=grid, pose=pose)
-    free = in_view(observe(pose, features), covariances, 2.0, 5.0)
+    got = NARROW.in_view(observe(pose, features), covariances, grid.explored, pose)
+    free = NARROW.in_view(observe(pose, features), covariances)
     assert (got >= 0.0).all() and (got <= free).all() and (got < free).any()
     # a quarter turn of grid, robot and features together
-    turned = CoverageGrid(np.array([-8.0, 0.0, 0.0, 8.0]), 0.2)
+    turned = ExploredGrid(np.array([-8.0, 0.0, 0.0, 8.0]), 0.2)
     turned._cells[:] = np.rot90(grid.cells[::-1])[::-1]
     quarter = np.array([0.0, 0.0, math.pi / 2])
     moved = np.array([*transform(quarter, pose[None, :2])[0], pose[2] + math.pi / 2])
-    again = in_view(observe(moved, transform(quarter, features)), covariances, 2.0, 5.0, grid=turned, pose=moved)
+    again = NARROW.in_view(observe(moved, transform(quarter, features)), covariances, turned.explored, moved)
     assert np.abs(again - got).max() < 0.25 and np.median(np.abs(again - got)) < 1e-6  # but for rays along borders
+
+
+SENSOR = {field.name for field in fields(FieldOfView)}
 
 
 @pytest.mark.parametrize(
     ("message", "options"),
     [
-        ("field_of_view", {"field_of_view": 0.0}),
-        ("field_of_view", {"field_of_view": 7.0}),
-        ("field_of_view", {"field_of_view": math.nan}),
+        ("angle", {"angle": 0.0}),
+        ("angle", {"angle": 7.0}),
+        ("angle", {"angle": math.nan}),
         ("range", {"range": math.inf}),
         ("range", {"range": 1.0, "min_range": 2.0}),
         ("unknown", {"unknown": 1.5}),
-        ("pose", {"grid": grid_of("...")}),
-        ("pose", {"grid": grid_of("..."), "pose": np.array([0.0, math.nan, 0.0])}),
+        ("pose", {"explored": grid_of("...").explored}),
+        ("pose", {"explored": grid_of("...").explored, "pose": np.array([0.0, math.nan, 0.0])}),
         ("feature 1", {"positions": np.array([[1.0, 0.0], [math.nan, 0.0]])}),
         ("feature 0", {"covariances": np.tile(-np.eye(2), (2, 1, 1))}),
     ],
 )
 def test_bad_input_is_named(message, options):
-    given = {
-        "positions": np.ones((2, 2)),
-        "covariances": np.tile(np.eye(2), (2, 1, 1)),
-        "field_of_view": 2.0,
-        "range": 5.0,
-    }
-    given |= options
+    view = {"angle": 2.0, "range": 5.0} | {name: value for name, value in options.items() if name in SENSOR}
+    seen = {"positions": np.ones((2, 2)), "covariances": np.tile(np.eye(2), (2, 1, 1))}
+    seen |= {name: value for name, value in options.items() if name not in SENSOR}
     with pytest.raises(ValueError, match=message):
-        in_view(**given)
+        FieldOfView(**view).in_view(**seen)
+
+
+def test_explored_cells_can_be_looked_at_but_not_changed():
+    grid = grid_of("...")
+    with pytest.raises(ValueError, match="read-only"):
+        grid.explored.cells[0, 0] = WALL
+    grid.explored.origin[0] = 7.0
+    assert grid.origin[0] == 0.0
 
 
 def test_nothing_is_predicted():
-    assert in_view(np.empty((0, 2)), np.empty((0, 2, 2)), 2.0, 5.0).shape == (0,)
+    assert NARROW.in_view(np.empty((0, 2)), np.empty((0, 2, 2))).shape == (0,)

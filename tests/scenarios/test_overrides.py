@@ -9,7 +9,7 @@ import pytest
 
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.scenarios import KidnappingSpec, from_floor_plan, get_scenario, overridden, parse_override
-from slam_gym.world.floor_plan import save_floor_plan
+from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 
 OFFICE = get_scenario("office")

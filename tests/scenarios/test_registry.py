@@ -8,7 +8,7 @@ import pytest
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, from_floor_plan, get_scenario, register, world_seed
 from slam_gym.simulation.episode import survey
-from slam_gym.world.floor_plan import save_floor_plan
+from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.scenarios.test_scenario import assert_frozen
 

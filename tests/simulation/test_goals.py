@@ -10,7 +10,7 @@ from slam_gym.envs.goal_observation import GOAL_FIELDS, encode_goals, unsquash_g
 from slam_gym.geometry import observe, relative
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.expected_gain import MOST_FEATURES, expected_reduction
-from slam_gym.navigation.explored_grid import WALL, CoverageGrid
+from slam_gym.navigation.explored_grid import WALL, ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation import driver, goals
@@ -50,8 +50,8 @@ def correlated_map(rng: np.random.Generator, features: int) -> StochasticMap:
     return slam_map
 
 
-def blank_grid() -> CoverageGrid:
-    return CoverageGrid(np.array([-15.0, -15.0, 15.0, 15.0]))
+def blank_grid() -> ExploredGrid:
+    return ExploredGrid(np.array([-15.0, -15.0, 15.0, 15.0]))
 
 
 def by_ekf(slam_map: StochasticMap, place: np.ndarray, heading: float, measured: np.ndarray) -> float:

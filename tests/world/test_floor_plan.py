@@ -1,23 +1,11 @@
-"""FloorPlan: what it accepts, what it refuses by name, and that a file gives back the same plan."""
+"""FloorPlan: what it accepts, and what it refuses by name."""
 
-import copy
-import json
 import pickle
 
 import numpy as np
 import pytest
 
-from slam_gym.world.floor_plan import (
-    Door,
-    Features,
-    FloorPlan,
-    FloorPlanError,
-    Kind,
-    Room,
-    load_floor_plan,
-    save_floor_plan,
-)
-from slam_gym.world.generators import OfficeGenerator
+from slam_gym.world.floor_plan import Door, Features, FloorPlan, FloorPlanError, Kind, Room
 
 SQUARE = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
 CORNERS = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
@@ -33,31 +21,6 @@ def square(**changes):
         "furniture": [[1.0, 1.0, 0.6, 0.4, 0.3]],
     }
     return FloorPlan(**{**fields, **changes})
-
-
-def same(a, b):
-    """Bit for bit."""
-    assert a.name == b.name
-    for x, y in ((a.walls, b.walls), (a.furniture, b.furniture), (a.features.positions, b.features.positions)):
-        np.testing.assert_array_equal(x, y)
-        assert x.dtype == y.dtype == np.float64
-    np.testing.assert_array_equal(a.features.kinds, b.features.kinds)
-    np.testing.assert_array_equal(a.features.sizes, b.features.sizes)
-    assert [room.name for room in a.rooms] == [room.name for room in b.rooms]
-    for x, y in zip(a.rooms, b.rooms):
-        np.testing.assert_array_equal(x.polygon, y.polygon)
-    assert [(door.width, door.rooms) for door in a.doors] == [(door.width, door.rooms) for door in b.doors]
-    for x, y in zip(a.doors, b.doors):
-        np.testing.assert_array_equal(x.position, y.position)
-
-
-@pytest.mark.parametrize(
-    "plan", [square(), square(rooms=(), doors=(), furniture=()), OfficeGenerator()(np.random.default_rng(3))]
-)
-def test_json_and_pickle_give_back_the_same_plan(plan, tmp_path):
-    save_floor_plan(plan, tmp_path / "plan.json")
-    same(plan, load_floor_plan(tmp_path / "plan.json"))
-    same(plan, pickle.loads(pickle.dumps(plan)))
 
 
 def test_a_plan_without_features_is_a_plan():
@@ -112,72 +75,6 @@ def test_bad_geometry_is_refused_by_name(build, field, reason):
     assert isinstance(caught.value, FloorPlanError)
     assert caught.value.field == field
     assert reason in caught.value.reason
-
-
-def edited(document, path, value):
-    """A copy with the value at `path` replaced, or removed where it is `...`."""
-    document = copy.deepcopy(document)
-    place = document
-    for key in path[:-1]:
-        place = place[key]
-    if value is ...:
-        del place[path[-1]]
-    else:
-        place[path[-1]] = value
-    return document
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
-        (("surprise",), 1, "unknown key 'surprise'"),
-        (("features", 1, "colour"), "red", r"features\[1\]: unknown key 'colour'"),
-        (("walls",), ..., "'walls' is missing"),
-        (("doors", 0, "width"), ..., r"doors\[0\]: 'width' is missing"),
-        (("version",), 2, "format, version"),
-        (("format",), "something else", "format, version"),
-        (("name",), "", "name: is not a text"),
-        (("name",), 7, "name: is not a text"),
-        (("walls",), 5, "walls: is not|walls: has shape"),
-        (("walls", 0), [0, 0, 1], "walls: is not a table"),
-        (("walls", 0, 0), float("nan"), "NaN"),
-        (("walls", 0, 0), float("inf"), "Infinity"),
-        (("features",), {}, "features: is not a list"),
-        (("features", 2, "kind"), "tree", r"features\[2\].kind"),
-        (("features", 2, "kind"), ["corner"], r"features\[2\].kind"),
-        (("features", 2, "size"), -1, r"features.sizes\[2\]"),
-        (("features", 2, "size"), None, "features.sizes"),
-        (("rooms", 0), [], r"rooms\[0\]: is not an object"),
-        (("rooms", 0, "polygon"), [], "polygon: encloses no area"),
-        (("doors", 0, "rooms"), ["left"], r"doors\[0\].rooms: is not a pair"),
-        (("doors", 0, "rooms"), ["left", 3], r"doors\[0\].rooms: is not a text"),
-        (("doors", 0, "position"), [], "door: position"),
-        (("furniture", 0, "position"), [1, 2, 3], r"furniture\[0\].position: has shape"),
-        (("furniture", 0, "heading"), "north", r"furniture\[0\]: is not a table"),
-    ],
-)
-def test_bad_files_are_refused_by_file_field_and_reason(path, value, message, tmp_path):
-    file = tmp_path / "plan.json"
-    save_floor_plan(square(), file)
-    file.write_text(json.dumps(edited(json.loads(file.read_text()), path, value)))
-    with pytest.raises(FloorPlanError, match=message) as caught:
-        load_floor_plan(file)
-    assert str(caught.value).startswith(f"{file}: ")
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe", b"null", b"[" * 100_000])
-def test_what_is_no_plan_at_all_is_refused(content, tmp_path):
-    (tmp_path / "plan.json").write_bytes(content)
-    with pytest.raises(FloorPlanError, match=r"plan\.json: file: "):
-        load_floor_plan(tmp_path / "plan.json")
-
-
-def test_missing_files_and_unknown_suffixes(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        load_floor_plan(tmp_path / "nowhere.json")
-    (tmp_path / "plan.docx").write_bytes(b"")
-    with pytest.raises(FloorPlanError, match="unknown suffix"):
-        load_floor_plan(tmp_path / "plan.docx", 0.1)
 
 
 def test_errors_survive_another_process():

@@ -6,24 +6,17 @@ import sys
 import numpy as np
 import pytest
 
-from slam_gym.world import raster
-from slam_gym.world.contours import corners, thinned
-from slam_gym.world.floor_plan import FloorPlanError, Kind, load_floor_plan, save_floor_plan
+from slam_gym.world.contours import thinned
+from slam_gym.world.floor_plan import FloorPlanError, Kind
+from slam_gym.world.floor_plan_file import load_floor_plan
 from slam_gym.world.generators import Contents, OfficeGenerator
 from slam_gym.world.raster import from_raster
 from slam_gym.world.reachability import reachable
+from tests.world.test_floor_plan_file import PIXEL, blank
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `maps`")
 
 KTH = ("50010535_PLAN1", "50010536_PLAN3", "50015847", "50037764_PLAN1", "50052748", "50052750", "50052752")
-PIXEL = 0.05  # [m]
-
-
-def blank(height=100, width=140):
-    """A room of free pixels within a wall 10 pixels thick."""
-    image = np.zeros((height, width), dtype=np.uint8)
-    image[10:-10, 10:-10] = 254
-    return image
 
 
 def drawn(plan):
@@ -175,41 +168,6 @@ def test_willow_garage_can_be_driven(data_dir):
     assert np.mean(driven[floor > 0]) > 0.95
 
 
-def test_raster_plans_survive_json(floors, tmp_path):
-    plan = floors["50052752"]
-    save_floor_plan(plan, tmp_path / "floor.json")
-    again = load_floor_plan(tmp_path / "floor.json")
-    np.testing.assert_array_equal(again.walls, plan.walls)
-    np.testing.assert_array_equal(again.features.sizes, plan.features.sizes)
-
-
-@pytest.mark.parametrize("suffix", ["npy", "npy.gz", "png", "pgm", "yaml"])
-def test_every_format_gives_the_same_plan(suffix, tmp_path):
-    image, path = blank(), tmp_path / f"map.{suffix}"
-    if suffix == "npy":
-        np.save(path, image)
-    elif suffix == "npy.gz":
-        with gzip.open(path, "wb") as file:
-            np.save(file, image)
-    elif suffix == "yaml":
-        cv2.imwrite(str(tmp_path / "image.pgm"), image)
-        path.write_text(
-            "image: image.pgm\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
-        )
-    else:
-        cv2.imwrite(str(path), image)
-    plan = load_floor_plan(path, None if suffix == "yaml" else PIXEL)
-    np.testing.assert_array_equal(plan.walls, from_raster(image, PIXEL).walls)
-    assert plan.name == "map"
-
-
-def test_ros_map_origin_and_negate(tmp_path):
-    cv2.imwrite(str(tmp_path / "image.png"), 255 - blank())
-    (tmp_path / "map.yaml").write_text("image: image.png\nresolution: 0.05\norigin: [-3.0, 2.0, 0.0]\nnegate: 1\n")
-    plan = load_floor_plan(tmp_path / "map.yaml")
-    np.testing.assert_allclose(plan.bounds, [-2.5, 2.5, 3.5, 6.5], atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("image", "resolution", "valid", "message"),
     [
@@ -230,53 +188,7 @@ def test_bad_images_are_refused_by_name(image, resolution, valid, message):
         from_raster(image, resolution, valid=valid)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("map.png", b"not a picture", "image: is not a PGM or PNG"),
-        ("map.pgm", b"", "image"),
-        ("map.npy", b"\x93NUMPY broken", "image: is not a numpy array"),
-        ("map.npy.gz", b"not zipped", "image: is not a numpy array"),
-        ("map.yaml", b"[1, 2]", "image: the map names no image"),
-        ("map.yaml", b"image: gone.pgm\nresolution: 0.1\n", "image: no file at"),
-        ("map.yaml", b"image: a\nresolution: fine\n", "resolution: 'fine' is not a number"),
-        ("map.yaml", b"image: a\nresolution: 0.1\norigin: [0, 0, 1]\n", "origin"),
-        ("map.yaml", b"image: {\n", "file: is not YAML"),
-    ],
-)
-def test_bad_image_files_are_refused_by_file_and_reason(name, content, message, tmp_path):
-    path = tmp_path / name
-    path.write_bytes(content)
-    with pytest.raises(FloorPlanError, match=message) as caught:
-        load_floor_plan(path, 0.1 if name != "map.yaml" else None)
-    assert str(path) in str(caught.value)
-
-
-def test_pickled_arrays_are_not_unpickled(tmp_path):
-    np.save(tmp_path / "map.npy", np.array([print], dtype=object), allow_pickle=True)
-    with pytest.raises(FloorPlanError, match="is not a numpy array"):
-        load_floor_plan(tmp_path / "map.npy", 0.1)
-
-
-def test_an_image_needs_its_resolution_and_a_sane_size(tmp_path, monkeypatch):
-    np.save(tmp_path / "map.npy", blank())
-    with pytest.raises(FloorPlanError, match="resolution: an image needs"):
-        load_floor_plan(tmp_path / "map.npy")
-    monkeypatch.setattr(raster, "MAX_BYTES", 1_000)
-    with pytest.raises(FloorPlanError, match="unpacks to more"):
-        load_floor_plan(tmp_path / "map.npy", PIXEL)
-
-
 def test_without_opencv_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(ImportError, match=r"slam_gym\[maps\]"):
         from_raster(blank(), PIXEL)
-
-
-def test_corners_ignore_small_steps_and_keep_thin_wall_ends():
-    stepped = np.array([[0, 0], [5, 0], [5, 0.1], [10, 0.1], [10, 5], [0, 5]])
-    assert len(corners(stepped)[0]) == 4
-    thin = np.array([[0, 0], [10, 0], [10, 5], [5.1, 5], [5.1, 3], [5.0, 3], [5.0, 5], [0, 5]])
-    found = corners(thin)[0]
-    assert len(found) == 7 - 1  # four corners of the room, the wall's end, and one of the two at its foot
-    assert matched(np.array([[5.05, 3.0]]), found, 0.06) == 1.0

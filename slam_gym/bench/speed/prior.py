@@ -35,7 +35,7 @@ from slam_gym.association import (
 )
 from slam_gym.bench.speed.jcbb import Field, mapped_field
 from slam_gym.geometry import observe, relative
-from slam_gym.navigation.visibility import in_view
+from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.types import NONE, Array, Associator, IntArray, Odometry, Prediction, Scan
 
 DENSITY = 0.25  # [1/m²]
@@ -95,9 +95,7 @@ def look(field: Field, m: int, setting: Setting, rng: np.random.Generator) -> Lo
     scan = Scan(points[order] + SIGMA * rng.standard_normal(points.shape), noise, unknown, unknown)
     prediction = slam.prediction(reach)
 
-    def view(positions: Array, covariances: Array) -> Array:
-        return in_view(positions, covariances, FIELD_OF_VIEW, reach)
-
+    view = FieldOfView(FIELD_OF_VIEW, reach).in_view
     visibility = view(prediction.positions, prediction.covariances)
     return Look(scan, dataclasses.replace(prediction, visibility=visibility, view=view), truth[order])
 

@@ -25,8 +25,9 @@ from slam_gym.envs import explore
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
-from slam_gym.navigation.explored_grid import CoverageGrid
-from slam_gym.navigation.planner import distance_field, follow
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.planner import distance_field
+from slam_gym.navigation.pursuit import follow
 from slam_gym.simulation import episode as episode_module
 from slam_gym.types import Array
 from slam_gym.world.physics import World
@@ -43,7 +44,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "EKF update": ((StochasticMap, "update"),),
     "EKF add, remove": ((StochasticMap, "add"), (StochasticMap, "unconfirmed"), (StochasticMap, "remove")),
     "covisibility": tuple((CovisibilityGraph, name) for name in ("local_to", "add", "see_together", "keep")),
-    "explored grid": ((CoverageGrid, "integrate"),),
+    "explored grid": ((ExploredGrid, "integrate"),),
     "decisions judged": ((Identities, "update"),),
     "map error, coverage": ((episode_module.Episode, "map_error"), (episode_module.Episode, "coverage")),
     "observation": tuple((explore, f"encode_{name}") for name in ("scan", "features", "uncertainty", "image")),
@@ -63,7 +64,7 @@ class Pilot:
         pose = episode.slam.map.pose
         if step % REPLAN == 0:
             field = distance_field(episode.grid, pose[:2], episode.scenario.robot.radius + 0.05)
-            ends = episode.grid.frontiers(field).centres
+            ends = episode.grid.frontiers(field.reachable).centres
             lengths = np.array([field.length_to(end) for end in ends])
             if len(ends) and np.isfinite(lengths).any():
                 self._path = field.path(ends[int(np.argmin(lengths))])

@@ -1,0 +1,216 @@
+"""Floor plans as files: JSON in and out, occupancy images and ROS maps in."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym.world.contours import import_cv2
+from slam_gym.world.floor_plan import Door, Features, FloorPlan, FloorPlanError, Kind, Room, checked_array
+
+FORMAT, VERSION = "slam_gym floor plan", 1
+MAX_BYTES = 1 << 28  # an image that unpacks to more is refused
+
+
+def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
+    """Write `plan` as JSON; `load_floor_plan` gives back exactly the same numbers."""
+    features = plan.features
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": plan.name,
+        "walls": plan.walls.tolist(),
+        "features": [
+            {"position": position.tolist(), "kind": Kind(kind).name.lower(), "size": float(size)}
+            for position, kind, size in zip(features.positions, features.kinds, features.sizes)
+        ],
+        "rooms": [{"name": room.name, "polygon": room.polygon.tolist()} for room in plan.rooms],
+        "doors": [
+            {"position": door.position.tolist(), "width": door.width, "rooms": list(door.rooms)} for door in plan.doors
+        ],
+        "furniture": [
+            dict(zip(("position", "length", "width", "heading"), ([x, y], length, width, heading)))
+            for x, y, length, width, heading in plan.furniture.tolist()
+        ],
+    }
+    Path(path).write_text(json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n", encoding="utf-8")
+
+
+def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorPlan:
+    """Read a floor plan: `.json` as written by `save_floor_plan`, a ROS map `.yaml`, or an occupancy image.
+
+    Images (`.pgm`, `.png`, `.npy`, `.npy.gz`) need their `resolution` [m/pixel]; a ROS map brings its own.
+    Raises FloorPlanError naming file, field and reason, FileNotFoundError, and ImportError naming the missing extra.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no floor plan file at {path}")
+    try:
+        if path.suffix == ".json":
+            return _parse(path.read_bytes())
+        read = _read_ros_map if path.suffix in (".yaml", ".yml") else _read_labelled_image
+        raster = read(path, resolution)
+        from slam_gym.world.raster import from_raster  # scipy.spatial, which it needs, takes long to import
+
+        return from_raster(**raster._asdict())
+    except FloorPlanError as error:
+        raise FloorPlanError(error.field, error.reason, str(path)) from None
+
+
+def _parse(content: bytes) -> FloorPlan:
+    def refuse_constant(name: str) -> NoReturn:
+        raise FloorPlanError("file", f"holds the number {name}, which is not finite")
+
+    try:
+        document = json.loads(content.decode("utf-8"), parse_constant=refuse_constant)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise FloorPlanError("file", f"is not JSON ({error})") from None
+    known = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
+    format_, version, name, walls, features, rooms, doors, furniture = _fields("file", document, *known)
+    if format_ != FORMAT or version != VERSION:
+        raise FloorPlanError("format, version", f"{format_!r}, {version!r}: expected {FORMAT!r}, {VERSION}")
+    _text("name", name)
+    return FloorPlan(
+        name,
+        walls,
+        _parse_features(features),
+        tuple(
+            Room(_text(f"{at}.name", name), outline) for at, name, outline in _rows("rooms", rooms, "name", "polygon")
+        ),
+        tuple(
+            Door(position, width, _pair(f"{at}.rooms", names))
+            for at, position, width, names in _rows("doors", doors, "position", "width", "rooms")
+        ),
+        np.array(
+            [
+                [*checked_array(f"{at}.position", [position], 2)[0], *checked_array(at, sizes)]
+                for at, position, *sizes in _rows("furniture", furniture, "position", "length", "width", "heading")
+            ]
+        ),
+    )
+
+
+def _parse_features(value: Any) -> Features:
+    rows = list(_rows("features", value, "position", "kind", "size"))
+    names = [kind.name.lower() for kind in Kind]
+    for at, _, kind, _ in rows:
+        if kind not in names:
+            raise FloorPlanError(f"{at}.kind", f"{kind!r}: known are {', '.join(names)}")
+    return Features(
+        checked_array("features.positions", [position for _, position, _, _ in rows], 2),
+        np.array([names.index(kind) for _, _, kind, _ in rows], dtype=np.int64),
+        checked_array("features.sizes", [size for _, _, _, size in rows]),
+    )
+
+
+def _fields(where: str, value: Any, *known: str) -> list[Any]:
+    """The values of a JSON object that has exactly the `known` keys, in that order."""
+    if not isinstance(value, dict):
+        raise FloorPlanError(where, "is not an object")
+    if unknown := sorted(set(value) - set(known)):
+        raise FloorPlanError(where, f"unknown key {unknown[0]!r}; known are {', '.join(known)}")
+    if missing := [key for key in known if key not in value]:
+        raise FloorPlanError(where, f"{missing[0]!r} is missing")
+    return [value[key] for key in known]
+
+
+def _rows(where: str, value: Any, *known: str) -> Iterator[list[Any]]:
+    """For each object of a JSON list: its place in the file, then the values of its `known` keys."""
+    if not isinstance(value, list):
+        raise FloorPlanError(where, "is not a list")
+    for i, row in enumerate(value):
+        yield [f"{where}[{i}]", *_fields(f"{where}[{i}]", row, *known)]
+
+
+def _pair(where: str, value: Any) -> tuple[str, str]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise FloorPlanError(where, "is not a pair of room names")
+    return _text(where, value[0]), _text(where, value[1])
+
+
+def _text(where: str, value: Any) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= 200:
+        raise FloorPlanError(where, "is not a text of 1 to 200 characters")
+    return value
+
+
+class _Raster(NamedTuple):
+    """The arguments of `raster.from_raster`."""
+
+    occupancy: NDArray[Any]
+    resolution: float
+    name: str
+    valid: NDArray[Any] | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
+
+
+def _read_labelled_image(path: Path, resolution: float | None) -> _Raster:
+    """An image file.
+
+    An array named `…_occ_map.npy.gz` is read together with its room labels `…_valid_space.npy.gz` where they lie beside
+    it, the naming of the KTH floor plan data set.
+    """
+    if resolution is None:
+        raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
+    image, labels = _read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))
+    valid = _read_image(labels) if labels != path and labels.is_file() else None
+    return _Raster(image, resolution, path.name.split(".")[0].removesuffix("_occ_map"), valid)
+
+
+def _read_image(path: Path) -> NDArray[Any]:
+    if path.name.endswith((".npy", ".npy.gz")):
+        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+            try:
+                content = file.read(MAX_BYTES + 1)
+                if len(content) > MAX_BYTES:
+                    raise FloorPlanError("image", f"unpacks to more than {MAX_BYTES >> 20} MB")
+                return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+            except (ValueError, EOFError, OSError) as error:
+                if isinstance(error, FloorPlanError):
+                    raise
+                raise FloorPlanError("image", f"is not a numpy array ({error})") from None
+    if path.suffix.lower() not in (".pgm", ".png"):
+        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
+    cv2 = import_cv2()
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    except cv2.error as error:  # among others: more than 2³⁰ pixels
+        raise FloorPlanError("image", f"cannot be read ({error.err})") from None
+    if image is None:
+        raise FloorPlanError("image", "is not a PGM or PNG image")
+    return np.asarray(image)
+
+
+def _read_ros_map(path: Path, resolution: float | None) -> _Raster:
+    """The map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
+    try:
+        import yaml
+    except ImportError as error:
+        raise ImportError('ROS maps need PyYAML: pip install "slam_gym[maps]"') from error
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise FloorPlanError("file", f"is not YAML ({error})") from None
+    if not isinstance(document, dict) or not isinstance(document.get("image"), str):
+        raise FloorPlanError("image", "the map names no image")
+    numbers = {"resolution": resolution, "free_thresh": 0.196, "negate": 0, **document}
+    for key in ("resolution", "free_thresh", "negate"):
+        if isinstance(numbers[key], bool) or not isinstance(numbers[key], int | float):
+            raise FloorPlanError(key, f"{numbers[key]!r} is not a number")
+    origin = np.asarray(document.get("origin", [0.0, 0.0, 0.0]))
+    if origin.shape != (3,) or origin.dtype.kind not in "if" or not np.isfinite(origin).all() or origin[2] != 0.0:
+        raise FloorPlanError("origin", f"{document.get('origin')!r} is not [x, y, 0]")
+    image_path = path.parent / document["image"]
+    if not image_path.is_file():
+        raise FloorPlanError("image", f"no file at {image_path}")
+    grey = _read_image(image_path).astype(np.float64)
+    occupied = grey / 255.0 if numbers["negate"] else (255.0 - grey) / 255.0
+    free = np.where(occupied < numbers["free_thresh"], 255, 0).astype(np.uint8)
+    return _Raster(free, numbers["resolution"], path.stem, origin=(float(origin[0]), float(origin[1])))

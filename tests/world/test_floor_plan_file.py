@@ -1,0 +1,193 @@
+"""Floor plans in files: JSON gives back the same plan, every format of an image the same floor; faults are named."""
+
+import copy
+import gzip
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from slam_gym.world import floor_plan_file
+from slam_gym.world.floor_plan import FloorPlanError
+from slam_gym.world.floor_plan_file import load_floor_plan, save_floor_plan
+from slam_gym.world.generators import OfficeGenerator
+from slam_gym.world.raster import from_raster
+from tests.world.test_floor_plan import square
+
+PIXEL = 0.05  # [m]
+
+
+def blank(height=100, width=140):
+    """A room of free pixels within a wall 10 pixels thick."""
+    image = np.zeros((height, width), dtype=np.uint8)
+    image[10:-10, 10:-10] = 254
+    return image
+
+
+@pytest.fixture
+def cv2():
+    return pytest.importorskip("cv2", reason="needs the extra `maps`")
+
+
+def same(a, b):
+    """Bit for bit."""
+    assert a.name == b.name
+    for x, y in ((a.walls, b.walls), (a.furniture, b.furniture), (a.features.positions, b.features.positions)):
+        np.testing.assert_array_equal(x, y)
+        assert x.dtype == y.dtype == np.float64
+    np.testing.assert_array_equal(a.features.kinds, b.features.kinds)
+    np.testing.assert_array_equal(a.features.sizes, b.features.sizes)
+    assert [room.name for room in a.rooms] == [room.name for room in b.rooms]
+    for x, y in zip(a.rooms, b.rooms):
+        np.testing.assert_array_equal(x.polygon, y.polygon)
+    assert [(door.width, door.rooms) for door in a.doors] == [(door.width, door.rooms) for door in b.doors]
+    for x, y in zip(a.doors, b.doors):
+        np.testing.assert_array_equal(x.position, y.position)
+
+
+@pytest.mark.parametrize(
+    "plan", [square(), square(rooms=(), doors=(), furniture=()), OfficeGenerator()(np.random.default_rng(3))]
+)
+def test_json_and_pickle_give_back_the_same_plan(plan, tmp_path):
+    save_floor_plan(plan, tmp_path / "plan.json")
+    same(plan, load_floor_plan(tmp_path / "plan.json"))
+    same(plan, pickle.loads(pickle.dumps(plan)))
+
+
+def edited(document, path, value):
+    """A copy with the value at `path` replaced, or removed where it is `...`."""
+    document = copy.deepcopy(document)
+    place = document
+    for key in path[:-1]:
+        place = place[key]
+    if value is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return document
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("surprise",), 1, "unknown key 'surprise'"),
+        (("features", 1, "colour"), "red", r"features\[1\]: unknown key 'colour'"),
+        (("walls",), ..., "'walls' is missing"),
+        (("doors", 0, "width"), ..., r"doors\[0\]: 'width' is missing"),
+        (("version",), 2, "format, version"),
+        (("format",), "something else", "format, version"),
+        (("name",), "", "name: is not a text"),
+        (("name",), 7, "name: is not a text"),
+        (("walls",), 5, "walls: is not|walls: has shape"),
+        (("walls", 0), [0, 0, 1], "walls: is not a table"),
+        (("walls", 0, 0), float("nan"), "NaN"),
+        (("walls", 0, 0), float("inf"), "Infinity"),
+        (("features",), {}, "features: is not a list"),
+        (("features", 2, "kind"), "tree", r"features\[2\].kind"),
+        (("features", 2, "kind"), ["corner"], r"features\[2\].kind"),
+        (("features", 2, "size"), -1, r"features.sizes\[2\]"),
+        (("features", 2, "size"), None, "features.sizes"),
+        (("rooms", 0), [], r"rooms\[0\]: is not an object"),
+        (("rooms", 0, "polygon"), [], "polygon: encloses no area"),
+        (("doors", 0, "rooms"), ["left"], r"doors\[0\].rooms: is not a pair"),
+        (("doors", 0, "rooms"), ["left", 3], r"doors\[0\].rooms: is not a text"),
+        (("doors", 0, "position"), [], "door: position"),
+        (("furniture", 0, "position"), [1, 2, 3], r"furniture\[0\].position: has shape"),
+        (("furniture", 0, "heading"), "north", r"furniture\[0\]: is not a table"),
+    ],
+)
+def test_bad_files_are_refused_by_file_field_and_reason(path, value, message, tmp_path):
+    file = tmp_path / "plan.json"
+    save_floor_plan(square(), file)
+    file.write_text(json.dumps(edited(json.loads(file.read_text()), path, value)))
+    with pytest.raises(FloorPlanError, match=message) as caught:
+        load_floor_plan(file)
+    assert str(caught.value).startswith(f"{file}: ")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe", b"null", b"[" * 100_000])
+def test_what_is_no_plan_at_all_is_refused(content, tmp_path):
+    (tmp_path / "plan.json").write_bytes(content)
+    with pytest.raises(FloorPlanError, match=r"plan\.json: file: "):
+        load_floor_plan(tmp_path / "plan.json")
+
+
+def test_missing_files_and_unknown_suffixes(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        load_floor_plan(tmp_path / "nowhere.json")
+    (tmp_path / "plan.docx").write_bytes(b"")
+    with pytest.raises(FloorPlanError, match="unknown suffix"):
+        load_floor_plan(tmp_path / "plan.docx", 0.1)
+
+
+def test_raster_plans_survive_json(data_dir, tmp_path, cv2):
+    plan = load_floor_plan(data_dir / "kth_floorplans" / "50052752_occ_map.npy.gz", 0.1)
+    save_floor_plan(plan, tmp_path / "floor.json")
+    again = load_floor_plan(tmp_path / "floor.json")
+    np.testing.assert_array_equal(again.walls, plan.walls)
+    np.testing.assert_array_equal(again.features.sizes, plan.features.sizes)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "npy.gz", "png", "pgm", "yaml"])
+def test_every_format_gives_the_same_plan(suffix, tmp_path, cv2):
+    image, path = blank(), tmp_path / f"map.{suffix}"
+    if suffix == "npy":
+        np.save(path, image)
+    elif suffix == "npy.gz":
+        with gzip.open(path, "wb") as file:
+            np.save(file, image)
+    elif suffix == "yaml":
+        cv2.imwrite(str(tmp_path / "image.pgm"), image)
+        path.write_text(
+            "image: image.pgm\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+        )
+    else:
+        cv2.imwrite(str(path), image)
+    plan = load_floor_plan(path, None if suffix == "yaml" else PIXEL)
+    np.testing.assert_array_equal(plan.walls, from_raster(image, PIXEL).walls)
+    assert plan.name == "map"
+
+
+def test_ros_map_origin_and_negate(tmp_path, cv2):
+    cv2.imwrite(str(tmp_path / "image.png"), 255 - blank())
+    (tmp_path / "map.yaml").write_text("image: image.png\nresolution: 0.05\norigin: [-3.0, 2.0, 0.0]\nnegate: 1\n")
+    plan = load_floor_plan(tmp_path / "map.yaml")
+    np.testing.assert_allclose(plan.bounds, [-2.5, 2.5, 3.5, 6.5], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("map.png", b"not a picture", "image: is not a PGM or PNG"),
+        ("map.pgm", b"", "image"),
+        ("map.npy", b"\x93NUMPY broken", "image: is not a numpy array"),
+        ("map.npy.gz", b"not zipped", "image: is not a numpy array"),
+        ("map.yaml", b"[1, 2]", "image: the map names no image"),
+        ("map.yaml", b"image: gone.pgm\nresolution: 0.1\n", "image: no file at"),
+        ("map.yaml", b"image: a\nresolution: fine\n", "resolution: 'fine' is not a number"),
+        ("map.yaml", b"image: a\nresolution: 0.1\norigin: [0, 0, 1]\n", "origin"),
+        ("map.yaml", b"image: {\n", "file: is not YAML"),
+    ],
+)
+def test_bad_image_files_are_refused_by_file_and_reason(name, content, message, tmp_path, cv2):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(FloorPlanError, match=message) as caught:
+        load_floor_plan(path, 0.1 if name != "map.yaml" else None)
+    assert str(path) in str(caught.value)
+
+
+def test_pickled_arrays_are_not_unpickled(tmp_path):
+    np.save(tmp_path / "map.npy", np.array([print], dtype=object), allow_pickle=True)
+    with pytest.raises(FloorPlanError, match="is not a numpy array"):
+        load_floor_plan(tmp_path / "map.npy", 0.1)
+
+
+def test_an_image_needs_its_resolution_and_a_sane_size(tmp_path, monkeypatch):
+    np.save(tmp_path / "map.npy", blank())
+    with pytest.raises(FloorPlanError, match="resolution: an image needs"):
+        load_floor_plan(tmp_path / "map.npy")
+    monkeypatch.setattr(floor_plan_file, "MAX_BYTES", 1_000)
+    with pytest.raises(FloorPlanError, match="unpacks to more"):
+        load_floor_plan(tmp_path / "map.npy", PIXEL)
