@@ -7,20 +7,32 @@ A pose is an array (3,) `[x m, y m, θ rad]`, its heading wrapped to (−π, π]
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from slam_gym._arguments import UNKNOWN_KIND as UNKNOWN_KIND
+from slam_gym._arguments import Array as Array
+from slam_gym._arguments import BoolArray as BoolArray
+from slam_gym._arguments import IntArray as IntArray
+from slam_gym._arguments import covariances_of, floats, kinds_of, points_of, sizes_of
 
-NONE = -1
-"""The branch `*` of the interpretation tree: paired with nothing; as the source of a measurement: spurious."""
+_LEFT_OUT: IntArray = np.empty(0, np.int64)
 
-UNKNOWN = -2
-"""The source of a measurement that nobody has labelled (recordings only); the kind of what could not be classified."""
+UNPAIRED = -1
+"""What a hypothesis decides for a measurement that it pairs with nothing: the branch `*` of the interpretation tree."""
+
+SPURIOUS = -1
+"""The source of a measurement that comes from no feature."""
+
+UNLABELLED = -2
+"""The source of a measurement that nobody has labelled (recordings only)."""
+
+NO_ID = -1
+"""In `SlamStep.ids`: the measurement was discarded."""
+
+NONE, UNKNOWN = UNPAIRED, UNLABELLED
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +41,17 @@ class Odometry:
 
     motion: Array  # (3,) [m, m, rad] pose at the end of the tick in the robot frame at its start
     covariance: Array  # (3, 3) [m², m·rad, rad²] of `motion`
+
+    @classmethod
+    def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
+        """From a motion (3,) [m, m, rad] and its independent standard deviations (3,), or one number for all three.
+
+        Raises ValueError naming the argument whose shape does not fit.
+        """
+        moved, sigma = floats("motion", motion, (3,)), np.asarray(sigmas, np.float64)
+        if sigma.shape not in ((), (3,)):
+            raise ValueError(f"sigmas: shape {sigma.shape}, expected (3,) or one number")
+        return cls(moved, np.diag(np.broadcast_to(sigma, (3,)) ** 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +62,73 @@ class Scan:
     covariances: Array  # (m, 2, 2) [m²] in R
     sizes: Array  # (m,) [m] measured intrinsic attribute, NaN where unknown
     size_variances: Array  # (m,) [m²], NaN where unknown
-    kinds: IntArray | None = None  # (m,) class that the detector reports, UNKNOWN where it cannot tell; None: never
+    # (m,) class that the detector reports, UNKNOWN_KIND where it cannot tell; left out: it never can
+    kinds: IntArray = field(default_factory=lambda: _LEFT_OUT)
+
+    def __post_init__(self) -> None:
+        if self.kinds is _LEFT_OUT:
+            object.__setattr__(self, "kinds", np.full(len(self.points), UNKNOWN_KIND))
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"Scan of {len(self)} measurements"
+
+    @classmethod
+    def from_points(
+        cls,
+        points: ArrayLike,
+        covariances: ArrayLike | None = None,
+        *,
+        sigma: ArrayLike | None = None,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Scan:
+        """From points (m, 2) [m] in R and either covariances or `sigma`.
+
+        Arguments:
+            covariances: (m, 2, 2) [m²], or (2, 2) for all measurements.
+            sigma: [m] standard deviation in both directions, one number or (m,).
+            sizes: (m,) [m] intrinsic attribute, NaN where unknown; with `size_sigma` [m], one number or (m,).
+            kinds: (m,) class of each, UNKNOWN_KIND where it has none.
+
+        Raises ValueError naming the argument whose shape does not fit, or where not exactly one of covariances and
+        sigma is given.
+        """
+        at = points_of("points", points)
+        marginals = covariances_of("covariances", covariances, sigma, len(at))
+        return cls(at, marginals, *sizes_of(sizes, size_sigma, len(at)), kinds_of(kinds, len(at)))
+
+    @classmethod
+    def from_polar(
+        cls,
+        ranges: ArrayLike,
+        bearings: ArrayLike,
+        range_sigma: ArrayLike,
+        bearing_sigma: ArrayLike,
+        *,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Scan:
+        """From ranges (m,) [m] and bearings (m,) [rad, 0 ahead, left positive] with independent standard deviations.
+
+        With c, s = cos β, sin β a measurement lies at r (c, s), and its covariance is σ_r² along the line of sight and
+        (r σ_β)² across it. Other arguments and errors are those of `from_points`.
+        """
+        r = floats("ranges", ranges, (-1,))
+        beta = floats("bearings", bearings, (len(r),))
+        c, s = np.cos(beta), np.sin(beta)
+        along = np.broadcast_to(np.asarray(range_sigma, np.float64), r.shape) ** 2
+        across = (r * np.broadcast_to(np.asarray(bearing_sigma, np.float64), r.shape)) ** 2
+        covariances = np.empty((len(r), 2, 2))
+        covariances[:, 0, 0] = c * c * along + s * s * across
+        covariances[:, 1, 1] = s * s * along + c * c * across
+        covariances[:, 0, 1] = covariances[:, 1, 0] = c * s * (along - across)
+        points = np.column_stack([r * c, r * s])
+        return cls.from_points(points, covariances, sizes=sizes, size_sigma=size_sigma, kinds=kinds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +145,7 @@ class Truth:
     """What only the simulator (or a label file) knows about a scan."""
 
     pose: Array  # (3,) [m, m, rad] of the robot in W
-    sources: IntArray  # (m,) true feature behind each measurement; NONE = spurious, UNKNOWN = unlabelled
+    sources: IntArray  # (m,) true feature behind each measurement, SPURIOUS or UNLABELLED
 
     def __len__(self) -> int:
         return len(self.sources)
@@ -85,23 +171,12 @@ class Locality:
 
 
 @dataclass(frozen=True, slots=True)
-class Nearby:
-    """Which of the predicted features are worth looking at, for a search that starts from what was just seen.
-
-    Rows are rows of the `Prediction` that carries it.
-    """
-
-    near: BoolArray  # (k,) the feature was paired in a recent scan or is local to one that was
-    among: Callable[[IntArray], BoolArray]  # rows (j,) -> (j, j) "local to each other", symmetric, true on its diagonal
-
-
-@dataclass(frozen=True, slots=True)
 class Prediction:
-    """What the stochastic map expects to measure from the predicted pose: the features in reach.
+    """What the stochastic map expects to measure from the predicted pose: the features in reach, one a row.
 
     With the measurement function h_j(x) = (⊖R) ⊕ F_j and its Jacobian H_j, `covariances[j]` is H_j P H_jᵀ, without the
-    sensor's own noise. `joint` computes full cross-covariances only for the rows asked for, since those of all
-    features would cost more than everything else together.
+    sensor's own noise. What would cost more than everything else together is computed only when asked for, and only
+    for the rows asked for; it is looked up in the map, and so valid until that next changes.
     """
 
     features: IntArray  # (k,) index of each feature in the map
@@ -109,18 +184,75 @@ class Prediction:
     covariances: Array  # (k, 2, 2) [m²] H_j P H_jᵀ
     sizes: Array  # (k,) [m] mapped intrinsic attribute, NaN where unknown
     size_variances: Array  # (k,) [m²]
+    kinds: IntArray  # (k,) class of each feature, UNKNOWN_KIND where it has none
+    ages: IntArray  # (k,) [steps] since each feature was first seen
+    near: BoolArray  # (k,) paired in a recent scan, or local to a feature that was; all, without localities
+    heading_variance: float  # [rad²] of the robot's heading θ
+    heading_covariances: Array  # (k, 2) [m·rad] Cov(h_j, θ) = H_j P e_θ
+    confidence: float  # of the χ² gates
     joint: Callable[[IntArray], Array]  # rows (j,) -> (2j, 2j) [m²] H P Hᵀ of those features together
-    locality: Nearby | None = None
-    ages: IntArray | None = None  # (k,) [steps] since each feature was first seen
-    visibility: Array | None = None  # (k,) probability that the sensor has each in its view, walls considered
-    kinds: IntArray | None = None  # (k,) class of each feature, UNKNOWN where it has none; None: no feature has one
-    heading: Callable[[IntArray], tuple[float, Array]] | None = None
-    # rows (j,) -> [rad²] variance of the robot's heading θ, and (j, 2) [m·rad] Cov(h_j, θ) = H_j P e_θ
+    local: Callable[[IntArray], BoolArray] | None = None
+    # rows (j,) -> (j, j) which are local to each other, symmetric, true on its diagonal; None: all are to all
     view: Callable[[Array, Array], Array] | None = None
-    # positions (k, 2) and covariances (k, 2, 2) -> (k,) `visibility`, if that were where the features are
+    # positions (k, 2) in R and covariances (k, 2, 2) -> (k,) probability that the sensor has each in view
 
     def __len__(self) -> int:
         return len(self.features)
+
+    def __repr__(self) -> str:
+        return f"Prediction of {len(self)} features at confidence {self.confidence}"
+
+    def visibility(self, positions: Array | None = None, covariances: Array | None = None) -> Array | None:
+        """(k,) probability that the sensor has each feature in view, walls considered; None where nobody can tell.
+
+        With `positions` (k, 2) [m] in R and `covariances` (k, 2, 2) [m²], as if that were where the features are.
+        """
+        if self.view is None:
+            return None
+        return self.view(
+            self.positions if positions is None else positions, self.covariances if covariances is None else covariances
+        )
+
+    def without_locality(self) -> Prediction:
+        """The same, with all features local to all."""
+        return replace(self, near=np.ones(len(self), np.bool_), local=None)
+
+    @classmethod
+    def from_gaussian(
+        cls,
+        mean: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        confidence: float = 0.99,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Prediction:
+        """Features 0 … k−1 of predicted positions `mean` (k, 2) [m] in R with their full covariance (2k, 2k) [m²].
+
+        The robot's heading is taken for known: the prediction is linear. Other arguments and errors are those of
+        `Scan.from_points`.
+        """
+        at = points_of("mean", mean)
+        k = len(at)
+        P = floats("covariance", covariance, (2 * k, 2 * k))
+        blocks = P.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]
+        return cls(
+            np.arange(k), at, np.ascontiguousarray(blocks), *sizes_of(sizes, size_sigma, k), kinds_of(kinds, k),
+            ages=np.zeros(k, np.int64), near=np.ones(k, np.bool_), heading_variance=0.0,
+            heading_covariances=np.zeros((k, 2)), confidence=confidence, joint=DenseCovariance(P),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class DenseCovariance:
+    """`Prediction.joint` of a covariance that is given in full."""
+
+    covariance: Array  # (2k, 2k) [m²]
+
+    def __call__(self, rows: IntArray) -> Array:
+        both = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
+        return np.ascontiguousarray(self.covariance[np.ix_(both, both)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +267,7 @@ class Landmarks:
     covariances: Array  # (n, 2, 2) [m²] marginals
     sizes: Array  # (n,) [m] mapped intrinsic attribute, NaN where unknown
     size_variances: Array  # (n,) [m²]
-    kinds: IntArray  # (n,) class, UNKNOWN where there is none
+    kinds: IntArray  # (n,) class, UNKNOWN_KIND where there is none
     covariance: Array  # (2n, 2n) [m²] of all features together, or (0, 0)
     block_starts: IntArray  # (n + 1,) the pairs (j, l) of j are entries block_starts[j]:block_starts[j + 1]; or (0,)
     block_columns: IntArray  # (e,) l, ascending for each j; both (j, l) and (l, j) are there
@@ -143,6 +275,41 @@ class Landmarks:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def __repr__(self) -> str:
+        return f"Landmarks: {len(self)} features"
+
+    @classmethod
+    def from_points(
+        cls,
+        points: ArrayLike,
+        covariances: ArrayLike | None = None,
+        *,
+        sigma: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Landmarks:
+        """From positions (n, 2) [m] in B with exactly one of three: marginal `covariances`, `sigma`, or `covariance`.
+
+        `covariance` (2n, 2n) [m²] is that of all features together; the other two say that they are independent.
+        Arguments and errors are those of `Scan.from_points`.
+        """
+        at = points_of("points", points)
+        n, whole = len(at), np.empty((0, 0))
+        if covariance is None:
+            marginals = covariances_of("covariances", covariances, sigma, n)
+        elif covariances is not None or sigma is not None:
+            raise ValueError("covariance: given beside covariances or sigma; expected exactly one of the three")
+        else:
+            whole = floats("covariance", covariance, (2 * n, 2 * n))
+            marginals = np.ascontiguousarray(whole.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :])
+        none = np.empty(0, np.int64)
+        return cls(
+            at, marginals, *sizes_of(sizes, size_sigma, n), kinds_of(kinds, n), whole, none, none.copy(),
+            np.empty((0, 2, 2)),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +334,7 @@ class Posterior:
 
     log_density: float  # unnormalised, of the hypothesis
     probability: float  # of the hypothesis
-    runner_up: IntArray  # (m,) map features of the next most probable one
+    runner_up: IntArray  # (m,) map features of the next most probable one, UNPAIRED for `*`
     runner_up_probability: float
 
 
@@ -175,18 +342,28 @@ class Posterior:
 class Hypothesis:
     """A path of the interpretation tree: one decision per measurement."""
 
-    features: IntArray  # (m,) map feature paired with each measurement, NONE for `*`
+    features: IntArray  # (m,) map feature paired with each measurement, UNPAIRED for `*`
     joint_distance: float  # D²_H of all its pairings together
     dof: int  # degrees of freedom of that distance: 2 per pairing
     effort: Effort
     posterior: Posterior | None = None
+    new: BoolArray | None = None  # (m,) which measurements start a feature; None: by the rule of `Slam`
+    exclusive: bool = True  # no feature is paired twice; False: decided one by one, as nearest neighbour does
+
+    @property
+    def pairings(self) -> int:
+        """Number of measurements that are paired."""
+        return int((self.features != UNPAIRED).sum())
+
+    def __repr__(self) -> str:
+        return f"Hypothesis of {self.pairings} pairings among {len(self.features)} measurements: {self.features}"
 
 
 @dataclass(frozen=True, slots=True)
 class Relocation:
     """The answer of a search without a prior: a hypothesis and the pose that it puts the robot at."""
 
-    features: IntArray  # (m,) map feature paired with each measurement, NONE for `*`
+    features: IntArray  # (m,) map feature paired with each measurement, UNPAIRED for `*`
     pose: Array  # (3,) [m, m, rad] of the robot in B; NaN with fewer than two pairings
     covariance: Array  # (3, 3) [m², m·rad, rad²] of that pose; NaN likewise
     joint_distance: float  # D²_H at that pose
@@ -199,7 +376,7 @@ class Relocation:
     @property
     def pairings(self) -> int:
         """Number of measurements that are paired."""
-        return int((self.features != NONE).sum())
+        return int((self.features != UNPAIRED).sum())
 
     @property
     def accepted(self) -> bool:
@@ -224,6 +401,6 @@ class SlamStep:
 
     prediction: Prediction
     hypothesis: Hypothesis
-    ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NONE = discarded
+    ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NO_ID = discarded
     created: BoolArray  # (m,) the measurement started a feature
     removed: IntArray  # ids of the features dropped by maintenance at the end of the step

@@ -1,40 +1,55 @@
-"""Refuse by name what would do harm further in: scans that would corrupt a map, arguments that nobody knows."""
+"""Refuse by name what would do harm further in: scans that would corrupt a map, hypotheses that do not fit it,
+arguments that nobody knows."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import Array, Scan
+from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan
 
+_CONDITION = 1e12  # of a measurement's covariance, beyond which an update loses all its digits
 _TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, to the variances' product
 
 
-@compiled
-def _first_bad_measurement(points: Array, covariances: Array, tolerance: float) -> tuple[int, int]:
-    """(measurement, fault): 1 non-finite point, 2 non-finite covariance, 3 asymmetric, 4 not PSD; (−1, 0) if fine."""
-    for i in range(points.shape[0]):
-        if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])):
-            return i, 1
-        a, b, c, d = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 0], covariances[i, 1, 1]
-        if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c) and math.isfinite(d)):
-            return i, 2
-        scale = abs(a) + abs(d)
-        if abs(b - c) > tolerance * scale:
-            return i, 3
-        if a < 0.0 or d < 0.0 or a * d - b * b < -tolerance * a * d:
-            return i, 4
-    return -1, 0
+class _Fault(NamedTuple):
+    """The first fault of an array: entry and number in the list of faults; (−1, 0) if all is fine."""
+
+    entry: int
+    number: int
 
 
-_FAULTS = (
+_MEASUREMENT_FAULTS = (
     "",
     "points are not finite",
     "covariance is not finite",
     "covariance is not symmetric",
     "covariance is not PSD",
+    f"covariance has a condition number above {_CONDITION:.0e}",
 )
+
+
+@compiled
+def _first_bad_measurement(points: Array, covariances: Array) -> _Fault:
+    for i in range(points.shape[0]):
+        if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])):
+            return _Fault(i, 1)
+        a, b, c, d = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 0], covariances[i, 1, 1]
+        if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c) and math.isfinite(d)):
+            return _Fault(i, 2)
+        trace, determinant = a + d, a * d - b * b
+        if abs(b - c) > _TOLERANCE * (abs(a) + abs(d)):
+            return _Fault(i, 3)
+        if a < 0.0 or d < 0.0 or determinant < -_TOLERANCE * a * d:
+            return _Fault(i, 4)
+        # λ_max / λ_min is about trace² / det where it is large; an exact measurement, all zeros, has none
+        if trace * trace > _CONDITION * determinant:
+            return _Fault(i, 5)
+    return _Fault(-1, 0)
 
 
 def check_scan(scan: Scan) -> None:
@@ -44,11 +59,49 @@ def check_scan(scan: Scan) -> None:
         raise ValueError(f"Scan.points: shape {scan.points.shape}, expected (m, 2)")
     if scan.covariances.shape != (m, 2, 2):
         raise ValueError(f"Scan.covariances: shape {scan.covariances.shape}, expected ({m}, 2, 2)")
-    if scan.sizes.shape != (m,) or scan.size_variances.shape != (m,):
-        raise ValueError(f"Scan.sizes, Scan.size_variances: shapes {scan.sizes.shape}, {scan.size_variances.shape}")
-    index, fault = _first_bad_measurement(scan.points, scan.covariances, _TOLERANCE)
-    if fault:
-        raise ValueError(f"Scan: measurement {index}: {_FAULTS[fault]}")
+    if scan.sizes.shape != (m,) or scan.size_variances.shape != (m,) or scan.kinds.shape != (m,):
+        shapes = f"{scan.sizes.shape}, {scan.size_variances.shape}, {scan.kinds.shape}"
+        raise ValueError(f"Scan.sizes, Scan.size_variances, Scan.kinds: shapes {shapes}, expected ({m},)")
+    fault = _first_bad_measurement(scan.points, scan.covariances)
+    if fault.number:
+        raise ValueError(f"Scan: measurement {fault.entry}: {_MEASUREMENT_FAULTS[fault.number]}")
+
+
+@compiled
+def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> _Fault:
+    for i in range(len(features)):
+        if features[i] < UNPAIRED or features[i] >= n:
+            return _Fault(i, 1)
+        if exclusive and features[i] != UNPAIRED:
+            for earlier in range(i):
+                if features[earlier] == features[i]:
+                    return _Fault(i, 2)
+    return _Fault(-1, 0)
+
+
+def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:
+    """The hypothesis, its decisions as a plain array (m,), once they fit m `measurements` and a map of n `features`.
+
+    Raises ValueError where they are not m signed integers −1 … n−1, where a feature is paired twice by a hypothesis
+    that is exclusive, and where a measurement is paired and called new.
+    """
+    given = hypothesis.features
+    if not isinstance(given, np.ndarray) or given.shape != (measurements,) or given.dtype.kind != "i":
+        told = f"{given.dtype} of shape {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
+        raise ValueError(f"hypothesis.features: {told}, expected ({measurements},) signed integers")
+    decisions = given
+    if type(given) is not np.ndarray or given.dtype != np.int64:
+        decisions = np.array(given, dtype=np.int64, subok=False)
+    fault = _first_bad_decision(decisions, features, hypothesis.exclusive)
+    if fault.number == 1:
+        said = decisions[fault.entry]
+        raise ValueError(f"hypothesis.features[{fault.entry}]: {said}, expected −1 … {features - 1}")
+    if fault.number == 2:
+        raise ValueError(f"hypothesis.features[{fault.entry}]: feature {decisions[fault.entry]} is paired twice")
+    new = hypothesis.new
+    if new is not None and (new.shape != (measurements,) or new.dtype != np.bool_ or (new & (decisions >= 0)).any()):
+        raise ValueError(f"hypothesis.new: expected ({measurements},) booleans, true for unpaired measurements only")
+    return hypothesis if decisions is given else replace(hypothesis, features=decisions)
 
 
 def one_of(name: str, value: Any, known: Any) -> None:

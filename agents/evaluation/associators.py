@@ -8,7 +8,6 @@ suite (`suite_run`).
 from __future__ import annotations
 
 import functools
-import inspect
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -25,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from agents.cli import versions
 from agents.evaluation.parallel import connect, run_all
 from agents.evaluation.results import Column, Journal, Record, estimate, write_csv, write_json
-from slam_gym.association import ASSOCIATORS, resolve
+from slam_gym.association import ASSOCIATORS, resolve_associator
 from slam_gym.metrics.statistics import Interval
 from slam_gym.types import Hypothesis
 
@@ -68,15 +67,7 @@ def find_associator(name: str) -> Callable[..., Hypothesis]:
         from agents.learning.association_models import load  # torch is imported for learned associators only
 
         return load(Path(name))
-    return resolve(name)
-
-
-def gated(name: str, confidence: float) -> Callable[..., Hypothesis]:
-    """The associator of that name; those that ship are told the confidence of their χ² gates, others know their own."""
-    found = find_associator(name)
-    if any(found is known for known in ASSOCIATORS.values()) and "confidence" in inspect.signature(found).parameters:
-        return functools.partial(found, confidence=confidence)
-    return found
+    return resolve_associator(name)
 
 
 def run_task(task: Task) -> list[Record]:

@@ -13,7 +13,7 @@ import numpy as np
 
 import slam_gym  # noqa: F401  (registers the environments)
 from agents.drivers.base import make_agent
-from agents.evaluation.associators import CEILING, Key, Task, gated, row
+from agents.evaluation.associators import CEILING, Key, Task, find_associator, row
 from agents.evaluation.results import Column, Record
 from agents.evaluation.rollout import ENV_ID, run_episode
 from slam_gym.scenarios import Scenario, get_scenario
@@ -118,7 +118,7 @@ def _effort(meter: Metered | None) -> dict[str, float]:
 def _env(associator: str, course: Course) -> tuple[gym.Env[Any, Any], Metered | None]:
     """The environment, and the meter on its associator. The true one is handed the truth by the environment alone."""
     scenario = course.scenario
-    meter = None if associator == CEILING else Metered(gated(associator, scenario.slam.map.confidence))
+    meter = None if associator == CEILING else Metered(find_associator(associator))
     env = gym.make(
         ENV_ID, scenario=scenario, split=course.split, associator=meter or associator, relocation=course.relocation,
         action=_driver(course.driver).action, disable_env_checker=True,

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import functools
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from agents.evaluation.associators import CEILING, gated
+from agents.evaluation.associators import CEILING, find_associator
 from agents.evaluation.drives import Metered
-from slam_gym.association import true_association
 from slam_gym.geometry import compose, inverse
-from slam_gym.metrics.association import Identities, Tally
+from slam_gym.metrics.association import Tally
 from slam_gym.recordings.recording import Recording, interpolate
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NONE, Array, BoolArray, Hypothesis, IntArray, Prediction, Scan, Truth
+from slam_gym.types import NONE, Array, BoolArray, IntArray, Truth
 
 
 @dataclass(frozen=True)
@@ -44,39 +42,26 @@ class Run:
     limits: int  # searches that met their limit
 
 
-class _Informed(Slam):
-    """SLAM that knows the identities: it adds what its map has not got, whatever that is compatible with."""
-
-    sources: IntArray  # (m,) behind the measurements of the step
-    identities: IntArray  # (n,) behind the features of the map
-
-    def new_features(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> IntArray:
-        in_map = np.isin(self.sources, self.identities)
-        fresh = np.flatnonzero((self.sources >= 0) & ~in_map)
-        first = np.unique(self.sources[fresh], return_index=True)[1]
-        new: IntArray = fresh[np.sort(first)]
-        return new
-
-
 def run(log: Recording, associator: str, spec: SlamSpec) -> Run:
-    """Map a log with the associator of that name (`association_evaluation.gated`).
+    """Map a log with the associator of that name (`find_associator`).
 
     `true_association` is told the identities, and so is its map: every labelled feature goes in when it is first seen,
     and nothing else. It is what is left of the error once no association is wrong. Raises as `Slam.step`.
     """
     truth = associator == CEILING
-    meter = None if truth else Metered(gated(associator, spec.map.confidence))
-    slam = _informed(spec) if meter is None else Slam(spec, meter)
+    meter = None if truth else Metered(find_associator(associator))
+    # nothing that the labels add needs to be confirmed
+    slam = Slam(replace(spec, map=replace(spec.map, confirmations=1)) if truth else spec)
     start = start_of(log)
     if start is not None:
         slam.map.place(start, np.zeros((3, 3)))
-    judge = Identities()
+    judged = JudgedSlam(slam, meter or associator, informed=truth)
+    judge = judged.identities
     steps: list[tuple[Any, ...]] = []
     for odometry, scan, sources in log.steps():
         began = time.perf_counter()
-        step = slam.step(odometry, scan, _told(slam, sources, judge))
+        step = judged.step(odometry, scan, Truth(np.full(3, np.nan), sources))
         seconds = time.perf_counter() - began
-        judge.update(step, Truth(slam.map.pose, sources))
         steps.append((slam.map.pose, slam.map.pose_covariance, step.ids, step.created, seconds))
     poses, covariances, ids, created, taken = zip(*steps)
     every_id = np.concatenate(ids)
@@ -88,18 +73,6 @@ def run(log: Recording, associator: str, spec: SlamSpec) -> Run:
         np.array(meter.nodes if meter else [], np.int64), np.array(meter.seconds if meter else []),
         meter.limits if meter else 0,
     )  # fmt: skip
-
-
-def _informed(spec: SlamSpec) -> Slam:
-    """Nothing that it adds needs to be confirmed."""
-    return _Informed(replace(spec, map=replace(spec.map, confirmations=1)), true_association)
-
-
-def _told(slam: Slam, sources: IntArray, judge: Identities) -> Callable[..., Hypothesis] | None:
-    if not isinstance(slam, _Informed):
-        return None
-    slam.sources, slam.identities = sources, judge.source_of(slam.map.ids)
-    return functools.partial(true_association, sources=sources, identities=slam.identities)
 
 
 def start_of(log: Recording) -> Array | None:

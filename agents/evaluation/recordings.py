@@ -15,7 +15,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from agents.evaluation.associators import CEILING, Key, Task, carry_out, gated, shipped, short
+from agents.evaluation.associators import CEILING, Key, Task, carry_out, find_associator, shipped, short
 from agents.evaluation.recording_files import write_run
 from agents.evaluation.recording_measures import measure
 from agents.evaluation.recording_run import run
@@ -176,7 +176,7 @@ def run_recording(a: argparse.Namespace, out: Path, common: dict[str, Any], cons
     logs = logs_of(a)
     for name in names:
         if name != CEILING:
-            gated(name, 0.99)  # ValueError for an associator that nobody knows
+            find_associator(name)  # ValueError for an associator that nobody knows
     for setting, log in logs.items():
         recording = log.open()
         console.print(f"{setting}: {recording.source} {recording.terms}", soft_wrap=True)

@@ -16,12 +16,12 @@ import numpy as np
 
 from slam_gym.association import true_association
 from slam_gym.geometry import relative
-from slam_gym.metrics.association import Identities
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import world_generator, world_seed
 from slam_gym.scenarios.suite import Level
 from slam_gym.simulation.episode import Site, survey
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
 from slam_gym.types import NONE, Array, Hypothesis, IntArray, Odometry, Prediction, Scan, Truth
 from slam_gym.world.physics import Motion
@@ -98,8 +98,8 @@ class Course:
     def looks(self) -> Iterator[Look]:
         """Every look in turn, mapped with true associations."""
         scenario = self.level.scenario
-        slam = Slam(replace(scenario.slam, reach=scenario.sensor.range), true_association)
-        identities, at = Identities(), self.base
+        judged = JudgedSlam(Slam(replace(scenario.slam, reach=scenario.sensor.range)), "true_association")
+        slam, identities, at = judged.slam, judged.identities, self.base
         reach = float(np.hypot(*(self.site.plan.bounds[2:] - self.site.plan.bounds[:2]))) + 1.0
         grid = ExploredGrid(np.array([-reach, -reach, reach, reach]), scenario.grid_resolution)
         for pose in self.poses:
@@ -108,8 +108,7 @@ class Course:
             scan, truth = self.look(pose)
             known = identities.source_of(slam.map.ids)
             yield Look(slam, odometry, scan, truth, known, grid)
-            associate = functools.partial(true_association, sources=truth.sources, identities=known)
-            identities.update(slam.step(odometry, scan, associate), truth)
+            judged.step(odometry, scan, truth)
             grid.integrate(slam.map.pose, self.sensor.beams(pose, self.rng))
             at = pose
 
@@ -139,14 +138,13 @@ def problems(course: Course, count: int) -> Iterator[Problem]:
         lost = look.slam.map.copy()
         lost.predict(Odometry(u.motion + noise, u.covariance + np.diag(blind**2)))
         prediction = lost.prediction(course.level.scenario.sensor.range)
-        visibility = _visibility(course.level.scenario.sensor, prediction, look.grid, lost.pose)
-        prediction = replace(prediction, visibility=visibility)
+        prediction = replace(prediction, view=_view(course.level.scenario.sensor, look.grid, lost.pose))
         yield Problem(look.scan, prediction, look.truth.sources, look.identities, look.right)
 
 
-def _visibility(sensor: SensorSpec, prediction: Prediction, grid: ExploredGrid, pose: Array) -> Array:
+def _view(sensor: SensorSpec, grid: ExploredGrid, pose: Array) -> Callable[[Array, Array], Array]:
     view = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-    return view.in_view(prediction.positions, prediction.covariances, grid.explored, pose)
+    return functools.partial(view.in_view, explored=grid.explored, pose=pose)
 
 
 def ask(associate: Callable[..., Hypothesis], problem: Problem) -> Hypothesis:

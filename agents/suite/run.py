@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation.associators import Key, Task, find_associator, gated
+from agents.evaluation.associators import Key, Task, find_associator
 from agents.evaluation.results import Record, estimate
 from agents.suite.problems import Course, ask, judge, problems
 from agents.suite.relocation import kidnappings, outcome
@@ -49,8 +49,7 @@ class World:
 
     def _associate(self) -> dict[str, Record]:
         level = get_level(self.setting)
-        confidence = level.scenario.slam.map.confidence
-        asked = {name: gated(name, confidence) for name in self.asked}
+        asked = {name: find_associator(name) for name in self.asked}
         judged: dict[str, list[Any]] = {name: [] for name in asked}
         efforts: dict[str, list[tuple[Effort, float]]] = {name: [] for name in asked}
         for problem in problems(Course(level, self.episode, self.split), self.problems):

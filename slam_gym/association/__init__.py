@@ -52,7 +52,7 @@ __all__ = [
     "one_point_ransac",
     "random_sampling",
     "relocator_from_policy",
-    "resolve",
+    "resolve_associator",
     "resolve_relocator",
     "singles",
     "spectral",
@@ -75,13 +75,13 @@ RELOCATORS: dict[str, Relocator] = {
     "gcbb": gcbb,
     "indexed": indexed,
     "max_clique": max_clique,
-    "rs": random_sampling,
+    "random_sampling": random_sampling,
     "spectral": spectral,
 }
 """Relocators by name, called with (scan, landmarks, locality or None): the searches without a prior."""
 
 
-def resolve(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypothesis]:
+def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypothesis]:
     """An associator from its name, `"module:function"`, or itself.
 
     Raises ValueError, listing the known names, where there is none such.
@@ -91,7 +91,7 @@ def resolve(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypoth
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:
-    """A relocator from its name, `"module:function"`, or itself. Raises ValueError as `resolve`."""
+    """A relocator from its name, `"module:function"`, or itself. Raises ValueError as `resolve_associator`."""
     found: Relocator = _resolve("relocator", relocator, RELOCATORS)
     return found
 

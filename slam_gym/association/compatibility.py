@@ -68,20 +68,21 @@ def joint_gates(pairings: int, confidence: float) -> Array:
 def individual(
     scan: Scan,
     prediction: Prediction,
-    confidence: float = 0.99,
+    confidence: float | None = None,
     *,
     measurements: IntArray | None = None,
     eligible: BoolArray | None = None,
 ) -> Candidates:
     """All individually compatible pairings of `measurements` (default: all) with the rows where `eligible` (k,) holds.
 
+    The gate's confidence is the prediction's unless another is given.
     Raises ValueError naming the field and entry that is not finite, or a covariance that is none.
     """
     if measurements is None:
         measurements = np.arange(len(scan.points))
     if eligible is None:
         eligible = _EVERY_ROW
-    gate = chi2_gate(2, confidence)
+    gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
     fault, where, tests, starts, measured, slots, distances, innovations, rows = _individual(
         scan.points, scan.covariances, prediction.positions, prediction.covariances, measurements, eligible, gate
     )
@@ -91,7 +92,7 @@ def individual(
 
 
 def has_compatible(
-    scan: Scan, prediction: Prediction, confidence: float = 0.99, *, measurements: IntArray | None = None
+    scan: Scan, prediction: Prediction, confidence: float | None = None, *, measurements: IntArray | None = None
 ) -> BoolArray:
     """Which of `measurements` (default: all) have an individually compatible feature at all, (l,)."""
     starts = individual(scan, prediction, confidence, measurements=measurements).starts

@@ -81,7 +81,7 @@ def interpretation_tree(
     scan: Scan,
     prediction: Prediction,
     candidates: Candidates,
-    confidence: float = 0.99,
+    confidence: float | None = None,
     *,
     given: IntArray | None = None,
     local: bool = False,
@@ -103,9 +103,10 @@ def interpretation_tree(
     covariance = prediction.joint(rows) if len(rows) else _NO_COVARIANCE
     among = None
     if local:
-        if prediction.locality is None:
+        if prediction.local is None:
             raise ValueError("local: the prediction has no locality")
-        among = prediction.locality.among(rows)
+        among = prediction.local(rows)
+    confidence = prediction.confidence if confidence is None else confidence
     gates = joint_gates(g + len(candidates.measurements), confidence)
     return Tree(scan, prediction, candidates, given, rows, slots, covariance, among, gates)
 
@@ -173,10 +174,18 @@ def hypothesis(tree: Tree, node: Node, effort: Effort) -> Hypothesis:
     return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort)
 
 
-def as_hypothesis(prediction: Prediction, rows: IntArray, distance: float, effort: Effort) -> Hypothesis:
+def as_hypothesis(
+    prediction: Prediction,
+    rows: IntArray,
+    distance: float,
+    effort: Effort,
+    *,
+    exclusive: bool = True,
+    new: BoolArray | None = None,
+) -> Hypothesis:
     """Rows of the prediction (m,), or NONE, turned into map features."""
     features, pairings = _features(prediction.features, rows)
-    return Hypothesis(features, distance, 2 * pairings, effort)
+    return Hypothesis(features, distance, 2 * pairings, effort, new=new, exclusive=exclusive)
 
 
 def _next_level(tree: Tree, node: Node) -> tuple[int, int]:

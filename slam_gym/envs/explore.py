@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym.association import resolve
+from slam_gym.association import resolve_associator
 from slam_gym.envs.goal_observation import GOAL_FIELDS, encode_goals
 from slam_gym.envs.observation import (
     encode_features,
@@ -30,7 +30,7 @@ from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode, Site, survey
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
-from slam_gym.slam.relocation import Localities, relocate_by
+from slam_gym.slam.relocation import LocalityName, relocate_by
 from slam_gym.types import NONE, Associator, Relocator
 from slam_gym.validation import one_of
 
@@ -99,7 +99,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
         resolution: float | None = None,
         locality: Literal["covisibility"] | None = "covisibility",
         relocation: str | Relocator | None = None,
-        relocation_locality: Localities | None = "covisibility",
+        relocation_locality: LocalityName | None = "covisibility",
         render_mode: Literal["rgb_array", "human"] | None = None,
         render_covisibility: bool = False,
     ) -> None:
@@ -116,7 +116,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
         self.render_mode = render_mode
         self.render_covisibility = render_covisibility
         self.goal_mode = action == "goal"
-        self.associator = resolve(associator)
+        resolve_associator(associator)  # refuses an unknown one now
+        self.associator = associator
         self.relocate = None if relocation is None else relocate_by(relocation, relocation_locality)
         self._error = get_reward(reward)
         self._virtual = reward != "map_error"

@@ -11,14 +11,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym.association import resolve
+from slam_gym.association import resolve_associator
 from slam_gym.association.relocation.observation import observe_walk, walk_shapes
 from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.geometry import relative
 from slam_gym.scenarios import SPLITS, Scenario, get_scenario, world_seed
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
-from slam_gym.slam.relocation import Localities
+from slam_gym.slam.relocation import LocalityName
 from slam_gym.types import NONE, Associator, IntArray
 from slam_gym.validation import one_of
 
@@ -83,7 +83,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
         self,
         scenario: str | Scenario = "office",
         split: Literal["train", "test"] = "train",
-        locality: Localities | None = "covisibility",
+        locality: LocalityName | None = "covisibility",
         candidates: int = 8,
         order: RelocationOrder = "fewest_candidates",
         node_limit: int = 300,
@@ -113,7 +113,8 @@ class RelocateEnv(gym.Env[Observation, Any]):
         self.walk_spec = WalkSpec(candidates, order, node_limit, sizes, self.scenario.slam.map.confidence)
         self.split, self.locality, self.outside, self.render_mode = split, locality, outside, render_mode
         self.kidnappings_per_map = kidnappings_per_map
-        self.associator = resolve(associator)
+        resolve_associator(associator)  # refuses an unknown one now
+        self.associator = associator
         self._node_cost, self._wrong_cost = node_cost, wrong_cost
         self._tolerances = position_tolerance, heading_tolerance
         self.measurements = self.scenario.sensor.max_features

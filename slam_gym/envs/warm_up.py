@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import follow
 from slam_gym.slam import slam
-from slam_gym.types import Beams, Nearby, Prediction, Scan
+from slam_gym.types import Array, Beams, Prediction, Scan
 from slam_gym.world import boxes, detection, ray_casting, reachability
 
 COMPILED = (
@@ -58,20 +59,14 @@ def main() -> None:
     expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full(3, 0.01))
 
 
-def _associate(points: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> None:
+def _associate(points: Array) -> None:
     """One search near, one far."""
-    covariances, unknown = np.tile(0.01 * np.eye(2), (2, 1, 1)), np.full(2, np.nan)
-    locality = Nearby(np.array([True, False]), lambda rows: np.ones((len(rows), len(rows)), np.bool_))
-    prediction = Prediction(
-        np.arange(2),
-        points,
-        covariances,
-        unknown,
-        unknown,
-        lambda rows: 0.01 * np.eye(2 * len(rows)),
-        locality,
+    prediction = Prediction.from_gaussian(points, 0.01 * np.eye(4))
+    local = np.array([True, False])
+    jcbb(
+        Scan.from_points(points, sigma=0.1),
+        replace(prediction, near=local, local=lambda rows: np.ones((len(rows), len(rows)), np.bool_)),
     )
-    jcbb(Scan(points, covariances, unknown, unknown), prediction)
 
 
 if __name__ == "__main__":

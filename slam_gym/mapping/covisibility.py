@@ -6,10 +6,13 @@ to each other on two sides of a wall are never seen together (Neira, Tardós and
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import NONE, BoolArray, IntArray
+from slam_gym.mapping.linear_algebra import read_only
+from slam_gym.types import UNPAIRED, BoolArray, IntArray
 
 _ROOM, _WIDTH = 64, 16  # nodes and neighbours to make room for at first
 
@@ -40,7 +43,7 @@ class CovisibilityGraph:
         self.n += count
 
     def see_together(self, features: IntArray) -> None:
-        """Count +1 for each pair of `features` (j,), those of one scan; NONE and repetitions count for nothing.
+        """Count +1 for each pair of `features` (j,), those of one scan; UNPAIRED and repetitions count for nothing.
 
         Raises ValueError where a feature is not in the graph.
         """
@@ -77,7 +80,7 @@ class CovisibilityGraph:
         return self._neighbours[i, row][self._counts[i, row] >= at_least]
 
     def local_to(self, features: IntArray) -> BoolArray:
-        """(n,) the features given (NONE ignored) and all their neighbours. Raises ValueError like `see_together`."""
+        """(n,) the features given, but for UNPAIRED, and all their neighbours. Raises ValueError as `see_together`."""
         return _local_to(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
 
     def among(self, features: IntArray) -> BoolArray:
@@ -85,7 +88,12 @@ class CovisibilityGraph:
 
         Raises ValueError where a feature is not in the graph.
         """
-        return _among(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
+        rows = np.ascontiguousarray(features, dtype=np.int64)
+        return _among(read_only(self._neighbours), read_only(self._degrees), self.n, rows)
+
+    def among_rows(self, features: IntArray) -> LocalRows:
+        """`among` for rows of `features` (k,), from read-only arrays that go on with the graph: `Prediction.local`."""
+        return LocalRows(read_only(self._neighbours), read_only(self._degrees), self.n, features)
 
     def edges(self) -> tuple[IntArray, IntArray]:
         """Edges (e, 2), i < j, in ascending order, and their counts (e,)."""
@@ -94,6 +102,19 @@ class CovisibilityGraph:
         end, counts = self._neighbours[: self.n][filled], self._counts[: self.n][filled]
         once = start < end
         return np.column_stack([start[once], end[once]]), counts[once]
+
+
+@dataclass(frozen=True, slots=True)
+class LocalRows:
+    """Which of chosen rows are local to each other: rows (j,) -> (j, j), symmetric, true on the diagonal."""
+
+    neighbours: IntArray  # (n, width) ascending
+    degrees: IntArray  # (n,)
+    n: int
+    features: IntArray  # (k,) node of each row
+
+    def __call__(self, rows: IntArray) -> BoolArray:
+        return _among(self.neighbours, self.degrees, self.n, self.features[rows])
 
 
 @compiled
@@ -106,13 +127,13 @@ def _require(features: IntArray, lowest: int, n: int) -> None:
 @compiled
 def _count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
     """Count each pair; returns the row length needed, with nothing counted if there is less."""
-    _require(features, NONE, n)
+    _require(features, UNPAIRED, n)
     seen, k, needed = np.empty(len(features), np.int64), 0, 0
     for f in features:
         at = k
-        while at > 0 and seen[at - 1] > f:  # insertion sort, dropping NONE and repetitions
+        while at > 0 and seen[at - 1] > f:  # insertion sort, dropping UNPAIRED and repetitions
             at -= 1
-        if f == NONE or (at > 0 and seen[at - 1] == f):
+        if f == UNPAIRED or (at > 0 and seen[at - 1] == f):
             continue
         for later in range(k, at, -1):
             seen[later] = seen[later - 1]
@@ -158,7 +179,7 @@ def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kep
     for i in range(len(kept)):
         if kept[i] < 0 or kept[i] >= n or (i > 0 and kept[i] <= kept[i - 1]):
             raise ValueError("kept: not the ascending indices of nodes in the graph")
-    renumbered = np.full(n, NONE)
+    renumbered = np.full(n, UNPAIRED)
     for i in range(len(kept)):
         renumbered[kept[i]] = i
     for i in range(len(kept)):
@@ -173,7 +194,7 @@ def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kep
 
 @compiled
 def _local_to(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
-    _require(features, NONE, n)
+    _require(features, UNPAIRED, n)
     local = np.zeros(n, np.bool_)
     for f in features:
         if f >= 0:

@@ -17,13 +17,14 @@ Cᵀ is common to all features, so the kernels take innovations in axes parallel
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import cholesky, is_covariance, padded, subtract_product, whiten
-from slam_gym.types import NONE, Array, IntArray
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 
 ACCEPTED = -1  # what `update` returns
 NO_SUCH_FEATURE = -2
@@ -132,7 +133,7 @@ def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array,
 
 @compiled
 def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Array, features: IntArray) -> int:
-    """Joint EKF update with all pairings (measurement i, feature features[i] ≠ NONE), in place.
+    """Joint EKF update with all pairings (measurement i, feature features[i] ≠ UNPAIRED), in place.
 
     ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
     Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
@@ -141,7 +142,7 @@ def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Ar
     d, m = 3 + 2 * n, len(features)
     measured, paired, k = np.empty(m, np.int64), np.empty(m, np.int64), 0
     for i in range(m):
-        if features[i] == NONE:
+        if features[i] == UNPAIRED:
             continue
         if not 0 <= features[i] < n:
             return NO_SUCH_FEATURE
@@ -235,34 +236,46 @@ def feature_covariances(P: Array, n: int) -> Array:
     return out
 
 
-@compiled
-def record(
-    features: IntArray,
-    step: int,
-    seen: IntArray,
-    last_seen: IntArray,
-    measured_sizes: Array,
-    measured_variances: Array,
-    sizes: Array,
-    variances: Array,
-) -> None:
-    """Count the step in which features were seen, once each, and update their sizes by a scalar Kalman filter.
+class Measured(NamedTuple):
+    """What a scan says of its measurements besides where they are."""
 
-    An unknown size (NaN) takes over the first measured one; a NaN measurement says nothing.
+    sizes: Array  # (m,) [m], NaN where unknown
+    variances: Array  # (m,) [m²]
+    kinds: IntArray  # (m,), UNKNOWN_KIND where the detector cannot tell
+
+
+class Attributes(NamedTuple):
+    """What the map knows of its features besides where they are; row j is feature j."""
+
+    seen: IntArray  # number of steps in which it was measured
+    last_seen: IntArray  # last of them
+    sizes: Array  # [m], NaN where unknown
+    variances: Array  # [m²]
+    kinds: IntArray  # UNKNOWN_KIND where nothing has told
+
+
+@compiled
+def record(features: IntArray, step: int, measured: Measured, attributes: Attributes) -> None:
+    """Count the step in which `features` (m,) were seen, once each; learn their sizes and kinds from the measurements.
+
+    A size is updated by a scalar Kalman filter: an unknown one (NaN) takes over the first measured, and a NaN
+    measurement says nothing. The last kind that was told holds.
     """
     for i in range(len(features)):
         f = features[i]
-        if f == NONE:
+        if f == UNPAIRED:
             continue
-        if last_seen[f] != step:
-            seen[f] += 1
-            last_seen[f] = step
-        z, r = measured_sizes[i], measured_variances[i]
+        if attributes.last_seen[f] != step:
+            attributes.seen[f] += 1
+            attributes.last_seen[f] = step
+        if measured.kinds[i] != UNKNOWN_KIND:
+            attributes.kinds[f] = measured.kinds[i]
+        z, r = measured.sizes[i], measured.variances[i]
         if not (math.isfinite(z) and r > 0.0):
             continue
-        if math.isfinite(sizes[f]):
-            gain = variances[f] / (variances[f] + r)
-            sizes[f] += gain * (z - sizes[f])
-            variances[f] *= 1.0 - gain
+        if math.isfinite(attributes.sizes[f]):
+            gain = attributes.variances[f] / (attributes.variances[f] + r)
+            attributes.sizes[f] += gain * (z - attributes.sizes[f])
+            attributes.variances[f] *= 1.0 - gain
         else:
-            sizes[f], variances[f] = z, r
+            attributes.sizes[f], attributes.variances[f] = z, r

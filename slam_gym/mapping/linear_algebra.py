@@ -6,14 +6,17 @@ Matrices are C-contiguous. Loops over long rows run over whole cache lines (`pad
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import float64
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
 from slam_gym.types import Array
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 _LANES = 8  # doubles in a cache line
 _SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this share of its trace
@@ -119,3 +122,10 @@ def subtract_product(P: Array, W: Array) -> None:
                 q[j] = _fma(qw, w[j], _fma(qv, v[j], q[j]))
                 r[j] = _fma(rw, w[j], _fma(rv, v[j], r[j]))
                 s[j] = _fma(sw, w[j], _fma(sv, v[j], s[j]))
+
+
+def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    """A view that refuses to be written to: what is handed on must not be a way to change the map."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import UNKNOWN, Array, IntArray
+from slam_gym.types import UNKNOWN_KIND, Array, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class Columns:
     last_seen: IntArray  # (n,) step
     sizes: Array  # (n,) [m], NaN where unknown
     size_variances: Array  # (n,) [m²], NaN where unknown
-    kinds: IntArray  # (n,) UNKNOWN where there is none
+    kinds: IntArray  # (n,) UNKNOWN_KIND where there is none
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -40,7 +40,7 @@ class Columns:
             out.seen[a] += out.seen[b]
             out.first_seen[a] = min(out.first_seen[a], out.first_seen[b])
             out.last_seen[a] = max(out.last_seen[a], out.last_seen[b])
-            out.kinds[a] = out.kinds[b] if out.kinds[a] == UNKNOWN else out.kinds[a]
+            out.kinds[a] = out.kinds[b] if out.kinds[a] == UNKNOWN_KIND else out.kinds[a]
             if np.isfinite(out.sizes[a]) and np.isfinite(out.sizes[b]):
                 total = out.size_variances[a] + out.size_variances[b]
                 share = out.size_variances[a] / total if total > 0.0 else 0.0

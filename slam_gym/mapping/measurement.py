@@ -7,6 +7,7 @@ measurement function and Jacobian.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,17 +31,20 @@ def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, fl
     return fxx - xx + ay * tx, fxy - xy + ay * ty, fyx - yx - ax * tx, fyy - yy - ax * ty
 
 
-@compiled
-def features_in_reach(
-    x: Array, at: Array, P: Array, n: int, reach: float, sizes: Array, size_variances: Array
-) -> tuple[IntArray, Array, Array, Array, Array]:
-    """Features with ‖h_j(x)‖ ≤ reach + 3σ: their indices (k,), h_j (k, 2), H_j P H_jᵀ (k, 2, 2), sizes, size variances.
+class InReach(NamedTuple):
+    """The features that may be measured from the predicted pose."""
 
-    σ² is the largest eigenvalue of H_j P H_jᵀ.
-    """
+    features: IntArray  # (k,)
+    positions: Array  # (k, 2) [m] h_j
+    covariances: Array  # (k, 2, 2) [m²] H_j P H_jᵀ
+    across: Array  # (k, 2) [m·rad] H_j P e_θ, with the robot's heading
+
+
+@compiled
+def features_in_reach(x: Array, at: Array, P: Array, n: int, reach: float) -> InReach:
+    """Features with ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ."""
     features, k = np.empty(n, np.int64), 0
-    positions, covariances = np.empty((n, 2)), np.empty((n, 2, 2))
-    kept_sizes, kept_variances = np.empty(n), np.empty(n)
+    positions, covariances, across = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2))
     c, s = math.cos(x[2]), math.sin(x[2])
     ca, sa = math.cos(at[2]), math.sin(at[2])
     for j in range(n):
@@ -58,9 +62,11 @@ def features_in_reach(
         positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
         covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1] = turned(ca, -sa, xx, xy, yy)
         covariances[k, 1, 0] = covariances[k, 0, 1]
-        kept_sizes[k], kept_variances[k] = sizes[j], size_variances[j]
+        u = P[2, f] - P[0, 2] + (at[f + 1] - at[1]) * P[2, 2]
+        v = P[2, f + 1] - P[1, 2] - (at[f] - at[0]) * P[2, 2]
+        across[k, 0], across[k, 1] = ca * u + sa * v, ca * v - sa * u
         k += 1
-    return features[:k], positions[:k], covariances[:k], kept_sizes[:k], kept_variances[:k]
+    return InReach(features[:k], positions[:k], covariances[:k], across[:k])
 
 
 @compiled
@@ -100,17 +106,4 @@ def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
             out[a + 1, b], out[a + 1, b + 1] = -s * top_x + c * low_x, -s * top_y + c * low_y
             out[b, a], out[b + 1, a + 1], out[b + 1, a] = out[a, b], out[a + 1, b + 1], out[a, b + 1]
             out[b, a + 1] = out[a + 1, b]
-    return out
-
-
-@compiled
-def heading_covariances(at: Array, P: Array, features: IntArray) -> Array:
-    """H_j P e_θ (j, 2) [m·rad]: covariance of each feature's predicted position in R with the robot's heading."""
-    out = np.empty((len(features), 2))
-    c, s = math.cos(at[2]), math.sin(at[2])
-    for i in range(len(features)):
-        f = 3 + 2 * features[i]
-        x = P[2, f] - P[0, 2] + (at[f + 1] - at[1]) * P[2, 2]
-        y = P[2, f + 1] - P[1, 2] - (at[f] - at[0]) * P[2, 2]
-        out[i, 0], out[i, 1] = c * x + s * y, c * y - s * x
     return out

@@ -7,23 +7,21 @@ are removed, and known by an id that is never given twice.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf, measurement
-from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded, read_only
 from slam_gym.types import (
-    NONE,
-    UNKNOWN,
+    UNKNOWN_KIND,
     Array,
     BoolArray,
     IntArray,
     Landmarks,
-    Nearby,
     Odometry,
     Prediction,
     Scan,
@@ -34,7 +32,7 @@ from slam_gym.types import (
 class MapSpec:
     """Settings of the estimator."""
 
-    confidence: float = 0.99  # of the χ² gates in data association
+    confidence: float = 0.99  # of the χ² gates in data association: every prediction carries it
     first_estimate_jacobians: bool = False  # evaluate Jacobians at first estimates (Huang et al. 2010)
     confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
     unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
@@ -57,7 +55,7 @@ _COLUMNS = (
     "_size_variances",
     "_kinds",
 )  # one entry per feature
-_NO_BLOCKS = np.empty((0, 2, 2))
+_NONE = np.empty(0, np.int64)
 
 
 class StochasticMap:
@@ -88,13 +86,13 @@ class StochasticMap:
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self._next_id = 0
-        self._version = 0  # changes of the estimate so far, so that an outdated Prediction is noticed
+        self._changes = np.zeros(1, np.int64)  # of the estimate so far, so that an outdated Prediction is noticed
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
         self._at = np.zeros(side) if self.spec.first_estimate_jacobians else self._x
         self._ids, self._seen, self._first_seen, self._last_seen = (np.zeros(capacity, np.int64) for _ in range(4))
         self._sizes, self._size_variances = np.zeros(capacity), np.zeros(capacity)
-        self._kinds = np.full(capacity, UNKNOWN)
+        self._kinds = np.full(capacity, UNKNOWN_KIND)
         self._x[:3] = self._at[:3] = start
         self._P[:3, :3] = covariance
 
@@ -162,7 +160,7 @@ class StochasticMap:
 
     @property
     def kinds(self) -> IntArray:
-        """(n,) class that the detector reported, UNKNOWN where it never did."""
+        """(n,) class that the detector reported, UNKNOWN_KIND where it never did."""
         return self._kinds[: self.n].copy()
 
     @property
@@ -179,40 +177,39 @@ class StochasticMap:
 
     def predict(self, odometry: Odometry) -> None:
         """x_R ← x_R ⊕ u and its covariance. Raises ValueError where the odometry is not finite or has no covariance."""
-        self._version += 1
+        self._changes += 1
         if not ekf.predict(self._x, self._at, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
-    def prediction(self, reach: float, locality: Callable[[IntArray], Nearby] | None = None) -> Prediction:
+    def prediction(self, reach: float, graph: CovisibilityGraph | None = None, recent: IntArray = _NONE) -> Prediction:
         """Features within `reach` [m] + 3σ of the robot, as it would measure them; valid until the map next changes.
 
-        `locality` is given the map indices (k,) of those features and returns what the Prediction is to carry.
+        Localities are those of `graph`; without it, all features are local to all. `recent` (r,) are the features that
+        recent scans paired: near are these and what is local to them.
         """
-        features, positions, covariances, sizes, variances = measurement.features_in_reach(
-            self._x, self._at, self._P, self.n, float(reach), self._sizes, self._size_variances
+        features, positions, covariances, across = measurement.features_in_reach(
+            self._x, self._at, self._P, self.n, float(reach)
         )
-        joint = _Joint(self, features, self._version)
-        near = None if locality is None else locality(features)
-        ages, kinds = self.step - self._first_seen[features], self._kinds[features]
         return Prediction(
-            features, positions, covariances, sizes, variances, joint, near, ages, kinds=kinds, heading=joint.heading
+            features,
+            positions,
+            covariances,
+            self._sizes[features],
+            self._size_variances[features],
+            self._kinds[features],
+            self.step - self._first_seen[features],
+            np.ones(len(features), np.bool_) if graph is None else graph.local_to(recent)[features],
+            float(self._P[2, 2]),
+            across,
+            self.spec.confidence,
+            self._joint_covariance(features),
+            None if graph is None else graph.among_rows(features),
         )
 
     def landmarks(self) -> Landmarks:
         """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""
-        covariance = np.ascontiguousarray(self.covariance[3:, 3:])
-        none = np.empty(0, np.int64)
-        return Landmarks(
-            self.positions,
-            self.covariances,
-            self.sizes,
-            self.size_variances,
-            self.kinds,
-            covariance,
-            none,
-            none,
-            _NO_BLOCKS.copy(),
-        )
+        landmarks = Landmarks.from_points(self.positions, covariance=self.covariance[3:, 3:])
+        return replace(landmarks, sizes=self.sizes, size_variances=self.size_variances, kinds=self.kinds)
 
     def place(self, pose: ArrayLike, covariance: ArrayLike) -> None:
         """Put the robot at `pose` (3,) with `covariance` (3, 3), independent of the features: all it knew is forgotten.
@@ -221,13 +218,13 @@ class StochasticMap:
         Raises ValueError, the map unchanged, where the pose is not finite or the covariance is none.
         """
         at, P = _checked_pose(pose, covariance)
-        self._version += 1
+        self._changes += 1
         self._x[:3] = self._at[:3] = at
         self._P[:3, : self._d] = 0.0
         self._P[:3, :3] = P
 
     def update(self, scan: Scan, features: IntArray) -> None:
-        """Joint EKF update with every pairing (measurement i, feature features[i] ≠ NONE); features (m,) map indices.
+        """Joint EKF update with every pairing (i, features[i]); features (m,) are map indices, or UNPAIRED.
 
         Raises ValueError, the map unchanged, where a feature does not exist or a paired measurement is not finite or
         has no covariance.
@@ -235,7 +232,7 @@ class StochasticMap:
         features = np.ascontiguousarray(features, dtype=np.int64)
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
-        self._version += 1
+        self._changes += 1
         refused = ekf.update(self._x, self._at, self._P, self.n, scan.points, scan.covariances, features)
         if refused == ekf.NO_SUCH_FEATURE:
             raise ValueError(f"features: {features.tolist()} for a map of {self.n} features")
@@ -246,16 +243,9 @@ class StochasticMap:
         ekf.record(
             features,
             self.step,
-            self._seen,
-            self._last_seen,
-            scan.sizes,
-            scan.size_variances,
-            self._sizes,
-            self._size_variances,
+            ekf.Measured(scan.sizes, scan.size_variances, scan.kinds),
+            ekf.Attributes(self._seen, self._last_seen, self._sizes, self._size_variances, self._kinds),
         )
-        if scan.kinds is not None:
-            told = (features != NONE) & (scan.kinds != UNKNOWN)
-            self._kinds[features[told]] = scan.kinds[told]
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
         """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
@@ -272,9 +262,9 @@ class StochasticMap:
             self._seen[self.n] = 1
             self._first_seen[self.n] = self._last_seen[self.n] = self.step
             self._sizes[self.n], self._size_variances[self.n] = scan.sizes[i], scan.size_variances[i]
-            self._kinds[self.n] = UNKNOWN if scan.kinds is None else scan.kinds[i]
+            self._kinds[self.n] = scan.kinds[i]
             self._next_id += 1
-            self._version += 1
+            self._changes += 1
             self.n += 1
         return np.arange(first, self.n)
 
@@ -294,7 +284,7 @@ class StochasticMap:
             column = getattr(self, name)
             column[: len(kept)] = column[kept]
         self.n = len(kept)
-        self._version += 1
+        self._changes += 1
         return kept
 
     def unconfirmed(self) -> IntArray:
@@ -308,9 +298,20 @@ class StochasticMap:
         """Advance the step number."""
         self.step += 1
 
+    def __len__(self) -> int:
+        return self.n
+
+    def __repr__(self) -> str:
+        x, y, heading = self._x[:3]
+        return f"StochasticMap of {self.n} features, robot at ({x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f}°)"
+
     def copy(self) -> StochasticMap:
         """An independent copy."""
         return copy.deepcopy(self)
+
+    def _joint_covariance(self, features: IntArray) -> _JointCovariance:
+        at, P, changes = read_only(self._at), read_only(self._P), read_only(self._changes)
+        return _JointCovariance(at, P, features, changes, int(changes[0]))
 
     @property
     def _d(self) -> int:
@@ -329,26 +330,19 @@ class StochasticMap:
 
 
 @dataclass(frozen=True, slots=True)
-class _Joint:
-    """`Prediction.joint`: looks cross-covariances up in the map that predicted, as long as that has not changed."""
+class _JointCovariance:
+    """`Prediction.joint`: H P Hᵀ from read-only arrays of the map that predicted, as long as that has not changed."""
 
-    map: StochasticMap
+    at: Array  # (d,) state that Jacobians are evaluated at
+    P: Array  # (d, d) upper triangle
     features: IntArray  # (k,) map index of each row
-    version: int
+    changes: IntArray  # (1,) of the map so far
+    made: int  # after so many changes
 
     def __call__(self, rows: IntArray) -> Array:
-        self._check()
-        return measurement.joint_covariance(self.map._at, self.map._P, self.features[rows])
-
-    def heading(self, rows: IntArray) -> tuple[float, Array]:
-        """`Prediction.heading`."""
-        self._check()
-        P = self.map._P
-        return float(P[2, 2]), measurement.heading_covariances(self.map._at, P, self.features[rows])
-
-    def _check(self) -> None:
-        if self.map._version != self.version:
+        if self.changes[0] != self.made:
             raise RuntimeError("the map has changed since this prediction was made")
+        return measurement.joint_covariance(self.at, self.P, self.features[rows])
 
 
 def _checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ import numpy as np
 from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.rendering.explore_view import Frame
 from slam_gym.simulation.episode import Episode, turned
+from slam_gym.slam.relocation import RelocatingSlam
 from slam_gym.types import NONE, Array
 
 _TRAIL = 400  # points of a trail that are drawn
@@ -85,12 +86,12 @@ def _length(metres: float) -> str:
 def _whereabouts(episode: Episode) -> tuple[tuple[str, str], ...]:
     """What was done to the robot, and what it makes of it; nothing where nobody carries robots away."""
     kidnapping = episode.kidnapping
-    if episode.scenario.kidnapping is None and episode.slam.relocate is None:
+    if episode.scenario.kidnapping is None and not isinstance(episode.slam, RelocatingSlam):
         return ()
     rows = () if kidnapping.happened is None else (("carried away", f"tick {kidnapping.happened}"),)
     if episode.slam.lost:
         return (*rows, ("robot", "is lost"))
-    if episode.slam.tracking.doubted:
+    if episode.slam.doubted:
         return (*rows, ("robot", "in doubt"))
     if kidnapping.recovered is not None:
         return (*rows, ("found back", f"tick {kidnapping.recovered}"))

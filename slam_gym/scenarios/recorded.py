@@ -6,14 +6,12 @@ Victoria Park's were chosen on its first half, with JCBB. Those of MR.CLAM, and 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.recordings.recording import Recording
 from slam_gym.slam.slam import SlamSpec
 
 GENERIC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
-"""Of a log that nobody has chosen settings for; the reach is its sensor's range."""
+"""Of a log that nobody has chosen settings for; the reach is taken from its scans."""
 
 VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.0, new_confidence=1.0 - 1e-6)
 """A trunk is seen in five of twenty scans. With two sightings, the map of the first half has 118 features more, 23 of
@@ -27,6 +25,6 @@ SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
 
 
 def slam_for(recording: Recording) -> SlamSpec:
-    """The settings for a recording: those chosen for its kind, or `GENERIC` with the range of its sensor."""
+    """The settings for a recording: those chosen for its kind, or `GENERIC`."""
     kind = recording.name.partition("/")[0]
-    return SETTINGS[kind] if kind in SETTINGS else replace(GENERIC, reach=recording.range)
+    return SETTINGS.get(kind, GENERIC)

@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam_gym.association import ASSOCIATORS, resolve
 from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.metrics import map_quality
-from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import Scenario
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping
-from slam_gym.slam.slam import Relocate, Slam, SlamSpec
-from slam_gym.types import Array, Associator, Beams, BoolArray, Hypothesis, Prediction, Truth
+from slam_gym.slam.relocation import Relocate, RelocatingSlam
+from slam_gym.slam.slam import Slam, SlamSpec, send
+from slam_gym.types import Array, Associator, Beams, BoolArray, Hypothesis, Prediction, SlamStep
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
 from slam_gym.world.ray_casting import WallIndex
@@ -31,8 +32,6 @@ from slam_gym.world.reachability import free_start, observable, reachable
 from slam_gym.world.sensor import Sensor
 
 _GRID_MARGIN = 2.0  # [m] of explored grid around the plan, for estimates that drift out of it
-_TRUE = ASSOCIATORS["true_association"]
-_LOOK_AT_MEASUREMENTS = [known for name, known in ASSOCIATORS.items() if name != "map_hypothesis"]
 _AT_REST = Motion(moved=np.zeros(3), wheels=np.zeros(3), contact=False)
 
 
@@ -85,15 +84,15 @@ class Episode:
         self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
-        self.associate = _gated(resolve(associator), scenario.slam.map.confidence)
-        visible = self._visible if relocate or _wants_visibility(self.associate) else None
-        self.slam = Slam(_slam_spec(scenario, locality), self.associate, relocate, visible)
-        self.kidnapping = Kidnapping()
+        spec = _slam_spec(scenario, locality)
+        self.slam = RelocatingSlam(spec, relocate, self._view_from) if relocate else Slam(spec, self._view_from)
+        self._judged = JudgedSlam(self.slam, associator)
+        self.identities = self._judged.identities
+        self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
         self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
-        self.identities = Identities()
         self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
         in_base, grid = observe(self.base, site.cells), self.grid
         self._places = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
@@ -104,17 +103,28 @@ class Episode:
         self.ticks = -1  # the first look, from where the robot stands, is no tick
         self._error, self._error_at = 1.0, -1  # map error, and the tick that it is of
         self._sense(_AT_REST)
-        self.learn(self._associator(self.truth)(self.scan, self.prediction))
+        self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
 
     def tick(self, forward: float, turn: float) -> None:
-        """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and update the map."""
-        self.look(forward, turn)
-        self.learn(self._associator(self.truth)(self.scan, self.prediction))
+        """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and take a SLAM step."""
+        self._drive(forward, turn)
+        self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
 
-    def look(self, forward: float, turn: float) -> None:
-        """First half of a tick, for those who associate from outside: drive, look, and predict what the scan shows."""
+    def look(self, forward: float, turn: float) -> Prediction:
+        """First half of a tick for those who associate from outside: drive, look, and predict what the scan shows."""
+        self._drive(forward, turn)
+        self._asking = self._judged.asking_step(self.odometry, self.scan, self.truth)
+        return next(self._asking)
+
+    def learn(self, hypothesis: Hypothesis) -> None:
+        """Second half: the rest of the SLAM step, with their `hypothesis` on the scan."""
+        self._take_in(send(self._asking, hypothesis))
+
+    def _drive(self, forward: float, turn: float) -> None:
         motion = self.world.tick(forward, turn)
-        self.kidnapping.happens(self)
+        carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
+        if carried_to is not None:
+            self.world.place(carried_to)
         self._sense(motion)
 
     def _sense(self, motion: Motion) -> None:
@@ -122,29 +132,21 @@ class Episode:
         self.odometry = self.sensor.odometry(motion, rng)
         self.scan, self.truth = self.sensor.scan(world.pose, rng, world.people, world.furniture_segments)
         self.beams = self.sensor.beams(world.pose, rng, world.people, world.furniture_segments)
-        self.prediction = self.slam.expect(self.odometry, self.scan)
 
-    def learn(self, hypothesis: Hypothesis) -> None:
-        """Second half: the map updated by a `hypothesis` on the scan, explored space, and the judgement of it all."""
-        self.last_step = self.slam.learn(self.scan, self.prediction, hypothesis)
-        self.tally = self.identities.update(self.last_step, self.truth)
-        if not self.slam.tracking.doubted:  # from a pose that cannot be right, walls would be drawn where none are
+    def _take_in(self, step: SlamStep) -> None:
+        """What follows a SLAM step: explored space, and the judgement of it all."""
+        self.last_step, self.tally = step, self._judged.last_tally
+        if not self.slam.doubted:  # from a pose that cannot be right, walls would be drawn where none are
             self._explore(self.beams)
         self._log(self.truth.pose)
-        self.kidnapping.judge(self)
+        estimate, slam = compose(self.base, self.estimates[-1]), self.slam
+        self.kidnapping.judge(self.ticks, estimate, self.poses[-1], slam.relocations, slam.lost)
 
-    def _visible(self, pose: Array, prediction: Prediction) -> Array:
-        """Probability (k,) that the sensor has each predicted feature in view, as far as walls are known."""
+    def _view_from(self, pose: Array) -> Callable[[Array, Array], Array]:
+        """`Prediction.view` from a pose (3,) in B, as far as walls are known."""
         sensor = self.scenario.sensor
         view = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-        return view.in_view(prediction.positions, prediction.covariances, self.grid.explored, pose)
-
-    def _associator(self, truth: Truth) -> Associator:
-        """The run's associator; the true one is handed the truth of this scan."""
-        if self.associate is not _TRUE:
-            return self.associate
-        known = self.identities.source_of(self.slam.map.ids)
-        return functools.partial(_TRUE, sources=truth.sources, identities=known)
+        return functools.partial(view.in_view, explored=self.grid.explored, pose=pose)
 
     def _explore(self, beams: Beams) -> None:
         pose = self.slam.map.pose
@@ -181,20 +183,6 @@ class Episode:
     def coverage(self) -> float:
         """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""
         return map_quality.coverage(self.grid.cells, self._places)
-
-
-def _gated(associator: Associator, confidence: float) -> Associator:
-    """The associators that ship are told the confidence of the filter's gates; others know their own."""
-    for known in ASSOCIATORS.values():
-        if associator is known and known is not _TRUE:
-            return functools.partial(known, confidence=confidence)
-    return associator
-
-
-def _wants_visibility(associator: Associator) -> bool:
-    """Whoever is not known to ignore it: most associators only look at what was measured."""
-    given = getattr(associator, "func", associator)
-    return all(given is not known for known in _LOOK_AT_MEASUREMENTS)  # by identity: it need not be hashable
 
 
 def turned(base: Array, covariance: Array) -> Array:

@@ -3,50 +3,50 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slam_gym.geometry import compose, relative
+from slam_gym.geometry import relative
+from slam_gym.scenarios import KidnappingSpec
 from slam_gym.types import Array
-
-if TYPE_CHECKING:
-    from slam_gym.simulation.episode import Episode
 
 POSITION, HEADING = 0.5, math.radians(10.0)  # [m], [rad] a pose that is off by no more is right
 
 
 class Kidnapping:
-    """What was done to the robot of an episode, and what became of it.
+    """What is done to the robot of an episode, and what becomes of it.
 
     A pose is right within `POSITION` and `HEADING` of the truth. `recovered` is the tick at which it first was right
     again after the kidnapping, without the robot being lost; relocations count as wrong when they end elsewhere.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, spec: KidnappingSpec | None, budget: int) -> None:
+        self._due = math.inf if spec is None else spec.at * budget  # [tick]
+        self._spec = spec
         self.happened: int | None = None  # tick
         self.recovered: int | None = None  # tick
         self.right = self.wrong = 0  # relocations that ended at the right pose, and elsewhere
         self._relocations = 0
 
-    def happens(self, episode: Episode) -> None:
-        """Carry the robot away, once, when its time has come."""
-        spec = episode.scenario.kidnapping
-        if spec is None or self.happened is not None or episode.ticks + 1 < spec.at * episode.scenario.budget:
-            return
-        been = np.array(episode.poses)
-        where = _place_been(been, spec.distance, episode.rng) if spec.inside else _place_not_been(episode, been)
-        episode.world.place(np.append(where, episode.rng.uniform(-math.pi, math.pi)))
-        self.happened = episode.ticks + 1
+    def destination(self, tick: int, been: list[Array], cells: Array, rng: np.random.Generator) -> Array | None:
+        """Pose (3,) in W that the robot is carried to in this tick; None where it is left alone.
 
-    def judge(self, episode: Episode) -> None:
-        """Look at the estimate at the end of a tick."""
-        right = pose_is_right(compose(episode.base, episode.estimates[-1]), episode.poses[-1])
-        if episode.slam.relocations > self._relocations:
-            self._relocations = episode.slam.relocations
+        `been` are the poses (3,) where it has been, `cells` (c, 2) [m] all places that it can reach.
+        """
+        if self._spec is None or self.happened is not None or tick < self._due:
+            return None
+        self.happened, trail = tick, np.array(been)
+        where = _place_been(trail, self._spec.distance, rng) if self._spec.inside else _place_not_been(trail, cells)
+        return np.append(where, rng.uniform(-math.pi, math.pi))
+
+    def judge(self, tick: int, estimate: Array, true: Array, relocations: int, lost: bool) -> None:
+        """Look at the pose (3,) that the map has at the end of a tick, beside the true one, both in W."""
+        right = pose_is_right(estimate, true)
+        if relocations > self._relocations:
+            self._relocations = relocations
             self.right, self.wrong = self.right + right, self.wrong + (not right)
-        if self.happened is not None and self.recovered is None and right and not episode.slam.lost:
-            self.recovered = episode.ticks
+        if self.happened is not None and self.recovered is None and right and not lost:
+            self.recovered = tick
 
 
 def pose_is_right(estimate: Array, true: Array) -> bool:
@@ -63,9 +63,8 @@ def _place_been(been: Array, distance: float, rng: np.random.Generator) -> Array
     return place
 
 
-def _place_not_been(episode: Episode, been: Array) -> Array:
+def _place_not_been(been: Array, cells: Array) -> Array:
     """The reachable place that is farthest from all where the robot has been."""
-    cells = episode.site.cells
     nearest = np.full(len(cells), math.inf)
     for pose in been[::10]:
         nearest = np.minimum(nearest, np.hypot(cells[:, 0] - pose[0], cells[:, 1] - pose[1]))

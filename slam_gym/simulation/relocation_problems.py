@@ -17,7 +17,7 @@ from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode, Site, survey
 from slam_gym.simulation.goals import LOOK, Places, propose
 from slam_gym.simulation.runs import nearest_frontier
-from slam_gym.slam.relocation import Localities
+from slam_gym.slam.relocation import LocalityName
 from slam_gym.types import NONE, Array, Associator, IntArray, Landmarks, Locality, Scan
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
@@ -42,7 +42,7 @@ class MappedWorld:
     sensor: Sensor
     elsewhere: Site | None  # another world; None where the scenario has but one
 
-    def locality(self, kind: Localities | None) -> Locality | None:
+    def locality(self, kind: LocalityName | None) -> Locality | None:
         """Which landmarks are local to which."""
         if kind is None:
             return None

@@ -11,7 +11,6 @@ from typing import Protocol
 
 import numpy as np
 
-from slam_gym.association import nearest_neighbour
 from slam_gym.geometry import observe
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities
@@ -19,7 +18,8 @@ from slam_gym.scenarios import Scenario
 from slam_gym.simulation.driver import Command, commands
 from slam_gym.simulation.episode import Episode, Site
 from slam_gym.simulation.goals import FRONTIERS, LOOK, Goals, Places, propose
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.simulation.judged import JudgedSlam
+from slam_gym.slam.slam import Slam, SlamSpec, send
 from slam_gym.types import Array, Hypothesis, Odometry, Prediction, Scan, Truth
 from slam_gym.world import corridor
 
@@ -29,16 +29,13 @@ class Run(Protocol):
 
     slam: Slam
     identities: Identities
+    prediction: Prediction  # what the map expects of the scan
 
     @property
     def scan(self) -> Scan: ...
 
     @property
     def truth(self) -> Truth: ...
-
-    @property
-    def prediction(self) -> Prediction:
-        """What the map expects of the scan."""
 
     @property
     def looks(self) -> int:
@@ -88,7 +85,7 @@ class DrivenRun:
     def __init__(self, scenario: Scenario, site: Site, driver: Driver, rng: np.random.Generator) -> None:
         self._choices = np.random.default_rng(rng.integers(2**63))  # what is driven does not depend on the noise
         # the first look meets an empty map, so there is nothing to associate
-        self.episode = Episode(scenario, site, nearest_neighbour, rng)
+        self.episode = Episode(scenario, site, "nearest_neighbour", rng)
         self.slam, self.identities = self.episode.slam, self.episode.identities
         self._driver, self._places = driver, Places()
         self._commands: Iterator[Command] = iter(())
@@ -100,10 +97,6 @@ class DrivenRun:
     @property
     def truth(self) -> Truth:
         return self.episode.truth
-
-    @property
-    def prediction(self) -> Prediction:
-        return self.episode.prediction
 
     @property
     def looks(self) -> int:
@@ -125,7 +118,7 @@ class DrivenRun:
             slot = self._driver(goals, self._choices)
             self._commands = commands(self.episode, slot, goals.positions[slot])
             command = next(self._commands, None)
-        self.episode.look(*command)
+        self.prediction = self.episode.look(*command)
 
     def learn(self, hypothesis: Hypothesis) -> None:
         self.episode.learn(hypothesis)
@@ -156,7 +149,9 @@ class LoggedRun:
 
     def __init__(self, log: Log, rng: np.random.Generator) -> None:
         self.log = log
-        self.slam, self.identities = Slam(log.slam, nearest_neighbour), Identities()
+        self.slam = Slam(log.slam)
+        self._judged = JudgedSlam(self.slam)
+        self.identities = self._judged.identities
         self._looks = log.looks(rng)
         self.looks, self.length = 0, log.length
         self.poses: list[Array] = []  # true, (3,) in the frame of the log
@@ -173,11 +168,12 @@ class LoggedRun:
         if found is None:
             raise ValueError(f"log {self.log.name!r}: ends after {self.looks} looks, not {self.length}")
         odometry, self.scan, self.truth = found
-        self.prediction = self.slam.expect(odometry, self.scan)
+        self._asking = self._judged.asking_step(odometry, self.scan, self.truth)
+        self.prediction = next(self._asking)
         self.looks += 1
 
     def learn(self, hypothesis: Hypothesis) -> None:
-        self.identities.update(self.slam.learn(self.scan, self.prediction, hypothesis), self.truth)
+        send(self._asking, hypothesis)
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
 

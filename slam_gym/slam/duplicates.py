@@ -17,7 +17,7 @@ from slam_gym.association.relocation.constraints import unary
 from slam_gym.association.tracking.branch_and_bound import complete
 from slam_gym.association.tree import Tree, interpretation_tree
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import NONE, Array, BoolArray, Effort, IntArray, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Prediction, Scan
 
 _SEARCHES = 64
 _UNARY_CONFIDENCE = 0.9999  # of the test of sizes: it is there to turn away what cannot be, not to choose
@@ -85,7 +85,7 @@ def _one_to_one(
         rows, distance, spent = complete(
             _tree(positions, P, pairs[left], distances[left], confidence), None, node_limit
         )
-        chosen = left[rows[rows != NONE]]
+        chosen = left[rows[rows != UNPAIRED]]
         effort = _sum(effort, spent)
         if len(chosen) < len(best) or (len(chosen) == len(best) and not distance < best_distance):
             continue
@@ -100,13 +100,8 @@ def _one_to_one(
 def _agree(m: StochasticMap, older: IntArray, newer: IntArray) -> BoolArray:
     """(b, a) where size and kind do not speak against a pair."""
     landmarks = m.landmarks()
-    scan = Scan(
-        landmarks.positions[newer],
-        landmarks.covariances[newer],
-        landmarks.sizes[newer],
-        landmarks.size_variances[newer],
-        landmarks.kinds[newer],
-    )
+    of_newer = (landmarks.sizes[newer], landmarks.size_variances[newer], landmarks.kinds[newer])
+    scan = Scan(landmarks.positions[newer], landmarks.covariances[newer], *of_newer)
     return np.ascontiguousarray(unary(scan, landmarks, _UNARY_CONFIDENCE)[:, older])
 
 
@@ -125,17 +120,9 @@ def _tree(positions: Array, P: Array, pairs: IntArray, distances: Array, confide
     newer, starts = np.unique(pairs[:, 1], return_index=True)
     levels, slots = np.arange(len(newer)), np.arange(len(pairs))
     covariance = _pair_covariance(P, pairs)
-    unknown = np.full(len(newer), np.nan)
-    scan = Scan(np.ascontiguousarray(positions[newer]), np.zeros((len(newer), 2, 2)), unknown, unknown)
+    scan = Scan.from_points(positions[newer], sigma=0.0)
     at = np.ascontiguousarray(positions[pairs[:, 0]])
-    sizes = np.full(len(pairs), np.nan)
-    marginals = covariance.reshape(len(pairs), 2, len(pairs), 2)[slots, :, slots, :]
-
-    def joint(rows: IntArray) -> Array:
-        entries = (2 * rows[:, None] + np.arange(2)).ravel()
-        return np.ascontiguousarray(covariance[np.ix_(entries, entries)])
-
-    prediction = Prediction(pairs[:, 0].copy(), at, marginals, sizes, sizes, joint)
+    prediction = replace(Prediction.from_gaussian(at, covariance, confidence=confidence), features=pairs[:, 0].copy())
     measured = np.searchsorted(newer, pairs[:, 1])
     innovations = scan.points[measured] - at
     ends = np.append(starts, len(pairs)).astype(np.int64)

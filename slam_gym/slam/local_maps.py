@@ -20,11 +20,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from slam_gym.association import resolve_associator
 from slam_gym.mapping.local_maps import LocalMaps
 from slam_gym.mapping.locality import linked, same_local_map
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.duplicates import Duplicates, find_duplicates
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, answered
 from slam_gym.types import Array, Associator, IntArray, Locality, Odometry, Scan, SlamStep
 from slam_gym.validation import check_scan
 
@@ -38,7 +39,7 @@ class LocalMapSlam:
     """A robot's local maps, and the step that updates the current one: the interface of `Slam`.
 
     Arguments:
-        spec, associate: as for `Slam`, within each local map.
+        spec: as for `Slam`, within each local map.
         features_per_map: with so many features a map is closed; None: only on demand. It should be several times what
             a scan holds: with no more than that, every step begins a map.
         find: what finds duplicates when maps are joined; by default JCBB at the confidence of `spec.map`.
@@ -47,22 +48,17 @@ class LocalMapSlam:
     """
 
     def __init__(
-        self,
-        spec: SlamSpec,
-        associate: Associator,
-        features_per_map: int | None = 30,
-        find: Find | None = None,
+        self, spec: SlamSpec | None = None, features_per_map: int | None = 30, find: Find | None = None
     ) -> None:
         if features_per_map is not None and features_per_map < 1:
             raise ValueError(f"features_per_map: {features_per_map} is less than 1")
-        self.spec = spec
-        self.associate = associate
+        self.spec = spec or SlamSpec()
         self.features_per_map = features_per_map
-        self.slam = Slam(spec, associate)  # of the current local map
+        self.slam = Slam(self.spec)  # of the current local map
         self.maps = LocalMaps(self.slam.map)
         self._graphs = [self.slam.covisibility]  # of each local map
         self.duplicates: list[Duplicates] = []  # found when the k-th closed map was joined with those before
-        self._find = find or functools.partial(find_duplicates, confidence=spec.map.confidence)
+        self._find = find or functools.partial(find_duplicates, confidence=self.spec.map.confidence)
         self._asked = False  # for a new map
         self._closed = False  # the next step begins a new map
 
@@ -76,17 +72,21 @@ class LocalMapSlam:
         """(3,) [m, m, rad] of the robot in the base of the first map, before any join."""
         return self.maps.pose
 
-    def step(self, odometry: Odometry, scan: Scan, associate: Associator | None = None) -> SlamStep:
+    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
         """Move by `odometry`, then learn from `scan`: in the current local map, or in a new one if that is closed.
 
-        Raises ValueError as `Slam.step` does.
+        Arguments and errors are those of `Slam.step`.
         """
+        return answered(self.asking_step(odometry, scan), scan, resolve_associator(associator))
+
+    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
+        """The same where somebody outside associates: see `slam_gym.slam.slam.AskingStep`."""
         if self._closed:
             check_scan(scan)
             self.map.predict(odometry)
             self._begin()
             odometry = _STILL
-        step = self.slam.step(odometry, scan, associate)
+        step = yield from self.slam.asking_step(odometry, scan)
         full = self.features_per_map is not None and self.map.n >= self.features_per_map
         self._closed, self._asked = full or self._asked, False
         return replace(step, removed=np.concatenate([step.removed, self.map.ids])) if self._closed else step
@@ -96,7 +96,7 @@ class LocalMapSlam:
         self._asked = True
 
     def _begin(self) -> None:
-        self.slam = Slam(self.spec, self.associate)
+        self.slam = Slam(self.spec)
         self.slam.map = self.maps.begin()
         self._graphs.append(self.slam.covisibility)
 

@@ -1,33 +1,37 @@
-"""Does the robot still see what it should? Notices a kidnapping from the pairings, before the map learns from it."""
+"""Does the robot still see what it should? It notices from the pairings that it is lost, before the map learns."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from slam_gym.types import NONE, BoolArray, Hypothesis, Prediction
+from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, Prediction
 
-_SURE, _PERHAPS = 0.5, 0.1  # visibility from which a feature is expected; and from which, if it was paired last
-_REGAINED = 2.0  # to be regained, it takes so many times what must be paired and there to be believed before
-_MOST = 0.5  # share of the measurements that speaks for the pose, whatever else should be in view
+EXPECTED = 0.5  # visibility from which a feature should be in view
+_STILL_EXPECTED = 0.1  # … and from which it should if the last scan paired it
+_BELIEVED_AGAIN = 2.0  # a lost robot must pair so many times what one that is not lost must
+_EXPLAINED = 0.5  # fraction of the measurements that, once paired, speaks for the pose whatever should be in view
 
 
-class Tracking:
+class Tracker:
     """Counts the scans in a row that are not what the map leads one to expect.
 
-    A scan is doubted for either of two reasons. Too few of the features that should be in view are paired, while what
-    is measured makes little sense; or hardly anything that is measured is paired, right after a scan that knew its way.
-    A feature should be in view if it is established, and either its predicted visibility is at least one half, or the
-    last scan that was believed paired it and nothing says that it has gone out of view since. What is new on the map's
-    rim is thus no reason to doubt as long as it comes into view by and by, and neither is what walls are known to hide.
+    A feature should be in view if it is established, and either its visibility is at least `EXPECTED`, or the last scan
+    that was believed paired it and nothing says that it has gone out of view since. A scan is doubted where
+
+    - too few of the features that should be in view are paired, while most of what is measured is not paired either; or
+    - right after a scan that knew its way, hardly anything that is measured is paired.
+
+    So what is new on the map's rim is no reason to doubt as long as it comes into view by and by, and neither is what
+    walls are known to hide.
 
     Arguments:
-        collapse: share of the expected features, or of the measurements, below which a scan is doubted.
+        fraction: of the expected features, or of the measurements, that must be paired.
         scans: doubted scans in a row after which the robot is lost.
-        least: expected features, or measurements, without which nothing is concluded.
+        min_expected: expected features, or measurements, without which nothing is concluded.
     """
 
-    def __init__(self, collapse: float, scans: int, least: int) -> None:
-        self.collapse, self.scans, self.least = collapse, scans, least
+    def __init__(self, fraction: float, scans: int, min_expected: int) -> None:
+        self.fraction, self.scans, self.min_expected = fraction, scans, min_expected
         self.doubted = 0  # scans in a row
         self._last_paired: set[int] = set()  # features that the last scan believed was paired with
 
@@ -39,16 +43,19 @@ class Tracking:
     def doubts(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
         """Whether the scan paired too little to be learned from; `established` (k,) rows of the prediction.
 
-        Once lost, it takes twice the share, and twice as many, to be believed again: chance pairs some now and then.
+        Chance pairs some now and then, so once lost it takes twice the fraction, and twice the number, to be believed.
         """
         known = set(prediction.features[established].tolist())
-        expected = set(prediction.features[established & self._in_view(prediction)].tolist())
+        expected = set(prediction.features[established & self._should_be_seen(prediction)].tolist())
         paired = known.intersection(hypothesis.features.tolist())
-        measured, share = len(hypothesis.features), self.collapse * (_REGAINED if self.lost else 1.0)
-        missing = len(expected) >= self.least and len(expected & paired) < share * len(expected)
-        strange = min(measured, len(known & self._last_paired)) >= self.least and len(paired) < share * measured
-        unsure = self.lost and len(expected & paired) < _REGAINED * self.least
-        if (missing and len(paired) < _MOST * measured) or strange or unsure:
+        measured = len(hypothesis.features)
+        fraction = self.fraction * (_BELIEVED_AGAIN if self.lost else 1.0)
+        missing = len(expected) >= self.min_expected and len(expected & paired) < fraction * len(expected)
+        strange = (
+            min(measured, len(known & self._last_paired)) >= self.min_expected and len(paired) < fraction * measured
+        )
+        unsure = self.lost and len(expected & paired) < _BELIEVED_AGAIN * self.min_expected
+        if (missing and len(paired) < _EXPLAINED * measured) or strange or unsure:
             self.doubted += 1
             return True
         self.believe(hypothesis)
@@ -57,10 +64,9 @@ class Tracking:
     def believe(self, hypothesis: Hypothesis) -> None:
         """The hypothesis holds: tracking goes on from it."""
         self.doubted = 0
-        self._last_paired = set(hypothesis.features[hypothesis.features != NONE].tolist())
+        self._last_paired = set(hypothesis.features[hypothesis.features != UNPAIRED].tolist())
 
-    def _in_view(self, prediction: Prediction) -> BoolArray:
+    def _should_be_seen(self, prediction: Prediction) -> BoolArray:
         paired = np.array([feature in self._last_paired for feature in prediction.features.tolist()], dtype=np.bool_)
-        if prediction.visibility is None:
-            return paired
-        return (prediction.visibility >= _SURE) | (paired & (prediction.visibility >= _PERHAPS))
+        visibility = prediction.visibility()
+        return paired if visibility is None else (visibility >= EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))

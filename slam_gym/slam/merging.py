@@ -25,7 +25,7 @@ from slam_gym.geometry import transform
 from slam_gym.mapping.map_joining import equate, join
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.duplicates import find_duplicates
-from slam_gym.types import NONE, Array, IntArray, Locality, Relocation, Relocator, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Locality, Relocation, Relocator, Scan
 
 _SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a relation before it is found
 _FLOOR = 1e-12  # [m²] least variance of a measurement
@@ -155,7 +155,7 @@ def _merged(
     a: StochasticMap, b: StochasticMap, group: IntArray, found: Relocation, confidence: float
 ) -> tuple[StochasticMap, IntArray]:
     """The maps joined at the pose found, duplicates removed; and pairs (k, 2) of features of A and B."""
-    paired = found.features != NONE
+    paired = found.features != UNPAIRED
     first = np.column_stack([found.features[paired], group[paired]])
     placed = a.copy()
     placed.place(found.pose, _SAYS_NOTHING)

@@ -1,69 +1,150 @@
-"""Relocation in the loop: where a lost robot is, by a search without a prior, and the map's pose put there."""
+"""SLAM that notices when the robot is lost, stops learning, and finds it again by a search without a prior."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from collections.abc import Callable
+from typing import Literal, get_args
 
 import numpy as np
 
 from slam_gym.association import resolve_relocator
 from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
-from slam_gym.slam.slam import Relocate, Slam
-from slam_gym.types import Hypothesis, Locality, Relocation, Relocator, Scan
+from slam_gym.slam.lost import EXPECTED, Tracker
+from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, ViewFrom, send
+from slam_gym.types import (
+    NO_ID,
+    UNPAIRED,
+    Array,
+    Effort,
+    Hypothesis,
+    IntArray,
+    Locality,
+    Odometry,
+    Prediction,
+    Relocation,
+    Relocator,
+    Scan,
+    SlamStep,
+)
+from slam_gym.validation import check_hypothesis
 
 _SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a pose before it is found
-_MOST = 0.5
+_STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
+_EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
 
-Localities = Literal["covisibility", "two-hop covisibility", "distance"]
+LocalityName = Literal["covisibility", "two-hop covisibility", "distance"]
+LOCALITIES: tuple[LocalityName, ...] = get_args(LocalityName)
+
+Relocate = Callable[[Slam, Scan], Relocation | None]
+"""Asked scan by scan while the robot is lost: where it is, or None where the scan does not decide."""
+
+
+class RelocatingSlam(Slam):
+    """`Slam` with relocation around its step.
+
+    A scan that pairs too little of what should be in view (`Tracker`) is not learned from. Once there were too many of
+    them in a row the robot is lost, and `relocate` is asked scan after scan. With its answer the robot is moved to the
+    pose found, with a covariance that says nothing, and the step goes on from there: the update with the pairings
+    leaves it with what they tell.
+    """
+
+    def __init__(self, spec: SlamSpec | None, relocate: Relocate, view_from: ViewFrom | None = None) -> None:
+        super().__init__(spec, view_from)
+        self.relocate = relocate
+        self.tracker = Tracker(self.spec.lost_fraction, self.spec.lost_scans, self.spec.min_expected)
+        self._relocations = 0
+
+    @property
+    def lost(self) -> bool:
+        """The robot is not where the map has it, and waits for relocation."""
+        return self.tracker.lost
+
+    @property
+    def relocations(self) -> int:
+        """How often the robot was found again so far."""
+        return self._relocations
+
+    @property
+    def doubted(self) -> bool:
+        """The last scan was not believed."""
+        return self.tracker.doubted > 0
+
+    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
+        """The step of `Slam`, unless its scan is doubted. Raises as `Slam.step`."""
+        step = super().asking_step(odometry, scan)
+        prediction = next(step)
+        hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
+        if not self.tracker.doubts(prediction, hypothesis, ~self.map.provisional[prediction.features]):
+            return send(step, hypothesis)
+        found = self.relocate(self, scan) if self.lost else None
+        if found is None:
+            return self._learn_nothing(prediction, scan)
+        return self._go_on_from(found, scan)
+
+    def _go_on_from(self, found: Relocation, scan: Scan) -> SlamStep:
+        """The step of a scan that says where the robot is."""
+        self.map.place(found.pose, _SAYS_NOTHING)
+        hypothesis = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
+        self.tracker.believe(hypothesis)
+        self._relocations += 1
+        step = super().asking_step(_STILL, scan)
+        next(step)
+        return send(step, hypothesis)
+
+    def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
+        """The step of a scan that is not believed: the map stays as the odometry left it."""
+        m, none = len(scan), np.empty(0, np.int64)
+        self.map.end_of_step()
+        hypothesis = Hypothesis(np.full(m, UNPAIRED), 0.0, 0, Effort())
+        return SlamStep(prediction, hypothesis, np.full(m, NO_ID), np.zeros(m, np.bool_), none)
 
 
 def relocate_by(
-    search: str | Relocator, locality: Localities | None = "covisibility", probability: float = 1e-6
+    search: str | Relocator, locality: LocalityName | None = "covisibility", probability: float = 1e-6
 ) -> Relocate:
-    """A `Relocate` for `Slam`: `search` (a name, `"module:function"`, a callable) among the features of the map.
+    """A `Relocate` for `RelocatingSlam`: `search` (a name, `"module:function"`, a callable) among the map's features.
 
     A lost robot asks scan after scan, and rooms resemble each other, so that an answer must pass more than the search's
     own rule: chance brings so many pairings with less than `probability` a scan, and they are most of what is measured
-    and most of what should be in view from there. The robot is then moved to the pose found, with a covariance that
-    says nothing: the update with the pairings, which `Slam` makes next, leaves it with what they tell.
+    and most of what should be in view from there.
     Raises ValueError for an unknown search or locality, or a probability that is none.
     """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability: {probability} is not between 0 and 1")
     find = resolve_relocator(search)
-    if locality not in (None, "covisibility", "two-hop covisibility", "distance"):
-        raise ValueError(f"locality: {locality!r} is none of covisibility, two-hop covisibility, distance, None")
+    if locality not in (None, *LOCALITIES):
+        raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
 
-    def relocate(slam: Slam, scan: Scan) -> Hypothesis | None:
+    def relocate(slam: Slam, scan: Scan) -> Relocation | None:
         landmarks = slam.map.landmarks()
-        found = find(scan, landmarks, _locality(slam, locality))
+        found = find(scan, landmarks, locality_of(slam.covisibility, slam.map.positions, slam.reach, locality))
         if not found.accepted or found.pairings < min_pairings(scan, landmarks, probability=probability):
             return None
-        if found.pairings < _MOST * len(scan) or not _makes_sense(slam, found):
-            return None
-        slam.map.place(found.pose, _SAYS_NOTHING)
-        return Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
+        explains = found.pairings >= _EXPLAINED * len(scan) and _makes_sense(slam, found)
+        return found if explains else None
 
     return relocate
 
 
-def _makes_sense(slam: Slam, found: Relocation) -> bool:
-    """Most of the established features that should be in view from the pose found are paired."""
-    if slam.visible is None:
-        return True
-    there = slam.map.copy()
-    there.place(found.pose, found.covariance)
-    prediction = there.prediction(slam.spec.reach)
-    visibility = slam.visible(found.pose, prediction)
-    expected = prediction.features[(visibility >= _MOST) & ~there.provisional[prediction.features]]
-    return int(np.isin(expected, found.features).sum()) >= _MOST * len(expected)
-
-
-def _locality(slam: Slam, kind: Localities | None) -> Locality | None:
+def locality_of(graph: CovisibilityGraph, positions: Array, reach: float, kind: LocalityName | None) -> Locality | None:
+    """The locality of that name among features at `positions` (n, 2) [m], for a sensor that reaches `reach` [m]."""
     if kind is None:
         return None
     if kind == "distance":
-        return within(slam.map.positions, 2.0 * slam.spec.reach)
-    return covisible(slam.covisibility, hops=2 if kind == "two-hop covisibility" else 1)
+        return within(positions, 2.0 * reach)
+    return covisible(graph, hops=2 if kind == "two-hop covisibility" else 1)
+
+
+def _makes_sense(slam: Slam, found: Relocation) -> bool:
+    """Most of the established features that should be in view from the pose found are paired."""
+    if slam.view_from is None:
+        return True
+    there = slam.map.copy()
+    there.place(found.pose, found.covariance)
+    prediction = there.prediction(slam.reach)
+    visibility = slam.view_from(found.pose)(prediction.positions, prediction.covariances)
+    expected: IntArray = prediction.features[(visibility >= EXPECTED) & ~there.provisional[prediction.features]]
+    return int(np.isin(expected, found.features).sum()) >= _EXPLAINED * len(expected)

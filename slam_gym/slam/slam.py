@@ -3,41 +3,42 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from dataclasses import replace as with_changes
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
+from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import has_compatible
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam.lost import Tracking
 from slam_gym.types import (
-    NONE,
+    NO_ID,
+    UNPAIRED,
     Array,
     Associator,
     BoolArray,
-    Effort,
     Hypothesis,
     IntArray,
-    Nearby,
     Odometry,
     Prediction,
     Scan,
     SlamStep,
 )
-from slam_gym.validation import check_scan
+from slam_gym.validation import check_hypothesis, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
 
-Relocate = Callable[["Slam", Scan], Hypothesis | None]
-"""Called scan by scan while the robot is lost. It returns None and leaves the map alone, or moves the map's pose and
-returns the hypothesis to go on with (`slam_gym.slam.relocation.relocate_by`)."""
+ViewFrom = Callable[[Array], Callable[[Array, Array], Array]]
+"""From a pose (3,) in B to `Prediction.view`: what the sensor would have in view from there."""
 
-Visible = Callable[[Array, Prediction], Array]
-"""From the robot's pose (3,) in B and a prediction of k features: probability (k,) that the sensor has each in view."""
+AskingStep = Generator[Prediction, Hypothesis, SlamStep]
+"""A step that somebody else associates for: yields the prediction, is sent the hypothesis, returns the step."""
 
 
 @dataclass(frozen=True)
@@ -45,22 +46,22 @@ class SlamSpec:
     """Settings of a SLAM run."""
 
     map: MapSpec = field(default_factory=MapSpec)
-    reach: float = 6.0  # [m] features predicted within this distance are offered to the associator
+    reach: float | None = None  # [m] features predicted so near are offered to the associator; None: as far as was seen
     new_confidence: float | None = None  # of the gate that a new feature must miss everything by; None: as `map`
     locality: bool = True  # offer covisibility localities to the associator
     recent: int = 5  # [scans] whose pairings define the locality to look in first
-    collapse: float = 0.3  # a scan that pairs a lesser share of the features that should be in view is doubted …
-    collapse_scans: int = 5  # … and so many of them in a row have lost the robot
-    collapse_least: int = 3  # features that should be in view, without which no scan is doubted
+    lost_fraction: float = 0.3  # a scan that pairs less of the features that should be in view is doubted …
+    lost_scans: int = 5  # … and so many of them in a row have lost the robot
+    min_expected: int = 3  # features that should be in view, without which no scan is doubted
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.reach < math.inf:
-            raise ValueError(f"SlamSpec.reach: expected a finite length > 0 [m], got {self.reach}")
+        if self.reach is not None and not 0.0 < self.reach < math.inf:
+            raise ValueError(f"SlamSpec.reach: expected a finite length > 0 [m] or None, got {self.reach}")
         if self.new_confidence is not None and not 0.0 < self.new_confidence < 1.0:
             raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
-        if not 0.0 <= self.collapse <= 1.0:
-            raise ValueError(f"SlamSpec.collapse: {self.collapse} is no share")
-        for name in ("recent", "collapse_scans", "collapse_least"):
+        if not 0.0 <= self.lost_fraction <= 1.0:
+            raise ValueError(f"SlamSpec.lost_fraction: {self.lost_fraction} is not between 0 and 1")
+        for name in ("recent", "lost_scans", "min_expected"):
             if getattr(self, name) < 1:
                 raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is less than 1")
 
@@ -68,104 +69,102 @@ class SlamSpec:
 class Slam:
     """A robot's map and pose estimate, and the step that updates them.
 
-    `associate` decides where measurements come from. With `relocate`, scans that pair too little of what should be in
-    view are not learned from, and it is asked where the robot is once there were too many of them in a row. `visible`
-    tells what should be in view.
+    `view_from`, where it is given, tells associators what the sensor should have in view.
     """
 
-    def __init__(
-        self,
-        spec: SlamSpec,
-        associate: Associator,
-        relocate: Relocate | None = None,
-        visible: Visible | None = None,
-    ) -> None:
-        self.spec = spec
-        self.associate = associate
-        self.relocate = relocate
-        self.visible = visible
-        self.map = StochasticMap(spec.map)
+    def __init__(self, spec: SlamSpec | None = None, view_from: ViewFrom | None = None) -> None:
+        self.spec = spec or SlamSpec()
+        self.view_from = view_from
+        self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
-        self._recent: deque[IntArray] = deque(maxlen=spec.recent)
-        self.tracking = Tracking(spec.collapse, spec.collapse_scans, spec.collapse_least)
-        self.relocations = 0  # so far
+        self._recent: deque[IntArray] = deque(maxlen=self.spec.recent)  # features seen in each of the last scans
+        self._farthest = 0.0  # [m] of any measurement so far
+        self._warned = False
+
+    def __repr__(self) -> str:
+        return f"Slam: {self.map!r}"
+
+    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
+        """Move by `odometry`, then learn from `scan` as `associator` (a name, `"module:function"`, a callable) decides.
+
+        Raises ValueError, before anything is changed, for non-finite numbers, covariances that are none and an unknown
+        associator; and for a hypothesis that does not fit scan and map, when only the motion has been predicted.
+        """
+        return answered(self.asking_step(odometry, scan), scan, resolve_associator(associator))
+
+    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
+        """The step of Castellanos, Neira and Tardós (2006), whoever associates: see `AskingStep`. Raises as `step`.
+
+        A measurement starts a feature if it is unpaired *and* individually compatible with nothing in the map: what is
+        compatible but unpaired is more likely a mapped feature than a new one, and is discarded.
+        """
+        check_scan(scan)
+        self.map.predict(odometry)
+        prediction = self.predict_features(scan)
+        hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
+        self.map.update(scan, hypothesis.features)
+        new = self.new_features(scan, prediction, hypothesis)
+        created = self.map.add(scan, new) if len(new) else _NO_FEATURES
+        seen = _seen(hypothesis.features, new, created, self.map.ids)
+        self.covisibility.add(len(created))
+        self.covisibility.see_together(seen.features)
+        self._recent.append(seen.features)
+        return SlamStep(prediction, hypothesis, seen.ids, seen.created, self._maintain())
+
+    def predict_features(self, scan: Scan) -> Prediction:
+        """What `scan` should show from the predicted pose, with the localities to search first."""
+        recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
+        graph = self.covisibility if self.spec.locality else None
+        self._note_reach(scan)
+        prediction = self.map.prediction(self.reach, graph, recent)
+        return prediction if self.view_from is None else with_changes(prediction, view=self.view_from(self.map.pose))
+
+    @property
+    def reach(self) -> float:
+        """[m] within which features are predicted: as specified, or as far as anything was measured so far."""
+        return self._farthest if self.spec.reach is None else self.spec.reach
 
     @property
     def lost(self) -> bool:
-        """The robot is not where the map has it, and waits for relocation."""
-        return self.tracking.lost
+        """Never: nobody asks whether it is (see `slam_gym.slam.relocation.RelocatingSlam`)."""
+        return False
 
-    def step(self, odometry: Odometry, scan: Scan, associate: Associator | None = None) -> SlamStep:
-        """Move by `odometry`, then learn from `scan`. `associate` overrides the run's associator for this step.
+    @property
+    def doubted(self) -> bool:
+        """Never, as `lost`."""
+        return False
 
-        Raises ValueError, before anything is changed, for non-finite numbers or covariances that are not PSD; and for
-        a hypothesis that does not fit scan and map, when only the motion has been predicted.
-        """
-        prediction = self.expect(odometry, scan)
-        return self.learn(scan, prediction, (associate or self.associate)(scan, prediction))
-
-    def expect(self, odometry: Odometry, scan: Scan) -> Prediction:
-        """First half of a step: move by `odometry`; what `scan` should then show. Raises as `step`."""
-        check_scan(scan)
-        self.map.predict(odometry)
-        return self.predict_features()
-
-    def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
-        """Second half: the `hypothesis` on the scan that `prediction` was made for. Raises as `step`."""
-        if self.relocate is not None and self._doubts(prediction, hypothesis):
-            found = self.relocate(self, scan) if self.lost else None
-            if found is None:
-                return self._learn_nothing(prediction, scan)
-            hypothesis, prediction = found, self.predict_features()
-            self.tracking.believe(hypothesis)
-            self.relocations += 1
-        if len(hypothesis.features) != len(scan):
-            raise ValueError(f"hypothesis.features: {len(hypothesis.features)} decisions for {len(scan)} measurements")
-        new = self.new_features(scan, prediction, hypothesis)
-        self.map.update(scan, hypothesis.features)
-        created = self.map.add(scan, new) if len(new) else _NO_FEATURES
-        return self._remember(prediction, hypothesis, new, created)
-
-    def predict_features(self) -> Prediction:
-        """What should be seen from the predicted pose, with the localities to search first."""
-        prediction = self.map.prediction(self.spec.reach, self._locality if self.spec.locality else None)
-        visible, pose = self.visible, self.map.pose
-        if visible is None:
-            return prediction
-
-        def view(positions: Array, covariances: Array) -> Array:
-            return visible(pose, replace(prediction, positions=positions, covariances=covariances))
-
-        return replace(prediction, visibility=visible(pose, prediction), view=view)
-
-    def _locality(self, features: IntArray) -> Nearby:
-        """Near: what was paired in recent scans, and all that was ever seen together with it."""
-        recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
-        near = self.covisibility.local_to(recent)[features]
-        return Nearby(near, lambda rows: self.covisibility.among(features[rows]))
+    @property
+    def relocations(self) -> int:
+        """None, as `lost`."""
+        return 0
 
     def new_features(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> IntArray:
-        """Measurements that start a feature: unpaired *and* individually compatible with nothing in the map.
+        """Measurements (a,) that start a feature, by the associator's own word or by the rule of the step.
 
-        Those that are compatible but unpaired are discarded: they are more likely mapped features than new ones. A gate
-        of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate: where scans come by
-        the hundred, this test deserves a wider gate (`new_confidence`) than the pairings do.
+        A gate of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate: where scans
+        come by the hundred, the rule deserves a wider gate (`new_confidence`) than the pairings do.
         """
+        if hypothesis.new is not None:
+            return np.flatnonzero(hypothesis.new)
+        left = np.flatnonzero(hypothesis.features == UNPAIRED)
+        if not len(left):
+            return left
         given = self.spec.new_confidence
-        confidence = self.spec.map.confidence if given is None else given
-        unpaired = hypothesis.features == NONE
-        if not unpaired.any():
-            return _NO_FEATURES
-        left = np.flatnonzero(unpaired)
+        confidence = prediction.confidence if given is None else given
         return left[~has_compatible(scan, prediction, confidence, measurements=left)]
 
-    def _remember(self, prediction: Prediction, hypothesis: Hypothesis, new: IntArray, created: IntArray) -> SlamStep:
-        """Covisibility of what was seen together, maintenance, and the record of the step."""
-        seen, ids, made = _seen(hypothesis.features, new, created, self.map.ids)
-        self.covisibility.add(len(created))
-        self.covisibility.see_together(seen)
-        self._recent.append(seen)
-        return SlamStep(prediction, hypothesis, ids, made, self._maintain())
+    def _note_reach(self, scan: Scan) -> None:
+        """How far the sensor sees; once, a warning if that is beyond the reach that was specified."""
+        farthest, beyond = _how_far(scan.points, scan.covariances)
+        self._farthest, reach = max(self._farthest, farthest), self.spec.reach
+        if reach is not None and beyond > reach and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"SlamSpec.reach={reach} m, but a scan measures at {beyond:.1f} m and more: features so far away are "
+                "started anew with every scan and never found again; with reach=None it is taken from the scans",
+                stacklevel=4,
+            )
 
     def _maintain(self) -> IntArray:
         """Drop features that were never confirmed; everything indexed by feature is renumbered. Returns their ids."""
@@ -173,40 +172,59 @@ class Slam:
         removed = _NO_FEATURES
         if len(unconfirmed):
             removed = self.map.ids[unconfirmed]
-            count = self.map.n
+            gone = -1
+            renumbered = np.full(self.map.n, gone)
             kept = self.map.remove(unconfirmed)
             self.covisibility.keep(kept)
-            renumbered = np.full(count, NONE, np.int64)
             renumbered[kept] = np.arange(len(kept))
             for position, features in enumerate(self._recent):
                 still = renumbered[features]
-                self._recent[position] = still[still != NONE]
+                self._recent[position] = still[still != gone]
         self.map.end_of_step()
         return removed
 
-    def _doubts(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
-        """Too few pairings where the map should have given more: the robot may have been carried away."""
-        return self.tracking.doubts(prediction, hypothesis, ~self.map.provisional[prediction.features])
 
-    def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
-        """The step of a scan that is not believed: the map stays as the odometry left it."""
-        undecided = np.full(len(scan), NONE)
-        self.map.end_of_step()
-        hypothesis = Hypothesis(undecided, 0.0, 0, Effort())
-        return SlamStep(prediction, hypothesis, undecided, np.zeros(len(scan), np.bool_), _NO_FEATURES)
+def answered(step: AskingStep, scan: Scan, associate: Associator) -> SlamStep:
+    """The whole of a step that asks, `associate` giving the answer."""
+    return send(step, associate(scan, next(step)))
+
+
+def send(step: AskingStep, hypothesis: Hypothesis) -> SlamStep:
+    """The rest of a step that asks, with the hypothesis that it is sent."""
+    try:
+        step.send(hypothesis)
+    except StopIteration as end:
+        done: SlamStep = end.value
+        return done
+    raise RuntimeError("the step asked twice")
+
+
+class _Seen(NamedTuple):
+    features: IntArray  # (s,) map features that the scan updated or started
+    ids: IntArray  # (m,) id of the feature behind each measurement, or NO_ID
+    created: BoolArray  # (m,) the measurement started it
 
 
 @compiled
-def _seen(
-    features: IntArray, new: IntArray, created: IntArray, map_ids: IntArray
-) -> tuple[IntArray, IntArray, BoolArray]:
-    """Features (s,) that the scan updated or started; id (m,) behind each measurement, or NONE; which started one."""
+def _seen(features: IntArray, new: IntArray, created: IntArray, map_ids: IntArray) -> _Seen:
+    """The hypothesis `features` (m,) and the features `created` (a,) from the measurements `new` (a,), together."""
     behind, made = features.copy(), np.zeros(len(features), np.bool_)
     for k in range(len(new)):
         behind[new[k]], made[new[k]] = created[k], True
-    seen, ids, s = np.empty(len(features), np.int64), np.full(len(features), NONE), 0
+    seen, ids, s = np.empty(len(features), np.int64), np.full(len(features), NO_ID), 0
     for i in range(len(features)):
-        if behind[i] != NONE:
+        if behind[i] != UNPAIRED:
             seen[s], ids[i] = behind[i], map_ids[behind[i]]
             s += 1
-    return seen[:s], ids, made
+    return _Seen(seen[:s], ids, made)
+
+
+@compiled
+def _how_far(points: Array, covariances: Array) -> tuple[float, float]:
+    """[m] How far from the robot a measurement may lie at most, ‖z‖ + 3σ, and how far one must at least, ‖z‖ − 6σ."""
+    farthest, beyond = 0.0, 0.0
+    for i in range(len(points)):
+        distance = math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2)
+        sigma = math.sqrt(covariances[i, 0, 0] + covariances[i, 1, 1])
+        farthest, beyond = max(farthest, distance + 3.0 * sigma), max(beyond, distance - 6.0 * sigma)
+    return farthest, beyond

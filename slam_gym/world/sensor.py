@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slam_gym.types import NONE, UNKNOWN, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.types import NONE, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.world.detection import PackedSettings, in_sight, measure, noisy_ranges
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
@@ -149,14 +149,14 @@ class Sensor:
             normal,
             settings,
         )
-        kinds = self._kinds(sources, rng) if self.spec.kinds else None
+        kinds = self._kinds(sources, rng) if self.spec.kinds else np.full(len(sources), UNKNOWN_KIND)
         return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
-        """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, UNKNOWN where it has none."""
+        """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""
         known = self._features.kinds
         if len(known) == 0:
-            return np.full(len(sources), UNKNOWN)
+            return np.full(len(sources), UNKNOWN_KIND)
         return np.where(sources == NONE, known[rng.integers(len(known), size=len(sources))], known[sources])
 
     def beams(

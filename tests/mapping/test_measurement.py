@@ -7,22 +7,20 @@ import pytest
 
 from slam_gym.geometry import observe_jacobians
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import NONE, Odometry, Scan
+from slam_gym.types import UNPAIRED, Odometry, Scan
 
 
 def driven_map(seed, n=12, fej=False):
     """A map after a drive of ten steps past n features, half of them measured at each."""
     rng = np.random.default_rng(seed)
     slam = StochasticMap(MapSpec(first_estimate_jacobians=fej), [1.0, 2.0, 0.7], np.diag([0.01, 0.02, 0.003]))
-    unknown = np.full(n, np.nan)
     points = rng.uniform(-5.0, 5.0, (n, 2))
-    slam.add(Scan(points, np.tile(0.01 * np.eye(2), (n, 1, 1)), unknown, unknown), np.arange(n))
+    slam.add(Scan.from_points(points, sigma=0.1), np.arange(n))
     for _ in range(10):
         motion = np.array([0.5, 0.0, rng.uniform(-0.5, 0.5)])
         slam.predict(Odometry(motion, np.diag([0.01, 0.01, 0.002])))
         seen = slam.prediction(math.inf).positions + 0.1 * rng.standard_normal((n, 2))
-        scan = Scan(seen, np.tile(0.01 * np.eye(2), (n, 1, 1)), unknown, unknown)
-        slam.update(scan, np.where(rng.random(n) < 0.5, np.arange(n), NONE))
+        slam.update(Scan.from_points(seen, sigma=0.1), np.where(rng.random(n) < 0.5, np.arange(n), UNPAIRED))
     return slam, rng
 
 
@@ -30,8 +28,7 @@ def driven_map(seed, n=12, fej=False):
 def test_heading_is_the_variance_of_the_heading_and_its_covariance_with_what_is_predicted(seed):
     slam, rng = driven_map(seed)
     prediction, rows = slam.prediction(math.inf), rng.permutation(slam.n)[:7]
-    assert prediction.heading is not None
-    variance, across = prediction.heading(rows)
+    variance, across = prediction.heading_variance, prediction.heading_covariances[rows]
     P, pose = slam.covariance, slam.pose
     assert variance == pytest.approx(P[2, 2])
     for row, got in zip(rows, across):
@@ -51,11 +48,3 @@ def test_the_joint_covariance_holds_the_marginals_whatever_the_order(seed, fej):
     np.testing.assert_array_equal(joint, joint.T)
     for k, row in enumerate(rows):
         np.testing.assert_allclose(joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2], prediction.covariances[row], rtol=1e-9)
-
-
-def test_an_outdated_prediction_tells_nothing_of_the_heading():
-    slam, _ = driven_map(0)
-    prediction = slam.prediction(math.inf)
-    slam.predict(Odometry(np.zeros(3), 1e-4 * np.eye(3)))
-    with pytest.raises(RuntimeError, match="changed"):
-        prediction.heading(np.arange(2))

@@ -9,8 +9,9 @@ import pytest
 from scipy.stats import chi2
 
 from slam_gym.geometry import compose, observe, wrap_angle
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import NONE, UNKNOWN, Array, Odometry, Scan
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Odometry, Scan
 from tests.oracles.map import SIGMA, KnownAssociation, Q, Step, TextbookMap, make_scan, random_covariance, wander
 
 KEEP = MapSpec(unconfirmed_age=None)
@@ -80,7 +81,7 @@ def test_equals_textbook_ekf_through_growth_and_removal(spec: MapSpec) -> None:
 def test_joint_update_with_one_feature_paired_twice(spec: MapSpec) -> None:
     m, textbook, _ = mapped(spec)
     rng = np.random.default_rng(1)
-    features = np.array([4, NONE, 4, 1, NONE])
+    features = np.array([4, UNPAIRED, 4, 1, UNPAIRED])
     points = h(m.mean, np.maximum(features, 0)).reshape(-1, 2) + rng.normal(0, 0.03, (5, 2))
     scan = make_scan(points, np.array([random_covariance(rng, SIGMA) for _ in features]))
     m.update(scan, features)
@@ -171,14 +172,14 @@ def test_stays_symmetric_and_psd_over_thousands_of_random_steps(spec: MapSpec, n
     for number in range(4000):
         sigma = 10.0 ** rng.uniform(-4, 0, 3) * rng.integers(0, 2, 3)
         m.predict(Odometry(rng.normal(0, 0.3, 3), np.diag(sigma**2)))
-        features, scale = rng.integers(NONE, m.n, rng.integers(0, 8)), 10.0 ** rng.uniform(-3, 0)
+        features, scale = rng.integers(UNPAIRED, m.n, rng.integers(0, 8)), 10.0 ** rng.uniform(-3, 0)
         points = rng.uniform(-5, 5, (len(features), 2))
         if m.n and not nonsense:
             expected = h(m.mean, np.maximum(features, 0)).reshape(-1, 2) + rng.normal(0, scale, points.shape)
-            points = np.where(features[:, None] == NONE, points, expected)
+            points = np.where(features[:, None] == UNPAIRED, points, expected)
         scan = make_scan(points, np.array([random_covariance(rng, scale) for _ in features]).reshape(-1, 2, 2))
         m.update(scan, features)
-        m.add(scan, np.flatnonzero(features == NONE)[: 40 - m.n])
+        m.add(scan, np.flatnonzero(features == UNPAIRED)[: 40 - m.n])
         if rng.random() < 0.1 and m.n:
             m.remove(rng.choice(m.n, rng.integers(0, m.n), replace=False))
         m.end_of_step()
@@ -339,12 +340,17 @@ def test_joint_of_any_rows_in_any_order() -> None:
     np.testing.assert_array_equal(whole, whole.T)
 
 
-def test_locality_is_asked_about_the_features_in_reach() -> None:
+def test_localities_are_those_of_the_graph_and_near_is_what_is_local_to_recent_features() -> None:
     m, _, _ = mapped()
-    asked = []
-    prediction = m.prediction(3.0, lambda features: asked.append(features) or "locality")
-    np.testing.assert_array_equal(asked[0], prediction.features)
-    assert prediction.locality == "locality" and m.prediction(3.0).locality is None
+    graph = CovisibilityGraph()
+    graph.add(m.n)
+    graph.see_together(np.array([0, 1]))
+    prediction = m.prediction(100.0, graph, np.array([1]))
+    np.testing.assert_array_equal(prediction.near, np.arange(m.n) < 2)
+    rows = np.array([2, 1, 0])
+    np.testing.assert_array_equal(prediction.local(rows), graph.among(rows))
+    without = m.prediction(100.0)
+    assert without.local is None and without.near.all()
 
 
 @pytest.mark.parametrize("change", ["predict", "update", "add", "remove"])
@@ -468,7 +474,7 @@ def test_a_bad_measurement_is_refused_by_number_and_changes_nothing(name: str) -
         m.add(BAD_SCANS[name], np.array([1]))
     for old, new in zip(before, (m.mean, m.covariance, m.seen)):
         np.testing.assert_array_equal(old, new)
-    m.update(BAD_SCANS[name], np.array([0, NONE]))  # unpaired, it does no harm
+    m.update(BAD_SCANS[name], np.array([0, UNPAIRED]))  # unpaired, it does no harm
 
 
 @pytest.mark.parametrize("features", [[0, -2], [0, 1000], [0]])
@@ -505,7 +511,7 @@ def test_no_uncertainty_anywhere_is_refused() -> None:
     m, exact = StochasticMap(), scan_with(covariances=np.zeros((2, 2, 2)))
     m.add(exact, np.array([0]))
     with pytest.raises(ValueError, match="singular"):
-        m.update(exact, np.array([0, NONE]))
+        m.update(exact, np.array([0, UNPAIRED]))
 
 
 @pytest.mark.parametrize(
@@ -566,9 +572,9 @@ def test_a_robot_that_was_placed_knows_nothing_of_the_features_and_leaves_them_a
 def test_kinds_are_those_last_reported_and_unknown_before() -> None:
     slam_map = StochasticMap()
     points = np.array([[1.0, 0.0], [2.0, 1.0], [0.0, 3.0]])
-    slam_map.add(replace(make_scan(points, NOISE), kinds=np.array([1, UNKNOWN, 2])), np.arange(2))
+    slam_map.add(replace(make_scan(points, NOISE), kinds=np.array([1, UNKNOWN_KIND, 2])), np.arange(2))
     slam_map.add(make_scan(points, NOISE), np.array([2]))
-    assert slam_map.kinds.tolist() == [1, UNKNOWN, UNKNOWN]
-    told = replace(make_scan(points, NOISE), kinds=np.array([UNKNOWN, 0, 3]))
-    slam_map.update(told, np.array([0, 1, NONE]))
-    assert slam_map.kinds.tolist() == [1, 0, UNKNOWN] == slam_map.prediction(9.0).kinds.tolist()
+    assert slam_map.kinds.tolist() == [1, UNKNOWN_KIND, UNKNOWN_KIND]
+    told = replace(make_scan(points, NOISE), kinds=np.array([UNKNOWN_KIND, 0, 3]))
+    slam_map.update(told, np.array([0, 1, UNPAIRED]))
+    assert slam_map.kinds.tolist() == [1, 0, UNKNOWN_KIND] == slam_map.prediction(9.0).kinds.tolist()

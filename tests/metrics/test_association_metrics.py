@@ -12,9 +12,7 @@ from slam_gym.types import NONE, UNKNOWN, Effort, Hypothesis, Prediction, SlamSt
 def step(ids, created=None, removed=()):
     ids = np.array(ids, np.int64)
     created = np.zeros(len(ids), bool) if created is None else np.array(created, bool)
-    nothing = Prediction(
-        np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0), lambda rows: np.eye(0)
-    )
+    nothing = Prediction.from_gaussian([], np.empty((0, 0)))
     hypothesis = Hypothesis(np.full(len(ids), NONE), 0.0, 0, Effort())
     return SlamStep(nothing, hypothesis, ids, created, np.array(removed, np.int64))
 

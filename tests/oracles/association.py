@@ -11,7 +11,7 @@ import functools
 import numpy as np
 from scipy.stats import chi2
 
-from slam_gym.types import NONE, Array, IntArray, Nearby, Prediction, Scan
+from slam_gym.types import NONE, Array, Prediction, Scan
 
 
 def problem(
@@ -43,23 +43,16 @@ def problem(
     real = rng.permutation(min(m, n))[: round((1.0 - spurious) * min(m, n))]
     for i, j in zip(real, rng.permutation(n)):
         points[i] = drawn.reshape(-1, 2)[j] + np.linalg.cholesky(R[i]) @ rng.standard_normal(2)
-    unknown = np.full(n, np.nan)
-    blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-
-    def joint(rows: IntArray) -> Array:
-        entries = (2 * rows[:, None] + np.arange(2)).ravel()
-        return np.ascontiguousarray(P[np.ix_(entries, entries)])
-
     features = np.sort(rng.permutation(3 * n)[:n])
-    prediction = Prediction(features, positions, blocks, unknown, unknown, joint)
+    prediction = dataclasses.replace(Prediction.from_gaussian(positions, P), features=features)
     if locality:
         group, stray = rng.integers(0, 3, n), rng.random((n, n)) < 0.1
         related = (group[:, None] == group) | stray | stray.T
         near = (group == 0) & (rng.random(n) < 0.9)
         prediction = dataclasses.replace(
-            prediction, locality=Nearby(near, lambda rows: np.ascontiguousarray(related[np.ix_(rows, rows)]))
+            prediction, near=near, local=lambda rows: np.ascontiguousarray(related[np.ix_(rows, rows)])
         )
-    return Scan(points, R, np.full(m, np.nan), np.full(m, np.nan)), prediction
+    return Scan.from_points(points, R), prediction
 
 
 def _covariance(rng: np.random.Generator, sigma: float) -> Array:

@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.association import jcbb, true_association
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, locality_sizes
 from slam_gym.mapping.map_joining import join
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.metrics.association import Identities, Tally
 from slam_gym.metrics.consistency import anees_interval, nees
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.duplicates import find_duplicates
 from slam_gym.slam.local_maps import LocalMapSlam
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -29,23 +28,23 @@ class Loop:
     """One loop through the corridor of the reference experiment in local maps."""
 
     def __init__(self, seed: int, features_per_map: int | None, *, truth: bool = True, ask: int | None = None) -> None:
-        rng, self.identities, self.tally = np.random.default_rng(seed), Identities(), Tally()
+        rng = np.random.default_rng(seed)
         spec = SlamSpec(MapSpec(unconfirmed_age=None), reach=corridor.RANGE)
-        self.slam = LocalMapSlam(spec, functools.partial(jcbb, confidence=0.99), features_per_map)
+        self.slam = LocalMapSlam(spec, features_per_map)
+        judged = JudgedSlam(self.slam, "true_association" if truth else "jcbb")
+        self.identities = judged.identities
         self.pose, self.starts, self.views, self.scans = np.zeros(3), [np.zeros(3)], [], []
         for step, (odometry, scan, seen) in enumerate(corridor.walk_round(rng)):
             if ask and step and step % ask == 0:
                 self.slam.new_map()
             self.pose = seen.pose
             self.scans.append(seen.sources)
-            known = self.identities.source_of(self.slam.map.ids)
-            right = functools.partial(true_association, sources=seen.sources, identities=known)
             before = len(self.slam.maps)
-            result = self.slam.step(odometry, scan, right if truth else None)
+            judged.step(odometry, scan, seen)
             if len(self.slam.maps) > before:
                 self.starts.append(self.pose)  # true pose of the base
                 self.views.append(seen.sources)
-            self.tally += self.identities.update(result, seen)
+        self.tally = judged.tally
 
     def joined_error(self) -> tuple[Array, Array, Array]:
         """Error of the joined map (robot, oldest feature of each source), its covariance, source of every feature."""
@@ -173,7 +172,7 @@ def test_a_new_map_on_demand() -> None:
 
 
 def test_one_map_is_plain_slam() -> None:
-    local, plain = LocalMapSlam(SlamSpec(), jcbb, None), Slam(SlamSpec(), jcbb)
+    local, plain = LocalMapSlam(SlamSpec(), None), Slam(SlamSpec())
     for odometry, scan, _ in corridor.walk_round(np.random.default_rng(5)):
         ours, theirs = local.step(odometry, scan), plain.step(odometry, scan)
         np.testing.assert_array_equal(ours.ids, theirs.ids)
@@ -183,7 +182,7 @@ def test_one_map_is_plain_slam() -> None:
 
 
 def test_a_bad_scan_is_refused_before_a_new_map_begins() -> None:
-    slam = LocalMapSlam(SlamSpec(), jcbb, 1)
+    slam = LocalMapSlam(SlamSpec(), 1)
     still, unknown = Odometry(np.zeros(3), 1e-4 * np.eye(3)), np.full(1, np.nan)
     good = Scan(np.ones((1, 2)), np.eye(2)[None], unknown, unknown)
     slam.step(still, good)
@@ -193,7 +192,7 @@ def test_a_bad_scan_is_refused_before_a_new_map_begins() -> None:
     assert len(slam.maps) == 1
     np.testing.assert_array_equal(slam.map.pose_covariance, before)
     with pytest.raises(ValueError, match="features_per_map"):
-        LocalMapSlam(SlamSpec(), jcbb, 0)
+        LocalMapSlam(SlamSpec(), 0)
 
 
 # --- duplicates -------------------------------------------------------------------------------------------------------

@@ -5,24 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.slam.lost import Tracking
-from slam_gym.types import NONE, Effort, Hypothesis, Prediction
+from slam_gym.slam.lost import Tracker
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Prediction
 
 FEATURES = 10
 
 
 def prediction(visibility=None) -> Prediction:
-    unknown = np.full(FEATURES, np.nan)
-    covariances = np.tile(0.01 * np.eye(2), (FEATURES, 1, 1))
     positions = np.random.default_rng(0).uniform(-5, 5, (FEATURES, 2))
-    return Prediction(
-        np.arange(FEATURES), positions, covariances, unknown, unknown, lambda rows: np.eye(2 * len(rows)),
-        visibility=visibility,
-    )  # fmt: skip
+    made = Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
+    return made if visibility is None else replace(made, view=lambda positions, covariances: visibility)
 
 
 def paired(count: int) -> Hypothesis:
-    decisions = np.where(np.arange(FEATURES) < count, np.arange(FEATURES), NONE)
+    decisions = np.where(np.arange(FEATURES) < count, np.arange(FEATURES), UNPAIRED)
     return Hypothesis(decisions, 0.0, 2 * count, Effort())
 
 
@@ -30,59 +26,59 @@ EVERY = np.ones(FEATURES, bool)
 
 
 def test_features_out_of_view_are_no_reason_to_doubt() -> None:
-    tracking = Tracking(0.3, 3, 4)
+    tracker = Tracker(0.3, 3, 4)
     for _ in range(20):
-        assert not tracking.doubts(prediction(np.full(FEATURES, 0.05)), paired(0), EVERY)
-    assert not tracking.lost
+        assert not tracker.doubts(prediction(np.full(FEATURES, 0.05)), paired(0), EVERY)
+    assert not tracker.lost
 
 
 def test_a_scan_of_strangers_right_after_one_that_knew_its_way_is() -> None:
-    tracking, out_of_view = Tracking(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
-    assert not tracking.doubts(out_of_view, paired(4), EVERY)
-    assert tracking.doubts(out_of_view, paired(0), EVERY)
-    assert not tracking.doubts(out_of_view, paired(3), EVERY)
+    tracker, out_of_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
+    assert not tracker.doubts(out_of_view, paired(4), EVERY)
+    assert tracker.doubts(out_of_view, paired(0), EVERY)
+    assert not tracker.doubts(out_of_view, paired(3), EVERY)
 
 
 def test_a_scan_that_mostly_makes_sense_is_not_doubted_for_what_it_does_not_show() -> None:
-    half = replace(paired(2), features=np.array([0, 1, NONE, NONE]))
-    assert not Tracking(0.3, 3, 4).doubts(prediction(np.full(FEATURES, 0.9)), half, EVERY)
+    half = replace(paired(2), features=np.array([0, 1, UNPAIRED, UNPAIRED]))
+    assert not Tracker(0.3, 3, 4).doubts(prediction(np.full(FEATURES, 0.9)), half, EVERY)
 
 
 def test_neither_are_features_that_are_not_established_nor_too_few_to_tell() -> None:
-    tracking, in_view = Tracking(0.3, 1, 4), prediction(np.full(FEATURES, 0.9))
-    assert not tracking.doubts(in_view, paired(0), ~EVERY)
-    assert not tracking.doubts(in_view, paired(0), np.arange(FEATURES) < 3)
-    assert tracking.doubts(in_view, paired(0), np.arange(FEATURES) < 4)
+    tracker, in_view = Tracker(0.3, 1, 4), prediction(np.full(FEATURES, 0.9))
+    assert not tracker.doubts(in_view, paired(0), ~EVERY)
+    assert not tracker.doubts(in_view, paired(0), np.arange(FEATURES) < 3)
+    assert tracker.doubts(in_view, paired(0), np.arange(FEATURES) < 4)
 
 
 @pytest.mark.parametrize(("count", "doubted"), [(2, True), (3, False)])
-def test_the_share_decides(count: int, doubted: bool) -> None:
-    assert Tracking(0.3, 3, 4).doubts(prediction(np.full(FEATURES, 0.9)), paired(count), EVERY) is doubted
+def test_the_fraction_decides(count: int, doubted: bool) -> None:
+    assert Tracker(0.3, 3, 4).doubts(prediction(np.full(FEATURES, 0.9)), paired(count), EVERY) is doubted
 
 
-def test_lost_after_so_many_in_a_row_and_found_only_by_a_larger_share() -> None:
-    tracking, in_view = Tracking(0.3, 3, 4), prediction(np.full(FEATURES, 0.9))
+def test_lost_after_so_many_in_a_row_and_found_only_by_a_larger_fraction() -> None:
+    tracker, in_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.9))
     for doubts in (1, 2):
-        assert tracking.doubts(in_view, paired(0), EVERY) and tracking.doubted == doubts and not tracking.lost
-    assert not tracking.doubts(in_view, paired(3), EVERY) and tracking.doubted == 0
+        assert tracker.doubts(in_view, paired(0), EVERY) and tracker.doubted == doubts and not tracker.lost
+    assert not tracker.doubts(in_view, paired(3), EVERY) and tracker.doubted == 0
     for _ in range(3):
-        tracking.doubts(in_view, paired(0), EVERY)
-    assert tracking.lost
-    assert tracking.doubts(in_view, paired(3), EVERY) and tracking.lost  # that many pair by chance now and then
-    assert not tracking.doubts(in_view, paired(8), EVERY) and not tracking.lost
+        tracker.doubts(in_view, paired(0), EVERY)
+    assert tracker.lost
+    assert tracker.doubts(in_view, paired(3), EVERY) and tracker.lost  # that many pair by chance now and then
+    assert not tracker.doubts(in_view, paired(8), EVERY) and not tracker.lost
 
 
 def test_a_lost_robot_stays_lost_where_nothing_is_expected() -> None:
-    tracking = Tracking(0.3, 1, 4)
-    tracking.doubts(prediction(np.full(FEATURES, 0.9)), paired(0), EVERY)
-    assert tracking.lost and tracking.doubts(prediction(np.zeros(FEATURES)), paired(0), EVERY)
+    tracker = Tracker(0.3, 1, 4)
+    tracker.doubts(prediction(np.full(FEATURES, 0.9)), paired(0), EVERY)
+    assert tracker.lost and tracker.doubts(prediction(np.zeros(FEATURES)), paired(0), EVERY)
 
 
 def test_without_visibilities_what_was_paired_last_is_expected() -> None:
-    tracking = Tracking(0.3, 1, 4)
-    assert not tracking.doubts(prediction(), paired(8), EVERY)
-    assert tracking.doubts(prediction(), paired(0), EVERY)
-    unseen = Tracking(0.3, 1, 4)
+    tracker = Tracker(0.3, 1, 4)
+    assert not tracker.doubts(prediction(), paired(8), EVERY)
+    assert tracker.doubts(prediction(), paired(0), EVERY)
+    unseen = Tracker(0.3, 1, 4)
     assert not unseen.doubts(prediction(), paired(3), EVERY)
     assert not unseen.doubts(prediction(), paired(0), EVERY)  # three are too few
-    assert Tracking(0.3, 1, 4).doubts(prediction(), paired(0), EVERY) is False  # nothing was paired before
+    assert Tracker(0.3, 1, 4).doubts(prediction(), paired(0), EVERY) is False  # nothing was paired before

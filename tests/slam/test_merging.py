@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import slam_gym  # noqa: F401  (registers the environments)
-from slam_gym.association import jcbb
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.bench.speed.step import Pilot
 from slam_gym.geometry import relative, transform, wrap_angle
@@ -126,7 +125,7 @@ def test_local_maps_of_one_run_join_in_an_office_and_close_its_loops() -> None:
     """The log of a robot, replayed in local maps: joined it is as good a map; and where two local maps that do not
     follow each other overlap, the search finds their relation without being told how the robot came."""
     r = robot(4, 0)
-    slam = LocalMapSlam(OFFICE.slam, functools.partial(jcbb, confidence=0.99), 25)
+    slam = LocalMapSlam(OFFICE.slam, 25)
     graphs, starts = [slam.slam.covisibility], [r.poses[0]]
     for pose, (odometry, scan) in zip(r.poses, r.log):
         slam.step(odometry, scan)
@@ -154,7 +153,7 @@ def test_a_search_among_local_maps_loses_pairings_at_their_borders() -> None:
     Away from borders the two do equally well.
     """
     r = robot(4, 0)
-    slam, borders = LocalMapSlam(OFFICE.slam, functools.partial(jcbb, confidence=0.99), 20), []
+    slam, borders = LocalMapSlam(OFFICE.slam, 20), []
     for step, (odometry, scan) in enumerate(r.log):
         before = len(slam.maps)
         slam.step(odometry, scan)

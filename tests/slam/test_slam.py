@@ -1,6 +1,8 @@
 """One SLAM step: what is paired, what starts a feature, what is forgotten, what is refused."""
 
+import gc
 from dataclasses import replace
+from types import FunctionType, ModuleType
 
 import numpy as np
 import pytest
@@ -8,21 +10,19 @@ import pytest
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.bench.consistency.corridor import run
 from slam_gym.geometry import compose, observe
-from slam_gym.mapping.stochastic_map import MapSpec
-from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NONE, Effort, Hypothesis, Odometry, Scan
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.slam.slam import Slam, SlamSpec, send
+from slam_gym.types import NO_ID, UNPAIRED, Effort, Hypothesis, Odometry, Scan
 
 STILL = Odometry(np.zeros(3), np.diag([1e-4, 1e-4, 1e-5]))
 
 
 def scan_of(points, sigma: float = 0.02) -> Scan:
-    points = np.array(points, float).reshape(-1, 2)
-    unknown = np.full(len(points), np.nan)
-    return Scan(points, np.tile(np.eye(2) * sigma**2, (len(points), 1, 1)), unknown, unknown)
+    return Scan.from_points(points, sigma=sigma)
 
 
-def slam_of(associate=jcbb, **settings) -> Slam:
-    return Slam(SlamSpec(**settings), associate)
+def slam_of(**settings) -> Slam:
+    return Slam(SlamSpec(**settings))
 
 
 def test_first_scan_starts_a_feature_for_every_measurement() -> None:
@@ -48,8 +48,8 @@ def test_compatible_but_unpaired_is_discarded_and_starts_nothing() -> None:
     slam.step(STILL, scan_of([[2, 0]]))
     # two measurements compete for one feature: JCBB pairs the nearer, the other is compatible with it
     step = slam.step(STILL, scan_of([[2.0, 0.0], [2.03, 0.0]]))
-    np.testing.assert_array_equal(step.hypothesis.features, [0, NONE])
-    assert step.ids[1] == NONE and not step.created.any() and slam.map.n == 1
+    np.testing.assert_array_equal(step.hypothesis.features, [0, UNPAIRED])
+    assert step.ids[1] == NO_ID and not step.created.any() and slam.map.n == 1
 
 
 def test_unconfirmed_features_are_dropped_and_everything_is_renumbered() -> None:
@@ -69,13 +69,14 @@ def test_locality_offers_first_what_is_near_what_was_just_paired() -> None:
     slam = slam_of(recent=1, reach=20.0)
     slam.step(STILL, scan_of([[1, 0], [2, 1]]))
     slam.step(STILL, scan_of([[10, 0], [11, 1]]))
-    prediction = slam.predict_features()
+    prediction = slam.predict_features(scan_of([]))
     np.testing.assert_array_equal(prediction.features, [0, 1, 2, 3])
-    np.testing.assert_array_equal(prediction.locality.near, [False, False, True, True])
-    among = prediction.locality.among(np.array([0, 1, 2]))
+    np.testing.assert_array_equal(prediction.near, [False, False, True, True])
+    among = prediction.local(np.array([0, 1, 2]))
     np.testing.assert_array_equal(among, [[True, True, False], [True, True, False], [False, False, True]])
     slam.spec = replace(slam.spec, locality=False)
-    assert slam.predict_features().locality is None
+    prediction = slam.predict_features(scan_of([]))
+    assert prediction.local is None and prediction.near.all()
 
 
 @pytest.mark.parametrize(
@@ -86,6 +87,7 @@ def test_locality_offers_first_what_is_near_what_was_just_paired() -> None:
         (lambda s: s.covariances.__setitem__((1, 0, 1), 0.1), "measurement 1: covariance is not symmetric"),
         (lambda s: s.covariances.__setitem__((0, 0, 0), -1.0), "measurement 0: covariance is not PSD"),
         (lambda s: s.covariances.__setitem__(0, [[1, 2], [2, 1]]), "measurement 0: covariance is not PSD"),
+        (lambda s: s.covariances.__setitem__(0, np.diag([1e-12, 1e12])), "measurement 0: covariance has a condition"),
         (lambda s: s.covariances.__setitem__(0, [[1, 2e-6], [2e-6, 1e-12]]), "measurement 0: covariance is not PSD"),
     ],
 )
@@ -99,6 +101,82 @@ def test_a_bad_scan_is_refused_by_name_and_changes_nothing(spoil, message) -> No
         slam.step(STILL, bad)
     np.testing.assert_array_equal(slam.map.mean, mean)
     np.testing.assert_array_equal(slam.map.covariance, covariance)
+
+
+@pytest.mark.parametrize(
+    ("decisions", "message"),
+    [
+        (np.array([0]), "expected \\(2,\\) signed integers"),
+        (np.array([[0, 1]]), "expected"),
+        (np.array([0.0, 1.0]), "float64"),
+        (np.array([0, 1], np.uint8), "uint8"),
+        ([0, 1], "list"),
+        (np.array([0, 2]), "features\\[1\\]: 2, expected −1 … 1"),
+        (np.array([-2, 0]), "features\\[0\\]: -2"),
+        (np.array([1, 1]), "feature 1 is paired twice"),
+    ],
+)
+def test_a_hypothesis_that_does_not_fit_is_refused_by_name(decisions, message) -> None:
+    slam = slam_of()
+    slam.step(STILL, scan_of([[1, 0], [2, 1]]))
+    with pytest.raises(ValueError, match=message):
+        slam.step(STILL, scan_of([[1, 0], [2, 1]]), lambda scan, prediction: Hypothesis(decisions, 0.0, 0, Effort()))
+    assert slam.map.n == 2 and (slam.map.seen == 1).all()
+
+
+def test_a_hypothesis_may_say_itself_what_is_new() -> None:
+    def first_is_new(scan: Scan, prediction) -> Hypothesis:
+        return Hypothesis(np.full(2, UNPAIRED), 0.0, 0, Effort(), new=np.array([True, False]))
+
+    slam = slam_of()
+    slam.step(STILL, scan_of([[1, 0], [2, 1]]))
+    assert slam.step(STILL, scan_of([[1, 0], [5, 5]]), first_is_new).created.tolist() == [True, False]
+
+
+def test_without_a_reach_what_was_seen_once_is_found_again_however_far() -> None:
+    slam = slam_of(map=MapSpec(unconfirmed_age=2))
+    for _ in range(5):
+        step = slam.step(STILL, scan_of([[9, 0], [2, 1]]))
+    assert not step.created.any() and slam.map.n == 2 and (slam.map.seen == 5).all()
+
+
+def test_a_reach_shorter_than_the_sensor_s_is_warned_of() -> None:
+    slam = slam_of(reach=6.0)
+    with pytest.warns(UserWarning, match="reach"):
+        slam.step(STILL, scan_of([[9, 0], [2, 1]]))
+
+
+def test_a_step_that_asks_is_the_same_step() -> None:
+    told, asked = slam_of(), slam_of()
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        scan = scan_of([[1, 0], [2, 1], [0, -3]] + 0.02 * rng.standard_normal((3, 2)))
+        told.step(STILL, scan, "jcbb")
+        pending = asked.asking_step(STILL, scan)
+        send(pending, jcbb(scan, next(pending)))
+    np.testing.assert_array_equal(told.map.mean, asked.map.mean)
+    np.testing.assert_array_equal(told.map.covariance, asked.map.covariance)
+
+
+def test_an_associator_finds_no_way_to_the_map() -> None:
+    """Neither by attributes, nor through closures, nor by what the garbage collector knows to be referred to."""
+    found: list[object] = []
+
+    def spy(scan: Scan, prediction) -> Hypothesis:
+        todo, seen = [scan, prediction], set()
+        while todo:
+            thing = todo.pop()
+            if id(thing) in seen or isinstance(thing, (type, ModuleType, FunctionType)):
+                continue
+            seen.add(id(thing))
+            found.append(thing)
+            todo += gc.get_referents(thing)
+        return jcbb(scan, prediction)
+
+    slam = slam_of()
+    for _ in range(3):
+        slam.step(STILL, scan_of([[1, 0], [2, 1]]), spy)
+    assert len(found) > 20 and not any(isinstance(thing, (Slam, StochasticMap)) for thing in found)
 
 
 @pytest.mark.parametrize(
@@ -125,27 +203,6 @@ def test_empty_scans_are_fine() -> None:
         step = slam.step(STILL, scan_of(points))
         assert len(step.ids) == len(points)
     assert slam.map.n == 1
-
-
-def test_relocation_is_called_when_pairings_collapse_and_only_then() -> None:
-    calls = []
-
-    def relocate(slam: Slam, scan: Scan) -> Hypothesis:
-        calls.append(slam.map.step)
-        return Hypothesis(np.array([1, 0]), 0.0, 4, Effort())
-
-    slam = Slam(SlamSpec(collapse_scans=3, collapse_least=2), jcbb, relocate)
-    here, elsewhere = scan_of([[1, 0], [2, 1]]), scan_of([[4, 4], [5, 3]])
-    for _ in range(5):
-        slam.step(STILL, here)
-    assert not calls
-    paired = []
-    for turn in range(3):
-        # a different place each time, so that what the last scan started is no help
-        step = slam.step(STILL, scan_of(elsewhere.points + 3.0 * turn))
-        paired.append(step.hypothesis.features.tolist())
-    assert calls == [7]
-    assert paired == [[NONE, NONE], [NONE, NONE], [1, 0]]
 
 
 def test_jcbb_maps_the_corridor_where_nearest_neighbour_fails() -> None:
@@ -203,29 +260,15 @@ def test_a_drive_in_a_known_world_stays_accurate() -> None:
     assert np.median(distances) < 0.1
 
 
-def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pose() -> None:
-    here, moved = scan_of([[1, 0], [2, 1]]), Odometry(np.array([0.0, 8.0, 0.0]), 1e-4 * np.eye(3))
-
-    def relocate(slam: Slam, scan: Scan) -> Hypothesis:
-        slam.map.predict(Odometry(-moved.motion, 1e-4 * np.eye(3)))  # back to where the scan makes sense
-        return Hypothesis(np.array([0, NONE]), 0.0, 2, Effort())
-
-    slam = Slam(SlamSpec(collapse_scans=1, collapse_least=2, reach=20.0), jcbb, relocate)
-    slam.step(STILL, here)
-    slam.step(STILL, here)
-    step = slam.step(moved, here)
-    assert not step.created.any() and slam.map.n == 2  # the second measurement fits feature 1, once relocated
-
-
 @pytest.mark.parametrize(
     "settings",
     [
         {"reach": np.nan},
         {"new_confidence": 1.0},
-        {"collapse": 1.5},
+        {"lost_fraction": 1.5},
         {"recent": 0},
-        {"collapse_scans": 0},
-        {"collapse_least": 0},
+        {"lost_scans": 0},
+        {"min_expected": 0},
     ],
 )
 def test_settings_that_cannot_be_are_refused_by_name(settings) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import UNKNOWN, Array, IntArray, Landmarks, Locality, Scan
+from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import check_scan
 
 _TOLERANCE = 1e-9  # of a negative determinant, relative to the variances' product
@@ -55,7 +55,7 @@ def scan_arrays(scan: Scan) -> ScanArrays:
     """
     check_scan(scan)
     m = len(scan)
-    kinds = np.full(m, UNKNOWN) if scan.kinds is None else integers(scan.kinds)
+    kinds = integers(scan.kinds)
     if kinds.shape != (m,):
         raise ValueError(f"Scan.kinds: shape {kinds.shape}, expected ({m},)")
     if np.any(scan.size_variances < 0.0):

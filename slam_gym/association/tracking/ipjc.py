@@ -27,7 +27,7 @@ def ipjc(
     turns out to have turned by φ. Here D²_H is the least value of the cost of which an EKF update is one Gauss-Newton
     step: of prior and measurements together, over pose and features. Everything is linear but for the heading, so the
     optimum is found in one dimension (`posterior_search`); where the heading is known, this is JCBB. It needs
-    `Prediction.heading`; a prediction without it is taken for linear, which is JCBB again. Candidates must pass the
+    `Prediction.heading_variance`; a prediction where it is 0 is linear, which is JCBB again. Candidates must pass the
     individual gate at the predicted pose, as in `jcbb`.
 
     `joint_distance` is D²_H so optimised. `node_limit`, `locality`, `effort.limit_hit` and errors are those of `jcbb`.
@@ -73,9 +73,7 @@ def _given_heading(tree: Tree, slots: IntArray, measured: IntArray) -> tuple[flo
     z, at = tree.scan.points[measured], tree.prediction.positions[tree.rows]
     errors = np.zeros((len(slots), 2, 4))
     errors[:, :, 0] = z - at[slots]
-    if tree.prediction.heading is None:
-        return 0.0, errors, tree.covariance
-    variance, across = tree.prediction.heading(tree.rows)
+    variance, across = tree.prediction.heading_variance, tree.prediction.heading_covariances[tree.rows]
     if not variance > 0.0:
         return 0.0, errors, tree.covariance
     turning = np.column_stack([-at[:, 1], at[:, 0]]) + across / variance

@@ -6,8 +6,8 @@ A hypothesis H over a scan has the density (up to a constant)
 
 with λ [1/m²] the density of what is not in the map, clutter and new features together, P_D the probability that the
 detector reports a feature in view, and v_j the probability that feature j is in view: from where the hypothesis itself
-puts the robot, if the prediction can tell (`Prediction.view`), or else from the predicted pose (`.visibility`). Where
-neither is known, nothing is concluded from what was not seen: factors are P_D for paired and 1 for other features.
+puts the robot, if the prediction can tell (`Prediction.view`). Where
+it is not known, nothing is concluded from what was not seen: factors are P_D for paired and 1 for other features.
 """
 
 from __future__ import annotations
@@ -154,13 +154,10 @@ def _check(detection: float, unseen: float, clutter: float, new: float, width: i
 
 def _gains(prediction: Prediction, detection: float, unseen: float) -> tuple[Array, float]:
     """What pairing each predicted feature adds to the log density (k,), and that of pairing none of them."""
-    v = prediction.visibility
+    v = prediction.visibility()
     if v is not None and (v.shape != (len(prediction),) or not ((v >= 0.0) & (v <= 1.0)).all()):
         raise ValueError(f"prediction.visibility: {len(prediction)} probabilities expected, got {v.tolist()}")
-    if v is None or prediction.view is not None:
-        return np.full(len(prediction), math.log(detection)), 0.0
-    missed = np.log1p(-detection * v)
-    return np.log(detection * np.maximum(v, unseen)) - missed, float(missed.sum())
+    return np.full(len(prediction), math.log(detection)), 0.0
 
 
 def _search(tree: Tree, model: _Model) -> tuple[IntArray, Effort, _Ranking]:
@@ -195,9 +192,7 @@ def _search(tree: Tree, model: _Model) -> tuple[IntArray, Effort, _Ranking]:
 def _in_view(tree: Tree, beam: Beam, view: Callable[[Array, Array], Array], model: _Model) -> Array:
     """What each hypothesis (b,) gains or loses by what should be in view from where it puts the robot."""
     prediction, detection = tree.prediction, model.detection
-    possible = np.ones(len(prediction), np.bool_)
-    if prediction.visibility is not None:
-        possible = prediction.visibility > _HARDLY
+    possible = view(prediction.positions, prediction.covariances) > _HARDLY
     possible[tree.rows] = False
     rows = np.concatenate((tree.rows, np.flatnonzero(possible)))
     positions, covariance = prediction.positions[rows], prediction.joint(rows) if len(rows) else np.empty((0, 0))

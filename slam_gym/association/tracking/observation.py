@@ -58,7 +58,7 @@ POSITION_SCALE, SIGMA_SCALE, INNOVATION_SCALE, SIZE_SCALE = 6.0, 0.1, 0.3, 1.0  
 AGE_SCALE = 50.0  # [steps]
 COUNT_SCALE, FEW_SCALE = 10.0, 3.0
 
-_ALL_LOCAL, _ALL_NEAR, _NO_AGES = np.empty((0, 0), np.bool_), np.empty(0, np.bool_), np.empty(0, np.int64)
+_ALL_LOCAL = np.empty((0, 0), np.bool_)
 
 
 def lengths(candidates: int) -> dict[str, int]:
@@ -82,7 +82,6 @@ def encode(walk: Walk) -> Observation:
         return nothing(walk.K)
     tree, offered, path = walk.tree, walk.offered, walk.path
     scan, prediction, i = tree.scan, tree.prediction, walk.measurement
-    locality, ages = prediction.locality, prediction.ages
     support, rivals, without, left = walk.outlook()
     starts, level = walk.candidates.starts, walk.level
     candidates = _candidates(
@@ -100,9 +99,9 @@ def encode(walk: Walk) -> Observation:
         scan.size_variances[i],
         prediction.sizes,
         prediction.size_variances,
-        _ALL_LOCAL if locality is None else walk.local(),
-        _ALL_NEAR if locality is None else locality.near,
-        _NO_AGES if ages is None else ages,
+        _ALL_LOCAL if prediction.local is None else walk.local(),
+        prediction.near,
+        prediction.ages,
         support,
         rivals,
         left,

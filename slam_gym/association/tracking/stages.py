@@ -35,7 +35,7 @@ def in_stages(
     """
     if locality not in ("covisibility", None):
         raise ValueError(f"locality: {locality!r} is neither 'covisibility' nor None")
-    near = prediction.locality.near if locality and prediction.locality else None
+    near = prediction.near if locality and prediction.local is not None else None
     candidates = individual(scan, prediction, gate, eligible=near)
     rows, effort, found = search(interpretation_tree(scan, prediction, candidates, confidence))
     left = np.flatnonzero(rows == NONE)

@@ -6,16 +6,19 @@ import numpy as np
 
 from slam_gym.association.compatibility import joint_distance
 from slam_gym.association.tree import as_hypothesis
-from slam_gym.types import NONE, Effort, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
 
-def true_association(scan: Scan, prediction: Prediction, *, sources: IntArray, identities: IntArray) -> Hypothesis:
+def true_association(
+    scan: Scan, prediction: Prediction, *, sources: IntArray, identities: IntArray, new_features: bool = False
+) -> Hypothesis:
     """Each measurement is paired with the predicted map feature that came from the same true feature.
 
     Arguments:
         sources: (m,) true feature behind each measurement; negative = spurious or unlabelled.
         identities: (n,) true feature behind each feature of the map; negative = spurious or unlabelled. Where several
             map features came from one, the first counts.
+        new_features: say as well which measurements start a feature: the first of each source that the map has not.
 
     Raises ValueError where the sources do not match the scan.
     """
@@ -24,6 +27,15 @@ def true_association(scan: Scan, prediction: Prediction, *, sources: IntArray, i
     row_of: dict[int, int] = {}
     for row, source in enumerate(identities[prediction.features].tolist()):
         row_of.setdefault(source, row)
-    rows = np.array([row_of.get(s, NONE) if s >= 0 else NONE for s in sources.tolist()], np.int64)
+    rows = np.array([row_of.get(s, UNPAIRED) if s >= 0 else UNPAIRED for s in sources.tolist()], np.int64)
     distance, _ = joint_distance(scan, prediction, rows)
-    return as_hypothesis(prediction, rows, distance, Effort(nodes=len(rows)))
+    new = _first_seen(sources, identities) if new_features else None
+    return as_hypothesis(prediction, rows, distance, Effort(nodes=len(rows)), exclusive=False, new=new)
+
+
+def _first_seen(sources: IntArray, identities: IntArray) -> BoolArray:
+    """(m,) the first measurement of each labelled source that no feature of the map has."""
+    unmapped = np.flatnonzero((sources >= 0) & ~np.isin(sources, identities))
+    new = np.zeros(len(sources), np.bool_)
+    new[unmapped[np.unique(sources[unmapped], return_index=True)[1]]] = True
+    return new

@@ -130,7 +130,7 @@ class Walk:
     def hypothesis(self) -> Hypothesis:
         """The answer that the path amounts to, with `*` for what is undecided."""
         effort = Effort(self.level, self.candidates.tests, self._tests)
-        return as_hypothesis(self.tree.prediction, self.decided, self.distance, effort)
+        return as_hypothesis(self.tree.prediction, self.decided, self.distance, effort, exclusive=self.joint)
 
     def outlook(self) -> tuple[IntArray, IntArray, int, int]:
         """See `conditioning.outlook`: support and rivals (k,) of those on offer, support of none of them, levels left.
@@ -151,9 +151,9 @@ class Walk:
     def local(self) -> BoolArray:
         """(u, u) which of the tree's slots are local to each other. Raises ValueError without locality."""
         if self._local is None:
-            if self.tree.prediction.locality is None:
+            if self.tree.prediction.local is None:
                 raise ValueError("the prediction has no locality")
-            self._local = self.tree.prediction.locality.among(self.tree.rows)
+            self._local = self.tree.prediction.local(self.tree.rows)
         return self._local
 
     def _pair(self, c: int) -> None:

@@ -7,28 +7,21 @@ the *covariance* that the filter is told; the noise drawn is always the same.
 from __future__ import annotations
 
 import argparse
-import functools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym.association import jcbb, nearest_neighbour, singles, true_association
 from slam_gym.mapping.stochastic_map import MapSpec
-from slam_gym.metrics.association import Identities, Tally
+from slam_gym.metrics.association import Tally
 from slam_gym.metrics.consistency import pose_nees
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import Array, Hypothesis, IntArray
+from slam_gym.types import Array, IntArray
 from slam_gym.world.corridor import RANGE, polar_scan, walk_round
 
 __all__ = ["polar_scan", "run", "summary"]
 
-ASSOCIATORS: dict[str, Callable[..., Hypothesis] | None] = {
-    "nearest_neighbour": nearest_neighbour,
-    "singles": singles,
-    "jcbb": jcbb,
-    "true_association": None,  # needs the truth of each scan
-}
+ASSOCIATORS = ("nearest_neighbour", "singles", "jcbb", "true_association")
 
 BANDS = {
     "nearest_neighbour": "features ≥ 103, FP ≥ 10 × JCBB's",
@@ -54,16 +47,11 @@ def run(associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, lo
     """One loop through the corridor with one of `ASSOCIATORS`."""
     rng = np.random.default_rng(seed)
     spec = SlamSpec(MapSpec(confidence=confidence), reach=RANGE, locality=locality)
-    chosen = ASSOCIATORS[associator]
-    slam = Slam(spec, functools.partial(chosen, confidence=confidence) if chosen else nearest_neighbour)
-    identities, tally = Identities(), Tally()
+    slam = Slam(spec)
+    judged = JudgedSlam(slam, associator)
     poses, estimates = [], []
     for step, (odometry, scan, truth) in enumerate(walk_round(rng, q)):
-        associate = None
-        if chosen is None:
-            known = identities.source_of(slam.map.ids)
-            associate = functools.partial(true_association, sources=truth.sources, identities=known)
-        tally += identities.update(slam.step(odometry, scan, associate), truth)
+        judged.step(odometry, scan, truth)
         poses.append(truth.pose)
         estimates.append(slam.map.pose)
         if step == 0:
@@ -72,7 +60,7 @@ def run(associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, lo
             nees.append(pose_nees(slam.map.pose, slam.map.pose_covariance, truth.pose))
     errors = np.array(estimates) - np.array(poses)
     errors[:, 2] = np.arctan2(np.sin(errors[:, 2]), np.cos(errors[:, 2]))
-    return Run(slam, tally, errors, np.array(nees), np.array(poses), np.array(estimates))
+    return Run(slam, judged.tally, errors, np.array(nees), np.array(poses), np.array(estimates))
 
 
 def summary(associator: str, seeds: IntArray, q: float, confidence: float) -> dict[str, float]:

@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam_gym.association import jcbb, true_association
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.map_quality import landmark_rmse
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.duplicates import Duplicates
 from slam_gym.slam.local_maps import LocalMapSlam
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -76,22 +76,18 @@ _DOF = 3.0
 def run(log: Log, method: str, associator: str) -> tuple[Result, IntArray, Array]:
     """The result, and at each checkpoint the step (c,) and the estimated pose (c, 3) in B."""
     spec = replace(log.slam, map=replace(log.slam.map, first_estimate_jacobians=method == "first estimates"))
-    gated = functools.partial(jcbb, confidence=spec.map.confidence)
-    identities, base, spent = Identities(), log.looks[0][2].pose, 0.0
-    find = functools.partial(true_duplicates, identities=identities) if associator == "true association" else None
-    local = LocalMapSlam(spec, gated, log.features_per_map, find) if method == "local maps" else None
-    slam = local or Slam(spec, gated)
+    base, spent, told = log.looks[0][2].pose, 0.0, associator == "true association"
+    identities = Identities()
+    find = functools.partial(true_duplicates, identities=identities) if told else None
+    local = LocalMapSlam(spec, log.features_per_map, find) if method == "local maps" else None
+    slam = local or Slam(spec)
+    judged = JudgedSlam(slam, "true_association" if told else "jcbb", identities=identities)
     at = np.unique(np.linspace(0, len(log.looks) - 1, log.checkpoints + 1).round().astype(np.int64)[1:])
     checks, poses, nees, turns = set(at.tolist()), [], [], []
     for step, (odometry, scan, truth) in enumerate(log.looks):
-        associate = None
-        if associator == "true association":
-            known = identities.source_of(slam.map.ids)
-            associate = functools.partial(true_association, sources=truth.sources, identities=known)
         start = time.perf_counter()
-        done = slam.step(odometry, scan, associate)
+        judged.step(odometry, scan, truth)
         spent += time.perf_counter() - start
-        identities.update(done, truth)
         if step in checks:
             start = time.perf_counter()
             whole = slam.map if local is None else local.joined()

@@ -25,7 +25,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import slam_gym  # noqa: F401  (registers the environments)
-from slam_gym.association import jcbb
 from slam_gym.association.relocation.acceptance import min_pairings
 from slam_gym.association.relocation.location import locate
 from slam_gym.association.triangles.index import FeatureIndex
@@ -247,7 +246,7 @@ def _corridors(seeds: int) -> list[tuple[Landmarks, Asked]]:
     """Maps of the reference corridor by JCBB, and scans of a second walk through it with what they should pair."""
     maps = []
     for seed in range(seeds):
-        slam, identities = Slam(SlamSpec(reach=RANGE), jcbb), Identities()
+        slam, identities = Slam(SlamSpec(reach=RANGE)), Identities()
         for odometry, scan, truth in walk_round(np.random.default_rng(seed)):
             identities.update(slam.step(odometry, scan), truth)
         known = identities.source_of(slam.map.ids)

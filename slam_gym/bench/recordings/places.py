@@ -14,7 +14,6 @@ robot that stands still, one is taken. Groups of another set, whose landmarks st
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -23,10 +22,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from slam_gym.association import jcbb, true_association
 from slam_gym.geometry import compose, inverse, observe, transform, wrap_angle
 from slam_gym.mapping.locality import covisible, linked, same_local_map, within
-from slam_gym.metrics.association import Identities
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.recordings.least_squares import Optimum, least_squares
 from slam_gym.recordings.mrclam import stationary
@@ -34,6 +31,7 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.relocation_cases import RelocationCases
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.recorded import slam_for
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan, Truth
 
@@ -80,15 +78,12 @@ class Run:
 
 def run_slam(log: Recording, true: bool) -> Run:
     """A whole log with the true association, or with JCBB."""
-    slam, identities, poses = Slam(slam_for(log), jcbb), Identities(), []
+    slam, poses = Slam(slam_for(log)), []
+    judged = JudgedSlam(slam, "true_association" if true else "jcbb")
     for odometry, scan, sources in log.steps():
-        associate = None
-        if true:
-            known = identities.source_of(slam.map.ids)
-            associate = functools.partial(true_association, sources=sources, identities=known)
-        identities.update(slam.step(odometry, scan, associate), Truth(np.zeros(3), sources))
+        judged.step(odometry, scan, Truth(np.zeros(3), sources))
         poses.append(slam.map.pose)
-    return Run(slam, identities.source_of(slam.map.ids), np.array(poses))
+    return Run(slam, judged.identities.source_of(slam.map.ids), np.array(poses))
 
 
 def reference(log: Recording) -> Optimum:

@@ -96,13 +96,12 @@ def look(field: Field, m: int, setting: Setting, rng: np.random.Generator) -> Lo
     prediction = slam.prediction(reach)
 
     view = FieldOfView(FIELD_OF_VIEW, reach).in_view
-    visibility = view(prediction.positions, prediction.covariances)
-    return Look(scan, dataclasses.replace(prediction, visibility=visibility, view=view), truth[order])
+    return Look(scan, dataclasses.replace(prediction, view=view), truth[order])
 
 
 def _blind(associator: Associator) -> Associator:
     """The associator, not told what is in view."""
-    return lambda scan, prediction: associator(scan, dataclasses.replace(prediction, visibility=None, view=None))
+    return lambda scan, prediction: associator(scan, dataclasses.replace(prediction, view=None))
 
 
 def associators() -> dict[str, Associator]:

@@ -1,0 +1,71 @@
+"""What users hand in as arrays, taken apart: lists and numbers become fresh arrays of known shape, or a clear error."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+UNKNOWN_KIND = -2
+"""The kind of what could not be classified."""
+
+
+def floats(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """A fresh float array of that shape, −1 standing for any length. Raises ValueError naming the argument."""
+    try:
+        out = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected numbers of shape {_spoken(shape)}, got {value!r}") from error
+    if out.ndim == 1 and out.size == 0 and 0 in shape:  # an empty list says nothing of its further dimensions
+        out = out.reshape(shape)
+    if out.ndim != len(shape) or any(given != -1 and given != found for given, found in zip(shape, out.shape)):
+        raise ValueError(f"{name}: shape {out.shape}, expected {_spoken(shape)}")
+    return out
+
+
+def _spoken(shape: tuple[int, ...]) -> str:
+    return "(" + ", ".join("m" if side == -1 else str(side) for side in shape) + ("," if len(shape) == 1 else "") + ")"
+
+
+def points_of(name: str, value: ArrayLike) -> Array:
+    """(m, 2); an empty list is no point."""
+    return np.empty((0, 2)) if np.size(value) == 0 else floats(name, value, (-1, 2))
+
+
+def covariances_of(name: str, value: ArrayLike | None, sigma: ArrayLike | None, m: int) -> Array:
+    """(m, 2, 2) from exactly one of covariances, for each or for all, and standard deviations."""
+    if (value is None) == (sigma is None):
+        raise ValueError(f"{name}, sigma: expected exactly one of the two")
+    if value is not None:
+        given = np.asarray(value, np.float64)
+        if given.shape not in ((2, 2), (m, 2, 2)):
+            raise ValueError(f"{name}: shape {given.shape}, expected ({m}, 2, 2) or (2, 2)")
+        return np.array(np.broadcast_to(given, (m, 2, 2)))
+    deviation = np.asarray(sigma, np.float64)
+    if deviation.shape not in ((), (m,)):
+        raise ValueError(f"sigma: shape {deviation.shape}, expected one number or ({m},)")
+    return np.broadcast_to(deviation, (m,))[:, None, None] ** 2 * np.eye(2)
+
+
+def sizes_of(sizes: ArrayLike | None, sigma: ArrayLike | None, m: int) -> tuple[Array, Array]:
+    """Sizes (m,) and their variances (m,), NaN where unknown."""
+    if (sizes is None) != (sigma is None):
+        raise ValueError("sizes, size_sigma: expected both or neither")
+    if sizes is None or sigma is None:
+        return np.full(m, np.nan), np.full(m, np.nan)
+    given, deviation = floats("sizes", sizes, (m,)), np.asarray(sigma, np.float64)
+    if deviation.shape not in ((), (m,)):
+        raise ValueError(f"size_sigma: shape {deviation.shape}, expected one number or ({m},)")
+    return given, np.where(np.isnan(given), np.nan, deviation**2)
+
+
+def kinds_of(kinds: ArrayLike | None, m: int) -> IntArray:
+    if kinds is None:
+        return np.full(m, UNKNOWN_KIND)
+    given = np.array(kinds)
+    if given.shape != (m,) or not np.issubdtype(given.dtype, np.integer):
+        raise ValueError(f"kinds: {given.dtype} of shape {given.shape}, expected ({m},) integers")
+    return given.astype(np.int64)

@@ -1,0 +1,73 @@
+"""SLAM whose decisions are held against the truth, scan by scan: what every log, episode, suite and benchmark runs."""
+
+from __future__ import annotations
+
+import functools
+from typing import Protocol
+
+from slam_gym.association import resolve_associator, true_association
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.metrics.association import Identities, Tally
+from slam_gym.slam.slam import AskingStep, answered
+from slam_gym.types import Associator, Odometry, Scan, SlamStep, Truth
+
+CEILING = "true_association"
+"""The associator that is handed the truth. It is known by this name alone: no callable ever gets to see the truth."""
+
+
+class Steps(Protocol):
+    """What takes a SLAM step: `Slam` and its like."""
+
+    @property
+    def map(self) -> StochasticMap: ...
+
+    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep: ...
+
+
+class JudgedSlam:
+    """A SLAM run with the judgement of its associations.
+
+    Arguments:
+        slam: what takes the steps.
+        associator: a name, `"module:function"` or a callable. `CEILING`, by name, is told the truth of every scan.
+        informed: the map of `CEILING` is told as well: every labelled feature goes in when it is first seen, whatever
+            it is compatible with, and nothing else does.
+        identities: to go on from; by default nothing has been judged yet.
+
+    Raises ValueError for an unknown associator.
+    """
+
+    def __init__(
+        self,
+        slam: Steps,
+        associator: str | Associator = "jcbb",
+        *,
+        informed: bool = False,
+        identities: Identities | None = None,
+    ) -> None:
+        self.slam = slam
+        self.identities = identities or Identities()
+        self._truth_told = associator == CEILING if isinstance(associator, str) else False
+        self._associate = resolve_associator(associator)
+        self._informed = informed
+
+    @property
+    def tally(self) -> Tally:
+        """The decisions so far."""
+        return self.identities.total
+
+    def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
+        """One SLAM step, judged. Raises as `Slam.step`."""
+        return answered(self.asking_step(odometry, scan, truth), scan, self._associator(truth))
+
+    def asking_step(self, odometry: Odometry, scan: Scan, truth: Truth) -> AskingStep:
+        """The same where somebody outside associates: see `slam_gym.slam.slam.AskingStep`."""
+        step = yield from self.slam.asking_step(odometry, scan)
+        self.last_tally = self.identities.update(step, truth)
+        return step
+
+    def _associator(self, truth: Truth) -> Associator:
+        if not self._truth_told:
+            return self._associate
+        known = self.identities.source_of(self.slam.map.ids)
+        return functools.partial(true_association, sources=truth.sources, identities=known, new_features=self._informed)
