@@ -1,0 +1,8 @@
+"""Real logs, read into the same odometry and scans that the simulator gives."""
+
+from slam_gym.recordings.catalogue import open_recordings
+from slam_gym.recordings.reading import RecordingError
+from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.recording_file import load, save
+
+__all__ = ["Recording", "RecordingError", "load", "open_recordings", "save"]

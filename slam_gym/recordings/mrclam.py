@@ -2,25 +2,22 @@
 
 Published by K. Leung, Y. Halpern, T. Barfoot and H. Liu, "The UTIAS multi-robot cooperative localization and mapping
 dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder with `Barcodes.dat`,
-`Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped. The
-stationary groups are those that S. Choi extracted (Triangulation Toolbox, `mrclamN.mat`).
+`Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from slam_gym._compile import compiled
-from slam_gym.geometry import relative, wrap_angle
-from slam_gym.recordings.recording import Recording, RecordingError
-from slam_gym.recordings.relocation_cases import RelocationCases
+from slam_gym.geometry import wrap_angle
+from slam_gym.recordings.reading import Points, RecordingError, from_polar
+from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.types import NONE, Array, BoolArray, IntArray
 
 SOURCE = (
@@ -31,7 +28,6 @@ TERMS = "For educational use; cite the paper."
 ROBOTS = (1, 2, 3, 4, 5)
 _RANGE, _FIELD_OF_VIEW = 12.0, math.radians(65.0)  # [m], [rad] of the camera, with room to spare
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
-_PAUSE = 10.0  # [s] between the log of one robot and that of the next
 
 
 @dataclass(frozen=True)
@@ -57,9 +53,9 @@ class Noise:
     misread: float = 1.0  # [m] from where the Vicon has it, a barcode was taken for another
     together: float = 0.05  # [s] measurements that are no farther apart make one scan
 
-
-GROUPED = Noise(range=0.15, range_per_metre=0.0, bearing=0.02)
-"""That of the stationary groups, as their poses show it: σ of ranges 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
+    def points(self, ranges: Array, bearings: Array) -> Points:
+        """Barcodes at ranges (M,) [m] and bearings (M,) [rad]."""
+        return from_polar(ranges, bearings, self.range**2 + (self.range_per_metre * ranges) ** 2, self.bearing)
 
 
 def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Recording:
@@ -84,11 +80,10 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     driven = odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
     growth = (noise.forward, noise.lateral, noise.turn, noise.drift, noise.turn_drift)
     motions, covariances = _integrate(times, driven, growth)
-    points, point_covariances = _cartesian(measured[:, 2], measured[:, 3], noise)
+    seen = noise.points(measured[:, 2], measured[:, 3])
     sources = _subjects(measured[:, 1].astype(np.int64), barcodes, landmarks[:, 0].astype(np.int64))
-    poses = _interpolated(truth[:, 0], truth[:, 1:], measured[:, 0])
-    sources[_misread(points, sources, poses, landmarks, noise.misread)] = NONE
-    unknown = np.full(len(points), math.nan)
+    poses = interpolate(truth[:, 0], truth[:, 1:], measured[:, 0])
+    sources[_misread(seen.points, sources, poses, landmarks, noise.misread)] = NONE
     return Recording(
         name=f"mrclam/{folder.name}/robot{robot}",
         source=SOURCE,
@@ -97,10 +92,8 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
         motions=motions,
         motion_covariances=covariances,
         starts=np.append(first, len(measured)).astype(np.int64),
-        points=points,
-        covariances=point_covariances,
-        sizes=unknown,
-        size_variances=unknown.copy(),
+        points=seen.points,
+        covariances=seen.covariances,
         sources=sources,
         reference_times=truth[:, 0] - times[0],
         reference_poses=truth[:, 1:].copy(),
@@ -111,65 +104,6 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     )
 
 
-def mrclam_all(
-    folder: str | Path, noise: Noise | None = None, link: tuple[float, float, float] = (0.05, 0.05, math.radians(2.0))
-) -> Recording:
-    """The logs of all robots of a set, one after the other, for one map of them all.
-
-    It is as if a single robot were picked up at the end of each log and put down at the start of the next: that motion
-    is the relative pose that the Vicon gives, with standard deviations `link` [m, m, rad]. Everything within a log is
-    as in `mrclam`, but for the clock, which starts again ten seconds after the log before; of the reference, what was
-    recorded from the first step of each log to its last stays. Raises as `mrclam`.
-    """
-    logs = [mrclam(folder, robot, noise) for robot in ROBOTS]
-    ends = np.array([log.times[-1] for log in logs])
-    begins = np.concatenate([[0.0], np.cumsum(ends + _PAUSE)[:-1]])
-    motions = [log.motions.copy() for log in logs]
-    covariances = [log.motion_covariances.copy() for log in logs]
-    for k in range(1, len(logs)):
-        motions[k][0] = relative(_reference_at(logs[k - 1], ends[k - 1]), _reference_at(logs[k], 0.0))
-        covariances[k][0] = np.diag(np.square(link))
-    references = [_reference_of(log) for log in logs]
-    rows = np.concatenate([[0], np.cumsum([len(log.points) for log in logs])])
-    together: dict[str, Any] = {name: np.concatenate([getattr(log, name) for log in logs]) for name in _PER_MEASUREMENT}
-    return replace(
-        logs[0],
-        name=f"mrclam/{Path(folder).name}/all",
-        times=np.concatenate([log.times + begin for log, begin in zip(logs, begins)]),
-        motions=np.concatenate(motions),
-        motion_covariances=np.concatenate(covariances),
-        starts=np.concatenate([log.starts[:-1] + row for log, row in zip(logs, rows)] + [rows[-1:]]),
-        reference_times=np.concatenate([times + begin for (times, _), begin in zip(references, begins)]),
-        reference_poses=np.concatenate([poses for _, poses in references]),
-        **together,
-    )
-
-
-_PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
-
-
-def _reference_of(log: Recording) -> tuple[Array, Array]:
-    """Times and poses of the Vicon from the first step of a log to its last, of these two themselves too."""
-    end = float(log.times[-1])
-    during = (log.reference_times > 0.0) & (log.reference_times < end)
-    times = np.concatenate([[0.0], log.reference_times[during], [end]])
-    poses = [_reference_at(log, 0.0)[None], log.reference_poses[during], _reference_at(log, end)[None]]
-    return times, np.concatenate(poses)
-
-
-def _reference_at(log: Recording, time: float) -> Array:
-    """Pose (3,) of the Vicon at a time of the log, interpolated."""
-    pose: Array = _interpolated(log.reference_times, log.reference_poses, np.array([time]))[0]
-    pose[2] = wrap_angle(float(pose[2]))
-    return pose
-
-
-def _interpolated(known: Array, poses: Array, times: Array) -> Array:
-    """Poses (t, 3) between those (G, 3) at `known` (G,); headings are not wrapped."""
-    columns = (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))
-    return np.column_stack([np.interp(times, known, column) for column in columns])
-
-
 def _misread(points: Array, sources: IntArray, poses: Array, landmarks: Array, limit: float) -> BoolArray:
     """(M,) which barcodes are farther than `limit` [m] from where the Vicon has them, seen from poses (M, 3)."""
     place = dict(zip(landmarks[:, 0].astype(int).tolist(), landmarks[:, 1:3].tolist()))
@@ -178,59 +112,6 @@ def _misread(points: Array, sources: IntArray, poses: Array, landmarks: Array, l
     x, y = poses[:, 0] + c * points[:, 0] - s * points[:, 1], poses[:, 1] + s * points[:, 0] + c * points[:, 1]
     far: BoolArray = np.hypot(x - true[:, 0], y - true[:, 1]) > limit  # never for NaN
     return far
-
-
-def stationary(path: str | Path, noise: Noise | None = None) -> RelocationCases:
-    """Groups of three or more measurements that a robot made within a second and a centimetre, with its true pose.
-
-    From a file `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. Gross errors were removed by those who
-    extracted the groups, and barcodes of robots too: nothing is spurious. Most groups repeat the one before, since
-    robots stand still for long. `noise` is by default that of the groups themselves. Raises FileNotFoundError, or
-    RecordingError that names file, variable and row.
-    """
-    noise, path = noise or GROUPED, Path(path)
-    content = _matlab(path, {"landmark": 3, "groundtruth": 4, "measurement": 4})
-    landmarks, truth, measured = content["landmark"], content["groundtruth"], content["measurement"]
-    if not np.array_equal(truth[:, 0], np.arange(1, len(truth) + 1)):
-        raise RecordingError(f"{path}: variable 'groundtruth': the cases are not numbered 1 … {len(truth)}")
-    for column, known, what in ((0, truth[:, 0], "case"), (1, landmarks[:, 0], "landmark")):
-        stray = ~np.isin(measured[:, column], known)
-        if stray.any():
-            row = int(stray.argmax())
-            raise RecordingError(f"{path}: variable 'measurement': row {row + 1} is of no {what} that is there")
-    measured = measured[np.argsort(measured[:, 0], kind="stable")]
-    points, covariances = _cartesian(measured[:, 2], measured[:, 3], noise)
-    counts = np.bincount(measured[:, 0].astype(np.int64) - 1, minlength=len(truth))
-    return RelocationCases(
-        name=f"mrclam/stationary/{path.stem}",
-        source=SOURCE,
-        terms=TERMS,
-        landmark_ids=landmarks[:, 0].astype(np.int64),
-        landmarks=landmarks[:, 1:].copy(),
-        starts=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        points=points,
-        covariances=covariances,
-        sources=measured[:, 1].astype(np.int64),
-        poses=truth[:, 1:].copy(),
-    )
-
-
-def _matlab(path: Path, variables: dict[str, int]) -> dict[str, Array]:
-    """Tables of a MATLAB file by name, each with so many columns of finite numbers."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: not there. {SOURCE}")
-    try:
-        content: dict[str, Any] = loadmat(path)
-    except Exception as error:  # scipy raises whatever the damage leads to
-        raise RecordingError(f"{path}: no readable MATLAB file: {error}") from error
-    for name, columns in variables.items():
-        shape = np.shape(content.get(name, ()))
-        if len(shape) != 2 or shape[0] == 0 or shape[1] != columns:
-            raise RecordingError(f"{path}: variable {name!r}: expected a table of {columns} columns, found {shape}")
-        bad = ~np.isfinite(content[name]).all(axis=1)
-        if bad.any():
-            raise RecordingError(f"{path}: variable {name!r}: row {int(bad.argmax()) + 1} is not finite")
-    return {name: np.asarray(content[name], np.float64) for name in variables}
 
 
 def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) -> Array:
@@ -287,16 +168,6 @@ def _integrate(times: Array, odometry: Array, growth: tuple[float, float, float,
         motions[k, 0], motions[k, 1], motions[k, 2] = x, y, wrap_angle(theta)
         covariances[k] = 0.5 * (C + C.T)
     return motions, covariances
-
-
-def _cartesian(ranges: Array, bearings: Array, noise: Noise) -> tuple[Array, Array]:
-    """Points (M, 2) and covariances (M, 2, 2) in R."""
-    ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    along = noise.range**2 + (noise.range_per_metre * ranges) ** 2
-    covariances = along[:, None, None] * ahead[:, :, None] * ahead[:, None, :]
-    covariances += ((noise.bearing * ranges) ** 2)[:, None, None] * aside[:, :, None] * aside[:, None, :]
-    return ranges[:, None] * ahead, covariances
 
 
 def _subjects(codes: IntArray, barcodes: IntArray, landmarks: IntArray) -> IntArray:

@@ -14,26 +14,61 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from slam_gym.recordings.recording import Recording, RecordingError
+from slam_gym.recordings.reading import RecordingError, starts_of
+from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array
 
 _AT_START = 1e-12  # [m²], [rad²] of the first pose: it is where the log begins
 
 
+class _Edge(NamedTuple):
+    """A motion or a measurement."""
+
+    mean: Array
+    covariance: Array
+
+
 @dataclass
 class _Graph:
-    """What was read so far."""
+    """What was read so far, by the numbers of poses and landmarks."""
 
-    poses: dict[int, Array] = field(default_factory=dict)  # number -> (3,) vertices
-    landmarks: dict[int, Array] = field(default_factory=dict)  # number -> (2,) vertices
-    motions: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict)  # mean and covariance
-    measurements: list[tuple[int, int, Array, Array]] = field(default_factory=list)  # pose, landmark, mean, covariance
+    poses: dict[tuple[int], Array] = field(default_factory=dict)  # (3,) vertices
+    landmarks: dict[tuple[int], Array] = field(default_factory=dict)  # (2,) vertices
+    motions: dict[tuple[int, int], _Edge] = field(default_factory=dict)  # from pose to pose
+    measurements: list[tuple[tuple[int, int], _Edge]] = field(default_factory=list)  # from pose to landmark
+
+
+class _Line(NamedTuple):
+    """What follows a tag: one number of a vertex or two of an edge, the mean, and the weight of an edge."""
+
+    table: str  # field of `_Graph`
+    size: int  # of the mean
+    root: bool = False  # the weight is a square root information matrix
+
+    @property
+    def indices(self) -> int:
+        return 1 if self.table in ("poses", "landmarks") else 2
+
+    @property
+    def numbers(self) -> int:
+        """How many there are in all."""
+        return self.indices + self.size + (self.indices == 2) * self.size * (self.size + 1) // 2
+
+
+_G2O = {
+    "VERTEX_SE2": _Line("poses", 3),
+    "VERTEX_XY": _Line("landmarks", 2),
+    "EDGE_SE2": _Line("motions", 3),
+    "EDGE_SE2_XY": _Line("measurements", 2),
+}
+_ISAM = {"ODOMETRY": _Line("motions", 3, root=True), "LANDMARK": _Line("measurements", 2, root=True)}
 
 
 def g2o(path: str | Path, *, reference: bool = False) -> Recording:
@@ -41,82 +76,43 @@ def g2o(path: str | Path, *, reference: bool = False) -> Recording:
 
     Raises FileNotFoundError, or RecordingError that names file and line.
     """
-    readers = {
-        "VERTEX_SE2": (4, _pose_vertex),
-        "VERTEX_XY": (3, _landmark_vertex),
-        "EDGE_SE2": (11, _with_information(_motion, 3)),
-        "EDGE_SE2_XY": (7, _with_information(_measurement, 2)),
-    }
-    return _recording(path, _read(path, readers), reference)
+    return _recording(path, _read(path, _G2O), reference)
 
 
 def isam(path: str | Path) -> Recording:
     """A log from a file in iSAM's text format. Raises FileNotFoundError, or RecordingError that names file and line."""
-    readers = {
-        "ODOMETRY": (11, _with_root(_motion, 3)),
-        "LANDMARK": (7, _with_root(_measurement, 2)),
-    }
-    return _recording(path, _read(path, readers), False)
+    return _recording(path, _read(path, _ISAM), False)
 
 
-_Reader = Callable[[_Graph, Sequence[float]], None]
-
-
-def _read(path: str | Path, readers: dict[str, tuple[int, _Reader]]) -> _Graph:
+def _read(path: str | Path, lines: dict[str, _Line]) -> _Graph:
     graph = _Graph()
-    for number, line in enumerate(Path(path).read_text(encoding="utf-8", errors="replace").splitlines(), 1):
-        tag, *words = line.split("#", 1)[0].split() or [""]
-        if not tag:
-            continue
-        if tag not in readers:
-            raise RecordingError(f"{path}: line {number}: {tag!r} is none of {', '.join(readers)}")
-        count, reader = readers[tag]
+    for number, text in enumerate(Path(path).read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        tag, *words = text.split("#", 1)[0].split() or [""]
         try:
-            numbers = [float(word) for word in words]
-            if len(numbers) != count or not all(map(math.isfinite, numbers)):
-                raise ValueError(f"{tag} takes {count} finite numbers")
-            reader(graph, numbers)
+            if tag:
+                _enter(graph, tag, words, lines)
         except ValueError as error:
             raise RecordingError(f"{path}: line {number}: {error}") from None
     return graph
 
 
-def _pose_vertex(graph: _Graph, numbers: Sequence[float]) -> None:
-    graph.poses[_index(numbers[0])] = np.array(numbers[1:])
-
-
-def _landmark_vertex(graph: _Graph, numbers: Sequence[float]) -> None:
-    graph.landmarks[_index(numbers[0])] = np.array(numbers[1:])
-
-
-_Edge = Callable[[_Graph, int, int, Array, Array], None]
-
-
-def _motion(graph: _Graph, i: int, j: int, mean: Array, covariance: Array) -> None:
-    if (i, j) in graph.motions:
-        raise ValueError(f"the motion from {i} to {j} is there twice")
-    graph.motions[i, j] = mean, covariance
-
-
-def _measurement(graph: _Graph, i: int, landmark: int, mean: Array, covariance: Array) -> None:
-    graph.measurements.append((i, landmark, mean, covariance))
-
-
-def _with_information(edge: _Edge, size: int) -> _Reader:
-    def read(graph: _Graph, numbers: Sequence[float]) -> None:
-        upper = _upper(numbers[2 + size :], size)
-        information = upper + upper.T - np.diag(np.diag(upper))
-        edge(graph, _index(numbers[0]), _index(numbers[1]), np.array(numbers[2 : 2 + size]), _inverse(information))
-
-    return read
-
-
-def _with_root(edge: _Edge, size: int) -> _Reader:
-    def read(graph: _Graph, numbers: Sequence[float]) -> None:
-        root = _upper(numbers[2 + size :], size)
-        edge(graph, _index(numbers[0]), _index(numbers[1]), np.array(numbers[2 : 2 + size]), _inverse(root.T @ root))
-
-    return read
+def _enter(graph: _Graph, tag: str, words: Sequence[str], lines: dict[str, _Line]) -> None:
+    if tag not in lines:
+        raise ValueError(f"{tag!r} is none of {', '.join(lines)}")
+    line, numbers = lines[tag], [float(word) for word in words]
+    if len(numbers) != line.numbers or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{tag} takes {line.numbers} finite numbers")
+    key, rest = tuple(_index(number) for number in numbers[: line.indices]), numbers[line.indices :]
+    value: Any = np.array(rest[: line.size])
+    if line.indices == 2:
+        value = _Edge(value, _covariance(rest[line.size :], line))
+    table = getattr(graph, line.table)
+    if line.table == "measurements":
+        table.append((key, value))
+    elif line.table == "motions" and key in table:
+        raise ValueError(f"the motion from {key[0]} to {key[1]} is there twice")
+    else:
+        table[key] = value
 
 
 def _index(number: float) -> int:
@@ -125,58 +121,47 @@ def _index(number: float) -> int:
     return int(number)
 
 
-def _upper(numbers: Sequence[float], size: int) -> Array:
-    upper = np.zeros((size, size))
-    upper[np.triu_indices(size)] = numbers
-    return upper
-
-
-def _inverse(information: Array) -> Array:
+def _covariance(numbers: Sequence[float], line: _Line) -> Array:
+    """From the upper triangle of the information matrix or its root."""
+    upper = np.zeros((line.size, line.size))
+    upper[np.triu_indices(line.size)] = numbers
+    information = upper.T @ upper if line.root else upper + upper.T - np.diag(np.diag(upper))
     if np.linalg.eigvalsh(information).min() <= 0.0:
         raise ValueError("the information matrix is not positive definite")
     covariance = np.linalg.inv(information)
-    symmetric: Array = 0.5 * (covariance + covariance.T)
-    return symmetric
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def _recording(path: str | Path, graph: _Graph, reference: bool) -> Recording:
-    poses = sorted({i for pair in graph.motions for i in pair} | {i for i, *_ in graph.measurements})
+    poses = sorted({i for pair in graph.motions for i in pair} | {pair[0] for pair, _ in graph.measurements})
     if not poses or not graph.measurements:
         raise RecordingError(f"{path}: no pose, or no measurement of a landmark")
     if further := sorted(set(graph.motions) - set(itertools.pairwise(poses))):
         raise RecordingError(f"{path}: edge {further[0]} joins poses that do not follow each other")
-    motions, covariances = [np.zeros(3)], [_AT_START * np.eye(3)]
-    for i, j in itertools.pairwise(poses):
-        if (i, j) not in graph.motions:
-            raise RecordingError(f"{path}: pose {j} is not reached from pose {i}")
-        mean, covariance = graph.motions[i, j]
-        motions.append(mean)
-        covariances.append(covariance)
+    if missing := [pair for pair in itertools.pairwise(poses) if pair not in graph.motions]:
+        raise RecordingError(f"{path}: pose {missing[0][1]} is not reached from pose {missing[0][0]}")
+    motions = [_Edge(np.zeros(3), _AT_START * np.eye(3)), *(graph.motions[pair] for pair in itertools.pairwise(poses))]
     step = {pose: k for k, pose in enumerate(poses)}
-    measured = sorted(graph.measurements, key=lambda entry: step[entry[0]])  # stable: as in the file within a scan
-    counts = np.bincount([step[i] for i, *_ in measured], minlength=len(poses))
-    points = np.array([mean for _, _, mean, _ in measured])
-    unknown = np.full(len(points), math.nan)
+    measured = sorted(graph.measurements, key=lambda entry: step[entry[0][0]])  # stable: as in the file within a scan
+    points = np.array([edge.mean for _, edge in measured])
     times = np.arange(len(poses), dtype=np.float64)
-    known = [pose for pose in poses if reference and pose in graph.poses]
-    seen = sorted({landmark for _, landmark, _, _ in measured if reference and landmark in graph.landmarks})
+    known = [pose for pose in poses if reference and (pose,) in graph.poses]
+    seen = sorted({landmark for (_, landmark), _ in measured if reference and (landmark,) in graph.landmarks})
     return Recording(
         name=Path(path).stem,
         source=str(Path(path).name),
         terms="not stated in the file",
         times=times,
-        motions=np.array(motions),
-        motion_covariances=np.array(covariances),
-        starts=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        motions=np.array([edge.mean for edge in motions]),
+        motion_covariances=np.array([edge.covariance for edge in motions]),
+        starts=starts_of(np.bincount([step[i] for (i, _), _ in measured], minlength=len(poses))),
         points=points,
-        covariances=np.array([covariance for *_, covariance in measured]),
-        sizes=unknown,
-        size_variances=unknown.copy(),
-        sources=np.array([landmark for _, landmark, _, _ in measured], dtype=np.int64),
+        covariances=np.array([edge.covariance for _, edge in measured]),
+        sources=np.array([landmark for (_, landmark), _ in measured], dtype=np.int64),
         reference_times=times[[step[pose] for pose in known]],
-        reference_poses=np.array([graph.poses[pose] for pose in known]).reshape(-1, 3),
+        reference_poses=np.array([graph.poses[pose,] for pose in known]).reshape(-1, 3),
         landmark_ids=np.array(seen, dtype=np.int64),
-        landmarks=np.array([graph.landmarks[landmark] for landmark in seen]).reshape(-1, 2),
+        landmarks=np.array([graph.landmarks[landmark,] for landmark in seen]).reshape(-1, 2),
         range=float(np.hypot(*points.T).max()) + 1e-9,
         field_of_view=2.0 * math.pi,
     )

@@ -1,4 +1,4 @@
-"""A log of odometry and feature scans in one neutral form, and the file that holds it (see `recordings/FORMAT.md`).
+"""A log of odometry and feature scans in one neutral form; `recordings/FORMAT.md` describes the file that holds it.
 
 A log is a sequence of T steps. In step t the robot moves by `motions[t]` and then looks: the same `Odometry` and `Scan`
 that the simulator gives, so that whatever runs on one runs on the other.
@@ -7,34 +7,28 @@ that the simulator gives, so that whatever runs on one runs on the other.
 from __future__ import annotations
 
 import math
-import os
-import zipfile
-import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from slam_gym.geometry import compose, compose_jacobians
-from slam_gym.types import NONE, UNKNOWN, Array, IntArray, Odometry, Scan
+from slam_gym.recordings.reading import RecordingError, check_finite, check_shapes, check_starts, refuse, starts_of
+from slam_gym.types import NONE, UNKNOWN, Array, BoolArray, IntArray, Odometry, Scan
 
-FORMAT, VERSION = "slam_gym recording", 1
-_TEXTS = ("name", "source", "terms")
+PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
+"""The fields of a recording with a row for each measurement."""
+
 _TOLERANCE = 1e-9  # of asymmetry and negative eigenvalues, relative to the largest entry
 
 
-class RecordingError(ValueError):
-    """A recording, or a file that should hold one, is not what it should be. Names the file, field or line."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recording:
     """A log. Frames: R robot at the time of a step; W that of the reference, if there is one.
 
+    The heading of a reference pose is NaN where only the position is known.
     Raises RecordingError, naming the field, where arrays do not fit together or hold what they may not.
     """
 
@@ -47,17 +41,20 @@ class Recording:
     starts: IntArray  # (T + 1,) the measurements of step t are rows starts[t]:starts[t + 1] of the arrays (M, …)
     points: Array  # (M, 2) [m] in R
     covariances: Array  # (M, 2, 2) [m²] in R
-    sizes: Array  # (M,) [m] measured intrinsic attribute, NaN where unknown
-    size_variances: Array  # (M,) [m²], NaN where unknown
+    sizes: Array = None  # type: ignore[assignment]  # (M,) [m] measured intrinsic attribute, NaN where unknown: default
+    size_variances: Array = None  # type: ignore[assignment]  # (M,) [m²], NaN where unknown
     sources: IntArray  # (M,) identity ≥ 0 of the feature behind each measurement; −1 spurious, −2 unknown
-    reference_times: Array  # (G,) [s] ascending
-    reference_poses: Array  # (G, 3) [m, m, rad] in W, NaN heading where only the position is known
-    landmark_ids: IntArray  # (L,) identities whose place is known
-    landmarks: Array  # (L, 2) [m] in W
+    reference_times: Array = field(default_factory=lambda: np.empty(0))  # (G,) [s] ascending
+    reference_poses: Array = field(default_factory=lambda: np.empty((0, 3)))  # (G, 3) [m, m, rad] in W, see below
+    landmark_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))  # (L,) identities of known place
+    landmarks: Array = field(default_factory=lambda: np.empty((0, 2)))  # (L, 2) [m] in W
     range: float  # [m] farthest that the sensor sees
     field_of_view: float  # [rad] centred on the heading
 
     def __post_init__(self) -> None:
+        for name in ("sizes", "size_variances"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.points), math.nan))
         _validate(self)
 
     def __len__(self) -> int:
@@ -88,7 +85,7 @@ class Recording:
             raise IndexError(f"steps {first} … {last} of a recording of {len(self)}")
         rows = slice(self.starts[first], self.starts[last])
         cut = {name: getattr(self, name)[first:last] for name in ("times", "motions", "motion_covariances")} | {
-            name: getattr(self, name)[rows] for name in _PER_MEASUREMENT
+            name: getattr(self, name)[rows] for name in PER_MEASUREMENT
         }
         return replace(self, **cut, starts=self.starts[first : last + 1] - self.starts[first])
 
@@ -115,16 +112,16 @@ class Recording:
             times=self.times[kept],
             motions=motions[kept],
             motion_covariances=covariances[kept],
-            starts=np.concatenate([[0], np.cumsum(counts[kept])]),
-            **{name: getattr(self, name)[rows] for name in _PER_MEASUREMENT},
+            starts=starts_of(counts[kept]),
+            **{name: getattr(self, name)[rows] for name in PER_MEASUREMENT},
         )
 
     def without_spurious(self) -> Recording:
         """Without the measurements that are known to come from no feature."""
         kept = self.sources != NONE
-        before = np.concatenate([[0], np.cumsum(kept)])
+        before = starts_of(kept)
         return replace(
-            self, starts=before[self.starts], **{name: getattr(self, name)[kept] for name in _PER_MEASUREMENT}
+            self, starts=before[self.starts], **{name: getattr(self, name)[kept] for name in PER_MEASUREMENT}
         )
 
     def merged(self, distance: float) -> Recording:
@@ -151,10 +148,6 @@ class Recording:
         )
 
 
-_PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
-_INTEGERS = ("starts", "sources", "landmark_ids")
-
-
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
     """Poses (k, 3) at instants (k,), linear between the given ones (t, 3); headings NaN where any of those is."""
     headings = poses[:, 2] if np.isnan(poses[:, 2]).any() else np.unwrap(poses[:, 2])
@@ -162,89 +155,26 @@ def interpolate(times: Array, poses: Array, at: Array) -> Array:
     return np.column_stack([x, y, math.pi - np.remainder(math.pi - heading, 2.0 * math.pi)])
 
 
-def save(recording: Recording, path: str | Path) -> None:
-    """Write a recording to `path` (.npz, no pickles), atomically."""
-    target = Path(path)
-    arrays: dict[str, Any] = {field.name: np.asarray(getattr(recording, field.name)) for field in fields(recording)}
-    scratch = target.with_name(f".{target.name}.{os.getpid()}")
-    with scratch.open("wb") as file:
-        np.savez_compressed(file, format=np.array(FORMAT), version=np.array(VERSION), **arrays)
-    scratch.replace(target)
-
-
-def load(path: str | Path) -> Recording:
-    """Read a recording that `save`, or anybody who follows the format, has written.
-
-    Raises FileNotFoundError, or RecordingError that names the file and what is wrong with it. Nothing is unpickled.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            content = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, KeyError) as error:
-        raise RecordingError(f"{path}: no readable .npz file without pickles: {error}") from error
-    _check_version(path, content)
-    known = {field.name for field in fields(Recording)}
-    if missing := sorted(known - set(content)):
-        raise RecordingError(f"{path}: field {missing[0]!r} is missing")
-    if unknown := sorted(set(content) - known - {"format", "version"}):
-        raise RecordingError(f"{path}: unknown field {unknown[0]!r}")
-    try:
-        return Recording(**{name: _native(name, content[name]) for name in known})
-    except RecordingError as error:
-        raise RecordingError(f"{path}: {error}") from None
-
-
-def _check_version(path: str | Path, content: dict[str, np.ndarray]) -> None:
-    if str(content.get("format", "")) != FORMAT:
-        raise RecordingError(f"{path}: field 'format' does not say {FORMAT!r}")
-    version = content.get("version")
-    if version is None or version.shape != () or version != VERSION:
-        raise RecordingError(f"{path}: field 'version' is {version}; this release reads version {VERSION}")
-
-
-def _native(name: str, value: np.ndarray) -> Any:
-    """A field as the dataclass has it."""
-    if name in _TEXTS:
-        if value.shape != () or value.dtype.kind != "U":
-            raise RecordingError(f"field {name!r} is no text")
-        return str(value)
-    if name in ("range", "field_of_view"):
-        if value.shape != () or value.dtype.kind not in "fiu":
-            raise RecordingError(f"field {name!r} is no number")
-        return float(value)
-    wanted = "iu" if name in _INTEGERS else "fiu"
-    if value.dtype.kind not in wanted:
-        raise RecordingError(f"field {name!r} has entries of type {value.dtype}")
-    return np.ascontiguousarray(value, dtype=np.int64 if name in _INTEGERS else np.float64)
-
-
 def _validate(log: Recording) -> None:
     T, M, G, L = len(log.times), len(log.points), len(log.reference_times), len(log.landmark_ids)
-    shapes = {
+    check_shapes(log, {
         "times": (T,), "motions": (T, 3), "motion_covariances": (T, 3, 3), "starts": (T + 1,), "points": (M, 2),
         "covariances": (M, 2, 2), "sizes": (M,), "size_variances": (M,), "sources": (M,), "reference_times": (G,),
         "reference_poses": (G, 3), "landmark_ids": (L,), "landmarks": (L, 2),
-    }  # fmt: skip
-    for name, shape in shapes.items():
-        if np.shape(getattr(log, name)) != shape:
-            raise RecordingError(f"field {name!r} has shape {np.shape(getattr(log, name))}, expected {shape}")
-    for name in ("times", "motions", "motion_covariances", "points", "covariances", "reference_times", "landmarks"):
-        finite = np.isfinite(getattr(log, name))
-        _refuse(name, ~finite.all(axis=tuple(range(1, finite.ndim))), "is not finite")
-    _refuse("reference_poses", ~np.isfinite(log.reference_poses[:, :2]).all(axis=1), "has no finite position")
-    _refuse("times", np.diff(log.times, prepend=log.times[:1]) < 0.0, "comes before the entry before it")
-    _refuse("reference_times", np.diff(log.reference_times, prepend=log.reference_times[:1]) < 0.0, "descends")
-    _refuse("starts", np.diff(log.starts, prepend=0) < 0, "descends")
-    if log.starts[0] != 0 or log.starts[-1] != M:
-        raise RecordingError(f"field 'starts' goes from {log.starts[0]} to {log.starts[-1]}, expected 0 to {M}")
+    })  # fmt: skip
+    finite = ("times", "motions", "motion_covariances", "points", "covariances", "reference_times", "landmarks")
+    check_finite(log, finite)
+    refuse("reference_poses", ~np.isfinite(log.reference_poses[:, :2]).all(axis=1), "has no finite position")
+    for name in ("times", "reference_times"):
+        times = getattr(log, name)
+        refuse(name, np.diff(times, prepend=times[:1]) < 0.0, "comes before the entry before it")
+    check_starts(log.starts, M)
     for name in ("motion_covariances", "covariances"):
-        _refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
-    _refuse("size_variances", log.size_variances < 0.0, "is negative")
-    _refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
-    _refuse("sources", log.sources < UNKNOWN, f"is neither an identity nor {NONE} nor {UNKNOWN}")
-    _refuse("landmark_ids", log.landmark_ids < 0, "is negative")
+        refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
+    refuse("size_variances", log.size_variances < 0.0, "is negative")
+    refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
+    refuse("sources", log.sources < UNKNOWN, f"is neither an identity nor {NONE} nor {UNKNOWN}")
+    refuse("landmark_ids", log.landmark_ids < 0, "is negative")
     if len(np.unique(log.landmark_ids)) != L:
         raise RecordingError("field 'landmark_ids' names a landmark twice")
     if not (0.0 < log.range < np.inf):
@@ -253,16 +183,10 @@ def _validate(log: Recording) -> None:
         raise RecordingError(f"field 'field_of_view' is {log.field_of_view}, expected an angle in (0, 2π]")
 
 
-def _refuse(name: str, bad: Any, what: str) -> None:
-    """RecordingError at the first bad entry of a field."""
-    if bad.any():
-        raise RecordingError(f"field {name!r}: entry {int(np.flatnonzero(bad)[0])} {what}")
-
-
-def _are_covariances(matrices: Array) -> np.ndarray:
+def _are_covariances(matrices: Array) -> BoolArray:
     if len(matrices) == 0:
         return np.ones(0, bool)
     scale = np.abs(matrices).max(axis=(1, 2)) + np.finfo(float).tiny
     symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= _TOLERANCE * scale
-    good: np.ndarray = symmetric & (np.linalg.eigvalsh(matrices).min(axis=1) >= -_TOLERANCE * scale)
+    good: BoolArray = symmetric & (np.linalg.eigvalsh(matrices).min(axis=1) >= -_TOLERANCE * scale)
     return good

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym.recordings.recording import RecordingError
+from slam_gym.recordings.reading import RecordingError, check_finite, check_shapes, check_starts
 from slam_gym.types import NONE, UNKNOWN, Array, IntArray, Landmarks, Scan
 
 
@@ -31,19 +31,13 @@ class RelocationCases:
     def __post_init__(self) -> None:
         L, C, M = len(self.landmark_ids), len(self.poses), len(self.points)
         shapes = {"landmarks": (L, 2), "starts": (C + 1,), "points": (M, 2), "covariances": (M, 2, 2)}
-        for name, shape in (shapes | {"sources": (M,), "poses": (C, 3)}).items():
-            found = getattr(self, name).shape
-            if found != shape:
-                raise RecordingError(f"field {name!r}: shape {found}, expected {shape}")
-        for name in ("landmarks", "points", "covariances", "poses"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise RecordingError(f"field {name!r}: not finite")
-        if self.starts[0] != 0 or self.starts[-1] != M or (np.diff(self.starts) < 0).any():
-            raise RecordingError(f"field 'starts': does not ascend from 0 to {M}")
+        check_shapes(self, {**shapes, "sources": (M,), "poses": (C, 3)})
+        check_finite(self, ("landmarks", "points", "covariances", "poses"))
+        check_starts(self.starts, M)
         if len(np.unique(self.landmark_ids)) != L:
-            raise RecordingError("field 'landmark_ids': names a landmark twice")
+            raise RecordingError("field 'landmark_ids' names a landmark twice")
         if not np.isin(self.sources, [NONE, UNKNOWN, *self.landmark_ids]).all():
-            raise RecordingError("field 'sources': names a landmark that is not there")
+            raise RecordingError("field 'sources' names a landmark that is not there")
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -13,13 +13,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from slam_gym._compile import compiled
-from slam_gym.recordings.recording import Recording, RecordingError
+from slam_gym.recordings.reading import RecordingError, from_polar, read_matlab, starts_of
+from slam_gym.recordings.recording import Recording
 from slam_gym.types import NONE, UNKNOWN, Array, IntArray
 
 SOURCE = (
@@ -56,19 +55,18 @@ def victoria_park(folder: str | Path, noise: Noise | None = None) -> Recording:
     """
     noise = noise or Noise()
     folder = Path(folder)
-    wheels = _variables(folder / "aa3_dr.mat", ("time", "speed", "steering"))
-    laser = _variables(folder / "VictoriaParkSinSincronizar.mat", ("TLsr", "zt"))
-    gps = _variables(folder / "aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m"))
-    labels = _variables(folder / "data_sensor_clean_clean.mat", ("data_sensor_clean_clean",))
+    wheels = read_matlab(folder / "aa3_dr.mat", ("time", "speed", "steering"), SOURCE)
+    laser = read_matlab(folder / "VictoriaParkSinSincronizar.mat", ("TLsr", "zt"), SOURCE)
+    gps = read_matlab(folder / "aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m"), SOURCE)
+    labels = read_matlab(folder / "data_sensor_clean_clean.mat", ("data_sensor_clean_clean",), SOURCE)
     times = np.ascontiguousarray(laser["TLsr"].ravel(), dtype=np.float64)
     commands = [np.ascontiguousarray(wheels[name].ravel(), np.float64) for name in ("time", "speed", "steering")]
-    motions, covariances = _integrate(
-        times, 1e-3 * commands[0], commands[1], commands[2], noise.speed, noise.lateral, noise.turn
-    )
+    growth = (noise.speed, noise.lateral, noise.turn)
+    motions, covariances = _integrate(times, 1e-3 * commands[0], commands[1], commands[2], growth)
     detections = [np.asarray(scan, np.float64).reshape(3, -1).T for scan in laser["zt"].ravel()]
-    starts = np.concatenate([[0], np.cumsum([len(scan) for scan in detections])]).astype(np.int64)
-    polar = np.concatenate(detections)
-    points, point_covariances = _cartesian(polar, noise)
+    starts, polar = starts_of([len(scan) for scan in detections]), np.concatenate(detections)
+    bearings = polar[:, 1] - 0.5 * math.pi  # the laser counts them from its right
+    seen = from_polar(polar[:, 0], bearings, noise.range**2, noise.bearing)
     return Recording(
         name="victoria_park",
         source=SOURCE,
@@ -77,74 +75,21 @@ def victoria_park(folder: str | Path, noise: Noise | None = None) -> Recording:
         motions=motions,
         motion_covariances=covariances,
         starts=starts,
-        points=points,
-        covariances=point_covariances,
+        points=seen.points,
+        covariances=seen.covariances,
         sizes=polar[:, 2].copy(),
         size_variances=noise.size**2 + (noise.size_per_metre * polar[:, 0]) ** 2,
         sources=_identities(folder, labels["data_sensor_clean_clean"], times, starts, polar),
         reference_times=1e-3 * gps["timeGps"].ravel(),
         reference_poses=np.column_stack([gps["Lo_m"], gps["La_m"], np.full(len(gps["Lo_m"]), np.nan)]),
-        landmark_ids=np.empty(0, np.int64),
-        landmarks=np.empty((0, 2)),
         range=_RANGE,
         field_of_view=math.pi,
     )
-
-
-def victoria_park_clean(path: str | Path) -> Recording:
-    """The log as Huang, Wang and Dissanayake cleaned it (`VicPark_clean_data.mat`): motions and labelled points.
-
-    Its least-squares optimum is known: χ² = 9012.7193. Steps are numbered, not timed. Raises as `victoria_park`.
-    """
-    rows = _variables(Path(path), ("VicPark_clean_data",))["VicPark_clean_data"]
-    moves, looks = rows[rows[:, 0] == 1.0], rows[rows[:, 0] == 0.0]
-    steps = len(moves) + 1
-    if not np.array_equal(moves[:, 2], np.arange(1, steps)) or not np.array_equal(moves[:, 1], np.arange(steps - 1)):
-        raise RecordingError(f"{path}: the motions do not join pose after pose")
-    looks = looks[np.argsort(looks[:, 1], kind="stable")]
-    motions, covariances = np.zeros((steps, 3)), np.tile(_AT_REST**2 * np.eye(3), (steps, 1, 1))
-    motions[1:] = moves[:, 3:6]
-    covariances[1:] = moves[:, [6, 7, 8, 7, 9, 10, 8, 10, 11]].reshape(-1, 3, 3)
-    unknown = np.full(len(looks), math.nan)
-    return Recording(
-        name="victoria_park_clean",
-        source=SOURCE,
-        terms=TERMS,
-        times=np.arange(steps, dtype=np.float64),
-        motions=motions,
-        motion_covariances=covariances,
-        starts=np.concatenate([[0], np.cumsum(np.bincount(looks[:, 1].astype(np.int64), minlength=steps))]),
-        points=looks[:, 3:5].copy(),
-        covariances=looks[:, [5, 6, 6, 7]].reshape(-1, 2, 2).copy(),
-        sizes=unknown,
-        size_variances=unknown.copy(),
-        sources=looks[:, 2].astype(np.int64),
-        reference_times=np.empty(0),
-        reference_poses=np.empty((0, 3)),
-        landmark_ids=np.empty(0, np.int64),
-        landmarks=np.empty((0, 2)),
-        range=_RANGE,
-        field_of_view=math.pi,
-    )
-
-
-def _variables(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
-    """The variables of a MATLAB file. FileNotFoundError, or RecordingError for what is missing or unreadable."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: not there. {SOURCE}")
-    try:
-        content = loadmat(path)
-    except Exception as error:  # scipy raises whatever the damage leads to
-        raise RecordingError(f"{path}: no readable MATLAB file: {error}") from error
-    for name in names:
-        if name not in content:
-            raise RecordingError(f"{path}: variable {name!r} is missing")
-    return {name: content[name] for name in names}
 
 
 @compiled
 def _integrate(
-    scans: Array, times: Array, speeds: Array, steerings: Array, along: float, across: float, turn: float
+    scans: Array, times: Array, speeds: Array, steerings: Array, growth: tuple[float, float, float]
 ) -> tuple[Array, Array]:
     """Motion (T, 3) of the laser from scan to scan, and its covariance (T, 3, 3), by the vehicle's kinematics.
 
@@ -152,6 +97,7 @@ def _integrate(
     ẋ = v_c (cos θ − κ (a sin θ + b cos θ)), ẏ = v_c (sin θ + κ (a cos θ − b sin θ)), θ̇ = v_c κ
     (Guivant and Nebot 2001). A command holds until the next one.
     """
+    along, across, turn = growth
     motions, covariances = np.zeros((len(scans), 3)), np.zeros((len(scans), 3, 3))
     at = 0
     for k in range(len(scans)):
@@ -175,16 +121,6 @@ def _integrate(
         covariances[k, 1, 1] = across**2 * moving + _AT_REST**2
         covariances[k, 2, 2] = turn**2 * moving + _AT_REST**2
     return motions, covariances
-
-
-def _cartesian(polar: Array, noise: Noise) -> tuple[Array, Array]:
-    """Points (M, 2) and covariances (M, 2, 2) in R of detections (M, 3): range, bearing from the right, diameter."""
-    ranges, bearings = polar[:, 0], polar[:, 1] - 0.5 * math.pi
-    ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    covariances = noise.range**2 * ahead[:, :, None] * ahead[:, None, :]
-    covariances += ((noise.bearing * ranges) ** 2)[:, None, None] * aside[:, :, None] * aside[:, None, :]
-    return ranges[:, None] * ahead, covariances
 
 
 def _identities(folder: Path, labels: Array, times: Array, starts: IntArray, polar: Array) -> IntArray:

@@ -16,9 +16,10 @@ from agents.evaluation.recordings import COLUMNS, MORE, Log, RecordingRun, shown
 from slam_gym.geometry import compose, compose_jacobians, observe, relative
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.metrics.trajectory import ate
+from slam_gym.recordings import Recording, save
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.mrclam import mrclam
-from slam_gym.recordings.recording import Recording, interpolate, save
+from slam_gym.recordings.recording import interpolate
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.recorded import GENERIC, MRCLAM, VICTORIA_PARK, slam_for
 from slam_gym.slam.slam import SlamSpec

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import compose, transform
+from slam_gym.recordings import RecordingError
 from slam_gym.recordings.pose_graph import g2o, isam
-from slam_gym.recordings.recording import RecordingError
 
 MOTION, SEEN = np.diag([0.01, 0.04, 0.0025]), np.array([[0.05, 0.01], [0.01, 0.02]])
 LANDMARKS = {100: (2.0, 1.0), 101: (3.0, -2.0)}

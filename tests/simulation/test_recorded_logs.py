@@ -13,7 +13,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.geometry import compose, observe, relative
-from slam_gym.recordings.recording import Recording, save
+from slam_gym.recordings import Recording, save
 from slam_gym.simulation.recorded_logs import reference_poses, windows
 from slam_gym.types import NONE, UNKNOWN
 from tests.envs.test_associate import ID, Playing, associate, at_random, episode, refuse, total

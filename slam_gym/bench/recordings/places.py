@@ -26,7 +26,7 @@ from slam_gym.geometry import compose, inverse, observe, transform, wrap_angle
 from slam_gym.mapping.locality import covisible, linked, same_local_map, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.recordings.least_squares import Optimum, least_squares
-from slam_gym.recordings.mrclam import stationary
+from slam_gym.recordings.mrclam_groups import stationary
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.relocation_cases import RelocationCases
 from slam_gym.recordings.victoria_park import victoria_park

@@ -23,7 +23,7 @@ from slam_gym.bench.recordings.places import (
 )
 from slam_gym.bench.recordings.recordings import LEAST, Attempt, Setting, attempts, outcome, without_sizes
 from slam_gym.geometry import compose, observe, transform, wrap_angle
-from slam_gym.recordings.mrclam import stationary
+from slam_gym.recordings.mrclam_groups import stationary
 from slam_gym.types import NONE
 
 

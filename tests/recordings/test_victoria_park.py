@@ -1,16 +1,14 @@
-"""Victoria Park and MR.CLAM as they are published: counts and figures that others have found in them."""
+"""Victoria Park as it is published: counts and figures that others have found in it."""
 
-import gzip
 import shutil
 
 import numpy as np
 import pytest
 
 from slam_gym.geometry import compose, observe, relative
-from slam_gym.recordings.mrclam import ROBOTS, mrclam
-from slam_gym.recordings.recording import Recording, RecordingError
+from slam_gym.recordings import Recording, RecordingError
 from slam_gym.recordings.victoria_park import victoria_park
-from slam_gym.types import NONE, UNKNOWN
+from slam_gym.types import UNKNOWN
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +23,6 @@ def driven(recording: Recording) -> np.ndarray:
         pose = compose(pose, motion)
         poses.append(pose)
     return np.array(poses)
-
-
-def at_reference(recording: Recording, times: np.ndarray) -> np.ndarray:
-    """Reference poses (t, 3) at `times`, interpolated."""
-    x, y, heading = recording.reference_poses.T
-    heading = np.unwrap(heading)
-    return np.column_stack([np.interp(times, recording.reference_times, v) for v in (x, y, heading)])
 
 
 def test_the_park_has_all_its_scans_detections_and_labels(park) -> None:
@@ -84,49 +75,3 @@ def test_damaged_files_of_the_park_are_named(data_dir, tmp_path) -> None:
     shutil.copyfile(folder / "aa3_dr.mat", path)
     with pytest.raises(RecordingError, match=r"aa3_gpsx\.mat: variable 'timeGps' is missing"):
         victoria_park(folder)
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_the_motions_of_a_robot_are_those_of_the_vicon(data_dir, robot) -> None:
-    log = mrclam(data_dir / "mrclam" / "MRCLAM_Dataset6", robot)
-    true = at_reference(log, log.times)
-    errors = np.array([relative(relative(true[k - 1], true[k]), log.motions[k]) for k in range(1, len(log))])
-    nees = np.einsum("ti,tij,tj->t", errors, np.linalg.inv(log.motion_covariances[1:]), errors)
-    assert np.median(nees) < 2.4 and (nees < 30.0).mean() > 0.95  # the median of χ²_3 is 2.37
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_barcodes_are_seen_where_the_vicon_has_them(data_dir, robot) -> None:
-    log = mrclam(data_dir / "mrclam" / "MRCLAM_Dataset6", robot)
-    true = at_reference(log, log.times)
-    place = dict(zip(log.landmark_ids.tolist(), log.landmarks))
-    assert sorted(place) == list(range(6, 21)) and set(log.sources) <= {NONE, *place}
-    errors = []
-    for k in range(len(log)):
-        for point, source in zip(log.scan(k).points, log.sources_of(k).tolist()):
-            if source != NONE:
-                errors.append(np.hypot(*(point - observe(true[k], place[source][None])[0])))
-    assert np.median(errors) < 0.2 and np.percentile(errors, 95) < 0.6
-
-
-def test_a_set_that_is_not_there_or_damaged_is_named(data_dir, tmp_path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"Robot2_Odometry\.dat: not there.*Cite"):
-        mrclam(tmp_path, 2)
-    with pytest.raises(ValueError, match="robot: 6 is none of"):
-        mrclam(tmp_path, 6)
-    folder = tmp_path / "set"
-    shutil.copytree(data_dir / "mrclam" / "MRCLAM_Dataset6", folder, copy_function=shutil.copyfile)
-    path = folder / "Robot1_Measurement.dat.gz"
-    lines = gzip.decompress(path.read_bytes()).decode().splitlines()
-    for number, line, message in (
-        (20, "1 2 3", "Measurement"),
-        (30, lines[5], "back in time"),
-        (9, "a b c d", "could"),
-    ):
-        text = "\n".join([*lines[:number], line, *lines[number:]])
-        path.write_bytes(gzip.compress(text.encode()))
-        with pytest.raises(RecordingError, match=message):
-            mrclam(folder, 1)
-    path.write_bytes(path.read_bytes()[:500])
-    with pytest.raises(RecordingError, match=r"Robot1_Measurement\.dat\.gz"):
-        mrclam(folder, 1)

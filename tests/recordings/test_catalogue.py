@@ -1,0 +1,49 @@
+"""Recordings by name or file."""
+
+import numpy as np
+import pytest
+
+from slam_gym.recordings import Recording, RecordingError, open_recordings, save
+from slam_gym.recordings.catalogue import DATA
+from tests.recordings.test_recording import by_hand
+
+G2O = "EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 0 5 2 1 4 0 4\nVERTEX_SE2 0 3 4 0\nVERTEX_SE2 1 4 4 0\n"
+ISAM = "ODOMETRY 0 1 1 0 0 3 0 0 3 0 3\nLANDMARK 0 5 2 1 2 0 2\n"
+
+
+def test_the_suffix_of_a_file_tells_its_reader(tmp_path) -> None:
+    save(Recording(**by_hand()), tmp_path / "mine.npz")
+    (tmp_path / "mine.g2o").write_text(G2O)
+    (tmp_path / "mine.txt").write_text(ISAM)
+    assert [len(open_recordings(tmp_path / f"mine.{suffix}")[0]) for suffix in ("npz", "g2o", "txt")] == [6, 2, 2]
+    for reference, known in ((False, 0), (True, 2)):
+        (log,) = open_recordings(str(tmp_path / "mine.g2o"), reference=reference)
+        assert len(log.reference_poses) == known
+    np.testing.assert_array_equal(open_recordings(tmp_path / "mine.txt")[0].points, [[2.0, 1.0]])
+
+
+def test_what_is_no_recording_is_refused_by_name(tmp_path, monkeypatch) -> None:
+    with pytest.raises(ValueError, match=r"unknown recording 'park'; known: victoria_park, mrclam, FILE\.npz"):
+        open_recordings("park")
+    with pytest.raises(FileNotFoundError, match=r"none\.npz: not there"):
+        open_recordings(tmp_path / "none.npz")
+    (tmp_path / "bad.txt").write_bytes(b"ODOMETRY \xff\n")
+    with pytest.raises(RecordingError, match=r"bad\.txt: line 1"):
+        open_recordings(tmp_path / "bad.txt")
+    monkeypatch.delenv(DATA, raising=False)
+    for name in ("victoria_park", "mrclam"):
+        with pytest.raises(FileNotFoundError, match=rf"{name}.*not part of this package.*{DATA}.*Cite"):
+            open_recordings(name)
+        with pytest.raises(FileNotFoundError, match=rf"{name}.*is no folder.*Cite"):
+            open_recordings(name, tmp_path / "nowhere")
+    with pytest.raises(FileNotFoundError, match=r"holds no set.*Cite"):
+        open_recordings("mrclam", tmp_path)
+
+
+def test_of_each_set_every_robot_that_was_asked_for(data_dir, monkeypatch) -> None:
+    monkeypatch.setenv(DATA, str(data_dir))
+    sets = sorted(path.name for path in (data_dir / "mrclam").glob("MRCLAM_Dataset*"))
+    logs = open_recordings("mrclam", robots=[2, 4])
+    assert [log.name for log in logs] == [f"mrclam/{folder}/robot{robot}" for folder in sets for robot in (2, 4)]
+    (alone,) = open_recordings("mrclam", data_dir / "mrclam" / sets[0], [4])
+    np.testing.assert_array_equal(alone.points, logs[1].points)
