@@ -1,12 +1,136 @@
 """slam_gym: learn and evaluate data association in SLAM, and active exploration on top of it.
 
-Importing the package registers its environments with Gymnasium.
+Importing the package registers its environments with Gymnasium. What `__all__` lists is imported when it is first used,
+so that `import slam_gym` itself stays quick.
 """
 
-from gymnasium.envs.registration import register
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as _gymnasium
+
+if TYPE_CHECKING:
+    from slam_gym.association import (
+        ASSOCIATORS,
+        RELOCATORS,
+        from_policy,
+        gcbb,
+        global_nearest_neighbour,
+        indexed,
+        ipjc,
+        jcbb,
+        map_hypothesis,
+        max_clique,
+        nearest_neighbour,
+        one_point_ransac,
+        random_sampling,
+        relocator_from_policy,
+        singles,
+        spectral,
+        true_association,
+    )
+    from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+    from slam_gym.recordings.catalogue import open_recordings
+    from slam_gym.recordings.trajectory_file import write_tum
+    from slam_gym.scenarios import SCENARIOS, Scenario, register
+    from slam_gym.slam.local_maps import LocalMapSlam
+    from slam_gym.slam.relocation import RelocatingSlam, relocate_by
+    from slam_gym.slam.slam import Slam, SlamSpec
+    from slam_gym.types import (
+        UNKNOWN_KIND,
+        UNPAIRED,
+        Hypothesis,
+        Landmarks,
+        Locality,
+        Odometry,
+        Prediction,
+        Relocation,
+        Scan,
+    )
+    from slam_gym.world.floor_plan import FloorPlan
 
 __version__ = "0.1.0"
 
-register(id="slam_gym/Explore-v0", entry_point="slam_gym.envs.explore:ExploreEnv")
-register(id="slam_gym/Associate-v0", entry_point="slam_gym.envs.associate:AssociateEnv")
-register(id="slam_gym/Relocate-v0", entry_point="slam_gym.envs.relocate:RelocateEnv")
+_WHERE = {
+    "association": (
+        "ASSOCIATORS", "RELOCATORS", "from_policy", "gcbb", "global_nearest_neighbour", "indexed", "ipjc", "jcbb",
+        "map_hypothesis", "max_clique", "nearest_neighbour", "one_point_ransac", "random_sampling",
+        "relocator_from_policy", "singles", "spectral", "true_association",
+    ),
+    "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
+    "recordings.catalogue": ("open_recordings",),
+    "recordings.trajectory_file": ("write_tum",),
+    "scenarios": ("SCENARIOS", "Scenario", "register"),
+    "slam.local_maps": ("LocalMapSlam",),
+    "slam.relocation": ("RelocatingSlam", "relocate_by"),
+    "slam.slam": ("Slam", "SlamSpec"),
+    "types": (
+        "UNKNOWN_KIND", "UNPAIRED", "Hypothesis", "Landmarks", "Locality", "Odometry", "Prediction", "Relocation",
+        "Scan",
+    ),
+    "world.floor_plan": ("FloorPlan",),
+}  # fmt: skip
+_MODULE_OF = {name: f"slam_gym.{module}" for module, names in _WHERE.items() for name in names}
+
+__all__ = [
+    "ASSOCIATORS",
+    "RELOCATORS",
+    "SCENARIOS",
+    "UNKNOWN_KIND",
+    "UNPAIRED",
+    "FloorPlan",
+    "Hypothesis",
+    "Landmarks",
+    "LocalMapSlam",
+    "Locality",
+    "MapSpec",
+    "Odometry",
+    "Prediction",
+    "RelocatingSlam",
+    "Relocation",
+    "Scan",
+    "Scenario",
+    "Slam",
+    "SlamSpec",
+    "StochasticMap",
+    "from_policy",
+    "gcbb",
+    "global_nearest_neighbour",
+    "indexed",
+    "ipjc",
+    "jcbb",
+    "map_hypothesis",
+    "max_clique",
+    "nearest_neighbour",
+    "one_point_ransac",
+    "open_recordings",
+    "random_sampling",
+    "register",
+    "relocate_by",
+    "relocator_from_policy",
+    "singles",
+    "spectral",
+    "true_association",
+    "write_tum",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what `__all__` lists when it is first asked for."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(importlib.import_module(_MODULE_OF[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+for _environment in ("Explore", "Associate", "Relocate"):
+    _gymnasium.register(
+        id=f"slam_gym/{_environment}-v0", entry_point=f"slam_gym.envs.{_environment.lower()}:{_environment}Env"
+    )

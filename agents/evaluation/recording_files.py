@@ -18,6 +18,7 @@ from agents.evaluation.recording_measures import compare
 from agents.evaluation.recording_run import Run
 from slam_gym.geometry import transform
 from slam_gym.recordings.recording import Recording
+from slam_gym.recordings.trajectory_file import write_tum
 from slam_gym.types import Array
 
 MAP_FIELDS = (
@@ -29,13 +30,6 @@ ERROR_FIELDS = ("time", "x", "y", "reference_x", "reference_y", "error")
 def stem(*names: str) -> str:
     """A file's name for a log, and an associator that may itself be a path or `module:function`."""
     return ".".join(re.sub(r"[^\w\-]+", "-", name).strip("-") for name in names)
-
-
-def write_tum(path: Path, times: Array, poses: Array) -> None:
-    """Poses (t, 3) [m, m, rad] at `times` (t,) [s], one a line: `t x y z qx qy qz qw` (Sturm et al., IROS 2012)."""
-    half, zero = 0.5 * poses[:, 2], np.zeros(len(poses))
-    rows = np.column_stack([times, poses[:, :2], zero, zero, zero, np.sin(half), np.cos(half)])
-    np.savetxt(path, rows, fmt="%.9g", header="timestamp x y z qx qy qz qw")
 
 
 def write_run(folder: Path, log: Recording, name: str, run: Run, align: Array) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import functools
 from typing import Protocol
 
-from slam_gym.association import resolve_associator, true_association
+from slam_gym.association import true_association
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities, Tally
+from slam_gym.slam.asked import asked
 from slam_gym.slam.slam import AskingStep, answered
 from slam_gym.types import Associator, Odometry, Scan, SlamStep, Truth
 
@@ -47,8 +48,8 @@ class JudgedSlam:
     ) -> None:
         self.slam = slam
         self.identities = identities or Identities()
-        self._truth_told = associator == CEILING if isinstance(associator, str) else False
-        self._associate = resolve_associator(associator)
+        self._truth_told = isinstance(associator, str) and associator == CEILING
+        self._associate = asked(associator)
         self._informed = informed
 
     @property

@@ -20,10 +20,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam_gym.association import resolve_associator
 from slam_gym.mapping.local_maps import LocalMaps
 from slam_gym.mapping.locality import linked, same_local_map
 from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.slam.asked import asked
 from slam_gym.slam.duplicates import Duplicates, find_duplicates
 from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, answered
 from slam_gym.types import Array, Associator, IntArray, Locality, Odometry, Scan, SlamStep
@@ -77,7 +77,7 @@ class LocalMapSlam:
 
         Arguments and errors are those of `Slam.step`.
         """
-        return answered(self.asking_step(odometry, scan), scan, resolve_associator(associator))
+        return answered(self.asking_step(odometry, scan), scan, asked(associator))
 
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
         """The same where somebody outside associates: see `slam_gym.slam.slam.AskingStep`."""

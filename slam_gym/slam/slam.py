@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import has_compatible
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.slam.asked import asked
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -90,7 +90,7 @@ class Slam:
         Raises ValueError, before anything is changed, for non-finite numbers, covariances that are none and an unknown
         associator; and for a hypothesis that does not fit scan and map, when only the motion has been predicted.
         """
-        return answered(self.asking_step(odometry, scan), scan, resolve_associator(associator))
+        return answered(self.asking_step(odometry, scan), scan, asked(associator))
 
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
         """The step of Castellanos, Neira and Tardós (2006), whoever associates: see `AskingStep`. Raises as `step`.
