@@ -14,9 +14,17 @@ from slam_gym.association.tracking.observation import lengths, nothing
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, get_scenario, world_generator, world_seed
+from slam_gym.simulation.association_runs import (
+    DRIVERS,
+    LOGS,
+    AssociationRun,
+    DrivenRun,
+    Driver,
+    LoggedRun,
+    ScanLog,
+)
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
-from slam_gym.simulation.runs import DRIVERS, LOGS, DrivenRun, Driver, Log, LoggedRun, Run
 from slam_gym.simulation.verdicts import Verdicts
 from slam_gym.types import NONE, Hypothesis
 from slam_gym.validation import one_of
@@ -63,9 +71,10 @@ class AssociateEnv(gym.Env[Observation, Any]):
 
     ## Arguments
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, `"corridor"` (the reference experiment), a `Scenario`,
-      or a `slam_gym.simulation.runs.Log`; `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`,
-      perhaps with `?looks=…&every=…`, for a real log (see `slam_gym.simulation.recorded_logs`): sources that nobody
-      knows count nowhere, what the labels leave out of a scan is spurious.
+      or a `slam_gym.simulation.association_runs.ScanLog`; for a real log `"recording:FILE"`,
+      `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps with `?looks=…&every=…` (see
+      `slam_gym.simulation.recorded_logs`): sources that nobody knows count nowhere, what the labels leave out of a
+      scan is spurious.
     - `split`: `"train"` or `"test"`, whose worlds never overlap, nor do the parts of a recording; on another log it
       keeps the seeds apart.
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
@@ -79,7 +88,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
 
     def __init__(
         self,
-        scenario: str | Scenario | Log = "office",
+        scenario: str | Scenario | ScanLog = "office",
         split: Literal["train", "test"] = "train",
         driver: str | Driver = "nearest_frontier",
         reward: Literal["truth", "map_error"] = "truth",
@@ -100,7 +109,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
         if not callable(driver):
             one_of("driver", driver, DRIVERS)
             driver = DRIVERS[driver]
-        self.places_known = not isinstance(scenario, Log) or len(scenario.targets) > 0
+        self.places_known = not isinstance(scenario, ScanLog) or len(scenario.targets) > 0
         if reward == "map_error" and not self.places_known:
             raise ValueError(
                 f"reward={reward!r}: nobody knows where the features of {scenario.name!r} are; known: truth"
@@ -115,7 +124,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
         self.action_space = spaces.Discrete(candidates + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over
         self._site: Site | None = None
-        self._run: Run | None = None
+        self._run: AssociationRun | None = None
         self._renderer: Any = None
         self._ended = False
 
@@ -157,11 +166,11 @@ class AssociateEnv(gym.Env[Observation, Any]):
             action = int(action) if self.walk.mask[action] else self.K
             reward = self._judge(action)
             self.walk.take(action)
-        learned = run.looks
+        learned = run.scans
         self._proceed()
         if not self._of_truth:
             reward = 0.0
-            if run.looks > learned or self.walk is None:
+            if run.scans > learned or self.walk is None:
                 error = run.map_error()
                 reward, self._last_error = self._last_error - error, error
         self._ended = self.walk is None
@@ -192,7 +201,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
-    def run(self) -> Run:
+    def run(self) -> AssociationRun:
         """The SLAM run that the agent associates for. Raises RuntimeError before the first reset."""
         if self._run is None:
             raise RuntimeError("no episode yet: call reset() first")
@@ -239,9 +248,9 @@ class AssociateEnv(gym.Env[Observation, Any]):
 
     # -- parts of a step ---------------------------------------------------------------------------------------------
 
-    def _start(self, world: int) -> Run:
+    def _start(self, world: int) -> AssociationRun:
         self._ended = False
-        if isinstance(self.scenario, Log):
+        if isinstance(self.scenario, ScanLog):
             stream = np.random.default_rng((world_seed(self.split, world), int(self.np_random.integers(2**63))))
             return LoggedRun(self.scenario, stream)
         plan = self.scenario.generator(world_generator(self.split, world))
@@ -254,11 +263,11 @@ class AssociateEnv(gym.Env[Observation, Any]):
         run = self.run
         while self.walk is None or self.walk.done:
             if self.walk is not None:
-                run.learn(self.walk.hypothesis())
+                run.associate(self.walk.hypothesis())
                 self.walk = None
             if run.over:
                 return
-            run.look()
+            run.next_scan()
             self._verdicts = Verdicts.of(run.truth, run.identities.source_of(run.slam.map.ids))
             self._known += self._verdicts.known
             self.walk = Walk(
@@ -284,11 +293,11 @@ class AssociateEnv(gym.Env[Observation, Any]):
     def _observe(self) -> Observation:
         run = self.run
         observation = nothing(self.K) if self.walk is None else self.walk.observation()
-        return observation | {"budget": np.array([1.0 - run.looks / run.length], np.float32)}
+        return observation | {"budget": np.array([1.0 - run.scans / run.length], np.float32)}
 
     def _info(self) -> Info:
         return {
-            "look": self.run.looks,
+            "look": self.run.scans,
             "hidden": 0 if self.walk is None else self.walk.hidden,
             "score": self.score,
             "map_error": self.run.map_error(),
@@ -299,7 +308,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
     def _figures(self) -> tuple[tuple[str, str], ...]:
         map_error = (("map error", f"{self.run.map_error():.2f}"),) if self.places_known else ()
         return (
-            ("look", f"{self.run.looks} of {self.run.length}"),
+            ("look", f"{self.run.scans} of {self.run.length}"),
             ("score", f"{self.score:.2f}"),
             ("paired right", str(self._right)),
             ("paired wrong", str(self._wrong)),
@@ -307,7 +316,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
         )
 
 
-def _named(scenario: str, split: str) -> Scenario | Log:
+def _named(scenario: str, split: str) -> Scenario | ScanLog:
     """The scenario or log of that name."""
     if scenario.startswith(PREFIX):
         return recorded_log(scenario, split)

@@ -17,7 +17,7 @@ from slam_gym.rendering.figures_panel import Figures, badges
 from slam_gym.rendering.scene import scene_of
 from slam_gym.rendering.tree_panel import draw_panel
 from slam_gym.rendering.window import Window
-from slam_gym.simulation.runs import Run
+from slam_gym.simulation.association_runs import AssociationRun
 from slam_gym.simulation.verdicts import Verdicts, decisions
 from slam_gym.types import NONE, Array
 
@@ -38,7 +38,9 @@ class TreeRenderer:
         self.size = size
         self._window = Window(mode, size, "slam_gym: the interpretation tree", fps)
 
-    def draw(self, run: Run, walk: Walk | None, verdicts: Verdicts, figures: Figures) -> NDArray[np.uint8] | None:
+    def draw(
+        self, run: AssociationRun, walk: Walk | None, verdicts: Verdicts, figures: Figures
+    ) -> NDArray[np.uint8] | None:
         """The picture (h, w, 3); None in `human` mode, where it goes to the window."""
         picture = pygame.Surface(self.size, depth=32)
         picture.fill(symbols.PAPER)
@@ -52,7 +54,9 @@ class TreeRenderer:
         self._window.close()
 
 
-def _draw_surroundings(picture: Any, size: tuple[int, int], run: Run, walk: Walk | None, verdicts: Verdicts) -> None:
+def _draw_surroundings(
+    picture: Any, size: tuple[int, int], run: AssociationRun, walk: Walk | None, verdicts: Verdicts
+) -> None:
     base, frame = scene_of(run)
     pose = compose(base, run.slam.map.pose)
     low, scale = _view(size, np.vstack([pose[:2], transform(pose, run.scan.points)]))

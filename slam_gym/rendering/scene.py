@@ -9,13 +9,13 @@ import numpy as np
 from slam_gym.geometry import observe, relative
 from slam_gym.rendering.explore_view import Frame
 from slam_gym.rendering.frames import frame_of
-from slam_gym.simulation.runs import DrivenRun, LoggedRun, Run
+from slam_gym.simulation.association_runs import AssociationRun, DrivenRun, LoggedRun
 from slam_gym.types import Array
 
 _NO_POINTS, _NO_DECISIONS = np.empty((0, 2)), np.empty(0, np.int64)
 
 
-def scene_of(run: Run) -> tuple[Array, Frame]:
+def scene_of(run: AssociationRun) -> tuple[Array, Frame]:
     """Pose (3,) of B in the frame of the picture, and the picture without any measurement.
 
     A scenario is drawn in W; a log in B, where it has no walls, and where its true robot need not be known.

@@ -10,7 +10,7 @@ from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import pygame, text
 from slam_gym.rendering.figures_panel import ROW, Box, Choice, Figures, KeyEntry, figures, key, table
 from slam_gym.rendering.tree_levels import Level, draw_levels
-from slam_gym.simulation.runs import Run
+from slam_gym.simulation.association_runs import AssociationRun
 from slam_gym.simulation.verdicts import Verdicts, decisions
 from slam_gym.types import NONE, UNKNOWN, IntArray
 
@@ -29,7 +29,9 @@ _KEY: tuple[KeyEntry, ...] = (
 )
 
 
-def draw_panel(picture: Any, box: Box, run: Run, walk: Walk | None, verdicts: Verdicts, shown: Figures) -> None:
+def draw_panel(
+    picture: Any, box: Box, run: AssociationRun, walk: Walk | None, verdicts: Verdicts, shown: Figures
+) -> None:
     """Figures, tree, the table of the branches to choose from, and the key."""
     left, top, width, height = box
     pygame.draw.line(picture, symbols.LINE, (left, top), (left, top + height))
@@ -69,7 +71,7 @@ def _level(walk: Walk, verdicts: Verdicts, codes: IntArray, k: int) -> Level:
     )
 
 
-def _table(picture: Any, box: Box, walk: Walk, verdicts: Verdicts, run: Run) -> None:
+def _table(picture: Any, box: Box, walk: Walk, verdicts: Verdicts, run: AssociationRun) -> None:
     """What may be chosen: action, feature, D²_ij and D²_H with bars up to their gates."""
     gates = float(walk.tree.gates[1]), float(walk.tree.gates[walk.pairings + 1])
     ids, right = run.slam.map.ids[run.prediction.features[walk.rows]], verdicts.right_action(walk)

@@ -110,13 +110,13 @@ class Episode:
         self._drive(forward, turn)
         self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
 
-    def look(self, forward: float, turn: float) -> Prediction:
+    def begin_tick(self, forward: float, turn: float) -> Prediction:
         """First half of a tick for those who associate from outside: drive, look, and predict what the scan shows."""
         self._drive(forward, turn)
         self._asking = self._judged.asking_step(self.odometry, self.scan, self.truth)
         return next(self._asking)
 
-    def learn(self, hypothesis: Hypothesis) -> None:
+    def end_tick(self, hypothesis: Hypothesis) -> None:
         """Second half: the rest of the SLAM step, with their `hypothesis` on the scan."""
         self._take_in(send(self._asking, hypothesis))
 

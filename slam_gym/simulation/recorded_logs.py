@@ -26,7 +26,7 @@ from slam_gym.recordings.mrclam import ROBOTS
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.scenarios import SPLITS
 from slam_gym.scenarios.recorded import slam_for
-from slam_gym.simulation.runs import Log
+from slam_gym.simulation.association_runs import ScanLog
 from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import Array, Odometry, Scan, Truth
 
@@ -36,7 +36,7 @@ _TRAINING = 0.7  # share of a log
 _SET = "/MRCLAM_Dataset6/"
 
 
-def recorded_log(scenario: str, split: str) -> Log:
+def recorded_log(scenario: str, split: str) -> ScanLog:
     """The log behind the name of a scenario, "recording:…".
 
     Raises ValueError for a name or an option that there is none of; FileNotFoundError, which says where to get the data
@@ -49,7 +49,7 @@ def recorded_log(scenario: str, split: str) -> Log:
 
 def windows(
     recording: Recording, split: str | None = None, looks: int = LOOKS, every: int = 1, slam: SlamSpec | None = None
-) -> Log:
+) -> ScanLog:
     """A log whose episodes are windows of a `split` of a recording, or of all of it, on every `every`-th step.
 
     See the module. Features have known places, which `reward="map_error"` asks for, if the recording has landmarks and
@@ -67,7 +67,7 @@ def windows(
         log = log.part(0, cut) if split == "train" else log.part(cut)
     length, poses = min(looks, len(log)), reference_poses(log)
     targets = log.landmarks if np.isfinite(poses).all() else log.landmarks[:0]
-    return Log(log.name, partial(_window, log, poses, length), length, slam or slam_for(log), targets)
+    return ScanLog(log.name, partial(_window, log, poses, length), length, slam or slam_for(log), targets)
 
 
 def reference_poses(recording: Recording) -> Array:

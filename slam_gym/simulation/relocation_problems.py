@@ -13,10 +13,10 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.scenarios import SPLITS, Scenario, world_generator, world_seed
+from slam_gym.simulation.association_runs import nearest_frontier
 from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode, Site, survey
 from slam_gym.simulation.goals import LOOK, Places, propose
-from slam_gym.simulation.runs import nearest_frontier
 from slam_gym.slam.relocation import LocalityName
 from slam_gym.types import NONE, Array, Associator, IntArray, Landmarks, Locality, Scan
 from slam_gym.world.reachability import free_start

@@ -17,7 +17,7 @@ from agents.learning.association_setting import AssociationSetting
 from agents.learning.ppo import load_hyperparameters, read_model
 from agents.train import train
 from slam_gym.association.tracking.observation import lengths
-from slam_gym.simulation.runs import CORRIDOR
+from slam_gym.simulation.association_runs import CORRIDOR
 from slam_gym.slam.slam import Slam
 from slam_gym.types import NONE
 
@@ -166,7 +166,7 @@ def test_the_model_is_an_associator_that_decides_as_in_the_environment(trained):
         observation, _, over, _, info = env.step(action)
     again = pickle.loads(pickle.dumps(associate))
     slam = Slam(CORRIDOR.slam, again)
-    for odometry, scan, _ in CORRIDOR.looks(np.random.default_rng(0)):
+    for odometry, scan, _ in CORRIDOR.scans(np.random.default_rng(0)):
         slam.step(odometry, scan)
     assert slam.map.n > 50
 

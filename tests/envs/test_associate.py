@@ -15,7 +15,7 @@ import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import jcbb, nearest_neighbour, singles
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.envs.associate import AssociateEnv
-from slam_gym.simulation.runs import CORRIDOR, nearest_frontier
+from slam_gym.simulation.association_runs import CORRIDOR, nearest_frontier
 from slam_gym.slam.slam import Slam
 from slam_gym.types import NONE
 from slam_gym.world.corridor import walk_round

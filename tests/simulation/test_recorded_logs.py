@@ -62,7 +62,7 @@ def truth(env, info):
 
 
 def looks_of(log, seed):
-    return list(log.looks(np.random.default_rng(seed)))
+    return list(log.scans(np.random.default_rng(seed)))
 
 
 # -- windows -------------------------------------------------------------------------------------------------------

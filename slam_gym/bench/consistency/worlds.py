@@ -24,8 +24,8 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios import Scenario, from_floor_plan, get_scenario, world_generator
 from slam_gym.scenarios.recorded import slam_for
+from slam_gym.simulation.association_runs import DrivenRun, nearest_frontier
 from slam_gym.simulation.episode import survey
-from slam_gym.simulation.runs import DrivenRun, nearest_frontier
 from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import Array, Odometry, Truth
 from slam_gym.world.corridor import polar_scan
@@ -95,9 +95,9 @@ def explored(world: str, seed: int, scenario: Scenario, ticks: int) -> Log:
     driven = DrivenRun(scenario, site, nearest_frontier, np.random.default_rng(seed))
     looks: list[Look] = [(driven.episode.odometry, driven.scan, driven.truth)]
     while not driven.over:
-        driven.look()
+        driven.next_scan()
         looks.append((driven.episode.odometry, driven.scan, driven.truth))
-        driven.learn(jcbb(driven.scan, driven.prediction))
+        driven.associate(jcbb(driven.scan, driven.prediction))
     features = dict(enumerate(site.plan.features.positions))
     return Log(world, seed, looks, features, replace(scenario.slam, reach=scenario.sensor.range), 30)
 

@@ -24,8 +24,8 @@ from slam_gym.types import Array, Hypothesis, Odometry, Prediction, Scan, Truth
 from slam_gym.world import corridor
 
 
-class Run(Protocol):
-    """A SLAM run whose hypotheses come from outside: `look`, then `learn`, and again, until it is `over`."""
+class AssociationRun(Protocol):
+    """A SLAM run whose hypotheses come from outside: `next_scan`, then `associate`, and again, until it is `over`."""
 
     slam: Slam
     identities: Identities
@@ -38,20 +38,20 @@ class Run(Protocol):
     def truth(self) -> Truth: ...
 
     @property
-    def looks(self) -> int:
-        """Number of looks so far, the first from where the robot starts."""
+    def scans(self) -> int:
+        """Number of scans so far, the first from where the robot starts."""
 
     @property
     def length(self) -> int:
-        """Number of looks in all."""
+        """Number of scans in all."""
 
     @property
     def over(self) -> bool: ...
 
-    def look(self) -> None:
+    def next_scan(self) -> None:
         """On to the next scan."""
 
-    def learn(self, hypothesis: Hypothesis) -> None:
+    def associate(self, hypothesis: Hypothesis) -> None:
         """Update the map by a hypothesis on the scan."""
 
     def map_error(self) -> float:
@@ -99,7 +99,7 @@ class DrivenRun:
         return self.episode.truth
 
     @property
-    def looks(self) -> int:
+    def scans(self) -> int:
         return self.episode.ticks + 1
 
     @property
@@ -110,7 +110,7 @@ class DrivenRun:
     def over(self) -> bool:
         return self.episode.over
 
-    def look(self) -> None:
+    def next_scan(self) -> None:
         """Drive on for a tick, towards a new goal where the last one is done with."""
         command = next(self._commands, None)
         while command is None:
@@ -118,10 +118,10 @@ class DrivenRun:
             slot = self._driver(goals, self._choices)
             self._commands = commands(self.episode, slot, goals.positions[slot])
             command = next(self._commands, None)
-        self.prediction = self.episode.look(*command)
+        self.prediction = self.episode.begin_tick(*command)
 
-    def learn(self, hypothesis: Hypothesis) -> None:
-        self.episode.learn(hypothesis)
+    def associate(self, hypothesis: Hypothesis) -> None:
+        self.episode.end_tick(hypothesis)
         self._places.pass_by(self.episode.estimates[-1][:2])
 
     def map_error(self) -> float:
@@ -129,31 +129,31 @@ class DrivenRun:
 
 
 @dataclass(frozen=True)
-class Log:
+class ScanLog:
     """Looks that do not depend on what is made of them: a recording, or a simulator that drives itself."""
 
     name: str
-    looks: Callable[[np.random.Generator], Iterator[tuple[Odometry, Scan, Truth]]]
-    length: int  # looks in all
+    scans: Callable[[np.random.Generator], Iterator[tuple[Odometry, Scan, Truth]]]
+    length: int  # scans in all
     slam: SlamSpec
     targets: Array  # (N, 2) [m] true features, in the frame of the true poses; none where nobody knows them
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
 
     def __post_init__(self) -> None:
         if self.length < 1:
-            raise ValueError(f"Log.length: {self.length} is less than 1")
+            raise ValueError(f"ScanLog.length: {self.length} is less than 1")
 
 
 class LoggedRun:
     """SLAM on a log."""
 
-    def __init__(self, log: Log, rng: np.random.Generator) -> None:
+    def __init__(self, log: ScanLog, rng: np.random.Generator) -> None:
         self.log = log
         self.slam = Slam(log.slam)
         self._judged = JudgedSlam(self.slam)
         self.identities = self._judged.identities
-        self._looks = log.looks(rng)
-        self.looks, self.length = 0, log.length
+        self._scans = log.scans(rng)
+        self.scans, self.length = 0, log.length
         self.poses: list[Array] = []  # true, (3,) in the frame of the log
         self.estimates: list[Array] = []  # (3,) in B
         self._error, self._error_at = 1.0, 0
@@ -162,17 +162,17 @@ class LoggedRun:
     def over(self) -> bool:
         return len(self.estimates) == self.length
 
-    def look(self) -> None:
+    def next_scan(self) -> None:
         """On to the next scan. Raises ValueError where the log is shorter than it says."""
-        found = next(self._looks, None)
+        found = next(self._scans, None)
         if found is None:
-            raise ValueError(f"log {self.log.name!r}: ends after {self.looks} looks, not {self.length}")
+            raise ValueError(f"log {self.log.name!r}: ends after {self.scans} scans, not {self.length}")
         odometry, self.scan, self.truth = found
         self._asking = self._judged.asking_step(odometry, self.scan, self.truth)
         self.prediction = next(self._asking)
-        self.looks += 1
+        self.scans += 1
 
-    def learn(self, hypothesis: Hypothesis) -> None:
+    def associate(self, hypothesis: Hypothesis) -> None:
         send(self._asking, hypothesis)
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
@@ -184,14 +184,14 @@ class LoggedRun:
         return observe(start, self.log.targets)
 
     def map_error(self) -> float:
-        """As `Run` has it; 1, that of an empty map, where nobody knows the true features."""
+        """As `AssociationRun` has it; 1, that of an empty map, where nobody knows the true features."""
         if len(self.log.targets) and self._error_at != len(self.estimates):
             self._error_at = len(self.estimates)
             self._error = map_quality.map_error(self.slam.map.confirmed, self.targets, self.log.prior_sigma)
         return self._error
 
 
-CORRIDOR = Log(
+CORRIDOR = ScanLog(
     "corridor",
     corridor.walk_round,
     corridor.STEPS + 1,
@@ -200,4 +200,4 @@ CORRIDOR = Log(
 )
 """The reference corridor, whose noise alone differs from seed to seed."""
 
-LOGS: dict[str, Log] = {CORRIDOR.name: CORRIDOR}
+LOGS: dict[str, ScanLog] = {CORRIDOR.name: CORRIDOR}
