@@ -29,7 +29,7 @@ def fixed_noise(_rng):
     return walk_round(np.random.default_rng(3))
 
 
-WITH_FIXED_NOISE = replace(CORRIDOR, looks=fixed_noise)
+WITH_FIXED_NOISE = replace(CORRIDOR, scans=fixed_noise)
 
 
 def associate(scenario="office-small", **options) -> AssociateEnv:
