@@ -143,7 +143,7 @@ def test_bad_calls_are_refused_by_name():
 
 def test_a_log_that_is_shorter_than_it_says_is_refused_by_name():
     env = associate(replace(CORRIDOR, name="cut", length=50))
-    with pytest.raises(ValueError, match="'cut': ends after 45 looks, not 50"):
+    with pytest.raises(ValueError, match="'cut': ends after 45 scans, not 50"):
         for _ in episode(env, refuse):
             pass
     with pytest.raises(ValueError, match="length: 0"):
