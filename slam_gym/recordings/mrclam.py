@@ -18,7 +18,7 @@ from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.recordings.reading import Points, RecordingError, from_polar
 from slam_gym.recordings.recording import Recording, interpolate
-from slam_gym.types import NONE, Array, BoolArray, IntArray
+from slam_gym.types import SPURIOUS, Array, BoolArray, IntArray
 
 SOURCE = (
     "MR.CLAM, University of Toronto Institute for Aerospace Studies. Cite: Leung, Halpern, Barfoot and Liu, IJRR 30(8) "
@@ -62,7 +62,7 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     """The log of one robot of a set: one step for each instant at which its camera saw a barcode.
 
     Identities are subject numbers, 6 to 20. Barcodes of other robots, those that nobody wears, and those that were
-    misread (a handful a set, up to 6 m from where the Vicon has them) are spurious (NONE).
+    misread (a handful a set, up to 6 m from where the Vicon has them) are spurious (SPURIOUS).
     The poses of the reference are the Vicon's. Raises FileNotFoundError, or RecordingError that names file and line.
     """
     if robot not in ROBOTS:
@@ -83,7 +83,7 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     seen = noise.points(measured[:, 2], measured[:, 3])
     sources = _subjects(measured[:, 1].astype(np.int64), barcodes, landmarks[:, 0].astype(np.int64))
     poses = interpolate(truth[:, 0], truth[:, 1:], measured[:, 0])
-    sources[_misread(seen.points, sources, poses, landmarks, noise.misread)] = NONE
+    sources[_misread(seen.points, sources, poses, landmarks, noise.misread)] = SPURIOUS
     return Recording(
         name=f"mrclam/{folder.name}/robot{robot}",
         source=SOURCE,
@@ -171,6 +171,6 @@ def _integrate(times: Array, odometry: Array, growth: tuple[float, float, float,
 
 
 def _subjects(codes: IntArray, barcodes: IntArray, landmarks: IntArray) -> IntArray:
-    """(M,) subject that wears each barcode, NONE where it is no landmark."""
+    """(M,) subject that wears each barcode, SPURIOUS where it is no landmark."""
     worn_by = {code: subject for subject, code in barcodes.tolist() if subject in set(landmarks.tolist())}
-    return np.array([worn_by.get(code, NONE) for code in codes.tolist()], dtype=np.int64)
+    return np.array([worn_by.get(code, SPURIOUS) for code in codes.tolist()], dtype=np.int64)

@@ -16,7 +16,7 @@ from scipy.spatial.distance import cdist
 
 from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.recordings.reading import RecordingError, check_finite, check_shapes, check_starts, refuse, starts_of
-from slam_gym.types import NONE, UNKNOWN, Array, BoolArray, IntArray, Odometry, Scan
+from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 
 PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
 """The fields of a recording with a row for each measurement."""
@@ -118,7 +118,7 @@ class Recording:
 
     def without_spurious(self) -> Recording:
         """Without the measurements that are known to come from no feature."""
-        kept = self.sources != NONE
+        kept = self.sources != SPURIOUS
         before = starts_of(kept)
         return replace(
             self, starts=before[self.starts], **{name: getattr(self, name)[kept] for name in PER_MEASUREMENT}
@@ -173,7 +173,7 @@ def _validate(log: Recording) -> None:
         refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
     refuse("size_variances", log.size_variances < 0.0, "is negative")
     refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
-    refuse("sources", log.sources < UNKNOWN, f"is neither an identity nor {NONE} nor {UNKNOWN}")
+    refuse("sources", log.sources < UNLABELLED, f"is neither an identity nor {SPURIOUS} nor {UNLABELLED}")
     refuse("landmark_ids", log.landmark_ids < 0, "is negative")
     if len(np.unique(log.landmark_ids)) != L:
         raise RecordingError("field 'landmark_ids' names a landmark twice")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym.recordings.reading import RecordingError, check_finite, check_shapes, check_starts
-from slam_gym.types import NONE, UNKNOWN, Array, IntArray, Landmarks, Scan
+from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Array, IntArray, Landmarks, Scan
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class RelocationCases:
         check_starts(self.starts, M)
         if len(np.unique(self.landmark_ids)) != L:
             raise RecordingError("field 'landmark_ids' names a landmark twice")
-        if not np.isin(self.sources, [NONE, UNKNOWN, *self.landmark_ids]).all():
+        if not np.isin(self.sources, [SPURIOUS, UNLABELLED, *self.landmark_ids]).all():
             raise RecordingError("field 'sources' names a landmark that is not there")
 
     def __len__(self) -> int:
@@ -45,27 +45,14 @@ class RelocationCases:
     def scan(self, case: int) -> Scan:
         """What was measured. Sizes are unknown."""
         rows = slice(self.starts[case], self.starts[case + 1])
-        unknown = np.full(rows.stop - rows.start, np.nan)
-        return Scan(self.points[rows], self.covariances[rows], unknown, unknown.copy())
+        return Scan.from_points(self.points[rows], self.covariances[rows])
 
     def features_of(self, case: int) -> IntArray:
-        """(m,) row of `landmarks` behind each measurement, NONE where there is none: the true hypothesis."""
+        """(m,) row of `landmarks` behind each measurement, UNPAIRED where there is none: the true hypothesis."""
         rows = {identity: row for row, identity in enumerate(self.landmark_ids.tolist())}
         sources = self.sources[self.starts[case] : self.starts[case + 1]]
-        return np.array([rows.get(source, NONE) for source in sources.tolist()], dtype=np.int64)
+        return np.array([rows.get(source, UNPAIRED) for source in sources.tolist()], dtype=np.int64)
 
     def map(self, sigma: float = 0.01) -> Landmarks:
         """The surveyed landmarks, each off by `sigma` [m] per axis, independently of the others."""
-        count = len(self.landmarks)
-        unknown = np.full(count, np.nan)
-        return Landmarks(
-            positions=self.landmarks.copy(),
-            covariances=np.tile(sigma**2 * np.eye(2), (count, 1, 1)),
-            sizes=unknown,
-            size_variances=unknown.copy(),
-            kinds=np.full(count, UNKNOWN),
-            covariance=np.empty((0, 0)),
-            block_starts=np.empty(0, np.int64),
-            block_columns=np.empty(0, np.int64),
-            blocks=np.empty((0, 2, 2)),
-        )
+        return Landmarks.from_points(self.landmarks, sigma=sigma)

@@ -19,7 +19,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.recordings.reading import RecordingError, from_polar, read_matlab, starts_of
 from slam_gym.recordings.recording import Recording
-from slam_gym.types import NONE, UNKNOWN, Array, IntArray
+from slam_gym.types import SPURIOUS, UNLABELLED, Array, IntArray
 
 SOURCE = (
     "Victoria Park, E. Nebot and J. Guivant, University of Sydney. Cite: Guivant and Nebot, IEEE TRA 17(3), 2001; for "
@@ -48,9 +48,9 @@ class Noise:
 def victoria_park(folder: str | Path, noise: Noise | None = None) -> Recording:
     """The whole log from the published files in `folder`: one step a laser scan, trunk diameters as sizes.
 
-    Identities are NONE for the detections that the label file leaves out of a scan, and UNKNOWN in the scans that it
-    leaves out. The reference is the position of the GPS antenna, near the laser. Its stamps fit as they are: the error
-    of a good trajectory is least when they are shifted by 0.1 s.
+    Identities are SPURIOUS for the detections that the label file leaves out of a scan, and UNLABELLED in the scans
+    that it leaves out. The reference is the position of the GPS antenna, near the laser. Its stamps fit as they are:
+    the error of a good trajectory is least when they are shifted by 0.1 s.
     Raises FileNotFoundError, or RecordingError that names file and variable.
     """
     noise = noise or Noise()
@@ -129,7 +129,7 @@ def _identities(folder: Path, labels: Array, times: Array, starts: IntArray, pol
     stamps = np.repeat(np.round(1000.0 * times).astype(np.int64), np.diff(starts))
     sources = np.array(
         [
-            keys.pop((t, round(b, 6), round(r, 6)), NONE)
+            keys.pop((t, round(b, 6), round(r, 6)), SPURIOUS)
             for t, (r, b, _) in zip(stamps.tolist(), polar.tolist(), strict=True)
         ],
         dtype=np.int64,
@@ -138,5 +138,5 @@ def _identities(folder: Path, labels: Array, times: Array, starts: IntArray, pol
         time = next(iter(keys))[0]
         raise RecordingError(f"{folder}: {len(keys)} labels fit no detection, the first at {time} ms")
     labelled = np.isin(stamps, labels[:, 0].astype(np.int64))
-    sources[~labelled] = UNKNOWN
+    sources[~labelled] = UNLABELLED
     return sources

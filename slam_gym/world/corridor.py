@@ -71,18 +71,4 @@ def _scan(world: Array, pose: Array, rng: np.random.Generator) -> tuple[Scan, Tr
     seen, ranges, bearings = seen[order], ranges[order], bearings[order]
     measured = ranges + RANGE_SIGMA * ranges * rng.standard_normal(len(seen))
     angles = bearings + BEARING_SIGMA * rng.standard_normal(len(seen))
-    return polar_scan(measured, angles, RANGE_SIGMA * measured, np.full(len(seen), BEARING_SIGMA)), Truth(pose, seen)
-
-
-def polar_scan(ranges: Array, bearings: Array, range_sigmas: Array, bearing_sigmas: Array) -> Scan:
-    """A scan (sizes unknown) from polar measurements, all (m,) [m, rad]: Σ = J diag(σ_ρ², σ_φ²) Jᵀ."""
-    c, s = np.cos(bearings), np.sin(bearings)
-    jacobian = np.empty((len(ranges), 2, 2))
-    jacobian[:, 0, 0], jacobian[:, 0, 1] = c, -ranges * s
-    jacobian[:, 1, 0], jacobian[:, 1, 1] = s, ranges * c
-    noise = np.zeros_like(jacobian)
-    noise[:, 0, 0], noise[:, 1, 1] = range_sigmas**2, bearing_sigmas**2
-    covariances = jacobian @ noise @ jacobian.transpose(0, 2, 1)
-    covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
-    unknown = np.full(len(ranges), np.nan)
-    return Scan(np.column_stack([ranges * c, ranges * s]), covariances, unknown, unknown)
+    return Scan.from_polar(measured, angles, RANGE_SIGMA * measured, BEARING_SIGMA), Truth(pose, seen)

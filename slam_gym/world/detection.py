@@ -9,7 +9,7 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import NONE, Array, IntArray
+from slam_gym.types import SPURIOUS, Array, IntArray
 from slam_gym.world.ray_casting import Grid, Packed, hides, movers_near, range_along, sees
 
 _SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
@@ -69,7 +69,7 @@ def in_sight(
         if hides(x, y, dx, dy, short, discs, segments) or not sees(grid, x, y, dx, dy, short):
             continue
         polar[k, 0], polar[k, 1] = distance, bearing
-        sources[k] = i if person < 0 else NONE
+        sources[k] = i if person < 0 else SPURIOUS
         k += 1
     return polar[:k], sources[:k]
 
@@ -99,7 +99,7 @@ def measure(
     n = 0
     for i in range(draws):
         size = spurious_sizes[int(uniform[i, 2] * spurious)]
-        source = sources[i] if i < k else NONE
+        source = sources[i] if i < k else SPURIOUS
         if i < k:
             if uniform[i, 0] >= (settings.detection if source >= 0 else settings.person_detection):
                 continue

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slam_gym.types import NONE, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.world.detection import PackedSettings, in_sight, measure, noisy_ranges
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
@@ -157,7 +157,7 @@ class Sensor:
         known = self._features.kinds
         if len(known) == 0:
             return np.full(len(sources), UNKNOWN_KIND)
-        return np.where(sources == NONE, known[rng.integers(len(known), size=len(sources))], known[sources])
+        return np.where(sources == SPURIOUS, known[rng.integers(len(known), size=len(sources))], known[sources])
 
     def beams(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS

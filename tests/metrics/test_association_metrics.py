@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from slam_gym.metrics.association import Decision, Identities, Tally
-from slam_gym.types import NONE, UNKNOWN, Effort, Hypothesis, Prediction, SlamStep, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Effort, Hypothesis, Prediction, SlamStep, Truth
 
 
 def step(ids, created=None, removed=()):
     ids = np.array(ids, np.int64)
     created = np.zeros(len(ids), bool) if created is None else np.array(created, bool)
     nothing = Prediction.from_gaussian([], np.empty((0, 0)))
-    hypothesis = Hypothesis(np.full(len(ids), NONE), 0.0, 0, Effort())
+    hypothesis = Hypothesis(np.full(len(ids), UNPAIRED), 0.0, 0, Effort())
     return SlamStep(nothing, hypothesis, ids, created, np.array(removed, np.int64))
 
 
@@ -30,22 +30,22 @@ def mapped(*sources):
 
 
 def test_every_verdict_of_one_scan():
-    identities = mapped(7, 8, 9, 7, NONE)  # feature 3 duplicates feature 0, feature 4 is spurious
+    identities = mapped(7, 8, 9, 7, SPURIOUS)  # feature 3 duplicates feature 0, feature 4 is spurious
     scan = [
         (0, False, 7, Decision.RIGHT),
         (3, False, 7, Decision.WRONG),  # the duplicate, not the oldest
         (1, False, 9, Decision.WRONG),  # another feature, its own being in the map
         (2, False, 5, Decision.WRONG),  # another feature, its own not being in the map
         (4, False, 8, Decision.WRONG),  # a feature that is nothing
-        (2, False, NONE, Decision.SPURIOUS),
-        (4, False, NONE, Decision.SPURIOUS),  # spurious to spurious is no match
-        (NONE, False, NONE, Decision.DISCARDED),
-        (NONE, False, 8, Decision.DISCARDED),
-        (NONE, False, 4, Decision.DISCARDED),
+        (2, False, SPURIOUS, Decision.SPURIOUS),
+        (4, False, SPURIOUS, Decision.SPURIOUS),  # spurious to spurious is no match
+        (NO_ID, False, SPURIOUS, Decision.DISCARDED),
+        (NO_ID, False, 8, Decision.DISCARDED),
+        (NO_ID, False, 4, Decision.DISCARDED),
         (5, True, 8, Decision.WRONG),  # starts a duplicate
         (6, True, 3, Decision.NEW),
-        (7, True, NONE, Decision.SPURIOUS),
-        (NONE, False, UNKNOWN, Decision.UNJUDGED),
+        (7, True, SPURIOUS, Decision.SPURIOUS),
+        (NO_ID, False, UNLABELLED, Decision.UNJUDGED),
     ]
     ids, created, sources, decisions = zip(*scan)
     tally = identities.update(step(ids, created), truth(*sources))
@@ -66,7 +66,7 @@ def test_every_verdict_of_one_scan():
     )
     assert tally.precision == 1 / 7 and tally.recall == 1 / 6
     assert tally.new_precision == 1 / 3 and tally.new_recall == 1 / 3
-    assert identities.source_of(np.array([6, 5, 3, 7])).tolist() == [3, 8, 7, NONE]
+    assert identities.source_of(np.array([6, 5, 3, 7])).tolist() == [3, 8, 7, SPURIOUS]
 
 
 def test_a_scan_is_judged_against_the_map_before_it():
@@ -80,13 +80,13 @@ def test_when_the_oldest_is_removed_its_duplicate_becomes_the_right_feature():
     identities = mapped(7, 7)
     assert identities.update(step([1], removed=[0]), truth(7)).fp_duplicate == 1
     assert identities.update(step([1], removed=[1]), truth(7)).tp == 1
-    gone = identities.update(step([NONE]), truth(7))
+    gone = identities.update(step([NO_ID]), truth(7))
     assert (gone.tn, gone.fn, gone.not_in_map, gone.in_map) == (1, 0, 1, 0)
     assert identities.source_of(np.array([0, 1])).tolist() == [7, 7]  # still known after they have gone
 
 
 def test_pairings_with_features_of_unknown_identity_are_not_judged():
-    identities = mapped(UNKNOWN)
+    identities = mapped(UNLABELLED)
     tally = identities.update(step([0]), truth(3))
     assert tally == Tally() and identities.decisions.tolist() == [Decision.UNJUDGED]
     assert math.isnan(tally.precision) and math.isnan(tally.recall) and math.isnan(tally.f1)
@@ -94,7 +94,7 @@ def test_pairings_with_features_of_unknown_identity_are_not_judged():
 
 def test_lengths_must_agree():
     with pytest.raises(ValueError, match=r"2 measurements, truth\.sources 1"):
-        Identities().update(step([NONE, NONE]), truth(3))
+        Identities().update(step([NO_ID, NO_ID]), truth(3))
 
 
 def random_run(rng, steps=250, features=12):
@@ -102,8 +102,8 @@ def random_run(rng, steps=250, features=12):
     alive, source_of = [], {}
     for _ in range(steps):
         m = int(rng.integers(0, 8))
-        sources = np.where(rng.random(m) < 0.2, NONE, rng.integers(0, features, m))
-        ids, created = np.full(m, NONE), rng.random(m) < 0.2
+        sources = np.where(rng.random(m) < 0.2, SPURIOUS, rng.integers(0, features, m))
+        ids, created = np.full(m, NO_ID), rng.random(m) < 0.2
         for i in range(m):
             right = [feature for feature in alive if source_of[feature] == sources[i]]
             if created[i]:
@@ -127,11 +127,11 @@ def test_counts_agree_with_a_plain_recount(seed):
         total = total + tally
         expected = dict.fromkeys(("tp", "fp", "fn", "tn", "in_map", "not_in_map", "new_right"), 0)
         for feature, new, source in zip(taken.ids.tolist(), taken.created.tolist(), labels.sources.tolist()):
-            same = [known for known in alive if source != NONE and source_of[known] == source]
+            same = [known for known in alive if source != SPURIOUS and source_of[known] == source]
             expected["in_map"] += bool(same)
-            expected["not_in_map"] += source != NONE and not same
-            expected["new_right"] += new and source != NONE and not same
-            if feature != NONE and not new:
+            expected["not_in_map"] += source != SPURIOUS and not same
+            expected["new_right"] += new and source != SPURIOUS and not same
+            if feature != NO_ID and not new:
                 expected["tp" if same and min(same) == feature else "fp"] += 1
             else:
                 expected["fn" if same else "tn"] += 1
@@ -147,8 +147,8 @@ def test_counts_agree_with_a_plain_recount(seed):
 
 def test_a_scan_is_exact_when_nothing_in_it_is_wrong():
     identities = mapped(1, 2)
-    right = identities.update(step([0, 1, NONE, 2], [False, False, False, True]), truth(1, 2, NONE, 4))
-    missed = identities.update(step([0, NONE]), truth(1, 2))
+    right = identities.update(step([0, 1, NO_ID, 2], [False, False, False, True]), truth(1, 2, SPURIOUS, 4))
+    missed = identities.update(step([0, NO_ID]), truth(1, 2))
     empty = identities.update(step([]), truth())
     assert [t.scans_exact for t in (right, missed, empty)] == [1, 0, 0]
     assert (right + missed + empty).exact == 0.5

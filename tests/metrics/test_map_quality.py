@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from slam_gym.geometry import transform
 from slam_gym.metrics.assignment import assign
 from slam_gym.metrics.map_quality import align_se2, cells_of, coverage, gospa, landmark_rmse, map_error
-from slam_gym.types import NONE
+from slam_gym.types import UNPAIRED
 
 
 def dense_optimum(estimated, true, cutoff, p):
@@ -29,7 +29,7 @@ def test_sparse_assignment_is_the_dense_optimum(seed):
     copies = true[rng.integers(0, len(true), rng.integers(0, 40))] if len(true) else true
     estimated = np.vstack([copies + rng.normal(0, 0.5, copies.shape), rng.uniform(-5, 5, (rng.integers(0, 6), 2))])
     features, total, pairings = assign(estimated, true, cutoff, p)
-    paired = features != NONE
+    paired = features != UNPAIRED
     assert paired.sum() == pairings == len(set(features[paired].tolist()))
     distances = np.linalg.norm(estimated[paired] - true[features[paired]], axis=1)
     assert total == pytest.approx((distances**p).sum()) and (distances < cutoff).all()

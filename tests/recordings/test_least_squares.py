@@ -1,6 +1,5 @@
 """The batch optimum of a log: exact without noise, stationary with it, and the published figure of Victoria Park."""
 
-import functools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -8,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam_gym.association import true_association
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
-from slam_gym.metrics.association import Identities
 from slam_gym.recordings.least_squares import _Problem, least_squares
 from slam_gym.recordings.reading import read_matlab, starts_of
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import SOURCE
+from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NONE, Truth
+from slam_gym.types import SPURIOUS, Truth
 
 MOTION, NOISE = np.diag([0.05, 0.05, 0.03]) ** 2, 0.05**2 * np.eye(2)
 
@@ -34,7 +32,7 @@ def round_trip(rng: np.random.Generator, noisy: float, steps: int = 40) -> tuple
         seen = observe(pose, landmarks)
         near = np.flatnonzero(np.hypot(*seen.T) < 7.0)
         points += [*(seen[near] + noisy * rng.multivariate_normal([0, 0], NOISE, len(near))), [3.0, 3.0]]
-        sources += [*near, NONE]
+        sources += [*near, SPURIOUS]
         starts.append(len(points))
     motions = np.vstack([np.zeros(3), motion + noisy * rng.multivariate_normal(np.zeros(3), MOTION, steps - 1)])
     log = Recording(
@@ -119,12 +117,10 @@ def victoria_park_clean(path: Path) -> Recording:
 @pytest.mark.slow
 def test_the_published_optimum_of_victoria_park(data_dir) -> None:
     log = victoria_park_clean(data_dir / "victoria_park" / "VicPark_clean_data.mat")
-    slam = Slam(SlamSpec(MapSpec(unconfirmed_age=None), reach=1e3), true_association)
-    identities, poses = Identities(), []
+    slam, poses = Slam(SlamSpec(MapSpec(unconfirmed_age=None), reach=1e3)), []
+    judged = JudgedSlam(slam, "true_association")
     for odometry, scan, sources in log.steps():
-        known = identities.source_of(slam.map.ids)
-        step = slam.step(odometry, scan, functools.partial(true_association, sources=sources, identities=known))
-        identities.update(step, Truth(np.zeros(3), sources))
+        judged.step(odometry, scan, Truth(np.zeros(3), sources))
         poses.append(slam.map.pose)
     best = least_squares(log, np.array(poses))
     assert len(best.ids) == 299 and abs(best.chi2 - 9012.7193) < 1e-3

@@ -10,7 +10,7 @@ from slam_gym.geometry import observe, relative
 from slam_gym.recordings import RecordingError
 from slam_gym.recordings.mrclam import ROBOTS, mrclam
 from slam_gym.recordings.recording import interpolate
-from slam_gym.types import NONE
+from slam_gym.types import SPURIOUS
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -27,11 +27,11 @@ def test_barcodes_are_seen_where_the_vicon_has_them(data_dir, robot) -> None:
     log = mrclam(data_dir / "mrclam" / "MRCLAM_Dataset6", robot)
     true = interpolate(log.reference_times, log.reference_poses, log.times)
     place = dict(zip(log.landmark_ids.tolist(), log.landmarks))
-    assert sorted(place) == list(range(6, 21)) and set(log.sources) <= {NONE, *place}
+    assert sorted(place) == list(range(6, 21)) and set(log.sources) <= {SPURIOUS, *place}
     errors = []
     for k in range(len(log)):
         for point, source in zip(log.scan(k).points, log.sources_of(k).tolist()):
-            if source != NONE:
+            if source != SPURIOUS:
                 errors.append(np.hypot(*(point - observe(true[k], place[source][None])[0])))
     assert np.median(errors) < 0.2 and np.percentile(errors, 95) < 0.6
 

@@ -10,7 +10,7 @@ from slam_gym.recordings.mrclam import ROBOTS, mrclam
 from slam_gym.recordings.mrclam_all import mrclam_all
 from slam_gym.recordings.recording import interpolate
 from slam_gym.scenarios.recorded import slam_for
-from slam_gym.types import NONE
+from slam_gym.types import SPURIOUS
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_one_map_of_all_robots_is_right_to_decimetres(folder) -> None:
     done = run(log, "true_association", slam_for(log))
     seen = dict(zip(done.identities.tolist(), done.positions))
     place = dict(zip(log.landmark_ids.tolist(), log.landmarks))
-    common = [identity for identity in seen if identity != NONE]
+    common = [identity for identity in seen if identity != SPURIOUS]
     assert sorted(common) == sorted(place)
     estimated, surveyed = (np.array([where[i] for i in common]) for where in (seen, place))
     assert landmark_rmse(estimated, surveyed, aligned=True) < 0.5

@@ -5,9 +5,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from slam_gym.association import jcbb
 from slam_gym.recordings import Recording, RecordingError, load, save
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.slam.slam import Slam
 from tests.recordings.test_recording import by_hand
 
 
@@ -19,7 +18,7 @@ def written(path, **changes):
 
 def test_a_log_written_by_hand_from_the_format_page_loads_and_runs(tmp_path) -> None:
     recording = load(written(tmp_path / "mine.npz"))
-    slam = Slam(SlamSpec(reach=recording.range), jcbb)
+    slam = Slam()
     for odometry, scan, _ in recording.steps():
         slam.step(odometry, scan)
     assert slam.map.n == 4

@@ -8,7 +8,7 @@ import pytest
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.recordings import Recording, RecordingError
 from slam_gym.recordings.victoria_park import victoria_park
-from slam_gym.types import UNKNOWN
+from slam_gym.types import UNLABELLED
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_the_park_has_all_its_scans_detections_and_labels(park) -> None:
     assert (park.sources >= 0).sum() == 46_860 and len(np.unique(park.sources[park.sources >= 0])) == 299
     labelled = [k for k in range(len(park)) if (park.sources_of(k) >= 0).any()]
     assert len(labelled) == 7122
-    assert not any((park.sources_of(k) == UNKNOWN).any() for k in labelled)
+    assert not any((park.sources_of(k) == UNLABELLED).any() for k in labelled)
 
 
 def test_trunks_are_where_labels_say_as_seen_from_neighbouring_scans(park) -> None:

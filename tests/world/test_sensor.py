@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import observe, relative, transform
-from slam_gym.types import NONE
+from slam_gym.types import SPURIOUS, UNKNOWN_KIND
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
 from slam_gym.world.physics import DynamicsSpec, Motion, RobotSpec, World
 from slam_gym.world.ray_casting import WallIndex, pull_back
@@ -136,7 +136,7 @@ def test_detection_clutter_and_people_come_at_their_rates():
     for _ in range(2000):
         scan, truth = sensor.scan(POSE, rng, people)
         seen[truth.sources[truth.sources >= 0]] += 1
-        spurious = transform(POSE, scan.points[truth.sources == NONE])
+        spurious = transform(POSE, scan.points[truth.sources == SPURIOUS])
         at_person = np.abs(np.hypot(*(spurious - [22.0, 20.0]).T) - 0.25) < 0.15
         clutter.append(len(spurious))
         person.append(at_person.sum())
@@ -194,7 +194,7 @@ def test_pillars_are_measured_at_their_centre():
 def test_a_plan_without_features_still_has_clutter():
     scans = [sensor_in(plan_with([]), SensorSpec(clutter=2)).scan(POSE, np.random.default_rng(i)) for i in range(50)]
     assert np.mean([len(scan) for scan, _ in scans]) == pytest.approx(2, abs=0.8)
-    assert all((truth.sources == NONE).all() and np.isfinite(scan.sizes).all() for scan, truth in scans)
+    assert all((truth.sources == SPURIOUS).all() and np.isfinite(scan.sizes).all() for scan, truth in scans)
 
 
 def test_the_same_generator_state_gives_the_same_scan_and_arrays_are_fresh():
@@ -303,7 +303,7 @@ def test_kinds_are_those_of_the_features_and_tell_nothing_of_what_is_spurious():
     spurious = []
     for _ in range(300):
         scan, truth = sensor.scan(POSE, rng)
-        real = truth.sources != NONE
+        real = truth.sources != SPURIOUS
         np.testing.assert_array_equal(scan.kinds[real], kinds[truth.sources[real]])
         spurious += scan.kinds[~real].tolist()
     shares = np.bincount(spurious, minlength=3) / len(spurious)
@@ -313,5 +313,5 @@ def test_kinds_are_those_of_the_features_and_tell_nothing_of_what_is_spurious():
 def test_a_detector_that_cannot_tell_kinds_hands_out_the_same_scans_without_them():
     plan = scattered()
     plain, told = (sensor_in(plan, SensorSpec(kinds=k)).scan(POSE, np.random.default_rng(3))[0] for k in (False, True))
-    assert plain.kinds is None
+    assert (plain.kinds == UNKNOWN_KIND).all()
     np.testing.assert_array_equal(plain.points, told.points)

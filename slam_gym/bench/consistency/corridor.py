@@ -17,9 +17,9 @@ from slam_gym.metrics.consistency import pose_nees
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, IntArray
-from slam_gym.world.corridor import RANGE, polar_scan, walk_round
+from slam_gym.world.corridor import RANGE, walk_round
 
-__all__ = ["polar_scan", "run", "summary"]
+__all__ = ["run", "summary"]
 
 ASSOCIATORS = ("nearest_neighbour", "singles", "jcbb", "true_association")
 

@@ -27,8 +27,7 @@ from slam_gym.scenarios.recorded import slam_for
 from slam_gym.simulation.association_runs import DrivenRun, nearest_frontier
 from slam_gym.simulation.episode import survey
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.types import Array, Odometry, Truth
-from slam_gym.world.corridor import polar_scan
+from slam_gym.types import Array, Odometry, Scan, Truth
 
 _SPEC = SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6)
 
@@ -84,7 +83,7 @@ def _look(odometry: Odometry, pose: Array, features: Array, spec: LoopSpec, rng:
     seen = np.flatnonzero((ranges <= spec.reach) & (np.abs(bearings) <= math.pi / 2.0))
     measured = ranges[seen] * (1.0 + spec.range_sigma * rng.standard_normal(len(seen)))
     angles = bearings[seen] + spec.bearing_sigma * rng.standard_normal(len(seen))
-    scan = polar_scan(measured, angles, spec.range_sigma * measured, np.full(len(seen), spec.bearing_sigma))
+    scan = Scan.from_polar(measured, angles, spec.range_sigma * measured, spec.bearing_sigma)
     return odometry, scan, Truth(pose, seen)
 
 

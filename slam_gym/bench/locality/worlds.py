@@ -22,7 +22,6 @@ from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, same_local_map, within
 from slam_gym.types import NONE, UNKNOWN, Array, IntArray, Landmarks, Locality, Scan
-from slam_gym.world.corridor import polar_scan
 
 LOCALITIES = ("covisibility", "two hops", "within 2r", "local maps", "joined maps", "everything")
 _POSES = 20_000  # drawn in search of one that sees enough
@@ -272,4 +271,4 @@ def _measured(points: Array, spec: FieldSpec, rng: np.random.Generator) -> Scan:
     m = len(points)
     ranges = np.abs(np.hypot(points[:, 0], points[:, 1]) + spec.range_sigma * rng.standard_normal(m))
     bearings = np.arctan2(points[:, 1], points[:, 0]) + spec.bearing_sigma * rng.standard_normal(m)
-    return polar_scan(ranges, bearings, np.full(m, spec.range_sigma), np.full(m, spec.bearing_sigma))
+    return Scan.from_polar(ranges, bearings, spec.range_sigma, spec.bearing_sigma)
