@@ -17,7 +17,7 @@ from slam_gym._compile import announce_compilation
 from slam_gym.association import compatibility, jcbb, tree
 from slam_gym.envs import observation
 from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement
-from slam_gym.metrics import assignment, association, consistency, map_quality
+from slam_gym.metrics import association, consistency, map_quality, point_assignment
 from slam_gym.navigation import grid
 from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
@@ -29,7 +29,7 @@ from slam_gym.world import boxes, detection, ray_casting, reachability
 
 COMPILED = (
     geometry, slam, validation, compatibility, tree, observation, covisibility, ekf, grid, linear_algebra, measurement,
-    assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability,
+    point_assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 

@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import NONE, UNKNOWN, BoolArray, IntArray, SlamStep, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, BoolArray, IntArray, SlamStep, Truth
 
 
 class Decision(IntEnum):
@@ -73,17 +73,17 @@ class Tally:
 
     @property
     def new_precision(self) -> float:
-        """Share of the started features that are real and were not in the map; NaN where none was started."""
+        """Fraction of the started features that are real and were not in the map; NaN where none was started."""
         return _ratio(self.new_right, self.new_right + self.new_wrong)
 
     @property
     def new_recall(self) -> float:
-        """Share of the measurements of features not in the map that started one; NaN where there was none."""
+        """Fraction of the measurements of features not in the map that started one; NaN where there was none."""
         return _ratio(self.new_right, self.not_in_map)
 
     @property
     def exact(self) -> float:
-        """Share of scans whose whole hypothesis is right; NaN without scans."""
+        """Fraction of scans whose whole hypothesis is right; NaN without scans."""
         return _ratio(self.scans_exact, self.scans)
 
 
@@ -97,8 +97,8 @@ class Identities:
     def __init__(self) -> None:
         self.decisions: IntArray = np.empty(0, np.int64)  # (m,) `Decision` of each measurement of the last step
         self._counts: IntArray = np.zeros(len(Tally.__slots__), np.int64)
-        self._source: IntArray = np.full(64, UNKNOWN)  # indexed by id; also of features no longer in the map
-        self._oldest: IntArray = np.full(64, NONE)  # indexed by source: id of the oldest feature the map has of it
+        self._source: IntArray = np.full(64, UNLABELLED)  # indexed by id; also of features no longer in the map
+        self._oldest: IntArray = np.full(64, NO_ID)  # indexed by source: id of the oldest feature the map has of it
         self._in_map: dict[int, list[int]] = {}  # source -> ids of the features the map has of it, oldest first
 
     @property
@@ -112,7 +112,7 @@ class Identities:
         return Tally(*self._counts.tolist())
 
     def source_of(self, ids: IntArray) -> IntArray:
-        """True feature (k,) behind map features (k,) given by id: NONE = created by a spurious measurement."""
+        """True feature (k,) behind map features (k,) given by id: SPURIOUS = created by a spurious measurement."""
         return self._source[ids]
 
     def update(self, step: SlamStep, truth: Truth) -> Tally:
@@ -131,18 +131,18 @@ class Identities:
         return Tally(*counts.tolist())
 
     def _add(self, feature: int, source: int) -> None:
-        self._source = _grown(self._source, feature, UNKNOWN)
+        self._source = _grown(self._source, feature, UNLABELLED)
         self._source[feature] = source
         if source >= 0:
             self._in_map.setdefault(source, []).append(feature)
-            self._oldest = _grown(self._oldest, source, NONE)
+            self._oldest = _grown(self._oldest, source, NO_ID)
             self._oldest[source] = self._in_map[source][0]
 
     def _remove(self, feature: int) -> None:
         source = self._source.item(feature)
         if source >= 0:
             self._in_map[source].remove(feature)
-            self._oldest[source] = self._in_map[source][0] if self._in_map[source] else NONE
+            self._oldest[source] = self._in_map[source][0] if self._in_map[source] else NO_ID
 
 
 def _grown(values: IntArray, index: int, fill: int) -> IntArray:
@@ -161,20 +161,21 @@ _RIGHT, _WRONG, _NEW, _SPURIOUS, _DISCARDED, _UNJUDGED = (int(decision) for deci
 def _judge(
     ids: IntArray, created: BoolArray, sources: IntArray, source_of: IntArray, oldest: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """Decision (m,) on each measurement, and the fields of their Tally (12,)."""
+    """Decision (m,) on each measurement, and the fields of their Tally (12,): a named tuple would cost 2 µs more."""
     decisions = np.full(len(ids), _UNJUDGED)
     counts = np.zeros(12, np.int64)
     for i in range(len(ids)):
-        source, paired = sources[i], ids[i] != NONE and not created[i]
-        if source == UNKNOWN or (paired and source_of[ids[i]] == UNKNOWN):
+        source, paired = sources[i], ids[i] != NO_ID and not created[i]
+        if source == UNLABELLED or (paired and source_of[ids[i]] == UNLABELLED):
             continue
-        real, counts[_SCANS] = source != NONE, 1
-        in_map = real and source < len(oldest) and oldest[source] != NONE
+        real, counts[_SCANS] = source != SPURIOUS, 1
+        in_map = real and source < len(oldest) and oldest[source] != NO_ID
         if real:
             counts[_IN_MAP if in_map else _NOT_IN_MAP] += 1
         if paired:
-            verdict, decisions[i] = _judge_pairing(source, source_of[ids[i]], in_map and oldest[source] == ids[i])
-            counts[verdict] += 1
+            field = _field_of_pairing(source, source_of[ids[i]], in_map and oldest[source] == ids[i])
+            counts[field] += 1
+            decisions[i] = _RIGHT if field == _TP else (_SPURIOUS if field == _FP_SPURIOUS else _WRONG)
             continue
         counts[_FN if in_map else _TN] += 1
         decisions[i] = _DISCARDED
@@ -187,12 +188,10 @@ def _judge(
 
 
 @compiled
-def _judge_pairing(source: int, identity: int, oldest: bool) -> tuple[int, int]:
-    """Field of Tally and decision of a measurement paired with a map feature of known identity."""
-    if source == NONE:
-        return _FP_SPURIOUS, _SPURIOUS
+def _field_of_pairing(source: int, identity: int, oldest: bool) -> int:
+    """Field of Tally that counts a measurement paired with a map feature of known identity."""
+    if source == SPURIOUS:
+        return _FP_SPURIOUS
     if identity != source:
-        return _FP_WRONG, _WRONG
-    if oldest:
-        return _TP, _RIGHT
-    return _FP_DUPLICATE, _WRONG
+        return _FP_WRONG
+    return _TP if oldest else _FP_DUPLICATE

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import transform
-from slam_gym.metrics.assignment import assign
+from slam_gym.metrics.point_assignment import assign_points
 from slam_gym.types import Array, IntArray
 
 
@@ -28,7 +28,7 @@ def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0)
     """Generalised optimal sub-pattern assignment distance between estimated (e, 2) and true (N, 2) features [m].
 
     With α = 2, the only value for which it splits into the parts of `Gospa` (Rahmathullah, García-Fernández and
-    Svensson, FUSION 2017, def. 1 and prop. 1): the least, over partial assignments γ, of
+    Svensson, FUSION 2017, def. 1 and prop. 1): the minimum over partial assignments γ of
 
         [ Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) ]^(1/p).
 
@@ -37,10 +37,9 @@ def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0)
     estimated, true = _points("estimated", estimated), _points("true", true)
     if not (p >= 1.0 and 0.0 < cutoff < math.inf):
         raise ValueError(f"GOSPA needs p >= 1 and a positive cutoff, got p={p}, cutoff={cutoff}")
-    _, localisation, pairings = assign(estimated, true, cutoff, p)
-    penalty = 0.5 * cutoff**p
-    missed, false = penalty * (len(true) - pairings), penalty * (len(estimated) - pairings)
-    root = 1.0 / p
+    assigned, penalty, root = assign_points(estimated, true, cutoff, p), 0.5 * cutoff**p, 1.0 / p
+    localisation = assigned.cost
+    missed, false = penalty * (len(true) - assigned.pairs), penalty * (len(estimated) - assigned.pairs)
     return Gospa((localisation + missed + false) ** root, localisation**root, missed**root, false**root)
 
 
@@ -54,9 +53,9 @@ def map_error(estimated: Array, true: Array, sigma0: float) -> float:
     """
     if not 0.0 < sigma0 < math.inf:
         raise ValueError(f"sigma0 must be positive, got {sigma0}")
-    _, localisation, pairings = assign(estimated, true, 2.0 * sigma0, 1.0)
-    unpaired = len(estimated) + len(true) - 2 * pairings
-    return (localisation + sigma0 * unpaired) / (sigma0 * max(len(true), 1))
+    assigned = assign_points(estimated, true, 2.0 * sigma0, 1.0)
+    unpaired = len(estimated) + len(true) - 2 * assigned.pairs
+    return (assigned.cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1))
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:
@@ -99,7 +98,7 @@ def cells_of(points: Array, shape: tuple[int, ...], origin: Array, resolution: f
 
 @compiled
 def coverage(cells: NDArray[np.uint8], places: IntArray) -> float:
-    """Share of the `places` (c,), as `cells_of` gives them, whose cell (h, w) is known (not 0); NaN without places."""
+    """Fraction of `places` (c,), as `cells_of` gives them, whose cell (h, w) is known (not 0); NaN without places."""
     flat, known = cells.ravel(), 0
     for place in places:
         if place >= 0 and flat[place] != 0:

@@ -1,0 +1,227 @@
+"""Optimal assignment between two point sets with a cutoff: exact, and fast because distant pairs never meet.
+
+Minimises Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) over partial assignments γ, which is the same as minimising
+Σ_{(i,j) ∈ γ} (d_ij^p − c^p): only pairs closer than the cutoff c can help. They are gathered through a grid, then
+assigned by shortest augmenting paths (Jonker and Volgenant 1987) over that sparse graph, where a row may also stay
+unassigned at cost 0. Rows whose nearest column nobody else wants are settled without a search, which in a good map is
+almost all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
+
+_NOBODY = -1  # a column that no row has, a row without a column
+
+
+class PointAssignment(NamedTuple):
+    """Which estimated point stands for which true one."""
+
+    true_of: IntArray  # (e,) true point of each estimated one, or UNPAIRED
+    cost: float  # [m^p] Σ d^p of the pairs
+    pairs: int
+
+
+class _Grid(NamedTuple):
+    """Cells over the true points, in which their neighbours are looked up."""
+
+    x: float  # [m] lower left corner
+    y: float
+    cell: float  # [m] side
+    width: int  # [cells]
+    height: int
+
+
+class _Pairs(NamedTuple):
+    """The pairs that may be assigned, row by row: those of row i are starts[i]:starts[i + 1]."""
+
+    starts: IntArray  # (e + 1,)
+    columns: IntArray  # (q,)
+    costs: Array  # (q,) negative
+
+
+class _Assigned(NamedTuple):
+    """An assignment, and the dual variables that prove it optimal.
+
+    u ≤ 0 of the rows and v ≤ 0 of the columns keep u_i + v_j ≤ cost_ij, with equality on the pairs assigned; u = 0 for
+    rows and v = 0 for columns left alone.
+    """
+
+    column_of: IntArray  # (e,) or _NOBODY
+    row_of: IntArray  # (N,) or _NOBODY
+    u: Array  # (e,)
+    v: Array  # (N,)
+
+
+class _Search(NamedTuple):
+    """Where a search for a path has been, by column (N,). Between searches: inf, anything, false."""
+
+    distance: Array  # from the row that it started at
+    came_from: IntArray  # row before the column
+    done: BoolArray
+
+
+@compiled
+def assign_points(estimated: Array, true: Array, cutoff: float, p: float) -> PointAssignment:
+    """The optimal assignment of points `estimated` (e, 2) to `true` (N, 2) [m], both C-contiguous; `cutoff` [m].
+
+    Raises ValueError for points that are not finite.
+    """
+    pairs = _pairs_within(estimated, true, cutoff)
+    ceiling = cutoff**p
+    for k in range(len(pairs.costs)):
+        pairs.costs[k] = (pairs.costs[k] if p == 1.0 else pairs.costs[k] ** p) - ceiling
+    true_of = _least_cost(pairs, len(true))
+    total, paired = 0.0, 0
+    for i in range(len(estimated)):
+        if true_of[i] != UNPAIRED:
+            j = true_of[i]
+            total += math.hypot(estimated[i, 0] - true[j, 0], estimated[i, 1] - true[j, 1]) ** p
+            paired += 1
+    return PointAssignment(true_of, total, paired)
+
+
+@compiled
+def _pairs_within(estimated: Array, true: Array, cutoff: float) -> _Pairs:
+    """All pairs closer than the cutoff, their distances [m] as costs. The first pass counts, the second fills in."""
+    grid = _grid(estimated, true, cutoff)
+    cell_starts, order = _sorted_into(grid, true)
+    starts = np.zeros(len(estimated) + 1, np.int64)
+    columns, distances = np.empty(0, np.int64), np.empty(0)
+    for filling in (False, True):
+        q = 0
+        for i in range(len(estimated)):
+            x, y = (estimated[i, 0] - grid.x) / grid.cell, (estimated[i, 1] - grid.y) / grid.cell
+            if len(true) and -1.0 <= x < grid.width + 1 and -1.0 <= y < grid.height + 1:
+                left, right = max(math.floor(x) - 1, 0), min(math.floor(x) + 1, grid.width - 1)
+                for row in range(max(math.floor(y) - 1, 0), min(math.floor(y) + 2, grid.height)):
+                    first = row * grid.width
+                    for k in range(cell_starts[first + left], cell_starts[first + right + 1]):
+                        dx, dy = estimated[i, 0] - true[order[k], 0], estimated[i, 1] - true[order[k], 1]
+                        if dx * dx + dy * dy < cutoff * cutoff:
+                            if filling:
+                                columns[q], distances[q] = order[k], math.sqrt(dx * dx + dy * dy)
+                            q += 1
+            starts[i + 1] = q
+        if not filling:
+            columns, distances = np.empty(q, np.int64), np.empty(q)
+    return _Pairs(starts, columns, distances)
+
+
+@compiled
+def _grid(estimated: Array, true: Array, cutoff: float) -> _Grid:
+    """O(N) cells, none smaller than the cutoff."""
+    _extent(estimated, 0), _extent(estimated, 1)  # are finite
+    x_low, x_high = _extent(true, 0)
+    y_low, y_high = _extent(true, 1)
+    wide, high = x_high - x_low, y_high - y_low
+    cell = max(cutoff, math.sqrt(wide / (4 * len(true) + 1) * high), wide / 1024, high / 1024)
+    if not math.isfinite(cell):
+        raise ValueError("the true positions are too far apart")
+    return _Grid(x_low, y_low, cell, int(wide / cell) + 1, int(high / cell) + 1)
+
+
+@compiled
+def _extent(points: Array, axis: int) -> tuple[float, float]:
+    """Smallest and largest coordinate [m]."""
+    low, high = (points[0, axis], points[0, axis]) if len(points) else (0.0, 0.0)
+    for j in range(len(points)):
+        if not math.isfinite(points[j, axis]):
+            raise ValueError("a position is not finite")
+        low, high = min(low, points[j, axis]), max(high, points[j, axis])
+    return low, high
+
+
+@compiled
+def _sorted_into(grid: _Grid, points: Array) -> tuple[IntArray, IntArray]:
+    """Counting sort of points (N, 2) into cells, row by row: starts (cells + 1,) and the points (N,) in order."""
+    cells = np.empty(len(points), np.int64)
+    starts = np.zeros(grid.width * grid.height + 1, np.int64)
+    for j in range(len(points)):
+        row, column = int((points[j, 1] - grid.y) / grid.cell), int((points[j, 0] - grid.x) / grid.cell)
+        cells[j] = row * grid.width + column
+        starts[cells[j] + 1] += 1
+    for k in range(grid.width * grid.height):
+        starts[k + 1] += starts[k]
+    order, free = np.empty(len(points), np.int64), starts.copy()
+    for j in range(len(points)):
+        order[free[cells[j]]] = j
+        free[cells[j]] += 1
+    return starts, order
+
+
+@compiled
+def _least_cost(pairs: _Pairs, n: int) -> IntArray:
+    """Column of each row in the partial assignment of least total cost to n columns, or _NOBODY (cost 0)."""
+    m = len(pairs.starts) - 1
+    assigned = _Assigned(np.full(m, _NOBODY), np.full(n, _NOBODY), np.zeros(m), np.zeros(n))
+    for i in range(m):
+        nearest = _NOBODY
+        for k in range(pairs.starts[i], pairs.starts[i + 1]):
+            if pairs.costs[k] < assigned.u[i]:
+                assigned.u[i], nearest = pairs.costs[k], pairs.columns[k]
+        if nearest != _NOBODY and assigned.row_of[nearest] == _NOBODY:
+            assigned.column_of[i], assigned.row_of[nearest] = nearest, i
+    search = _Search(np.full(n, np.inf), np.full(n, _NOBODY), np.zeros(n, np.bool_))
+    for i in range(m):
+        if assigned.column_of[i] == _NOBODY and assigned.u[i] < 0.0:
+            _augment(i, pairs, assigned, search)
+    return assigned.column_of
+
+
+@compiled
+def _augment(root: int, pairs: _Pairs, assigned: _Assigned, search: _Search) -> None:
+    """Settle row `root` along the shortest augmenting path (Dijkstra on reduced costs cost_ij − u_i − v_j ≥ 0).
+
+    The path ends at a free column, or at a row that gives its column up.
+    """
+    column_of, row_of, u, v = assigned
+    distance, came_from, done = search
+    touched, count = np.empty(len(row_of), np.int64), 0
+    end, row_end, length = _NOBODY, root, np.inf  # where the path ends: at column `end`, else at row `row_end`
+    i, reached = root, 0.0
+    while True:
+        if reached - u[i] < length:
+            row_end, length = i, reached - u[i]
+        for k in range(pairs.starts[i], pairs.starts[i + 1]):
+            j = pairs.columns[k]
+            to_j = reached + pairs.costs[k] - u[i] - v[j]
+            if not done[j] and to_j < distance[j]:
+                if distance[j] == np.inf:
+                    touched[count] = j
+                    count += 1
+                distance[j], came_from[j] = to_j, i
+        best = _nearest_open(touched[:count], search)
+        if best == _NOBODY or distance[best] >= length:
+            break
+        if row_of[best] == _NOBODY:
+            end, length = best, distance[best]
+            break
+        done[best], reached, i = True, distance[best], row_of[best]
+    u[root] += length
+    for j in touched[:count]:
+        if done[j]:
+            u[row_of[j]] += length - distance[j]
+            v[j] -= length - distance[j]
+        distance[j], done[j] = np.inf, False
+    if end == _NOBODY:
+        end, column_of[row_end], u[row_end] = column_of[row_end], _NOBODY, 0.0
+    while end != _NOBODY:  # hand each column on the path to the row that came for it
+        row = came_from[end]
+        row_of[end] = row
+        column_of[row], end = end, column_of[row]
+
+
+@compiled
+def _nearest_open(touched: IntArray, search: _Search) -> int:
+    best = _NOBODY
+    for j in touched:
+        if not search.done[j] and (best == _NOBODY or search.distance[j] < search.distance[best]):
+            best = j
+    return best
