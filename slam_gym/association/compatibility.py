@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slam_gym._compile import compiled
-from slam_gym.types import NONE, Array, BoolArray, IntArray, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Prediction, Scan
+
+Entry = TypeVar("Entry", bound=np.generic)
 
 _FAULTS = (
     "",
@@ -29,8 +32,7 @@ _FAULTS = (
 _EVERY_ROW = np.empty(0, np.bool_)
 
 
-@dataclass(frozen=True, slots=True)
-class Candidates:
+class Candidates(NamedTuple):
     """Individually compatible pairings, gathered by measurement (compressed rows), by ascending D² within each.
 
     Those of `measurements[i]` are entries `starts[i]:starts[i + 1]` of the arrays (c,).
@@ -65,6 +67,36 @@ def joint_gates(pairings: int, confidence: float) -> Array:
     return np.array([0.0] + [chi2_gate(2 * p, confidence) for p in range(1, pairings + 1)])
 
 
+class JointDistance(NamedTuple):
+    """Of all pairings of a hypothesis together."""
+
+    squared: float  # D²_H
+    dof: int  # 2 per pairing
+
+
+class _Gated(NamedTuple):
+    """What gating comes to."""
+
+    fault: int  # index into _FAULTS
+    where: int  # entry at fault
+    candidates: Candidates
+
+
+def plain(array: NDArray[Entry]) -> NDArray[Entry]:
+    """The array itself, or a view that compiled functions take for it where it is marked read-only.
+
+    They are compiled anew for read-only arrays, and write to none of their arguments.
+    """
+    if array.flags.writeable:
+        return array
+    view = array.view()
+    try:
+        view.flags.writeable = True
+    except ValueError:  # its memory cannot be written to
+        return array.copy()
+    return view
+
+
 def individual(
     scan: Scan,
     prediction: Prediction,
@@ -75,20 +107,22 @@ def individual(
 ) -> Candidates:
     """All individually compatible pairings of `measurements` (default: all) with the rows where `eligible` (k,) holds.
 
-    The gate's confidence is the prediction's unless another is given.
-    Raises ValueError naming the field and entry that is not finite, or a covariance that is none.
+    `confidence` of the gate: that of the prediction, unless another is given. Raises ValueError naming the field and entry that is not finite, or a covariance that is none.
     """
     if measurements is None:
         measurements = np.arange(len(scan.points))
-    if eligible is None:
-        eligible = _EVERY_ROW
-    gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
-    fault, where, tests, starts, measured, slots, distances, innovations, rows = _individual(
-        scan.points, scan.covariances, prediction.positions, prediction.covariances, measurements, eligible, gate
+    gated = _individual(
+        plain(scan.points),
+        plain(scan.covariances),
+        plain(prediction.positions),
+        plain(prediction.covariances),
+        measurements,
+        _EVERY_ROW if eligible is None else plain(eligible),
+        chi2_gate(2, prediction.confidence if confidence is None else confidence),
     )
-    if fault:
-        raise ValueError(_FAULTS[fault].format(where))
-    return Candidates(measurements, starts, measured, slots, distances, innovations, rows, tests)
+    if gated.fault:
+        raise ValueError(_FAULTS[gated.fault].format(gated.where))
+    return gated.candidates
 
 
 def has_compatible(
@@ -99,15 +133,15 @@ def has_compatible(
     return np.greater(starts[1:], starts[:-1])
 
 
-def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> tuple[float, int]:
-    """D²_H and its degrees of freedom, for the hypothesis that pairs measurement i with row rows[i] (m,), or NONE.
+def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> JointDistance:
+    """D²_H of the hypothesis that pairs measurement i with row rows[i] (m,), or UNPAIRED.
 
     Raises ValueError where S_H is not positive definite.
     """
-    paired = np.flatnonzero(rows != NONE)
+    paired = np.flatnonzero(rows != UNPAIRED)
     dof = 2 * len(paired)
     if not dof:
-        return 0.0, 0
+        return JointDistance(0.0, 0)
     innovation = (scan.points[paired] - prediction.positions[rows[paired]]).ravel()
     covariance = prediction.joint(rows[paired]).copy()
     for p, i in enumerate(paired):
@@ -117,7 +151,7 @@ def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> tuple[
     except np.linalg.LinAlgError:
         raise ValueError(f"innovation covariance of the pairings {rows.tolist()} is not positive definite") from None
     whitened = np.linalg.solve(factor, innovation)
-    return float(whitened @ whitened), dof
+    return JointDistance(float(whitened @ whitened), dof)
 
 
 @compiled
@@ -146,8 +180,7 @@ def _individual(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
-) -> tuple[int, int, int, IntArray, IntArray, IntArray, Array, Array, IntArray]:
-    """Fault, entry at fault, pairings tested, and the arrays of `Candidates` from `starts` on."""
+) -> _Gated:
     fault, where = _fault(points, noise, positions, covariances)
     offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
     count, room = 0, len(measurements) * len(offered)
@@ -180,7 +213,10 @@ def _individual(
         starts[level + 1] = count
     rows = _number_distinct(slots[:count], len(positions))
     tests = len(measurements) * len(offered)
-    return fault, where, tests, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows
+    found = Candidates(
+        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, tests
+    )
+    return _Gated(fault, where, found)
 
 
 @compiled

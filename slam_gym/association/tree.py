@@ -1,43 +1,60 @@
-"""The interpretation tree: level by level, each measurement is paired with a feature or with nothing (`*`, NONE).
+"""The interpretation tree: level by level, each measurement is paired with a feature or with nothing (`*`, UNPAIRED).
 
 Everybody walks the same tree: `root` gives the node to start from, `branches` what may follow a node, `extend` the node
-that follows, `hypothesis` the answer that a node amounts to. The joint test is incremental, O(p²) for a node of p
-pairings: with S_H = L Lᵀ and y = L⁻¹ν_H kept in the node, pairing (i, j) adds
+that follows, `hypothesis` the answer that a node amounts to. A node keeps whatever may still follow it conditioned on
+its pairings H. With S_H = L Lᵀ and y = L⁻¹ν_H, a candidate pairing c has
 
-    w = L⁻¹ S_{H,ij},   e = ν_ij − wᵀy,   D² += eᵀ (S_ij − wᵀw)⁻¹ e.
+    w_c = L⁻¹ S_{H,c},   e_c = ν_c − w_cᵀy,   S_c|H = S_c − w_cᵀw_c,   D² of H ∪ {c} = D²_H + e_cᵀ (S_c|H)⁻¹ e_c.
+
+A further pairing d appends two rows to every w_c: with S_d|H = l lᵀ,
+
+    v = l⁻¹ (S_dc − w_dᵀw_c),   w_c ← (w_c, v),   e_c ← e_c − vᵀ l⁻¹e_d,   S_c|H ← S_c|H − vᵀv.
+
+This is a Cholesky factorisation of the path, updated for all that may continue it, in O(|H|) for each candidate:
+nothing is ever factored anew. `condition` is that step, and the only one: branch and bound applies it to all candidates
+that may still become legal, a walk to all of later levels, the beam and 1-point RANSAC to the candidate at hand.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import Candidates, joint_gates
-from slam_gym.types import NONE, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.association.compatibility import Candidates, joint_gates, plain
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
-_NO_PATH = np.empty(0, np.int64)
 _NO_COVARIANCE = np.empty((0, 0))
-_NO_INNOVATION = np.empty(0)
+_NO_LOCALITY = np.empty((0, 0), np.bool_)
+_NO_PATH = np.empty(0, np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class Tree:
-    """A scan's interpretation tree over its individually compatible pairings: what all walks of it share.
+class Pairings(NamedTuple):
+    """What may be paired with what, as compiled functions take it: the given pairings, then those of each level.
 
-    Features are known by their slot: an index into `rows` and `local`, and by twos into `covariance`.
+    Features are known by their slot.
     """
+
+    slots: IntArray  # (c,) feature of the pairing
+    measured: IntArray  # (c,) its measurement
+    innovations: Array  # (c, 2) [m] ν_c in R
+    noise: Array  # (m, 2, 2) [m²] of the measurements
+    covariance: Array  # (2u, 2u) [m²] joint H P Hᵀ of the features
+    local: BoolArray  # (u, u) which features are local to each other; (0, 0): all are, to all
+    given: int  # pairings of the root, the first ones
+
+
+class Tree(NamedTuple):
+    """A scan's interpretation tree over its individually compatible pairings: what all walks of it share."""
 
     scan: Scan
     prediction: Prediction
     candidates: Candidates  # level i decides measurement candidates.measurements[i]
-    given: IntArray  # (m,) row paired with each measurement before the root, NONE for the others
-    rows: IntArray  # (u,) rows of the prediction: the g given ones in order of measurement, then candidates.rows
-    slots: IntArray  # (c,) slot of each candidate pairing: candidates.slots + g
-    covariance: Array  # (2u, 2u) [m²] joint H P Hᵀ of `rows`
-    local: BoolArray | None  # (u, u) the first pairing below the root restricts the others to its locality, unless None
+    given: IntArray  # (m,) row paired with each measurement before the root, UNPAIRED for the others
+    rows: IntArray  # (u,) row of the prediction of each slot
+    pairings: Pairings
     gates: Array  # (g + l + 1,) χ² gate of a hypothesis by its number of pairings
 
     @property
@@ -45,30 +62,45 @@ class Tree:
         """Number of decisions from the root to a leaf."""
         return len(self.candidates.measurements)
 
-    @property
-    def pairings_given(self) -> int:
-        """Number of pairings of the root."""
-        return len(self.gates) - 1 - self.levels
+    def level(self, number: int) -> tuple[int, int]:
+        """Where the pairings of a level begin and end."""
+        starts, g = self.candidates.starts, self.pairings.given
+        return g + int(starts[number]), g + int(starts[number + 1])
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
-    """The decisions that lead to a node, and what the joint test needs to go on from there."""
+class Innovation(NamedTuple):
+    """e and S of a pairing, conditioned on those before it."""
 
-    path: IntArray  # (level,) row of the prediction decided at each level, NONE for `*`
-    slots: IntArray  # (p,) slot of each pairing, those given first
-    factor: Array  # (2p, 2p) [m] L, lower triangular, S_H = L Lᵀ
-    whitened: Array  # (2p,) y = L⁻¹ ν_H
-    distance: float  # D²_H = yᵀy
-
-    @property
-    def level(self) -> int:
-        """Decisions taken so far; the level that decides next."""
-        return len(self.path)
+    x: float  # [m]
+    y: float
+    xx: float  # [m²]
+    xy: float
+    yy: float
 
 
-@dataclass(frozen=True, slots=True)
-class Branches:
+class Pivot(NamedTuple):
+    """What a pairing that joins the path does to the candidates: l⁻¹ and l⁻¹e, with S = l lᵀ."""
+
+    slot: int
+    inverse_xx: float  # 1 / l_xx
+    yx: float  # l_yx
+    inverse_yy: float  # 1 / l_yy
+    u: float  # l⁻¹e
+    v: float
+
+
+class Node(NamedTuple):
+    """The decisions that lead to a node, and what may still follow, conditioned on its pairings H."""
+
+    level: int  # decisions taken so far; the level that decides next
+    path: IntArray  # (p,) the pairings, first to last, those given first
+    distance: float  # D²_H
+    innovations: Array  # (c, 5) `Innovation` of each pairing of later levels given H; of those in H, as they joined it
+    added: Array  # (c,) what each of later levels would add to D²_H
+    w: Array  # (c, 2p + 2, 2) their w, with room for what one more pairing appends
+
+
+class Branches(NamedTuple):
     """What a node's measurement may be paired with, by ascending D²_ij. `*` is always legal besides, and comes last."""
 
     rows: IntArray  # (b,) individually compatible rows of the prediction
@@ -81,91 +113,76 @@ def interpretation_tree(
     scan: Scan,
     prediction: Prediction,
     candidates: Candidates,
-    confidence: float | None = None,
     *,
     given: IntArray | None = None,
     local: bool = False,
 ) -> Tree:
-    """The tree that decides `candidates.measurements`, in that order, with `confidence` of the joint test.
+    """The tree that decides `candidates.measurements`, in that order, at the confidence of the prediction.
 
-    `given` (m,): rows paired before the root, NONE elsewhere. With `local`, the first pairing below the root restricts
-    those after it to its own locality. Raises ValueError where a row or a measurement is both given and a candidate, or
-    where `local` is asked of a prediction without locality.
+    `given` (m,): rows paired before the root, UNPAIRED elsewhere. With `local`, the first pairing below the root
+    restricts those after it to its own locality. Raises ValueError where a row or a measurement is both given and a
+    candidate, or where `local` is asked of a prediction without locality.
     """
-    rows, slots, g = candidates.rows, candidates.slots, 0
+    rows, slots, measured, innovations, g = (
+        candidates.rows, candidates.slots, candidates.measured, candidates.innovations, 0,
+    )  # fmt: skip
     if given is None:
-        given = np.full(len(scan.points), NONE)
+        given = np.full(len(scan.points), UNPAIRED)
     else:
-        fixed = given[given != NONE]
-        if (given[candidates.measurements] != NONE).any() or not set(fixed.tolist()).isdisjoint(rows.tolist()):
+        paired = np.flatnonzero(given != UNPAIRED)
+        fixed, g = given[paired], len(paired)
+        if (given[candidates.measurements] != UNPAIRED).any() or not set(fixed.tolist()).isdisjoint(rows.tolist()):
             raise ValueError("given: pairs measurements or features that are to be decided")
-        g, rows, slots = len(fixed), np.concatenate((fixed, rows)), slots + len(fixed)
-    covariance = prediction.joint(rows) if len(rows) else _NO_COVARIANCE
-    among = None
+        rows, slots = np.concatenate((fixed, rows)), np.concatenate((np.arange(g), slots + g))
+        measured = np.concatenate((paired, measured))
+        innovations = np.concatenate((scan.points[paired] - prediction.positions[fixed], innovations))
+    related = _NO_LOCALITY
     if local:
         if prediction.local is None:
             raise ValueError("local: the prediction has no locality")
-        among = prediction.local(rows)
-    confidence = prediction.confidence if confidence is None else confidence
-    gates = joint_gates(g + len(candidates.measurements), confidence)
-    return Tree(scan, prediction, candidates, given, rows, slots, covariance, among, gates)
+        related = prediction.local(rows)
+    covariance = prediction.joint(rows) if len(rows) else _NO_COVARIANCE
+    pairings = Pairings(slots, measured, innovations, plain(scan.covariances), covariance, related, g)
+    gates = joint_gates(g + len(candidates.measurements), prediction.confidence)
+    return Tree(scan, prediction, candidates, given, rows, pairings, gates)
 
 
 def root(tree: Tree) -> Node:
     """The root: nothing decided but the pairings given."""
-    if not tree.pairings_given:
-        return Node(_NO_PATH, _NO_PATH, _NO_COVARIANCE, _NO_INNOVATION, 0.0)
-    paired = np.flatnonzero(tree.given != NONE)
-    slots = np.arange(len(paired))
-    innovations = tree.scan.points[paired] - tree.prediction.positions[tree.rows[slots]]
-    factor, whitened, distance = _factorise(tree.covariance, slots, innovations, tree.scan.covariances[paired])
-    return Node(_NO_PATH, slots, factor, whitened, distance)
+    return root_of(tree.pairings)
 
 
 def branches(tree: Tree, node: Node) -> Branches:
     """What may follow `node`. Raises ValueError at a leaf."""
-    first, last = _next_level(tree, node)
-    slots, candidates = tree.slots[first:last], tree.candidates
-    joint = node.distance + _distances_added(
-        node.factor,
-        node.whitened,
-        node.slots,
-        tree.covariance,
-        slots,
-        candidates.innovations[first:last],
-        tree.scan.covariances[candidates.measurements[node.level]],
-    )
-    g = tree.pairings_given
-    joint[np.isin(slots, node.slots)] = np.inf
-    if tree.local is not None and len(node.slots) > g:
-        joint[~tree.local[node.slots[g], slots]] = np.inf
-    return Branches(tree.rows[slots], candidates.distances[first:last], joint, joint < tree.gates[len(node.slots) + 1])
+    if node.level >= tree.levels:
+        raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
+    first, last = tree.level(node.level)
+    joint = node.distance + added_by(tree.pairings, node.path, node.added, first, last)
+    rows, g = tree.rows[tree.pairings.slots[first:last]], tree.pairings.given
+    legal = joint < tree.gates[len(node.path) + 1]
+    return Branches(rows, tree.candidates.distances[first - g : last - g], joint, legal)
 
 
 def extend(tree: Tree, node: Node, row: int) -> Node:
-    """The node reached by deciding the next measurement: paired with `row` of the prediction, or NONE.
+    """The node reached by deciding the next measurement: paired with `row` of the prediction, or UNPAIRED.
 
     Raises ValueError at a leaf, and where the pairing is not legal.
     """
-    first, _ = _next_level(tree, node)
-    path = np.append(node.path, row)
-    if row == NONE:
-        return Node(path, node.slots, node.factor, node.whitened, node.distance)
-    offer, measurement = branches(tree, node), tree.candidates.measurements[node.level]
+    offer = branches(tree, node)
+    if row == UNPAIRED:
+        return node._replace(level=node.level + 1)
     chosen = np.flatnonzero((offer.rows == row) & offer.legal)
     if not len(chosen):
-        raise ValueError(f"row: measurement {measurement} may not be paired with row {row} after {node.path.tolist()}")
-    c, slots = first + chosen[0], np.append(node.slots, tree.slots[first + chosen[0]])
-    factor, whitened = _with_room(node.factor, node.whitened)
-    innovation, noise = tree.candidates.innovations[c], tree.scan.covariances[measurement]
-    append_pairing(factor, whitened, slots, len(slots) - 1, tree.covariance, tree.slots[c], innovation, noise)
-    return Node(path, slots, factor, whitened, float(offer.joint[chosen[0]]))
+        measurement = tree.candidates.measurements[node.level]
+        raise ValueError(f"row: measurement {measurement} may not be paired with row {row} after {decided(tree, node)}")
+    first, last = tree.level(node.level)
+    return add_pairing(tree.pairings, node, first + int(chosen[0]), last)
 
 
 def decided(tree: Tree, node: Node) -> IntArray:
-    """Row of the prediction paired with each measurement of the scan, (m,); NONE for `*` and for what is undecided."""
-    rows = tree.given.copy()
-    rows[tree.candidates.measurements[: node.level]] = node.path
+    """Row of the prediction paired with each measurement of the scan, (m,); UNPAIRED for `*` and what is undecided."""
+    rows = np.full(len(tree.given), UNPAIRED)
+    rows[tree.pairings.measured[node.path]] = tree.rows[tree.pairings.slots[node.path]]
     return rows
 
 
@@ -174,117 +191,143 @@ def hypothesis(tree: Tree, node: Node, effort: Effort) -> Hypothesis:
     return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort)
 
 
-def as_hypothesis(
-    prediction: Prediction,
-    rows: IntArray,
-    distance: float,
-    effort: Effort,
-    *,
-    exclusive: bool = True,
-    new: BoolArray | None = None,
-) -> Hypothesis:
-    """Rows of the prediction (m,), or NONE, turned into map features."""
-    features, pairings = _features(prediction.features, rows)
-    return Hypothesis(features, distance, 2 * pairings, effort, new=new, exclusive=exclusive)
-
-
-def _next_level(tree: Tree, node: Node) -> tuple[int, int]:
-    """Where the candidates of the level that decides next begin and end."""
-    if node.level >= tree.levels:
-        raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
-    return int(tree.candidates.starts[node.level]), int(tree.candidates.starts[node.level + 1])
+def as_hypothesis(prediction: Prediction, rows: IntArray, distance: float, effort: Effort) -> Hypothesis:
+    """Rows of the prediction (m,), or UNPAIRED, turned into map features."""
+    features = _features(plain(prediction.features), rows)
+    return Hypothesis(features, distance, 2 * int(np.count_nonzero(features != UNPAIRED)), effort)
 
 
 @compiled
-def append_pairing(
-    factor: Array,
-    whitened: Array,
-    slots: IntArray,
-    p: int,
-    covariance: Array,
-    slot: int,
-    innovation: Array,
-    noise: Array,
-) -> float:
-    """Rows 2p, 2p + 1 of L and y for one more pairing, in place; what it adds to D²_H, inf where S_H turns singular.
+def innovation_of(pairings: Pairings, c: int) -> Innovation:
+    """ν and S of a pairing, given nothing."""
+    i, s, P = pairings.measured[c], 2 * pairings.slots[c], pairings.covariance
+    xx, xy = P[s, s] + pairings.noise[i, 0, 0], P[s, s + 1] + pairings.noise[i, 0, 1]
+    return Innovation(
+        pairings.innovations[c, 0], pairings.innovations[c, 1], xx, xy, P[s + 1, s + 1] + pairings.noise[i, 1, 1]
+    )
 
-    `factor` and `whitened` hold the p pairings of `slots[:p]`; innovation (2,) [m], noise (2, 2) [m²] in R.
+
+@compiled
+def squared(e: Innovation) -> float:
+    """D² = eᵀS⁻¹e; inf where S is not positive definite."""
+    determinant = e.xx * e.yy - e.xy * e.xy
+    if not (e.xx > 0.0 and determinant > 0.0):
+        return math.inf
+    return (e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y) / determinant
+
+
+@compiled
+def pivot_of(slot: int, e: Innovation) -> Pivot:
+    """The pivot of a pairing with innovation e given all pairings before it."""
+    xx = math.sqrt(e.xx)
+    yx = e.xy / xx
+    yy = math.sqrt(e.yy - yx * yx)
+    u = e.x / xx
+    return Pivot(slot, 1.0 / xx, yx, 1.0 / yy, u, (e.y - yx * u) / yy)
+
+
+@compiled
+def condition(covariance: Array, w: Array, pivot: Pivot, d: int, p: int, c: int, slot: int, e: Innovation) -> Innovation:
+    """Add a pairing to the path, as candidate c with innovation e sees it: e and S given that pairing as well.
+
+    `pivot` is that of the pairing, which is the p-th of the path; w[d] and w[c] are the w of pairing and candidate, of
+    which rows 2p and 2p + 1 of w[c] are written here.
     """
-    a, b, x, y = 2 * p, 2 * p + 1, innovation[0], innovation[1]
-    xx = covariance[2 * slot, 2 * slot] + noise[0, 0]
-    xy = covariance[2 * slot, 2 * slot + 1] + noise[0, 1]
-    yy = covariance[2 * slot + 1, 2 * slot + 1] + noise[1, 1]
+    a, b = 2 * pivot.slot, 2 * slot
+    s00, s01, s10, s11 = covariance[a, b], covariance[a, b + 1], covariance[a + 1, b], covariance[a + 1, b + 1]
     for r in range(2 * p):
-        row = 2 * slots[r // 2] + r % 2
-        u, v = covariance[row, 2 * slot], covariance[row, 2 * slot + 1]
-        for q in range(r):
-            u -= factor[r, q] * factor[a, q]
-            v -= factor[r, q] * factor[b, q]
-        u, v = u / factor[r, r], v / factor[r, r]
-        factor[a, r], factor[b, r] = u, v
-        x, y = x - u * whitened[r], y - v * whitened[r]
-        xx, xy, yy = xx - u * u, xy - u * v, yy - v * v
-    if not xx > 0.0:
-        return math.inf
-    factor[a, a] = math.sqrt(xx)
-    factor[b, a] = xy / factor[a, a]
-    rest = yy - factor[b, a] * factor[b, a]
-    if not rest > 0.0:
-        return math.inf
-    factor[b, b] = math.sqrt(rest)
-    whitened[a] = x / factor[a, a]
-    whitened[b] = (y - factor[b, a] * whitened[a]) / factor[b, b]
-    return float(whitened[a] * whitened[a] + whitened[b] * whitened[b])
+        s00 -= w[d, r, 0] * w[c, r, 0]
+        s01 -= w[d, r, 0] * w[c, r, 1]
+        s10 -= w[d, r, 1] * w[c, r, 0]
+        s11 -= w[d, r, 1] * w[c, r, 1]
+    s00, s01 = s00 * pivot.inverse_xx, s01 * pivot.inverse_xx
+    s10, s11 = (s10 - pivot.yx * s00) * pivot.inverse_yy, (s11 - pivot.yx * s01) * pivot.inverse_yy
+    w[c, 2 * p, 0], w[c, 2 * p, 1], w[c, 2 * p + 1, 0], w[c, 2 * p + 1, 1] = s00, s01, s10, s11
+    return Innovation(
+        e.x - s00 * pivot.u - s10 * pivot.v,
+        e.y - s01 * pivot.u - s11 * pivot.v,
+        e.xx - s00 * s00 - s10 * s10,
+        e.xy - s00 * s01 - s10 * s11,
+        e.yy - s01 * s01 - s11 * s11,
+    )
 
 
 @compiled
-def _factorise(covariance: Array, slots: IntArray, innovations: Array, noise: Array) -> tuple[Array, Array, float]:
-    """L (2p, 2p), y (2p,) and D² of the pairings of `slots` (p,)."""
-    p = len(slots)
-    factor, whitened, distance = np.zeros((2 * p, 2 * p)), np.empty(2 * p), 0.0
-    for i in range(p):
-        distance += append_pairing(factor, whitened, slots, i, covariance, slots[i], innovations[i], noise[i])
-    return factor, whitened, distance
+def is_local(local: BoolArray, anchor: int, slot: int) -> bool:
+    """The locality rule: `anchor` is the feature of the first pairing below the root; an empty `local` restricts nothing."""
+    return bool(local.size == 0 or local[anchor, slot])
 
 
 @compiled
-def _with_room(factor: Array, whitened: Array) -> tuple[Array, Array]:
-    """L and y, with room for one more pairing."""
-    d = len(whitened)
-    larger, longer = np.zeros((d + 2, d + 2)), np.zeros(d + 2)
-    for i in range(d):
-        longer[i] = whitened[i]
-        for j in range(i + 1):
-            larger[i, j] = factor[i, j]
-    return larger, longer
+def may_follow(pairings: Pairings, path: IntArray, p: int, c: int) -> bool:
+    """Whether pairing c takes a feature that the p pairings of a path left free, and that is local to the first one."""
+    slots = pairings.slots
+    for q in range(p):
+        if slots[path[q]] == slots[c]:
+            return False
+    return p <= pairings.given or is_local(pairings.local, slots[path[pairings.given]], slots[c])
 
 
 @compiled
-def _distances_added(
-    factor: Array,
-    whitened: Array,
-    path_slots: IntArray,
-    covariance: Array,
-    slots: IntArray,
-    innovations: Array,
-    noise: Array,
-) -> Array:
-    """What each of one measurement's candidates (b,) would add to D²_H of the pairings of `path_slots` (p,)."""
-    factor, whitened = _with_room(factor, whitened)
-    added = np.empty(len(slots))
-    for c in range(len(slots)):
-        added[c] = append_pairing(
-            factor, whitened, path_slots, len(path_slots), covariance, slots[c], innovations[c], noise
-        )
-    return added
+def root_of(pairings: Pairings) -> Node:
+    """`root`."""
+    count = len(pairings.slots)
+    innovations, added = np.empty((count, 5)), np.empty(count)
+    for c in range(count):
+        e = innovation_of(pairings, c)
+        store(innovations, c, e)
+        added[c] = squared(e)
+    node = Node(0, np.empty(0, np.int64), 0.0, innovations, added, np.empty((count, 2, 2)))
+    for d in range(pairings.given):
+        node = add_pairing(pairings, node, d, d + 1)
+    return Node(0, node.path, node.distance, node.innovations, node.added, node.w)
 
 
 @compiled
-def _features(features: IntArray, rows: IntArray) -> tuple[IntArray, int]:
-    """`features` (k,) at `rows` (m,), NONE where there is no row; and the number of rows."""
-    out, count = np.full(len(rows), NONE), 0
+def store(innovations: Array, c: int, e: Innovation) -> None:
+    """Enter an innovation in row c of (c, 5)."""
+    innovations[c, 0], innovations[c, 1] = e.x, e.y
+    innovations[c, 2], innovations[c, 3], innovations[c, 4] = e.xx, e.xy, e.yy
+
+
+@compiled
+def read(innovations: Array, c: int) -> Innovation:
+    """The innovation in row c."""
+    i = innovations
+    return Innovation(i[c, 0], i[c, 1], i[c, 2], i[c, 3], i[c, 4])
+
+
+@compiled
+def add_pairing(pairings: Pairings, node: Node, d: int, following: int) -> Node:
+    """The node after pairing d, with the pairings from `following` on conditioned on it."""
+    p, count, slots = len(node.path), len(pairings.slots), pairings.slots
+    path, innovations, added = np.empty(p + 1, np.int64), np.empty((count, 5)), np.empty(count)
+    w, pivot = np.empty((count, 2 * p + 4, 2)), pivot_of(slots[d], read(node.innovations, d))
+    path[:p], path[p] = node.path, d
+    for q in range(p + 1):
+        innovations[path[q]], w[path[q], : 2 * p] = node.innovations[path[q]], node.w[path[q], : 2 * p]
+    for c in range(following, count):
+        w[c, : 2 * p] = node.w[c, : 2 * p]
+        e = condition(pairings.covariance, w, pivot, d, p, c, slots[c], read(node.innovations, c))
+        store(innovations, c, e)
+        added[c] = squared(e)
+    return Node(node.level + 1, path, node.distance + node.added[d], innovations, added, w)
+
+
+@compiled
+def added_by(pairings: Pairings, path: IntArray, added: Array, first: int, last: int) -> Array:
+    """What the pairings first … last − 1 would add to D²_H, (last − first,); inf where they may not follow."""
+    out = np.empty(last - first)
+    for c in range(first, last):
+        out[c - first] = added[c] if may_follow(pairings, path, len(path), c) else math.inf
+    return out
+
+
+@compiled
+def _features(features: IntArray, rows: IntArray) -> IntArray:
+    """`features` (k,) at `rows` (m,), UNPAIRED where there is no row."""
+    out = np.full(len(rows), UNPAIRED)
     for i in range(len(rows)):
-        if rows[i] != NONE:
+        if rows[i] != UNPAIRED:
             out[i] = features[rows[i]]
-            count += 1
-    return out, count
+    return out

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from slam_gym.association.compatibility import chi2_gate, has_compatible, individual, joint_distance, joint_gates
 from slam_gym.geometry import rotate_covariances, transform
-from slam_gym.types import NONE
+from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 
 
@@ -87,8 +87,8 @@ def test_compatibility_does_not_depend_on_the_axes():
 def test_joint_distance_is_that_of_all_pairings_stacked(seed):
     rng = np.random.default_rng(seed)
     scan, prediction = oracles.problem(rng, 6, 9)
-    rows = np.where(rng.random(6) < 0.7, rng.integers(0, 9, 6), NONE)
-    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != NONE]
+    rows = np.where(rng.random(6) < 0.7, rng.integers(0, 9, 6), UNPAIRED)
+    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != UNPAIRED]
     distance, dof = joint_distance(scan, prediction, rows)
     assert distance == pytest.approx(oracles.distance(scan, prediction, pairs))
     assert dof == 2 * len(pairs)

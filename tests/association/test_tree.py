@@ -7,7 +7,7 @@ from slam_gym.association import jcbb
 from slam_gym.association.compatibility import individual, joint_distance
 from slam_gym.association.tracking.branch_and_bound import complete
 from slam_gym.association.tree import branches, decided, extend, hypothesis, interpretation_tree, root
-from slam_gym.types import NONE, Effort
+from slam_gym.types import UNPAIRED, Effort
 from tests.oracles import association as oracles
 
 
@@ -23,7 +23,7 @@ def random_leaf(tree, rng):
     while nodes[-1].level < tree.levels:
         legal = branches(tree, nodes[-1])
         rows = legal.rows[legal.legal]
-        nodes.append(extend(tree, nodes[-1], int(rng.choice(rows)) if len(rows) and rng.random() < 0.8 else NONE))
+        nodes.append(extend(tree, nodes[-1], int(rng.choice(rows)) if len(rows) and rng.random() < 0.8 else UNPAIRED))
     return nodes
 
 
@@ -32,22 +32,60 @@ def best_leaf(tree, node):
     if node.level == tree.levels:
         return node
     offer = branches(tree, node)
-    following = [best_leaf(tree, extend(tree, node, int(row))) for row in [*offer.rows[offer.legal], NONE]]
-    return min(following, key=lambda leaf: (-len(leaf.slots), leaf.distance))
+    following = [best_leaf(tree, extend(tree, node, int(row))) for row in [*offer.rows[offer.legal], UNPAIRED]]
+    return min(following, key=lambda leaf: (-len(leaf.path), leaf.distance))
+
+
+def pairs_of(tree, node):
+    """(measurement, row), in the order of the scan."""
+    return [(i, int(row)) for i, row in enumerate(decided(tree, node)) if row != UNPAIRED]
+
+
+def factored(node):
+    """L and y of S_H = L Lᵀ and y = L⁻¹ν_H, from what each pairing of the path was when it joined."""
+    L, y = np.zeros((2 * len(node.path),) * 2), np.zeros(2 * len(node.path))
+    for p, c in enumerate(node.path):
+        x, z, xx, xy, yy = node.innovations[c]
+        corner = np.linalg.cholesky([[xx, xy], [xy, yy]])
+        L[2 * p : 2 * p + 2, : 2 * p], L[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] = node.w[c, : 2 * p].T, corner
+        y[2 * p : 2 * p + 2] = np.linalg.solve(corner, [x, z])
+    return L, y
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_may_follow_a_node_is_conditioned_on_its_path(seed):
+    """As an EKF update with the pairings of the path would leave it."""
+    tree = plant(seed)
+    for node in random_leaf(tree, np.random.default_rng(seed))[:-1]:
+        pairs, (first, _) = pairs_of(tree, node), tree.level(node.level)
+        for c in range(first, len(tree.pairings.slots)):
+            i, j = int(tree.pairings.measured[c]), int(tree.rows[tree.pairings.slots[c]])
+            if any(j == used for _, used in pairs):
+                continue
+            rows = np.array([*(row for _, row in pairs), j])
+            S = tree.prediction.joint(rows)
+            for k, measured in enumerate([*(measured for measured, _ in pairs), i]):
+                S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += tree.scan.covariances[measured]
+            nu = np.concatenate([tree.scan.points[m] - tree.prediction.positions[r] for m, r in [*pairs, (i, j)]])
+            gain = S[-2:, :-2] @ np.linalg.inv(S[:-2, :-2]) if pairs else np.zeros((2, 0))
+            left = S[-2:, -2:] - gain @ S[:-2, -2:]
+            expected = [*(nu[-2:] - gain @ nu[:-2]), left[0, 0], left[0, 1], left[1, 1]]
+            np.testing.assert_allclose(node.innovations[c], expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_node_carries_the_factored_innovation_covariance_of_its_path(seed):
     tree = plant(seed)
     node = random_leaf(tree, np.random.default_rng(seed))[-1]
-    pairs = [(i, int(row)) for i, row in enumerate(node.path) if row != NONE]
+    pairs = pairs_of(tree, node)
     rows = np.array([row for _, row in pairs], np.int64)
     S = tree.prediction.joint(rows)
     for k, (i, _) in enumerate(pairs):
         S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += tree.scan.covariances[i]
     innovation = np.array([tree.scan.points[i] - tree.prediction.positions[j] for i, j in pairs]).ravel()
-    np.testing.assert_allclose(node.factor @ node.factor.T, S, atol=1e-12)
-    np.testing.assert_allclose(node.factor @ node.whitened, innovation, atol=1e-12)
+    factor, whitened = factored(node)
+    np.testing.assert_allclose(factor @ factor.T, S, atol=1e-12)
+    np.testing.assert_allclose(factor @ whitened, innovation, atol=1e-12)
     assert node.distance == pytest.approx(oracles.distance(tree.scan, tree.prediction, pairs), rel=1e-9, abs=1e-12)
     assert node.distance == pytest.approx(joint_distance(tree.scan, tree.prediction, decided(tree, node))[0])
 
@@ -57,13 +95,13 @@ def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_l
     tree = plant(seed, local=seed % 2 == 0)
     for node in random_leaf(tree, np.random.default_rng(seed))[:-1]:
         offer = branches(tree, node)
-        pairs = [(i, int(row)) for i, row in enumerate(node.path) if row != NONE]
+        pairs = pairs_of(tree, node)
         expected = oracles.compatible(tree.scan, tree.prediction, 0.99)[node.level]
         assert offer.rows.tolist() == [row for _, row in expected]
         assert offer.individual == pytest.approx([d2 for d2, _ in expected])
         for row, joint, legal in zip(offer.rows, offer.joint, offer.legal):
             taken = int(row) in [j for _, j in pairs]
-            strange = tree.local is not None and pairs and not local(tree, pairs[0][1], row)
+            strange = tree.pairings.local.size and pairs and not local(tree, pairs[0][1], row)
             if taken or strange:
                 assert joint == np.inf and not legal
                 continue
@@ -73,7 +111,7 @@ def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_l
 
 
 def local(tree, a, b):
-    return tree.prediction.locality.among(np.array([a, b]))[0, 1]
+    return tree.prediction.local(np.array([a, b]))[0, 1]
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -105,10 +143,10 @@ def test_pairings_given_are_part_of_every_path(seed):
     first = interpretation_tree(scan, prediction, individual(scan, prediction, measurements=np.arange(3)))
     given = decided(first, random_leaf(first, rng)[-1])
     eligible = np.ones(8, np.bool_)
-    eligible[given[given != NONE]] = False
-    left = individual(scan, prediction, measurements=np.flatnonzero(given == NONE), eligible=eligible)
+    eligible[given[given != UNPAIRED]] = False
+    left = individual(scan, prediction, measurements=np.flatnonzero(given == UNPAIRED), eligible=eligible)
     tree = interpretation_tree(scan, prediction, left, given=given, local=True)
-    related = prediction.locality.among(np.arange(8))
+    related = prediction.local(np.arange(8))
     rows, distance = oracles.best_path(scan, prediction, 0.99, allowed=eligible, given=given.tolist(), related=related)
     leaf = best_leaf(tree, root(tree))
     assert decided(tree, leaf).tolist() == rows
@@ -120,12 +158,12 @@ def test_pairings_given_are_part_of_every_path(seed):
 def test_pairings_given_stay_even_where_they_are_not_compatible():
     scan, prediction = oracles.problem(np.random.default_rng(4), 4, 6, spread=3.0)
     far = np.argsort(-np.linalg.norm(prediction.positions - scan.points[0], axis=1))[:2]
-    given = np.array([far[0], far[1], NONE, NONE])
+    given = np.array([far[0], far[1], UNPAIRED, UNPAIRED])
     left = individual(scan, prediction, measurements=np.arange(2, 4), eligible=~np.isin(np.arange(6), far))
     tree = interpretation_tree(scan, prediction, left, given=given)
     rows, distance, _ = complete(tree)
     assert rows[:2].tolist() == far.tolist()
-    pairs = [(i, int(row)) for i, row in enumerate(rows) if row != NONE]
+    pairs = [(i, int(row)) for i, row in enumerate(rows) if row != UNPAIRED]
     assert distance == pytest.approx(oracles.distance(scan, prediction, pairs))
     assert distance > oracles.gate(4, 0.99)
 
@@ -147,8 +185,8 @@ def test_without_candidates_every_branch_is_star():
     node = root(tree)
     for _ in range(3):
         assert len(branches(tree, node).rows) == 0
-        node = extend(tree, node, NONE)
-    assert hypothesis(tree, node, Effort()).features.tolist() == [NONE] * 3
+        node = extend(tree, node, UNPAIRED)
+    assert hypothesis(tree, node, Effort()).features.tolist() == [UNPAIRED] * 3
 
 
 def test_illegal_steps_are_refused():
@@ -159,13 +197,13 @@ def test_illegal_steps_are_refused():
     with pytest.raises(ValueError, match="leaf"):
         branches(tree, leaf)
     with pytest.raises(ValueError, match="leaf"):
-        extend(tree, leaf, NONE)
+        extend(tree, leaf, UNPAIRED)
 
 
 def test_a_tree_that_contradicts_itself_is_refused():
     scan, prediction = oracles.problem(np.random.default_rng(1), 5, 7, spread=1.0)
     candidates = individual(scan, prediction)
-    given = np.full(5, NONE)
+    given = np.full(5, UNPAIRED)
     given[0] = candidates.rows[0]
     with pytest.raises(ValueError, match="given"):
         interpretation_tree(scan, prediction, candidates, given=given)

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 from scipy.stats import chi2
 
-from slam_gym.types import NONE, Array, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Prediction, Scan
 
 
 def problem(
@@ -24,6 +24,7 @@ def problem(
     spurious: float = 0.3,
     noise: float = 0.05,
     locality: bool = False,
+    confidence: float = 0.99,
 ) -> tuple[Scan, Prediction]:
     """A scan of m measurements before a map of n correlated features within ±`spread` m, ambiguous on purpose.
 
@@ -44,7 +45,8 @@ def problem(
     for i, j in zip(real, rng.permutation(n)):
         points[i] = drawn.reshape(-1, 2)[j] + np.linalg.cholesky(R[i]) @ rng.standard_normal(2)
     features = np.sort(rng.permutation(3 * n)[:n])
-    prediction = dataclasses.replace(Prediction.from_gaussian(positions, P), features=features)
+    prediction = Prediction.from_gaussian(positions, P, confidence=confidence)
+    prediction = dataclasses.replace(prediction, features=features)
     if locality:
         group, stray = rng.integers(0, 3, n), rng.random((n, n)) < 0.1
         related = (group[:, None] == group) | stray | stray.T
@@ -94,14 +96,14 @@ def compatible(scan: Scan, prediction: Prediction, confidence: float) -> list[li
 
 def nearest(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
     """Row per measurement: the compatible one of least D²."""
-    return [found[0][1] if found else NONE for found in compatible(scan, prediction, confidence)]
+    return [found[0][1] if found else UNPAIRED for found in compatible(scan, prediction, confidence)]
 
 
 def singles(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
     """Row per measurement: where each is the other's only compatible one."""
     lists = compatible(scan, prediction, confidence)
     everywhere = [j for found in lists for _, j in found]
-    return [found[0][1] if len(found) == 1 and everywhere.count(found[0][1]) == 1 else NONE for found in lists]
+    return [found[0][1] if len(found) == 1 and everywhere.count(found[0][1]) == 1 else UNPAIRED for found in lists]
 
 
 def best_path(
@@ -115,15 +117,15 @@ def best_path(
 ) -> tuple[list[int], float]:
     """Most pairings, then least D²_H, over *every* path all prefixes of which are jointly compatible. No bound.
 
-    allowed (n,) rows that may be paired; given: row per measurement decided before, NONE for those to decide; related
+    allowed (n,) rows that may be paired; given: row per measurement decided before, UNPAIRED for those to decide; related
     (n, n): pairings must be related to the first one made here.
     """
     n = len(prediction)
     allowed = np.ones(n, bool) if allowed is None else allowed
-    given = [NONE] * len(scan) if given is None else given
+    given = [UNPAIRED] * len(scan) if given is None else given
     lists = compatible(scan, prediction, confidence)
-    base = [(i, j) for i, j in enumerate(given) if j != NONE]
-    undecided = [i for i, j in enumerate(given) if j == NONE]
+    base = [(i, j) for i, j in enumerate(given) if j != UNPAIRED]
+    undecided = [i for i, j in enumerate(given) if j == UNPAIRED]
     best: tuple[int, float, list[tuple[int, int]]] = (len(base), distance(scan, prediction, base), base)
     stack = [(0, base)]
     while stack:
@@ -143,7 +145,7 @@ def best_path(
             longer = [*pairs, (undecided[level], j)]
             if distance(scan, prediction, longer) < gate(2 * len(longer), confidence):
                 stack.append((level + 1, longer))
-    rows = [NONE] * len(scan)
+    rows = [UNPAIRED] * len(scan)
     for i, j in best[2]:
         rows[i] = j
     return rows, best[1]
@@ -151,11 +153,11 @@ def best_path(
 
 def jcbb(scan: Scan, prediction: Prediction, confidence: float, *, locality: bool = True) -> tuple[list[int], float]:
     """JCBB as the best of all paths; with locality in the two searches it is defined by."""
-    if not locality or prediction.locality is None:
+    if not locality or prediction.local is None:
         return best_path(scan, prediction, confidence)
-    near = prediction.locality.near
+    near = prediction.near
     first, _ = best_path(scan, prediction, confidence, allowed=near)
-    related = prediction.locality.among(np.arange(len(prediction)))
+    related = prediction.local(np.arange(len(prediction)))
     return best_path(scan, prediction, confidence, allowed=~near, given=first, related=related)
 
 
@@ -169,7 +171,7 @@ def greedy(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
             if legal and all(j != used for _, used in pairs):
                 pairs = longer
                 break
-    rows = [NONE] * len(scan)
+    rows = [UNPAIRED] * len(scan)
     for i, j in pairs:
         rows[i] = j
     return rows

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from slam_gym.association.compatibility import chi2_gate, joint_distance
-from slam_gym.association.tracking.stages import in_stages
+from slam_gym.association.tracking.near_first import Found, near_first
 from slam_gym.association.tree import Tree, as_hypothesis
 from slam_gym.types import BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
 _FORBIDDEN = 1e9  # the price of a pairing that is not compatible: more than any assignment without one
 
 
-def global_nearest_neighbour(
-    scan: Scan, prediction: Prediction, *, confidence: float = 0.99, locality: str | None = "covisibility"
-) -> Hypothesis:
+def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     """GNN: minimises Σ (D²_ij + log det S_ij) over the pairings plus a price for every measurement left unpaired.
 
     Pairings are individually compatible, each feature paired at most once (Blackman and Popoli, "Design and Analysis of
@@ -23,17 +21,18 @@ def global_nearest_neighbour(
     measurement that needs it more. Each pairing is still weighed alone: their correlation through the robot's pose is
     ignored. Solved exactly, by scipy's linear assignment.
 
-    A locality of the prediction is used as in `jcbb`, unless `locality` is None, except that pairings in the second
-    search, made all at once, do not restrict each other. Raises ValueError as `individual` does, and for an unknown
-    locality.
+    A locality of the prediction is used as in `jcbb`, except that pairings in the second search, made all at once, do
+    not restrict each other. Raises ValueError as `individual` does.
     """
+    gate = chi2_gate(2, prediction.confidence)
 
-    def search(tree: Tree) -> tuple[IntArray, Effort, None]:
+    def search(tree: Tree) -> Found[None]:
         effort = Effort(nodes=tree.levels, individual_tests=tree.candidates.tests)
-        return _assign(scan, prediction, tree, chi2_gate(2, confidence)), effort, None
+        return Found(_assign(scan, prediction, tree, gate), effort, None)
 
-    rows, effort, _ = in_stages(scan, prediction, search, gate=confidence, confidence=confidence, locality=locality)
-    return as_hypothesis(prediction, rows, joint_distance(scan, prediction, rows)[0], effort)
+    found = near_first(scan, prediction, search)
+    distance = joint_distance(scan, prediction, found.rows).squared
+    return as_hypothesis(prediction, found.rows, distance, found.effort)
 
 
 def _assign(scan: Scan, prediction: Prediction, tree: Tree, gate: float) -> IntArray:

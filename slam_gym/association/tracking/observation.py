@@ -6,18 +6,28 @@ Values without a bound are squashed: v / (|v| + scale), which is 0 at 0 and ±½
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
+from slam_gym.association.compatibility import plain
+from slam_gym.association.tree import (
+    Node,
+    Pairings,
+    Tree,
+    condition,
+    is_local,
+    may_follow,
+    pivot_of,
+    read,
+    squared,
+)
 from slam_gym.types import Array, BoolArray, IntArray
 
-if TYPE_CHECKING:
-    from slam_gym.association.tracking.walk import Walk
-
-Observation = dict[str, NDArray[np.float32]]
+Float32Array = NDArray[np.float32]
+Observation = dict[str, Float32Array]
 
 MEASUREMENT_FIELDS = ("x", "y", "sigma_x", "correlation", "sigma_y", "size")
 """`measurement`: the one to decide now, in R. An unknown size is 0."""
@@ -29,23 +39,23 @@ CANDIDATE_FIELDS = (
     "individual",  # D²_ij, by its gate
     "joint",  # D²_H if taken, by its gate
     "size",  # (a_i − a_j)² / (σ_i² + σ_j²), by 1; −1 where a size is unknown
-    "covisible",  # share of the features paired so far that it is local to; without locality all are local to all
+    "covisible",  # fraction of the features paired so far that it is local to; without locality all are, to all
     "near",  # 1 where it was paired in a recent scan or is local to one that was, or where there is no locality
     "age",  # steps since it was first seen
-    "support",  # share of the levels left that could be paired right after it
+    "support",  # fraction of the levels left that could be paired right after it
     "rivals",  # later measurements that it could be paired with instead
 )  # fmt: skip
 """`candidates`: K rows of these, by ascending D²_ij."""
 
 PATH_FIELDS = (
-    "decided",  # share of the measurements
+    "decided",  # fraction of the measurements
     "left",  # later levels with a candidate
     "pairings",  # so far
-    "paired",  # share of the decided measurements
+    "paired",  # fraction of the decided measurements
     "distance",  # D²_H, by its gate
     "compatible",  # individually compatible features of the measurement
     "hidden",  # legal candidates that are not on offer
-    "support",  # share of the levels left that could be paired if the measurement is not
+    "support",  # fraction of the levels left that could be paired if the measurement is not
 )
 """`path`: the decisions so far, and what is ahead."""
 
@@ -59,6 +69,49 @@ AGE_SCALE = 50.0  # [steps]
 COUNT_SCALE, FEW_SCALE = 10.0, 3.0
 
 _ALL_LOCAL = np.empty((0, 0), np.bool_)
+_SEEN = -1  # in place of a level
+
+
+class Surroundings(NamedTuple):
+    """What is known of a scan's measurements and of the features that they may be paired with."""
+
+    points: Array  # (m, 2) [m] in R
+    sizes: Array  # (m,) [m], and their variances (m,) [m²]
+    size_variances: Array
+    positions: Array  # (u, 2) [m] in R, by slot
+    mapped_sizes: Array  # (u,) [m], and their variances (u,) [m²]
+    mapped_size_variances: Array
+    near: BoolArray  # (u,)
+    ages: IntArray  # (u,) [steps]
+    local: BoolArray  # (u, u) or (0, 0)
+
+
+class Choice(NamedTuple):
+    """What is on offer at a level."""
+
+    level: int
+    levels: int
+    candidates: int  # K
+    offered: IntArray  # (k,) pairings, k ≤ K
+    hidden: int  # legal ones that are not on offer
+    compatible: int  # individually compatible ones
+    later: int  # where the pairings of later levels begin
+
+
+class _Vectors(NamedTuple):
+    measurement: Float32Array
+    candidates: Float32Array
+    path: Float32Array
+    pairings: Float32Array
+
+
+class _Outlook(NamedTuple):
+    """What lies beyond the level at hand."""
+
+    support: IntArray  # (k,) by pairing on offer: later levels that could be paired right after it
+    rivals: IntArray  # (k,) later pairings with the same feature
+    without: int  # levels that could be paired next if it is none of them
+    left: int  # levels that have a candidate at all
 
 
 def lengths(candidates: int) -> dict[str, int]:
@@ -76,45 +129,39 @@ def nothing(candidates: int) -> Observation:
     return {name: np.zeros(length, np.float32) for name, length in lengths(candidates).items()}
 
 
-def encode(walk: Walk) -> Observation:
-    """The observation of a walk; that of `nothing` where it is done."""
-    if walk.done:
-        return nothing(walk.K)
-    tree, offered, path = walk.tree, walk.offered, walk.path
-    scan, prediction, i = tree.scan, tree.prediction, walk.measurement
-    support, rivals, without, left = walk.outlook()
-    starts, level = walk.candidates.starts, walk.level
-    candidates = _candidates(
-        walk.K,
-        walk.rows,
-        tree.slots[offered],
-        tree.slots[path],
-        prediction.positions,
-        walk.candidates.innovations[offered],
-        walk.individual_distances,
-        walk.joint_distances,
-        tree.gates[1],
-        tree.gates[walk.pairings + 1],
-        scan.sizes[i],
-        scan.size_variances[i],
-        prediction.sizes,
-        prediction.size_variances,
-        _ALL_LOCAL if prediction.local is None else walk.local(),
-        prediction.near,
-        prediction.ages,
-        support,
-        rivals,
-        left,
+def surroundings_of(tree: Tree) -> Surroundings:
+    """Of a tree's scan and the features that it may pair."""
+    scan, prediction, rows = tree.scan, tree.prediction, tree.rows
+    return Surroundings(
+        plain(scan.points),
+        plain(scan.sizes),
+        plain(scan.size_variances),
+        prediction.positions[rows],
+        prediction.sizes[rows],
+        prediction.size_variances[rows],
+        prediction.near[rows],
+        prediction.ages[rows],
+        _ALL_LOCAL if prediction.local is None else prediction.local(rows),
     )
-    compatible = starts[level + 1] - starts[level]
-    return {
-        "measurement": _measurement(scan.points[i], scan.covariances[i], scan.sizes[i]),
-        "candidates": candidates,
-        "path": _path(
-            level, tree.levels, walk.pairings, walk.distance, tree.gates, compatible, walk.hidden, without, left
-        ),
-        "pairings": _pairings(scan.points, walk.candidates.measured[path], walk.candidates.innovations[path]),
-    }
+
+
+def encode(tree: Tree, node: Node, surroundings: Surroundings, choice: Choice) -> Observation:
+    """The observation at a node with a choice. Fresh arrays."""
+    return _encode(tree.pairings, node, tree.candidates.distances, tree.gates, surroundings, choice)._asdict()
+
+
+@compiled
+def _encode(
+    pairings: Pairings, node: Node, individual: Array, gates: Array, surroundings: Surroundings, choice: Choice
+) -> _Vectors:
+    """`individual` (c,): D²_ij of all pairings."""
+    outlook = _outlook(pairings, node, gates, choice)
+    return _Vectors(
+        _measurement(pairings, surroundings, choice),
+        _candidates(pairings, node, individual, gates, surroundings, choice, outlook),
+        _path(node, gates, choice, outlook),
+        _pairings(pairings, node, surroundings.points),
+    )
 
 
 @compiled
@@ -123,95 +170,92 @@ def _squash(value: float, scale: float) -> float:
 
 
 @compiled
-def _path(
-    level: int,
-    levels: int,
-    p: int,
-    distance: float,
-    gates: Array,
-    compatible: int,
-    hidden: int,
-    without: int,
-    left: int,
-) -> NDArray[np.float32]:
-    """`PATH_FIELDS`."""
-    out = np.zeros(8, np.float32)
-    out[0], out[1], out[2] = level / levels, left / (left + COUNT_SCALE), p / (p + COUNT_SCALE)
-    out[3] = p / max(level, 1)
-    out[4] = distance / (distance + gates[p]) if p > 0 else 0.0
-    out[5], out[6] = compatible / (compatible + FEW_SCALE), hidden / (hidden + FEW_SCALE)
-    out[7] = without / max(left, 1)
-    return out
+def _outlook(pairings: Pairings, node: Node, gates: Array, choice: Choice) -> _Outlook:
+    """A feature that is taken supports nothing, and only what would be jointly compatible does."""
+    slots, measured, p, count = pairings.slots, pairings.measured, len(node.path), len(pairings.slots)
+    after, without_it = gates[min(p + 2, len(gates) - 1)], gates[min(p + 1, len(gates) - 1)]
+    free, without, left, seen, counted = np.empty(count, np.bool_), 0, 0, _SEEN, _SEEN
+    for c in range(choice.later, count):
+        free[c] = may_follow(pairings, node.path, p, c)
+        if measured[c] != seen:
+            left, seen = left + 1, measured[c]
+        if measured[c] != counted and free[c] and node.distance + node.added[c] < without_it:
+            without, counted = without + 1, measured[c]
+    support, rivals = np.zeros(len(choice.offered), np.int64), np.zeros(len(choice.offered), np.int64)
+    for k in range(len(choice.offered)):
+        a = choice.offered[k]
+        pivot, counted = pivot_of(slots[a], read(node.innovations, a)), _SEEN
+        for c in range(choice.later, count):
+            rivals[k] += slots[c] == slots[a]
+            if measured[c] == counted or not free[c] or slots[c] == slots[a]:
+                continue
+            e = condition(pairings.covariance, node.w, pivot, a, p, c, slots[c], read(node.innovations, c))
+            if node.distance + node.added[a] + squared(e) < after:
+                support[k], counted = support[k] + 1, measured[c]
+    return _Outlook(support, rivals, without, left)
 
 
 @compiled
-def _measurement(point: Array, covariance: Array, size: float) -> NDArray[np.float32]:
+def _measurement(pairings: Pairings, surroundings: Surroundings, choice: Choice) -> Float32Array:
     """`MEASUREMENT_FIELDS`."""
-    out = np.zeros(6, np.float32)
-    sx, sy = math.sqrt(max(covariance[0, 0], 0.0)), math.sqrt(max(covariance[1, 1], 0.0))
-    out[0], out[1] = _squash(point[0], POSITION_SCALE), _squash(point[1], POSITION_SCALE)
+    i, out = pairings.measured[choice.offered[0]], np.zeros(6, np.float32)
+    (x, y), R, size = surroundings.points[i], pairings.noise[i], surroundings.sizes[i]
+    sx, sy = math.sqrt(max(R[0, 0], 0.0)), math.sqrt(max(R[1, 1], 0.0))
+    out[0], out[1] = _squash(x, POSITION_SCALE), _squash(y, POSITION_SCALE)
     out[2], out[4] = _squash(sx, SIGMA_SCALE), _squash(sy, SIGMA_SCALE)
-    out[3] = 0.0 if sx * sy == 0.0 else max(-1.0, min(1.0, covariance[0, 1] / (sx * sy)))
+    out[3] = 0.0 if sx * sy == 0.0 else max(-1.0, min(1.0, R[0, 1] / (sx * sy)))
     out[5] = 0.0 if math.isnan(size) else _squash(size, SIZE_SCALE)
     return out
 
 
 @compiled
 def _candidates(
-    K: int,
-    rows: IntArray,
-    slots: IntArray,
-    path: IntArray,
-    positions: Array,
-    innovations: Array,
-    individual: Array,
-    joint: Array,
-    gate: float,
-    joint_gate: float,
-    size: float,
-    variance: float,
-    sizes: Array,
-    variances: Array,
-    local: BoolArray,
-    near: BoolArray,
-    ages: IntArray,
-    support: IntArray,
-    rivals: IntArray,
-    left: int,
-) -> NDArray[np.float32]:
-    """`CANDIDATE_FIELDS` of k candidates; `path` (p,) are the slots paired so far; empty `local`, `near` mean all."""
-    out = np.zeros((K, 13), np.float32)
-    for k in range(len(rows)):
-        j, row = rows[k], out[k]
+    pairings: Pairings, node: Node, individual: Array, gates: Array, around: Surroundings, choice: Choice, ahead: _Outlook
+) -> Float32Array:
+    """`CANDIDATE_FIELDS` of what is on offer."""
+    out, p = np.zeros((choice.candidates, 13), np.float32), len(node.path)
+    for k in range(len(choice.offered)):
+        c, row = choice.offered[k], out[k]
+        i, j, joint = pairings.measured[c], pairings.slots[c], node.distance + node.added[c]
         row[0] = 1.0
-        row[1], row[2] = _squash(positions[j, 0], POSITION_SCALE), _squash(positions[j, 1], POSITION_SCALE)
-        row[3], row[4] = _squash(innovations[k, 0], INNOVATION_SCALE), _squash(innovations[k, 1], INNOVATION_SCALE)
-        row[5], row[6] = individual[k] / (individual[k] + gate), joint[k] / (joint[k] + joint_gate)
-        difference = size - sizes[j]
-        row[7] = _squash(difference * difference / (variance + variances[j]), 1.0)
+        row[1], row[2] = _squash(around.positions[j, 0], POSITION_SCALE), _squash(around.positions[j, 1], POSITION_SCALE)
+        row[3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
+        row[4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
+        row[5], row[6] = individual[c] / (individual[c] + gates[1]), joint / (joint + gates[p + 1])
+        difference = around.sizes[i] - around.mapped_sizes[j]
+        row[7] = _squash(difference * difference / (around.size_variances[i] + around.mapped_size_variances[j]), 1.0)
         if math.isnan(row[7]):
             row[7] = -1.0
         covisible = 0
-        for q in range(len(path)):
-            covisible += 1 if len(local) == 0 or local[slots[k], path[q]] else 0
-        row[8] = covisible / max(len(path), 1)
-        row[9] = 1.0 if len(near) == 0 or near[j] else 0.0
-        row[10] = 0.0 if len(ages) == 0 else _squash(float(ages[j]), AGE_SCALE)
-        row[11], row[12] = support[k] / max(left, 1), _squash(float(rivals[k]), FEW_SCALE)
+        for d in node.path:
+            covisible += is_local(around.local, j, pairings.slots[d])
+        row[8] = covisible / max(p, 1)
+        row[9], row[10] = 1.0 if around.near[j] else 0.0, _squash(float(around.ages[j]), AGE_SCALE)
+        row[11], row[12] = ahead.support[k] / max(ahead.left, 1), _squash(float(ahead.rivals[k]), FEW_SCALE)
     return out.ravel()
 
 
 @compiled
-def _pairings(points: Array, measured: IntArray, innovations: Array) -> NDArray[np.float32]:
-    """`PAIRING_FIELDS` of the last of the pairings (p,) made so far."""
-    out = np.zeros((PAIRINGS, 5), np.float32)
-    for q in range(min(PAIRINGS, len(measured))):
-        p = len(measured) - 1 - q
-        x, y = points[measured[p]]
+def _path(node: Node, gates: Array, choice: Choice, ahead: _Outlook) -> Float32Array:
+    """`PATH_FIELDS`."""
+    p, out = len(node.path), np.zeros(8, np.float32)
+    out[0], out[1] = choice.level / choice.levels, ahead.left / (ahead.left + COUNT_SCALE)
+    out[2], out[3] = p / (p + COUNT_SCALE), p / max(choice.level, 1)
+    out[4] = node.distance / (node.distance + gates[p]) if p > 0 else 0.0
+    out[5] = choice.compatible / (choice.compatible + FEW_SCALE)
+    out[6], out[7] = choice.hidden / (choice.hidden + FEW_SCALE), ahead.without / max(ahead.left, 1)
+    return out
+
+
+@compiled
+def _pairings(pairings: Pairings, node: Node, points: Array) -> Float32Array:
+    """`PAIRING_FIELDS` of the last of the pairings made so far."""
+    out, p = np.zeros((PAIRINGS, 5), np.float32), len(node.path)
+    for q in range(min(PAIRINGS, p)):
+        c = node.path[p - 1 - q]
+        x, y = points[pairings.measured[c]]
         out[q, 0] = 1.0
         out[q, 1], out[q, 2] = _squash(x, POSITION_SCALE), _squash(y, POSITION_SCALE)
-        out[q, 3], out[q, 4] = (
-            _squash(innovations[p, 0], INNOVATION_SCALE),
-            _squash(innovations[p, 1], INNOVATION_SCALE),
-        )
+        out[q, 3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
+        out[q, 4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
     return out.ravel()

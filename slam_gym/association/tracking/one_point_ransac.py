@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate, joint_distance
-from slam_gym.association.tracking.stages import in_stages
-from slam_gym.association.tracking.support import Arrays, arrays, distances_given, given
-from slam_gym.association.tree import Tree, append_pairing, as_hypothesis
+from slam_gym.association.tracking.near_first import Found, near_first
+from slam_gym.association.tracking.path import append, distances_after, distances_with, follow, path_of
+from slam_gym.association.tree import Pairings, Tree, as_hypothesis, is_local
 from slam_gym.types import Array, Effort, Hypothesis, IntArray, Prediction, Scan
 
 
+class _Draws(NamedTuple):
+    """What the draws came to."""
+
+    chosen: IntArray  # (p,) pairings made, rescued ones included
+    count: int
+
+
 def one_point_ransac(
-    scan: Scan,
-    prediction: Prediction,
-    *,
-    confidence: float = 0.99,
-    success: float = 0.99,
-    tries: int = 1000,
-    seed: int = 0,
-    locality: str | None = "covisibility",
+    scan: Scan, prediction: Prediction, *, success: float = 0.99, tries: int = 1000, seed: int = 0
 ) -> Hypothesis:
     """The pairings that agree with the state after an update with the best single pairing, and those rescued by them.
 
@@ -35,79 +36,58 @@ def one_point_ransac(
     Draws end once the chance to have missed a right candidate is below 1 − `success`, taking as many of the c
     candidates for right as the best draw pairs: log(1 − success) / log(1 − pairings / c), or after `tries`
     (`effort.limit_hit`). Gates are individual: nothing tests all pairings together. A locality of the prediction is
-    used as in `jcbb`, unless `locality` is None. Raises ValueError as `individual` does, for fewer tries than one, a
-    `success` that is no probability below one, and an unknown locality.
+    used as in `jcbb`. Raises ValueError as `individual` does, for fewer tries than one, and for a `success` that is no
+    probability below one.
     """
     if tries < 1:
         raise ValueError(f"tries: {tries} is less than 1")
     if not 0.0 < success < 1.0:
         raise ValueError(f"success: {success} is not between 0 and 1")
-    gate, rng = chi2_gate(2, confidence), np.random.default_rng(seed)
+    gate, rng = chi2_gate(2, prediction.confidence), np.random.default_rng(seed)
 
-    def search(tree: Tree) -> tuple[IntArray, Effort, None]:
-        rows, count = tree.given.copy(), len(tree.slots)
+    def search(tree: Tree) -> Found[None]:
+        rows, pairings, g = tree.given.copy(), tree.pairings, tree.pairings.given
+        count = len(pairings.slots) - g
         if not count:
-            return rows, Effort(individual_tests=tree.candidates.tests), None
-        path, factor, whitened = given(tree, min(tree.levels, count) + 2)
-        chosen, drawn = _draw(
-            rng.permutation(count), path, factor, whitened, tree.pairings_given, arrays(tree), gate, success, tries
-        )
-        rows[tree.candidates.measured[chosen]] = tree.rows[tree.slots[chosen]]
-        limit_hit = drawn == tries and tries < count
-        tests = tree.candidates.tests + drawn * count
-        return rows, Effort(nodes=drawn, individual_tests=tests, tries=drawn, limit_hit=limit_hit), None
+            return Found(rows, Effort(individual_tests=tree.candidates.tests), None)
+        draws = _draw(pairings, g + rng.permutation(count), gate, success, tries)
+        rows[pairings.measured[draws.chosen]] = tree.rows[pairings.slots[draws.chosen]]
+        limit_hit, tests = draws.count == tries and tries < count, tree.candidates.tests + draws.count * count
+        return Found(rows, Effort(draws.count, tests, tries=draws.count, limit_hit=limit_hit), None)
 
-    rows, effort, _ = in_stages(scan, prediction, search, gate=confidence, confidence=confidence, locality=locality)
-    return as_hypothesis(prediction, rows, joint_distance(scan, prediction, rows)[0], effort)
+    found = near_first(scan, prediction, search)
+    distance = joint_distance(scan, prediction, found.rows).squared
+    return as_hypothesis(prediction, found.rows, distance, found.effort)
 
 
 @compiled
-def _draw(
-    order: IntArray,
-    path: IntArray,
-    factor: Array,
-    whitened: Array,
-    p: int,
-    candidates: Arrays,
-    gate: float,
-    success: float,
-    tries: int,
-) -> tuple[IntArray, int]:
-    """Indices of the candidates paired, rescued ones included, and the number of draws. The p given ones are kept."""
-    slots, measured, innovations, noise, covariance, _ = candidates
-    count = len(slots)
-    distances, best, best_sum, needed, drawn = np.empty(count), order[:0], math.inf, math.inf, 0
+def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, tries: int) -> _Draws:
+    """Draw the candidates in `order` (c,) until it is enough; the given pairings are kept."""
+    slots, measured, count = pairings.slots, pairings.measured, len(order)
+    path = path_of(pairings, min(count, len(pairings.noise)) + 2)
+    distances, best, best_sum, needed, drawn = np.empty(len(slots)), order[:0], math.inf, math.inf, 0
     for anchor in order:
         if drawn >= min(needed, tries):
             break
         drawn += 1
-        distances_given(path, factor, whitened, p, candidates, anchor, distances)
+        distances_with(pairings, path, anchor, distances)
         total, distances[anchor] = distances[anchor], -1.0  # first of all
         inliers = _nearest_first(distances, slots, measured, gate, best[:0])
         for c in inliers[1:]:
             total += distances[c]
         if len(inliers) > len(best) or (len(inliers) == len(best) and total < best_sum):
             best, best_sum = inliers, total
-            share = len(best) / count
-            needed = math.log(1.0 - success) / math.log(1.0 - share) if share < 1.0 else 1.0
-    q = p
+            fraction = len(best) / count
+            needed = math.log(1.0 - success) / math.log(1.0 - fraction) if fraction < 1.0 else 1.0
+    p = pairings.given
     for c in best:
-        append_pairing(factor, whitened, path, q, covariance, slots[c], innovations[c], noise[measured[c]])
-        path[q] = slots[c]
-        q += 1
-    distances_given(path, factor, whitened, q, candidates, -1, distances)
-    _only_local(best, candidates, distances)
-    return np.concatenate((best, _nearest_first(distances, slots, measured, gate, best))), drawn
-
-
-@compiled
-def _only_local(paired: IntArray, candidates: Arrays, distances: Array) -> None:
-    """Distances of what is not local to the anchor, the first pairing, become infinite."""
-    slots, local = candidates[0], candidates[5]
-    if local.size > 0 and len(paired) > 0:
-        for c in range(len(slots)):
-            if not local[slots[paired[0]], slots[c]]:
-                distances[c] = math.inf
+        append(path, p, c, follow(pairings, path, p, c))
+        p += 1
+    distances_after(pairings, path, p, distances)
+    for c in range(len(slots)):
+        if len(best) > 0 and not is_local(pairings.local, slots[best[0]], slots[c]):
+            distances[c] = math.inf
+    return _Draws(np.concatenate((best, _nearest_first(distances, slots, measured, gate, best))), drawn)
 
 
 @compiled

@@ -18,7 +18,6 @@ def from_policy(
     *,
     candidates: int = 5,
     order: Order = "as_scanned",
-    confidence: float = 0.99,
     compatibility: Compatibility = "joint",
 ) -> Associator:
     """The associator that walks the tree by `policy`, with the arguments of `Walk`. It pickles if the policy does.
@@ -26,7 +25,7 @@ def from_policy(
     Raises ValueError for arguments that no `Walk` can have; the associator raises it for an action that is not legal.
     """
     check_arguments(candidates, order, compatibility)
-    return _PolicyAssociator(policy, candidates, order, confidence, compatibility)
+    return _PolicyAssociator(policy, candidates, order, compatibility)
 
 
 def greedy(observation: Observation, mask: BoolArray) -> int:
@@ -39,17 +38,11 @@ class _PolicyAssociator:
     policy: Policy
     candidates: int
     order: Order
-    confidence: float
     compatibility: Compatibility
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
         walk = Walk(
-            scan,
-            prediction,
-            candidates=self.candidates,
-            order=self.order,
-            confidence=self.confidence,
-            compatibility=self.compatibility,
+            scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility
         )
         while not walk.done:
             walk.take(int(self.policy(walk.observation(), walk.mask.copy())))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import MostProbable, jcbb, map_hypothesis
-from slam_gym.types import NONE
+from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 
 WIDE = {"width": 3000, "margin": 1e9}
@@ -30,15 +30,20 @@ def stacked(scan, prediction, pairs):
     return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
 
 
-def view(positions, covariances):
+def edge(positions, covariances):
     """A sensor that sees to the right of a soft edge."""
     return 1.0 / (1.0 + np.exp(-3.0 * positions[:, 0] + np.trace(covariances, axis1=1, axis2=2)))
 
 
+def everywhere(positions, covariances):
+    """A sensor that is as likely to miss one feature as another."""
+    return np.full(len(positions), 0.7)
+
+
 def visibilities(scan, prediction, pairs):
-    """v_j of every row: from where the hypothesis puts the robot, or as predicted, or unknown."""
+    """v_j of every row, from where the hypothesis puts the robot; None where nobody knows."""
     if prediction.view is None:
-        return prediction.visibility
+        return None
     n = len(prediction)
     positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))
     if pairs:
@@ -47,12 +52,12 @@ def visibilities(scan, prediction, pairs):
         gain = P[:, entries] @ np.linalg.inv(S)
         positions, P = positions + gain @ nu, P - gain @ P[entries]
     blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-    return view(positions.reshape(n, 2), blocks)
+    return prediction.view(positions.reshape(n, 2), blocks)
 
 
 def log_density(scan, prediction, rows):
     """By the formula."""
-    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != NONE]
+    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != UNPAIRED]
     total = (len(rows) - len(pairs)) * math.log(CLUTTER + NEW)
     if pairs:
         nu, S = stacked(scan, prediction, pairs)
@@ -69,13 +74,13 @@ def hypotheses(scan, prediction, allowed, given, related):
     """Every hypothesis that keeps `given`, most probable first: [(log density, rows)]."""
     lists = oracles.compatible(scan, prediction, 0.999)
     options = [
-        [given[i]] if given[i] != NONE else [NONE, *(j for _, j in found if allowed[j])]
+        [given[i]] if given[i] != UNPAIRED else [UNPAIRED, *(j for _, j in found if allowed[j])]
         for i, found in enumerate(lists)
     ]
     out = []
     for rows in itertools.product(*options):
-        paired = [j for j in rows if j != NONE]
-        new = [j for i, j in enumerate(rows) if j != NONE and given[i] == NONE]
+        paired = [j for j in rows if j != UNPAIRED]
+        new = [j for i, j in enumerate(rows) if j != UNPAIRED and given[i] == UNPAIRED]
         # which pairing is the first is up to the order of the search, so every one must be local to every other
         local = related is None or all(related[a, b] for a in new for b in new)
         if len(set(paired)) == len(paired) and local:
@@ -84,32 +89,28 @@ def hypotheses(scan, prediction, allowed, given, related):
 
 
 def dressed(prediction, seed):
-    """With visibilities, a view, both or neither."""
-    v = np.random.default_rng(seed).random(len(prediction))
-    kind = seed % 4
-    return dataclasses.replace(
-        prediction, visibility=v if kind in (1, 3) else None, view=view if kind in (2, 3) else None
-    )
+    """With one view or another, or none."""
+    return dataclasses.replace(prediction, view=(None, everywhere, edge, edge)[seed % 4])
 
 
 def check(answer, prediction, ranking):
     best, rows = ranking[0]
-    features = [NONE if j == NONE else int(prediction.features[j]) for j in rows]
+    features = [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in rows]
     assert answer.features.tolist() == features
     assert answer.posterior.log_density == pytest.approx(best, rel=1e-8, abs=1e-8)
     shares = np.exp(np.array([density for density, _ in ranking]) - best)
     shares /= shares.sum()
     assert answer.posterior.probability == pytest.approx(shares[0])
-    second = [NONE if j == NONE else int(prediction.features[j]) for j in ranking[1][1]] if len(ranking) > 1 else None
+    second = [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in ranking[1][1]] if len(ranking) > 1 else None
     assert answer.posterior.runner_up_probability == pytest.approx(shares[1] if second else 0.0)
-    assert answer.posterior.runner_up.tolist() == (second or [NONE] * len(rows))
+    assert answer.posterior.runner_up.tolist() == (second or [UNPAIRED] * len(rows))
 
 
 @pytest.mark.parametrize("seed", range(240))
 def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(seed):
     scan, prediction = small_problem(seed)
     prediction = dressed(prediction, seed)
-    everything = hypotheses(scan, prediction, np.ones(len(prediction), bool), [NONE] * len(scan), None)
+    everything = hypotheses(scan, prediction, np.ones(len(prediction), bool), [UNPAIRED] * len(scan), None)
     answer = map_hypothesis(scan, prediction, **MODEL, **WIDE)
     check(answer, prediction, everything)
     assert not answer.effort.limit_hit
@@ -121,19 +122,17 @@ def test_with_locality_what_is_near_is_decided_first(seed):
     # localities without strays: each pairing is local to all that are local to the first
     group = np.random.default_rng(seed).integers(0, 3, len(prediction))
     prediction = dataclasses.replace(
-        dressed(prediction, seed),
-        locality=dataclasses.replace(prediction.locality, among=lambda rows: group[rows][:, None] == group[rows]),
+        dressed(prediction, seed), local=lambda rows: group[rows][:, None] == group[rows]
     )
-    near = prediction.locality.near
-    related = prediction.locality.among(np.arange(len(prediction)))
-    ranking = hypotheses(scan, prediction, near, [NONE] * len(scan), None)
+    near, related = prediction.near, prediction.local(np.arange(len(prediction)))
+    ranking = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None)
     first = ranking[0][1]
     lists = oracles.compatible(scan, prediction, 0.999)
-    if any(not near[j] for i, found in enumerate(lists) if first[i] == NONE for _, j in found):
+    if any(not near[j] for i, found in enumerate(lists) if first[i] == UNPAIRED for _, j in found):
         ranking = hypotheses(scan, prediction, ~near, first, related)
     check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking)
-    apart = hypotheses(scan, prediction, np.ones(len(prediction), bool), [NONE] * len(scan), None)
-    check(map_hypothesis(scan, prediction, locality=None, **MODEL, **WIDE), prediction, apart)
+    apart = hypotheses(scan, prediction, np.ones(len(prediction), bool), [UNPAIRED] * len(scan), None)
+    check(map_hypothesis(scan, prediction.without_locality(), **MODEL, **WIDE), prediction, apart)
 
 
 def test_the_problems_above_are_hard_enough():
@@ -142,8 +141,8 @@ def test_the_problems_above_are_hard_enough():
     for seed in range(240):
         scan, prediction = small_problem(seed)
         plain = map_hypothesis(scan, prediction, **MODEL)
-        other += not np.array_equal(plain.features, jcbb(scan, prediction, confidence=0.999).features)
-        looking = map_hypothesis(scan, dataclasses.replace(prediction, view=view), **MODEL)
+        other += not np.array_equal(plain.features, jcbb(scan, dataclasses.replace(prediction, confidence=0.999)).features)
+        looking = map_hypothesis(scan, dataclasses.replace(prediction, view=edge), **MODEL)
         seen += not np.array_equal(plain.features, looking.features)
         close += plain.posterior.runner_up_probability > 0.1
     assert other > 30 and seen > 10 and close > 30, (other, seen, close)
@@ -202,8 +201,6 @@ def test_the_online_density_tends_to_what_is_there():
         {"clutter_density": 0.0, "new_density": 0.0},
         {"width": 0},
         {"margin": 0.0},
-        {"confidence": 1.0},
-        {"locality": "distance"},
     ],
 )
 def test_meaningless_options_are_refused(options):
@@ -216,7 +213,7 @@ def test_meaningless_options_are_refused(options):
 def test_a_visibility_that_is_no_probability_is_refused(v):
     scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
     with pytest.raises(ValueError, match="visibility"):
-        map_hypothesis(scan, dataclasses.replace(prediction, visibility=np.array(v)))
+        map_hypothesis(scan, dataclasses.replace(prediction, view=lambda positions, covariances: np.array(v)))
 
 
 @pytest.mark.parametrize("options", [{"density": 0.0}, {"prior": -1.0}, {"memory": 2.0}, {"area": 0.0}])

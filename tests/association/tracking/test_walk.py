@@ -11,7 +11,7 @@ from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, PATH_FIE
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.association.tracking.walk import COMPATIBILITIES, ORDERS, Walk
 from slam_gym.association.tree import branches, extend, root
-from slam_gym.types import NONE
+from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 
 CONFIDENCE = 0.99
@@ -41,7 +41,7 @@ def walked(scan, prediction, rng, **options):
         if action < walk.K:
             pairs.append((i, int(walk.rows[action])))
         walk.take(action)
-    assert walk.decided.tolist() == [dict(pairs).get(i, NONE) for i in range(len(scan))]
+    assert walk.decided.tolist() == [dict(pairs).get(i, UNPAIRED) for i in range(len(scan))]
     assert walk.hypothesis().joint_distance == pytest.approx(oracles.distance(scan, prediction, pairs))
 
 
@@ -74,7 +74,7 @@ def test_the_mask_is_the_compatibility_test_of_the_path(order, compatibility):
             for row, distance in zip(right, walk.joint_distances):
                 assert distance == pytest.approx(oracles.distance(scan, prediction, [*pairs, (walk.measurement, row)]))
             choices, hid = choices + 1, hid + (walk.hidden > 0)
-        last = [pair for pair in enumerate(walk.decided.tolist()) if pair[1] != NONE]
+        last = [pair for pair in enumerate(walk.decided.tolist()) if pair[1] != UNPAIRED]
         assert all(not legal(scan, prediction, compatible, last, i, compatibility) for i in left)
     assert choices > 100
     assert hid > 5
@@ -87,7 +87,7 @@ def test_walks_agree_with_the_nodes_of_the_tree():
             node = root(walk.tree)
             decided = dict(pairs)
             for level in range(walk.level):
-                node = extend(walk.tree, node, decided.get(int(walk.candidates.measurements[level]), NONE))
+                node = extend(walk.tree, node, decided.get(int(walk.candidates.measurements[level]), UNPAIRED))
             offer = branches(walk.tree, node)
             np.testing.assert_array_equal(offer.rows[offer.legal], walk.rows)
             np.testing.assert_allclose(offer.joint[offer.legal], walk.joint_distances)
@@ -97,7 +97,7 @@ def test_greedy_is_sequential_compatibility_nearest_neighbour():
     associate = from_policy(greedy)
     for scan, prediction in problems(60):
         expected = oracles.greedy(scan, prediction, CONFIDENCE)
-        features = [NONE if row == NONE else prediction.features[row] for row in expected]
+        features = [UNPAIRED if row == UNPAIRED else prediction.features[row] for row in expected]
         np.testing.assert_array_equal(associate(scan, prediction).features, features)
 
 
@@ -105,7 +105,7 @@ def played(walk, hypothesis):
     """The walk by which a hypothesis decides; None where it leaves the tree."""
     while not walk.done:
         feature = hypothesis.features[walk.measurement]
-        row = NONE if feature == NONE else int(np.flatnonzero(walk.tree.prediction.features == feature)[0])
+        row = UNPAIRED if feature == UNPAIRED else int(np.flatnonzero(walk.tree.prediction.features == feature)[0])
         action = walk.action_of(row)
         if action is None:
             return None
@@ -130,7 +130,7 @@ def test_refusing_everything_pairs_nothing():
     refuse = from_policy(lambda observation, mask: len(mask) - 1)
     for scan, prediction in problems(5):
         answer = refuse(scan, prediction)
-        assert (answer.features == NONE).all()
+        assert (answer.features == UNPAIRED).all()
         assert (answer.joint_distance, answer.dof) == (0.0, 0)
 
 
@@ -158,7 +158,7 @@ def test_candidates_show_what_they_say():
     for scan, prediction in problems(40, locality=True):
         prediction = replace(prediction, ages=rng.integers(0, 300, len(prediction)))
         compatible = oracles.compatible(scan, prediction, CONFIDENCE)
-        related = prediction.locality.among(np.arange(len(prediction)))
+        related = prediction.local(np.arange(len(prediction)))
         for walk, pairs in walked(scan, prediction, rng, candidates=9):
             table = walk.observation()["candidates"].reshape(9, -1)
             column = dict(zip(CANDIDATE_FIELDS, table.T.astype(float)))
@@ -177,7 +177,7 @@ def test_candidates_show_what_they_say():
                 distance = oracles.distance(scan, prediction, longer)
                 assert _unsquash(column["joint"][c], gate) == pytest.approx(distance, rel=1e-4)
                 assert _unsquash(column["age"][c], 50.0) == pytest.approx(prediction.ages[row], rel=1e-3)
-                assert column["near"][c] == prediction.locality.near[row]
+                assert column["near"][c] == prediction.near[row]
                 assert column["size"][c] == -1.0
                 covisible = np.mean([related[row, used] for _, used in pairs]) if pairs else 0.0
                 assert column["covisible"][c] == pytest.approx(covisible)
