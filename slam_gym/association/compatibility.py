@@ -107,7 +107,8 @@ def individual(
 ) -> Candidates:
     """All individually compatible pairings of `measurements` (default: all) with the rows where `eligible` (k,) holds.
 
-    `confidence` of the gate: that of the prediction, unless another is given. Raises ValueError naming the field and entry that is not finite, or a covariance that is none.
+    The gate's confidence is the prediction's unless another is given. Raises ValueError naming the field and entry that
+    is not finite, or a covariance that is none.
     """
     if measurements is None:
         measurements = np.arange(len(scan.points))

@@ -186,15 +186,23 @@ def decided(tree: Tree, node: Node) -> IntArray:
     return rows
 
 
-def hypothesis(tree: Tree, node: Node, effort: Effort) -> Hypothesis:
+def hypothesis(tree: Tree, node: Node, effort: Effort, *, exclusive: bool = True) -> Hypothesis:
     """The answer that `node` amounts to, with `*` for what is undecided."""
-    return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort)
+    return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort, exclusive=exclusive)
 
 
-def as_hypothesis(prediction: Prediction, rows: IntArray, distance: float, effort: Effort) -> Hypothesis:
-    """Rows of the prediction (m,), or UNPAIRED, turned into map features."""
-    features = _features(plain(prediction.features), rows)
-    return Hypothesis(features, distance, 2 * int(np.count_nonzero(features != UNPAIRED)), effort)
+def as_hypothesis(
+    prediction: Prediction,
+    rows: IntArray,
+    distance: float,
+    effort: Effort,
+    *,
+    exclusive: bool = True,
+    new: BoolArray | None = None,
+) -> Hypothesis:
+    """Rows of the prediction (m,), or UNPAIRED, turned into map features; `exclusive`, `new`: see `Hypothesis`."""
+    features, pairings = _features(plain(prediction.features), rows)
+    return Hypothesis(features, distance, 2 * pairings, effort, new=new, exclusive=exclusive)
 
 
 @compiled
@@ -227,7 +235,9 @@ def pivot_of(slot: int, e: Innovation) -> Pivot:
 
 
 @compiled
-def condition(covariance: Array, w: Array, pivot: Pivot, d: int, p: int, c: int, slot: int, e: Innovation) -> Innovation:
+def condition(
+    covariance: Array, w: Array, pivot: Pivot, d: int, p: int, c: int, slot: int, e: Innovation
+) -> Innovation:
     """Add a pairing to the path, as candidate c with innovation e sees it: e and S given that pairing as well.
 
     `pivot` is that of the pairing, which is the p-th of the path; w[d] and w[c] are the w of pairing and candidate, of
@@ -254,7 +264,7 @@ def condition(covariance: Array, w: Array, pivot: Pivot, d: int, p: int, c: int,
 
 @compiled
 def is_local(local: BoolArray, anchor: int, slot: int) -> bool:
-    """The locality rule: `anchor` is the feature of the first pairing below the root; an empty `local` restricts nothing."""
+    """The locality rule: `anchor` is the feature of the first pairing below the root; an empty `local` allows all."""
     return bool(local.size == 0 or local[anchor, slot])
 
 
@@ -323,11 +333,17 @@ def added_by(pairings: Pairings, path: IntArray, added: Array, first: int, last:
     return out
 
 
+class _Decisions(NamedTuple):
+    features: IntArray  # (m,) of the map, or UNPAIRED
+    pairings: int
+
+
 @compiled
-def _features(features: IntArray, rows: IntArray) -> IntArray:
+def _features(features: IntArray, rows: IntArray) -> _Decisions:
     """`features` (k,) at `rows` (m,), UNPAIRED where there is no row."""
-    out = np.full(len(rows), UNPAIRED)
+    out, count = np.full(len(rows), UNPAIRED), 0
     for i in range(len(rows)):
         if rows[i] != UNPAIRED:
             out[i] = features[rows[i]]
-    return out
+            count += 1
+    return _Decisions(out, count)

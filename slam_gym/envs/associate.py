@@ -275,7 +275,6 @@ class AssociateEnv(gym.Env[Observation, Any]):
                 run.prediction,
                 candidates=self.K,
                 order=self.order,
-                confidence=run.slam.map.spec.confidence,
                 compatibility=self.compatibility,
             )
 

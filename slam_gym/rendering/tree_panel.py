@@ -54,7 +54,7 @@ def _level(walk: Walk, verdicts: Verdicts, codes: IntArray, k: int) -> Level:
     candidates, tree = walk.candidates, walk.tree
     first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
     i = int(candidates.measurements[k])
-    features = tree.prediction.features[tree.rows[tree.slots[first:last]]].tolist()
+    features = tree.prediction.features[tree.rows[candidates.slots[first:last]]].tolist()
     right = NONE if verdicts.right[i] == NONE else None
     if verdicts.sources[i] == UNKNOWN:
         right = None

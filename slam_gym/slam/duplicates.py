@@ -127,7 +127,7 @@ def _tree(positions: Array, P: Array, pairs: IntArray, distances: Array, confide
     innovations = scan.points[measured] - at
     ends = np.append(starts, len(pairs)).astype(np.int64)
     candidates = Candidates(levels, ends, measured, slots, distances, innovations, slots, 0)
-    return interpretation_tree(scan, prediction, candidates, confidence)
+    return interpretation_tree(scan, prediction, candidates)
 
 
 def _sum(a: Effort, b: Effort) -> Effort:

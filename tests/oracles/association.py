@@ -11,7 +11,7 @@ import functools
 import numpy as np
 from scipy.stats import chi2
 
-from slam_gym.types import UNPAIRED, Array, IntArray, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, Prediction, Scan
 
 
 def problem(
@@ -117,8 +117,8 @@ def best_path(
 ) -> tuple[list[int], float]:
     """Most pairings, then least D²_H, over *every* path all prefixes of which are jointly compatible. No bound.
 
-    allowed (n,) rows that may be paired; given: row per measurement decided before, UNPAIRED for those to decide; related
-    (n, n): pairings must be related to the first one made here.
+    allowed (n,) rows that may be paired; given: row per measurement decided before, UNPAIRED for those to decide;
+    related (n, n): pairings must be related to the first one made here.
     """
     n = len(prediction)
     allowed = np.ones(n, bool) if allowed is None else allowed

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from slam_gym.types import NONE, UNKNOWN, Array, Landmarks, Locality, Scan
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Scan
 
 Pairs = list[tuple[int, int]]
 
@@ -49,7 +49,7 @@ def landmarks_of(positions: Array, covariance: Array, *, keep: str = "dense", **
         np.array([P[j, j] for j in range(n)]).reshape(n, 2, 2),
         given.get("sizes", np.full(n, np.nan)),
         given.get("size_variances", np.full(n, np.nan)),
-        given.get("kinds", np.full(n, UNKNOWN)),
+        given.get("kinds", np.full(n, UNKNOWN_KIND)),
         np.array(covariance) if keep == "dense" else np.empty((0, 0)),
         starts,
         columns,
@@ -61,9 +61,8 @@ def scan_of(points: Array, covariances: Array, **given: Array) -> Scan:
     m = len(points)
     unknown = np.full(m, np.nan)
     sizes, variances = given.get("sizes", unknown), given.get("size_variances", unknown)
-    return Scan(
-        np.array(points, float).reshape(m, 2), covariances.reshape(m, 2, 2), sizes, variances, given.get("kinds")
-    )
+    kinds = given.get("kinds", np.full(m, UNKNOWN_KIND))
+    return Scan(np.array(points, float).reshape(m, 2), covariances.reshape(m, 2, 2), sizes, variances, kinds)
 
 
 def rotation(angle: float) -> Array:
@@ -91,7 +90,7 @@ def gate(dof: int, confidence: float) -> float:
 
 def agree_in_what_they_are(scan: Scan, landmarks: Landmarks, i: int, j: int, confidence: float) -> bool:
     """The unary constraint."""
-    kinds = {UNKNOWN if scan.kinds is None else scan.kinds[i], landmarks.kinds[j]} - {UNKNOWN}
+    kinds = {scan.kinds[i], landmarks.kinds[j]} - {UNKNOWN_KIND}
     if len(kinds) == 2:
         return False
     variance = scan.size_variances[i] + landmarks.size_variances[j]
@@ -345,8 +344,8 @@ def _extensions(
 
 
 def decisions(pairs: Pairs, m: int) -> list[int]:
-    """Feature of each measurement, or NONE."""
-    features = [NONE] * m
+    """Feature of each measurement, or UNPAIRED."""
+    features = [UNPAIRED] * m
     for i, j in pairs:
         features[i] = int(j)
     return features

@@ -123,9 +123,7 @@ def updated(pairings: Pairings, beam: Beam, positions: Array) -> Moved:
 
 @compiled
 def _empty(width: int, depth: int, room: int) -> Beam:
-    paths = Path(
-        np.zeros((width, room), np.int64), np.empty((width, room, 5)), np.empty((width, room, 2 * room, 2))
-    )
+    paths = Path(np.zeros((width, room), np.int64), np.empty((width, room, 5)), np.empty((width, room, 2 * room, 2)))
     return Beam(np.empty((width, depth), np.int64), np.zeros(width, np.int64), np.zeros(width), paths)
 
 

@@ -203,7 +203,11 @@ def _pair(
     level before its own that still has a candidate. Gives up, with none alive, once the bound must end below `best`.
     """
     measured, slots, alive, w, restricted = pairings.measured, pairings.slots, stack.alive, stack.w, p == pairings.given
-    before, after, pivot = stack.innovations[p], stack.innovations[p + 1], pivot_of(slots[d], read(stack.innovations[p], d))
+    before, after, pivot = (
+        stack.innovations[p],
+        stack.innovations[p + 1],
+        pivot_of(slots[d], read(stack.innovations[p], d)),
+    )
     q, distance, left, kept, tests = p + 1, stack.total[p, d], stack.levels[p] - 1, 0, 0
     levels, level, least, floor = 0, measured[d], math.inf, distance
     stack.end[q], stack.levels[q], stack.distance[q] = 0, 0, distance
@@ -225,7 +229,10 @@ def _pair(
         e = condition(pairings.covariance, w, pivot, d, p, c, slots[c], read(before, c))
         if turning is None:
             # eᵀ S⁻¹ e < gate − D²_H, without the division: most candidates end here
-            numerator, determinant = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y, e.xx * e.yy - e.xy * e.xy
+            numerator, determinant = (
+                e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y,
+                e.xx * e.yy - e.xy * e.xy,
+            )
             if not (e.xx > 0.0 and numerator < (gates[q + levels + 1] - distance) * determinant):
                 continue
             total = distance + numerator / determinant

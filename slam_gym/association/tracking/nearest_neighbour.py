@@ -38,4 +38,5 @@ def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
 
 def _answer(scan: Scan, prediction: Prediction, rows: IntArray, tests: int) -> Hypothesis:
     distance = joint_distance(scan, prediction, rows).squared
-    return as_hypothesis(prediction, rows, distance, Effort(nodes=len(rows), individual_tests=tests))
+    effort = Effort(nodes=len(rows), individual_tests=tests)
+    return as_hypothesis(prediction, rows, distance, effort, exclusive=False)

@@ -210,7 +210,13 @@ def _measurement(pairings: Pairings, surroundings: Surroundings, choice: Choice)
 
 @compiled
 def _candidates(
-    pairings: Pairings, node: Node, individual: Array, gates: Array, around: Surroundings, choice: Choice, ahead: _Outlook
+    pairings: Pairings,
+    node: Node,
+    individual: Array,
+    gates: Array,
+    around: Surroundings,
+    choice: Choice,
+    ahead: _Outlook,
 ) -> Float32Array:
     """`CANDIDATE_FIELDS` of what is on offer."""
     out, p = np.zeros((choice.candidates, 13), np.float32), len(node.path)
@@ -218,7 +224,10 @@ def _candidates(
         c, row = choice.offered[k], out[k]
         i, j, joint = pairings.measured[c], pairings.slots[c], node.distance + node.added[c]
         row[0] = 1.0
-        row[1], row[2] = _squash(around.positions[j, 0], POSITION_SCALE), _squash(around.positions[j, 1], POSITION_SCALE)
+        row[1], row[2] = (
+            _squash(around.positions[j, 0], POSITION_SCALE),
+            _squash(around.positions[j, 1], POSITION_SCALE),
+        )
         row[3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
         row[4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
         row[5], row[6] = individual[c] / (individual[c] + gates[1]), joint / (joint + gates[p + 1])

@@ -19,7 +19,7 @@ class _Draws(NamedTuple):
     """What the draws came to."""
 
     chosen: IntArray  # (p,) pairings made, rescued ones included
-    count: int
+    drawn: int  # draws made
 
 
 def one_point_ransac(
@@ -52,8 +52,8 @@ def one_point_ransac(
             return Found(rows, Effort(individual_tests=tree.candidates.tests), None)
         draws = _draw(pairings, g + rng.permutation(count), gate, success, tries)
         rows[pairings.measured[draws.chosen]] = tree.rows[pairings.slots[draws.chosen]]
-        limit_hit, tests = draws.count == tries and tries < count, tree.candidates.tests + draws.count * count
-        return Found(rows, Effort(draws.count, tests, tries=draws.count, limit_hit=limit_hit), None)
+        limit_hit, tests = draws.drawn == tries and tries < count, tree.candidates.tests + draws.drawn * count
+        return Found(rows, Effort(draws.drawn, tests, tries=draws.drawn, limit_hit=limit_hit), None)
 
     found = near_first(scan, prediction, search)
     distance = joint_distance(scan, prediction, found.rows).squared

@@ -41,9 +41,7 @@ class _PolicyAssociator:
     compatibility: Compatibility
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        walk = Walk(
-            scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility
-        )
+        walk = Walk(scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility)
         while not walk.done:
             walk.take(int(self.policy(walk.observation(), walk.mask.copy())))
         return walk.hypothesis()

@@ -6,7 +6,7 @@ import numpy as np
 
 from slam_gym.association.compatibility import joint_distance
 from slam_gym.association.tree import as_hypothesis
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
 
 def true_association(
@@ -29,4 +29,13 @@ def true_association(
         row_of.setdefault(source, row)
     rows = np.array([row_of.get(s, UNPAIRED) if s >= 0 else UNPAIRED for s in sources.tolist()], np.int64)
     distance = joint_distance(scan, prediction, rows).squared
-    return as_hypothesis(prediction, rows, distance, Effort(nodes=len(rows)))
+    new = _first_seen(sources, identities) if new_features else None
+    return as_hypothesis(prediction, rows, distance, Effort(nodes=len(rows)), exclusive=False, new=new)
+
+
+def _first_seen(sources: IntArray, identities: IntArray) -> BoolArray:
+    """(m,) the first measurement of each labelled source that no feature of the map has."""
+    unmapped = np.flatnonzero((sources >= 0) & ~np.isin(sources, identities))
+    new = np.zeros(len(sources), np.bool_)
+    new[unmapped[np.unique(sources[unmapped], return_index=True)[1]]] = True
+    return new

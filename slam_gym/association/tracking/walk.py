@@ -151,7 +151,8 @@ class Walk:
 
     def hypothesis(self) -> Hypothesis:
         """The answer that the path amounts to, with `*` for what is undecided."""
-        return hypothesis(self.tree, self.node, Effort(self.level, self.candidates.tests, self._tests))
+        effort = Effort(self.level, self.candidates.tests, self._tests)
+        return hypothesis(self.tree, self.node, effort, exclusive=self.joint)
 
     def _proceed(self) -> None:
         """On to the next level with a choice; `*` alone is played."""

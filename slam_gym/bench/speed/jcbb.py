@@ -20,7 +20,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -171,7 +171,7 @@ def measure(problem: Problem) -> dict[str, float]:
         "tests": answer.effort.joint_tests,
         "right": float(np.mean(answer.features == problem.truth)),
         "exact": float(np.array_equal(answer.features, problem.truth)),
-        "wider": float(np.array_equal(jcbb(scan, prediction, confidence=0.999).features, problem.truth)),
+        "wider": float(np.array_equal(jcbb(scan, replace(prediction, confidence=0.999)).features, problem.truth)),
         "jcbb": microseconds(lambda: jcbb(scan, prediction)),
         "gating": microseconds(lambda: individual(scan, prediction)),
         "joint": microseconds(lambda: prediction.joint(candidates.rows)),

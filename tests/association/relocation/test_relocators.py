@@ -210,7 +210,7 @@ def test_tries_are_those_of_the_formula():
 def test_names_resolve():
     assert resolve_relocator("gcbb") is gcbb and resolve_relocator(gcbb) is gcbb
     assert resolve_relocator("slam_gym.association.relocation.gcbb:gcbb") is gcbb
-    with pytest.raises(ValueError, match="rs"):
+    with pytest.raises(ValueError, match="random_sampling"):
         resolve_relocator("nothing")
 
 

@@ -101,7 +101,11 @@ def check(answer, prediction, ranking):
     shares = np.exp(np.array([density for density, _ in ranking]) - best)
     shares /= shares.sum()
     assert answer.posterior.probability == pytest.approx(shares[0])
-    second = [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in ranking[1][1]] if len(ranking) > 1 else None
+    second = (
+        [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in ranking[1][1]]
+        if len(ranking) > 1
+        else None
+    )
     assert answer.posterior.runner_up_probability == pytest.approx(shares[1] if second else 0.0)
     assert answer.posterior.runner_up.tolist() == (second or [UNPAIRED] * len(rows))
 
@@ -121,9 +125,7 @@ def test_with_locality_what_is_near_is_decided_first(seed):
     scan, prediction = small_problem(500 + seed, locality=True)
     # localities without strays: each pairing is local to all that are local to the first
     group = np.random.default_rng(seed).integers(0, 3, len(prediction))
-    prediction = dataclasses.replace(
-        dressed(prediction, seed), local=lambda rows: group[rows][:, None] == group[rows]
-    )
+    prediction = dataclasses.replace(dressed(prediction, seed), local=lambda rows: group[rows][:, None] == group[rows])
     near, related = prediction.near, prediction.local(np.arange(len(prediction)))
     ranking = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None)
     first = ranking[0][1]
@@ -141,7 +143,9 @@ def test_the_problems_above_are_hard_enough():
     for seed in range(240):
         scan, prediction = small_problem(seed)
         plain = map_hypothesis(scan, prediction, **MODEL)
-        other += not np.array_equal(plain.features, jcbb(scan, dataclasses.replace(prediction, confidence=0.999)).features)
+        other += not np.array_equal(
+            plain.features, jcbb(scan, dataclasses.replace(prediction, confidence=0.999)).features
+        )
         looking = map_hypothesis(scan, dataclasses.replace(prediction, view=edge), **MODEL)
         seen += not np.array_equal(plain.features, looking.features)
         close += plain.posterior.runner_up_probability > 0.1

@@ -230,7 +230,7 @@ def test_ipjc_is_the_best_path_by_the_nonlinear_optimum(seed):
 
 @pytest.mark.parametrize("seed", range(150))
 def test_ipjc_is_jcbb_where_nothing_turns(seed):
-    scan, prediction, confidence = small_problem(seed, locality=seed % 2 == 0)
+    scan, prediction, _ = small_problem(seed, locality=seed % 2 == 0)
     expected = jcbb(scan, prediction)
     for variance, close in ((0.0, 1e-8), (1e-12, 1e-4)):
         answer = ipjc(scan, dataclasses.replace(prediction, heading_variance=variance))
