@@ -12,7 +12,7 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.types import Locality
 from tests.oracles import relocation as oracles
 
-NAMES = ["gcbb", "max_clique", "rs", "spectral"]
+NAMES = ["gcbb", "max_clique", "random_sampling", "spectral"]
 LOCALITIES = ["everything", "distance", "covisibility"]
 KEEPS = ["dense", "blocks", "none"]
 
@@ -103,7 +103,7 @@ def inside(seed, *, m=10, true=7, n=60, keep="dense"):
     return pose, oracles.scan_of(points, noise), oracles.landmarks_of(mapped, P, keep=keep)
 
 
-@pytest.mark.parametrize("name", ["gcbb", "rs", "max_clique"])
+@pytest.mark.parametrize("name", ["gcbb", "random_sampling", "max_clique"])
 def test_the_robot_is_found_inside_the_map_and_not_outside(name):
     search, right = RELOCATORS[name], 0
     for seed in range(25):
