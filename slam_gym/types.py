@@ -170,6 +170,10 @@ class Locality:
         return self.members[self.starts[feature] : self.starts[feature + 1]]
 
 
+View = Callable[[Array, Array], Array]
+"""From positions (k, 2) [m] in R and covariances (k, 2, 2) to the probability (k,) that the sensor has each in view."""
+
+
 @dataclass(frozen=True, slots=True)
 class Prediction:
     """What the stochastic map expects to measure from the predicted pose: the features in reach, one a row.
@@ -193,8 +197,7 @@ class Prediction:
     joint: Callable[[IntArray], Array]  # rows (j,) -> (2j, 2j) [m²] H P Hᵀ of those features together
     local: Callable[[IntArray], BoolArray] | None = None
     # rows (j,) -> (j, j) which are local to each other, symmetric, true on its diagonal; None: all are to all
-    view: Callable[[Array, Array], Array] | None = None
-    # positions (k, 2) in R and covariances (k, 2, 2) -> (k,) probability that the sensor has each in view
+    view: View | None = None
 
     def __len__(self) -> int:
         return len(self.features)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +14,6 @@ from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan
 
 _CONDITION = 1e12  # of a measurement's covariance, beyond which an update loses all its digits
 _TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, to the variances' product
-
-
-class _Fault(NamedTuple):
-    """The first fault of an array: entry and number in the list of faults; (−1, 0) if all is fine."""
-
-    entry: int
-    number: int
 
 
 _MEASUREMENT_FAULTS = (
@@ -34,22 +27,23 @@ _MEASUREMENT_FAULTS = (
 
 
 @compiled
-def _first_bad_measurement(points: Array, covariances: Array) -> _Fault:
+def _first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
+    """The first measurement with a fault, and the number of that fault; (−1, 0) if all is fine."""
     for i in range(points.shape[0]):
         if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])):
-            return _Fault(i, 1)
+            return i, 1
         a, b, c, d = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 0], covariances[i, 1, 1]
         if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c) and math.isfinite(d)):
-            return _Fault(i, 2)
+            return i, 2
         trace, determinant = a + d, a * d - b * b
         if abs(b - c) > _TOLERANCE * (abs(a) + abs(d)):
-            return _Fault(i, 3)
+            return i, 3
         if a < 0.0 or d < 0.0 or determinant < -_TOLERANCE * a * d:
-            return _Fault(i, 4)
+            return i, 4
         # λ_max / λ_min is about trace² / det where it is large; an exact measurement, all zeros, has none
         if trace * trace > _CONDITION * determinant:
-            return _Fault(i, 5)
-    return _Fault(-1, 0)
+            return i, 5
+    return -1, 0
 
 
 def check_scan(scan: Scan) -> None:
@@ -62,21 +56,22 @@ def check_scan(scan: Scan) -> None:
     if scan.sizes.shape != (m,) or scan.size_variances.shape != (m,) or scan.kinds.shape != (m,):
         shapes = f"{scan.sizes.shape}, {scan.size_variances.shape}, {scan.kinds.shape}"
         raise ValueError(f"Scan.sizes, Scan.size_variances, Scan.kinds: shapes {shapes}, expected ({m},)")
-    fault = _first_bad_measurement(scan.points, scan.covariances)
-    if fault.number:
-        raise ValueError(f"Scan: measurement {fault.entry}: {_MEASUREMENT_FAULTS[fault.number]}")
+    entry, fault = _first_bad_measurement(scan.points, scan.covariances)
+    if fault:
+        raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
 
 
 @compiled
-def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> _Fault:
+def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> tuple[int, int]:
+    """The first decision that is out of range (1) or for a feature paired already (2), and which; (−1, 0) if none is."""
     for i in range(len(features)):
         if features[i] < UNPAIRED or features[i] >= n:
-            return _Fault(i, 1)
+            return i, 1
         if exclusive and features[i] != UNPAIRED:
             for earlier in range(i):
                 if features[earlier] == features[i]:
-                    return _Fault(i, 2)
-    return _Fault(-1, 0)
+                    return i, 2
+    return -1, 0
 
 
 def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:
@@ -92,12 +87,11 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     decisions = given
     if type(given) is not np.ndarray or given.dtype != np.int64:
         decisions = np.array(given, dtype=np.int64, subok=False)
-    fault = _first_bad_decision(decisions, features, hypothesis.exclusive)
-    if fault.number == 1:
-        said = decisions[fault.entry]
-        raise ValueError(f"hypothesis.features[{fault.entry}]: {said}, expected −1 … {features - 1}")
-    if fault.number == 2:
-        raise ValueError(f"hypothesis.features[{fault.entry}]: feature {decisions[fault.entry]} is paired twice")
+    entry, fault = _first_bad_decision(decisions, features, hypothesis.exclusive)
+    if fault == 1:
+        raise ValueError(f"hypothesis.features[{entry}]: {decisions[entry]}, expected −1 … {features - 1}")
+    if fault == 2:
+        raise ValueError(f"hypothesis.features[{entry}]: feature {decisions[entry]} is paired twice")
     new = hypothesis.new
     if new is not None and (new.shape != (measurements,) or new.dtype != np.bool_ or (new & (decisions >= 0)).any()):
         raise ValueError(f"hypothesis.new: expected ({measurements},) booleans, true for unpaired measurements only")

@@ -17,7 +17,6 @@ Cᵀ is common to all features, so the kernels take innovations in axes parallel
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -236,46 +235,40 @@ def feature_covariances(P: Array, n: int) -> Array:
     return out
 
 
-class Measured(NamedTuple):
-    """What a scan says of its measurements besides where they are."""
-
-    sizes: Array  # (m,) [m], NaN where unknown
-    variances: Array  # (m,) [m²]
-    kinds: IntArray  # (m,), UNKNOWN_KIND where the detector cannot tell
-
-
-class Attributes(NamedTuple):
-    """What the map knows of its features besides where they are; row j is feature j."""
-
-    seen: IntArray  # number of steps in which it was measured
-    last_seen: IntArray  # last of them
-    sizes: Array  # [m], NaN where unknown
-    variances: Array  # [m²]
-    kinds: IntArray  # UNKNOWN_KIND where nothing has told
-
-
 @compiled
-def record(features: IntArray, step: int, measured: Measured, attributes: Attributes) -> None:
+def record(
+    features: IntArray,
+    step: int,
+    measured: tuple[Array, Array, IntArray],
+    attributes: tuple[IntArray, IntArray, Array, Array, IntArray],
+) -> None:
     """Count the step in which `features` (m,) were seen, once each; learn their sizes and kinds from the measurements.
 
     A size is updated by a scalar Kalman filter: an unknown one (NaN) takes over the first measured, and a NaN
     measurement says nothing. The last kind that was told holds.
+
+    Arguments:
+        measured: sizes (m,), size variances (m,) and kinds (m,) of the measurements.
+        attributes: of the map's features, changed in place: number of steps in which each was seen, the last of them,
+            sizes, size variances, kinds.
     """
+    seen, last_seen, sizes, variances, kinds = attributes
+    measured_sizes, measured_variances, measured_kinds = measured
     for i in range(len(features)):
         f = features[i]
         if f == UNPAIRED:
             continue
-        if attributes.last_seen[f] != step:
-            attributes.seen[f] += 1
-            attributes.last_seen[f] = step
-        if measured.kinds[i] != UNKNOWN_KIND:
-            attributes.kinds[f] = measured.kinds[i]
-        z, r = measured.sizes[i], measured.variances[i]
+        if last_seen[f] != step:
+            seen[f] += 1
+            last_seen[f] = step
+        if measured_kinds[i] != UNKNOWN_KIND:
+            kinds[f] = measured_kinds[i]
+        z, r = measured_sizes[i], measured_variances[i]
         if not (math.isfinite(z) and r > 0.0):
             continue
-        if math.isfinite(attributes.sizes[f]):
-            gain = attributes.variances[f] / (attributes.variances[f] + r)
-            attributes.sizes[f] += gain * (z - attributes.sizes[f])
-            attributes.variances[f] *= 1.0 - gain
+        if math.isfinite(sizes[f]):
+            gain = variances[f] / (variances[f] + r)
+            sizes[f] += gain * (z - sizes[f])
+            variances[f] *= 1.0 - gain
         else:
-            attributes.sizes[f], attributes.variances[f] = z, r
+            sizes[f], variances[f] = z, r

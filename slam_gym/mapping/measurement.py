@@ -7,7 +7,6 @@ measurement function and Jacobian.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,18 +30,13 @@ def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, fl
     return fxx - xx + ay * tx, fxy - xy + ay * ty, fyx - yx - ax * tx, fyy - yy - ax * ty
 
 
-class InReach(NamedTuple):
-    """The features that may be measured from the predicted pose."""
-
-    features: IntArray  # (k,)
-    positions: Array  # (k, 2) [m] h_j
-    covariances: Array  # (k, 2, 2) [m²] H_j P H_jᵀ
-    across: Array  # (k, 2) [m·rad] H_j P e_θ, with the robot's heading
-
-
 @compiled
-def features_in_reach(x: Array, at: Array, P: Array, n: int, reach: float) -> InReach:
-    """Features with ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ."""
+def features_in_reach(x: Array, at: Array, P: Array, n: int, reach: float) -> tuple[IntArray, Array, Array, Array]:
+    """Features with ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ.
+
+    Their indices (k,), positions h_j (k, 2), covariances H_j P H_jᵀ (k, 2, 2), and those with the robot's heading,
+    H_j P e_θ (k, 2).
+    """
     features, k = np.empty(n, np.int64), 0
     positions, covariances, across = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2))
     c, s = math.cos(x[2]), math.sin(x[2])
@@ -66,7 +60,7 @@ def features_in_reach(x: Array, at: Array, P: Array, n: int, reach: float) -> In
         v = P[2, f + 1] - P[1, 2] - (at[f] - at[0]) * P[2, 2]
         across[k, 0], across[k, 1] = ca * u + sa * v, ca * v - sa * u
         k += 1
-    return InReach(features[:k], positions[:k], covariances[:k], across[:k])
+    return features[:k], positions[:k], covariances[:k], across[:k]
 
 
 @compiled

@@ -25,6 +25,7 @@ from slam_gym.types import (
     Odometry,
     Prediction,
     Scan,
+    View,
 )
 
 
@@ -181,11 +182,13 @@ class StochasticMap:
         if not ekf.predict(self._x, self._at, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
-    def prediction(self, reach: float, graph: CovisibilityGraph | None = None, recent: IntArray = _NONE) -> Prediction:
+    def prediction(
+        self, reach: float, graph: CovisibilityGraph | None = None, recent: IntArray = _NONE, view: View | None = None
+    ) -> Prediction:
         """Features within `reach` [m] + 3σ of the robot, as it would measure them; valid until the map next changes.
 
         Localities are those of `graph`; without it, all features are local to all. `recent` (r,) are the features that
-        recent scans paired: near are these and what is local to them.
+        recent scans paired: near are these and what is local to them. `view` is handed on.
         """
         features, positions, covariances, across = measurement.features_in_reach(
             self._x, self._at, self._P, self.n, float(reach)
@@ -204,6 +207,7 @@ class StochasticMap:
             self.spec.confidence,
             self._joint_covariance(features),
             None if graph is None else graph.among_rows(features),
+            view,
         )
 
     def landmarks(self) -> Landmarks:
@@ -243,8 +247,8 @@ class StochasticMap:
         ekf.record(
             features,
             self.step,
-            ekf.Measured(scan.sizes, scan.size_variances, scan.kinds),
-            ekf.Attributes(self._seen, self._last_seen, self._sizes, self._size_variances, self._kinds),
+            (scan.sizes, scan.size_variances, scan.kinds),
+            (self._seen, self._last_seen, self._sizes, self._size_variances, self._kinds),
         )
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:

@@ -7,7 +7,6 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
-from dataclasses import replace as with_changes
 from typing import NamedTuple
 
 import numpy as np
@@ -29,12 +28,13 @@ from slam_gym.types import (
     Prediction,
     Scan,
     SlamStep,
+    View,
 )
 from slam_gym.validation import check_hypothesis, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
 
-ViewFrom = Callable[[Array], Callable[[Array, Array], Array]]
+ViewFrom = Callable[[Array], View]
 """From a pose (3,) in B to `Prediction.view`: what the sensor would have in view from there."""
 
 AskingStep = Generator[Prediction, Hypothesis, SlamStep]
@@ -105,7 +105,7 @@ class Slam:
         self.map.update(scan, hypothesis.features)
         new = self.new_features(scan, prediction, hypothesis)
         created = self.map.add(scan, new) if len(new) else _NO_FEATURES
-        seen = _seen(hypothesis.features, new, created, self.map.ids)
+        seen = _Seen(*_seen(hypothesis.features, new, created, self.map.ids))
         self.covisibility.add(len(created))
         self.covisibility.see_together(seen.features)
         self._recent.append(seen.features)
@@ -116,8 +116,8 @@ class Slam:
         recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
         graph = self.covisibility if self.spec.locality else None
         self._note_reach(scan)
-        prediction = self.map.prediction(self.reach, graph, recent)
-        return prediction if self.view_from is None else with_changes(prediction, view=self.view_from(self.map.pose))
+        view = None if self.view_from is None else self.view_from(self.map.pose)
+        return self.map.prediction(self.reach, graph, recent, view)
 
     @property
     def reach(self) -> float:
@@ -206,8 +206,10 @@ class _Seen(NamedTuple):
 
 
 @compiled
-def _seen(features: IntArray, new: IntArray, created: IntArray, map_ids: IntArray) -> _Seen:
-    """The hypothesis `features` (m,) and the features `created` (a,) from the measurements `new` (a,), together."""
+def _seen(
+    features: IntArray, new: IntArray, created: IntArray, map_ids: IntArray
+) -> tuple[IntArray, IntArray, BoolArray]:
+    """`_Seen`, from the hypothesis `features` (m,) and the features `created` (a,) from the measurements `new` (a,)."""
     behind, made = features.copy(), np.zeros(len(features), np.bool_)
     for k in range(len(new)):
         behind[new[k]], made[new[k]] = created[k], True
@@ -216,7 +218,7 @@ def _seen(features: IntArray, new: IntArray, created: IntArray, map_ids: IntArra
         if behind[i] != UNPAIRED:
             seen[s], ids[i] = behind[i], map_ids[behind[i]]
             s += 1
-    return _Seen(seen[:s], ids, made)
+    return seen[:s], ids, made
 
 
 @compiled
