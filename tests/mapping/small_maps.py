@@ -1,0 +1,48 @@
+"""Maps of small random worlds beside their textbook twins, for the tests of this room."""
+
+import numpy as np
+
+from slam_gym.geometry import observe, wrap_angle
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.types import Array, Odometry
+from tests.oracles.map import KnownAssociation, TextbookMap, wander
+
+KEEP = MapSpec(unconfirmed_age=None)
+FEJ = MapSpec(first_estimate_jacobians=True, unconfirmed_age=None)
+START = np.array([1.0, -2.0, 3.0])
+START_COVARIANCE = np.array([[0.04, 0.01, 0.002], [0.01, 0.03, -0.001], [0.002, -0.001, 0.01]])
+STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
+
+
+def landmarks(rng: np.random.Generator, n: int = 25) -> Array:
+    return rng.uniform([-4.0, -2.0], [5.0, 7.0], (n, 2))
+
+
+def mapped(spec: MapSpec = KEEP, steps: int = 30, seed: int = 0) -> tuple[StochasticMap, TextbookMap, list[int]]:
+    """A map that has seen a random world for a while, with its textbook twin and the landmark behind each feature."""
+    rng = np.random.default_rng(seed)
+    twins = KnownAssociation(
+        StochasticMap(spec, START, START_COVARIANCE, capacity=2),
+        TextbookMap(START, START_COVARIANCE, spec.first_estimate_jacobians),
+    )
+    for step in wander(rng, steps, landmarks(rng)):
+        twins.step(step)
+    assert twins.textbook is not None
+    return twins.map, twins.textbook, twins.sources
+
+
+def numerical(f, x: Array, wrapped: int | None = None, step: float = 1e-6) -> Array:
+    """Jacobian of f at x by central differences; `wrapped` names the row that is an angle."""
+    columns = []
+    for i in range(len(x)):
+        e = np.zeros(len(x))
+        e[i] = step
+        difference = f(x + e) - f(x - e)
+        if wrapped is not None:
+            difference[wrapped] = wrap_angle(difference[wrapped])
+        columns.append(difference / (2.0 * step))
+    return np.column_stack(columns)
+
+
+def h(x: Array, features: Array) -> Array:
+    return observe(x[:3], x[3:].reshape(-1, 2)[features]).ravel()
