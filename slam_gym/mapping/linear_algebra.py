@@ -19,6 +19,7 @@ from slam_gym.types import Array
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 _LANES = 8  # doubles in a cache line
+_CAPSULE = type(np.from_dlpack(np.zeros(1)).base)
 _SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this share of its trace
 
 
@@ -125,7 +126,17 @@ def subtract_product(P: Array, W: Array) -> None:
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """A view that refuses to be written to: what is handed on must not be a way to change the map."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
+    """The same memory, in an array that cannot be written to: what is handed on must not be a way to change the map.
+
+    An ordinary view could be made writable again, and has the array itself as its `base`; what comes by DLPack cannot,
+    and has not. Memory that DLPack does not know (another byte order) is copied.
+    """
+    if not array.flags.writeable and isinstance(array.base, _CAPSULE):
+        return array
+    try:
+        locked: Any = np.from_dlpack(array)
+    except BufferError:
+        locked = np.from_dlpack(array.astype(array.dtype.newbyteorder("=")))
+    locked.flags.writeable = False
+    out: NDArray[Scalar] = locked
+    return out

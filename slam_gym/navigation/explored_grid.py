@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from slam_gym.mapping.linear_algebra import read_only
 from slam_gym.navigation import grid
 from slam_gym.navigation.frontiers import Frontiers, find_frontiers
 from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells, ExploredCells
@@ -49,10 +50,8 @@ class ExploredGrid:
 
     @property
     def cells(self) -> Cells:
-        """Class of every cell (h, w): UNKNOWN, FREE or WALL. A read-only view of the live grid."""
-        view = self._cells.view()
-        view.flags.writeable = False
-        return view
+        """Class of every cell (h, w): UNKNOWN, FREE or WALL. Of the live grid, read-only."""
+        return read_only(self._cells)
 
     @property
     def explored(self) -> ExploredCells:
