@@ -8,10 +8,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from slam_gym.association import resolve_relocator
+from slam_gym.association import RELOCATORS, resolve_relocator
 from slam_gym.association.relocation.acceptance import min_pairings
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
+from slam_gym.slam.asked import locked
 from slam_gym.slam.lost import EXPECTED, Tracker
 from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, ViewFrom, send
 from slam_gym.types import (
@@ -85,9 +86,10 @@ class RelocatingSlam(Slam):
         return self._go_on_from(found, scan)
 
     def _go_on_from(self, found: Relocation, scan: Scan) -> SlamStep:
-        """The step of a scan that says where the robot is."""
+        """The step of a scan that says where the robot is. Raises ValueError, the robot unmoved, where it cannot be."""
+        answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
+        hypothesis = check_hypothesis(answer, len(scan), self.map.n)
         self.map.place(found.pose, _SAYS_NOTHING)
-        hypothesis = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         self.tracker.believe(hypothesis)
         self._relocations += 1
         step = super().asking_step(_STILL, scan)
@@ -115,12 +117,14 @@ def relocate_by(
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability: {probability} is not between 0 and 1")
     find = resolve_relocator(search)
+    own = any(find is known for known in RELOCATORS.values())
     if locality not in (None, *LOCALITIES):
         raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
 
     def relocate(slam: Slam, scan: Scan) -> Relocation | None:
         landmarks = slam.map.landmarks()
-        found = find(scan, landmarks, locality_of(slam.covisibility, slam.map.positions, slam.reach, locality))
+        local = locality_of(slam.covisibility, slam.map.positions, slam.reach, locality)
+        found = find(scan if own else locked(scan), landmarks, local)
         if not found.accepted or found.pairings < min_pairings(scan, landmarks, probability=probability):
             return None
         explains = found.pairings >= _EXPLAINED * len(scan) and _makes_sense(slam, found)
