@@ -16,7 +16,7 @@ UNKNOWN_KIND = -2
 def floats(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """A fresh float array of that shape, −1 standing for any length. Raises ValueError naming the argument."""
     try:
-        out = np.array(value, dtype=np.float64)
+        out = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected numbers of shape {_spoken(shape)}, got {value!r}") from error
     if out.ndim == 1 and out.size == 0 and 0 in shape:  # an empty list says nothing of its further dimensions
@@ -43,7 +43,7 @@ def covariances_of(name: str, value: ArrayLike | None, sigma: ArrayLike | None, 
         given = np.asarray(value, np.float64)
         if given.shape not in ((2, 2), (m, 2, 2)):
             raise ValueError(f"{name}: shape {given.shape}, expected ({m}, 2, 2) or (2, 2)")
-        return np.array(np.broadcast_to(given, (m, 2, 2)))
+        return np.array(np.broadcast_to(given, (m, 2, 2)), order="C")
     deviation = np.asarray(sigma, np.float64)
     if deviation.shape not in ((), (m,)):
         raise ValueError(f"sigma: shape {deviation.shape}, expected one number or ({m},)")

@@ -26,6 +26,16 @@ _MEASUREMENT_FAULTS = (
 )
 
 
+_DOUBLES, _INTEGERS = np.dtype(np.float64), np.dtype(np.int64)
+_SCAN_TYPES = (
+    ("points", _DOUBLES),
+    ("covariances", _DOUBLES),
+    ("sizes", _DOUBLES),
+    ("size_variances", _DOUBLES),
+    ("kinds", _INTEGERS),
+)
+
+
 @compiled
 def _first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
     """The first measurement with a fault, and the number of that fault; (−1, 0) if all is fine."""
@@ -48,6 +58,11 @@ def _first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]
 
 def check_scan(scan: Scan) -> None:
     """Raise ValueError naming the field and the first bad measurement of a scan."""
+    for name, dtype in _SCAN_TYPES:
+        given = getattr(scan, name)
+        if not isinstance(given, np.ndarray) or given.dtype != dtype:
+            told = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
+            raise ValueError(f"Scan.{name}: {told}, expected an array of {dtype} (Scan.from_points takes anything)")
     m = len(scan.points)
     if scan.points.shape != (m, 2):
         raise ValueError(f"Scan.points: shape {scan.points.shape}, expected (m, 2)")

@@ -1,0 +1,178 @@
+"""Every fault of a scan and of a hypothesis is refused by name; what is fine passes, as it is or made plain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
+from slam_gym.validation import check_hypothesis, check_scan, one_of
+
+
+def scan_with(covariance=None, **fields) -> Scan:
+    """Three measurements, that of number 1 spoilt."""
+    scan = Scan.from_points([[1, 0], [2, 1], [0, -3]], sigma=0.1)
+    if covariance is not None:
+        scan.covariances[1] = covariance
+    return replace(scan, **fields)
+
+
+# --- scans ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scan", "message"),
+    [
+        (scan_with(points=np.array([[1, 0], [np.nan, 1], [0, 0]])), "measurement 1: points are not finite"),
+        (scan_with(points=np.array([[1, 0], [0, -np.inf], [0, 0]])), "measurement 1: points are not finite"),
+        (scan_with([[np.inf, 0], [0, 1]]), "measurement 1: covariance is not finite"),
+        (scan_with([[1, np.nan], [np.nan, 1]]), "measurement 1: covariance is not finite"),
+        (scan_with([[1, 0.1], [0.2, 1]]), "measurement 1: covariance is not symmetric"),
+        (scan_with([[-1, 0], [0, 1]]), "measurement 1: covariance is not PSD"),
+        (scan_with([[1, 0], [0, -1]]), "measurement 1: covariance is not PSD"),
+        (scan_with([[1, 2], [2, 1]]), "measurement 1: covariance is not PSD"),
+        (scan_with([[1, 2e-6], [2e-6, 1e-12]]), "measurement 1: covariance is not PSD"),
+        (scan_with(np.diag([1e-12, 1e12])), "measurement 1: covariance has a condition number"),
+        (scan_with(np.diag([1.0, 0.0])), "measurement 1: covariance has a condition number"),
+    ],
+)
+def test_a_bad_measurement_is_named_with_its_fault(scan: Scan, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^Scan: {message}"):
+        check_scan(scan)
+
+
+def test_of_several_bad_measurements_the_first_is_named() -> None:
+    scan = scan_with(-np.eye(2))
+    scan.points[2] = np.nan
+    with pytest.raises(ValueError, match="measurement 1"):
+        check_scan(scan)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"points": np.zeros((3, 3))}, r"Scan.points: shape \(3, 3\), expected \(m, 2\)"),
+        ({"points": np.zeros(3)}, r"Scan.points: shape \(3,\)"),
+        ({"points": np.zeros((2, 2))}, r"Scan.covariances: shape \(3, 2, 2\), expected \(2, 2, 2\)"),
+        ({"covariances": np.zeros((3, 2))}, r"Scan.covariances: shape \(3, 2\)"),
+        ({"sizes": np.zeros(2)}, r"Scan.sizes, Scan.size_variances, Scan.kinds: shapes \(2,\), \(3,\), \(3,\)"),
+        ({"size_variances": np.zeros((3, 1))}, r"shapes \(3,\), \(3, 1\), \(3,\)"),
+        ({"points": [[1, 0], [2, 1], [0, 3]]}, "Scan.points: list, expected an array of float64"),
+        ({"points": np.zeros((3, 2), np.float32)}, "Scan.points: float32, expected an array of float64"),
+        ({"covariances": np.zeros((3, 2, 2), int)}, "Scan.covariances: int64, expected an array of float64"),
+        ({"sizes": None}, "Scan.sizes: NoneType, expected an array of float64"),
+        ({"size_variances": np.full(3, "1")}, "Scan.size_variances: <U1, expected an array of float64"),
+        ({"kinds": np.zeros(3)}, "Scan.kinds: float64, expected an array of int64"),
+        ({"kinds": np.zeros(4, np.int64)}, r"shapes \(3,\), \(3,\), \(4,\)"),
+    ],
+)
+def test_what_is_no_array_of_that_shape_is_named(fields, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        check_scan(scan_with(**fields))
+
+
+@pytest.mark.parametrize(
+    "scan",
+    [
+        scan_with(),
+        Scan.from_points([], sigma=0.1),
+        scan_with(np.zeros((2, 2))),  # an exact measurement
+        scan_with(np.diag([1e-4, 1e4])),
+        scan_with(1e-9 * np.eye(2)),
+        scan_with([[1.0, 0.5], [0.5 + 1e-12, 1.0]]),
+    ],
+)
+def test_what_does_no_harm_passes(scan: Scan) -> None:
+    check_scan(scan)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 2.0])
+@pytest.mark.parametrize(("condition", "fine"), [(1e9, True), (1e11, True), (1e13, False), (1e15, False)])
+def test_the_condition_number_decides_whatever_the_direction(turn: float, condition: float, fine: bool) -> None:
+    c, s = np.cos(turn), np.sin(turn)
+    C = np.array([[c, -s], [s, c]])
+    covariance = C @ np.diag([1.0, 1.0 / condition]) @ C.T
+    scan = scan_with(0.5 * (covariance + covariance.T))
+    if fine:
+        check_scan(scan)
+    else:
+        with pytest.raises(ValueError, match=r"condition number|not PSD"):
+            check_scan(scan)
+
+
+# --- hypotheses -------------------------------------------------------------------------------------------------------
+
+
+def hypothesis(features, **fields) -> Hypothesis:
+    return Hypothesis(features, 0.0, 0, Effort(), **fields)
+
+
+@pytest.mark.parametrize(
+    ("features", "message"),
+    [
+        (np.array([0]), r"hypothesis.features: int64 of shape \(1,\), expected \(3,\) signed integers"),
+        (np.array([[0, 1, 2]]), r"hypothesis.features: int64 of shape \(1, 3\)"),
+        (np.array([0.0, 1.0, 2.0]), "hypothesis.features: float64"),
+        (np.array([0, 1, 2], np.uint8), "hypothesis.features: uint8"),
+        (np.array([True, False, False]), "hypothesis.features: bool"),
+        (np.array(["0", "1", "2"]), "hypothesis.features: <U1"),
+        ([0, 1, 2], "hypothesis.features: list, expected"),
+        (None, "hypothesis.features: NoneType"),
+        (np.array([0, 5, 1]), r"hypothesis.features\[1\]: 5, expected −1 … 4"),
+        (np.array([0, 1, -2]), r"hypothesis.features\[2\]: -2, expected −1 … 4"),
+        (np.array([3, UNPAIRED, 3]), r"hypothesis.features\[2\]: feature 3 is paired twice"),
+    ],
+)
+def test_decisions_that_do_not_fit_are_named(features, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        check_hypothesis(hypothesis(features), 3, 5)
+
+
+@pytest.mark.parametrize(
+    "new", [np.array([True, False]), np.array([1, 0, 0]), np.array([True, False, False]), np.array([[False] * 3])]
+)
+def test_a_measurement_that_is_paired_or_not_there_cannot_be_new(new) -> None:
+    with pytest.raises(ValueError, match=r"hypothesis.new: expected \(3,\) booleans"):
+        check_hypothesis(hypothesis(np.array([0, UNPAIRED, 1]), new=new), 3, 5)
+
+
+def test_what_fits_is_handed_back_as_it_is() -> None:
+    for given in (
+        hypothesis(np.array([4, UNPAIRED, 0]), new=np.array([False, True, False])),
+        hypothesis(np.full(3, UNPAIRED)),
+        hypothesis(np.array([3, 3, UNPAIRED]), exclusive=False),
+    ):
+        assert check_hypothesis(given, 3, 5) is given
+    assert check_hypothesis(hypothesis(np.empty(0, np.int64)), 0, 0).pairings == 0
+
+
+class Shouting(np.ndarray):
+    """An array that answers in its own way."""
+
+    def __getitem__(self, key):
+        return 10**6
+
+    def copy(self, order="C"):
+        raise RuntimeError("not to be copied")
+
+
+@pytest.mark.parametrize(
+    "features",
+    [np.array([2, -1, 0], np.int8), np.array([2, -1, 0], ">i4"), np.array([2, -1, 0]).view(Shouting)],
+    ids=["int8", "another byte order", "subclass"],
+)
+def test_integers_of_another_sort_are_made_plain(features) -> None:
+    checked = check_hypothesis(hypothesis(features), 3, 5).features
+    assert type(checked) is np.ndarray and checked.dtype == np.dtype(np.int64)
+    assert checked.tolist() == [2, -1, 0]
+    assert not np.shares_memory(checked, np.asarray(features))
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+def test_an_argument_that_nobody_knows_is_refused_with_those_that_are_known() -> None:
+    one_of("reward", "a_opt", ("a_opt", "d_opt", None))
+    one_of("reward", None, ("a_opt", None))
+    with pytest.raises(ValueError, match=r"^reward='money'; known: a_opt, d_opt, None$"):
+        one_of("reward", "money", ("a_opt", "d_opt", None))
