@@ -25,11 +25,11 @@ from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import follow
 from slam_gym.slam import slam
 from slam_gym.types import Array, Beams, Prediction, Scan
-from slam_gym.world import boxes, detection, ray_casting, reachability
+from slam_gym.world import boxes, detection, ray_casting, reachability, wall_grid
 
 COMPILED = (
     geometry, slam, validation, compatibility, tree, observation, covisibility, ekf, grid, linear_algebra, measurement,
-    point_assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability,
+    point_assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability, wall_grid,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 

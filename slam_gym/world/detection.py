@@ -10,7 +10,8 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, Array, IntArray
-from slam_gym.world.ray_casting import Grid, Packed, hides, movers_near, range_along, sees
+from slam_gym.world.ray_casting import Movers, cast, hides, movers_near, range_along, sees
+from slam_gym.world.wall_grid import Grid, Packed
 
 _SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
 
@@ -31,24 +32,21 @@ class Settings(NamedTuple):
     max_features: int
 
 
+Moving = tuple[Array, Array]
+"""`Movers`, as a plain tuple."""
+
 PackedSettings = tuple[float, float, float, float, float, float, float, float, float, float, int]
 """`Settings` as a plain tuple, which crosses from Python to compiled functions faster."""
 
 
 @compiled
 def in_sight(
-    walls: Packed,
-    pose: Array,
-    positions: Array,
-    pull_backs: Array,
-    people: Array,
-    furniture: Array,
-    packed: PackedSettings,
+    walls: Packed, pose: Array, positions: Array, pull_backs: Array, moving: Moving, packed: PackedSettings
 ) -> tuple[Array, IntArray]:
     """True range and bearing (k, 2) of the features in sight, then of the people (at their near side); sources (k,)."""
     grid, settings = Grid(*walls), Settings(*packed)
     x, y = pose[0], pose[1]
-    discs, segments = movers_near(x, y, settings.range, people, furniture)
+    people, movers = moving[0], movers_near(x, y, settings.range, Movers(*moving))
     count = positions.shape[0] + people.shape[0]
     polar, sources = np.empty((count, 2)), np.empty(count, np.int64)
     k = 0
@@ -66,7 +64,7 @@ def in_sight(
         bearing = wrap_angle(math.atan2(dy, dx) - pose[2])
         if not settings.min_range <= distance <= settings.range or abs(bearing) > 0.5 * settings.field_of_view:
             continue
-        if hides(x, y, dx, dy, short, discs, segments) or not sees(grid, x, y, dx, dy, short):
+        if hides(x, y, dx, dy, short, movers) or not sees(grid, x, y, dx, dy, short):
             continue
         polar[k, 0], polar[k, 1] = distance, bearing
         sources[k] = i if person < 0 else SPURIOUS
@@ -81,24 +79,22 @@ def measure(
     polar: Array,
     sources: IntArray,
     sizes: Array,
-    spurious_sizes: Array,
-    people: Array,
-    furniture: Array,
-    uniform: Array,
-    normal: Array,
+    moving: Moving,
+    noise: Array,
     packed: PackedSettings,
 ) -> tuple[Array, Array, Array, Array, IntArray]:
     """A scan of what is in sight: points, covariances, sizes, their variances, and sources.
 
-    `uniform` and `normal` are random numbers (k + clutter, 3): a row for each thing in sight, then one for each piece
-    of clutter.
+    `sizes` are those of all features, from which those of spurious measurements are drawn. `noise` (2, k + clutter, 3)
+    are uniform and normal random numbers: a row for each thing in sight, then one for each piece of clutter.
     """
-    grid, settings = Grid(*walls), Settings(*packed)
-    k, draws, spurious = len(sources), len(uniform), len(spurious_sizes)
+    grid, settings, movers = Grid(*walls), Settings(*packed), Movers(*moving)
+    uniform, normal = noise[0], noise[1]
+    k, draws = len(sources), len(uniform)
     measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
     n = 0
     for i in range(draws):
-        size = spurious_sizes[int(uniform[i, 2] * spurious)]
+        size = sizes[int(uniform[i, 2] * len(sizes))]
         source = sources[i] if i < k else SPURIOUS
         if i < k:
             if uniform[i, 0] >= (settings.detection if source >= 0 else settings.person_detection):
@@ -110,7 +106,7 @@ def measure(
                 size = sizes[source]
         else:  # uniform over the thin sector from the nearest range to the first surface
             bearing = settings.field_of_view * (uniform[i, 0] - 0.5)
-            free = range_along(grid, pose[0], pose[1], pose[2] + bearing, settings.range, people, furniture)
+            free = range_along(grid, pose[0], pose[1], pose[2] + bearing, settings.range, movers)
             low = settings.min_range**2
             distance = math.sqrt(low + uniform[i, 1] * max(free * free - low, 0.0))
         measured[0, n], measured[1, n] = distance, bearing
@@ -160,20 +156,10 @@ def _sort(order: IntArray, count: int, keys: Array) -> None:
 
 @compiled
 def noisy_ranges(
-    walls: Packed,
-    pose: Array,
-    bearings: Array,
-    reach: float,
-    people: Array,
-    furniture: Array,
-    sigma: float,
-    noise: Array,
+    walls: Packed, pose: Array, bearings: Array, reach: float, moving: Moving, sigma: float, noise: Array
 ) -> Array:
     """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach]."""
-    grid, x, y = Grid(*walls), pose[0], pose[1]
-    discs, segments = movers_near(x, y, reach, people, furniture)
-    ranges = np.empty(len(bearings))
-    for b in range(len(bearings)):
-        free = range_along(grid, x, y, pose[2] + bearings[b], reach, discs, segments)
-        ranges[b] = min(max(free + sigma * noise[b], 0.0), reach) if free < reach else reach
+    ranges = cast(walls, pose, pose[2] + bearings, reach, moving)
+    for b in range(len(ranges)):
+        ranges[b] = min(max(ranges[b] + sigma * noise[b], 0.0), reach) if ranges[b] < reach else reach
     return ranges

@@ -14,8 +14,9 @@ from slam_gym._compile import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world import boxes
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import Grid, Packed, WallIndex, hides, sees
+from slam_gym.world.ray_casting import Movers, hides, sees
 from slam_gym.world.reachability import free_cells, indoor
+from slam_gym.world.wall_grid import Grid, Packed, wall_grid
 
 _CLEARANCE = 0.02  # [m] from walls
 _MARGIN = 0.1  # [m] kept from furniture and other people
@@ -52,7 +53,7 @@ class People:
         if count:
             outlines = boxes.outlines(plan.furniture)
             self._cells = free_cells(plan, radius + _CLEARANCE, obstacles=outlines)
-            self._walls, self._outlines = WallIndex(plan.walls).packed, outlines
+            self._walls, self._outlines = wall_grid(plan.walls), outlines
             self.discs = self._places(plan, count, radius, robot, rng)
             self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
 
@@ -207,9 +208,9 @@ def _pull_straight(packed: Packed, outlines: Array, way: Array, radius: float, w
 def _passable(grid: Grid, outlines: Array, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
     """Whether a disc fits between walls and furniture all the way: its middle and both flanks see the far end."""
     dx, dy = x2 - x1, y2 - y1
-    length, no_discs = math.hypot(dx, dy), np.empty((0, 3))
+    length, movers = math.hypot(dx, dy), Movers(np.empty((0, 3)), outlines)
     for flank in (-radius, 0.0, radius):
         x, y = x1 - flank * dy / length, y1 + flank * dx / length
-        if not sees(grid, x, y, dx, dy, 0.0) or hides(x, y, dx, dy, 0.0, no_discs, outlines):
+        if not sees(grid, x, y, dx, dy, 0.0) or hides(x, y, dx, dy, 0.0, movers):
             return False
     return True

@@ -14,32 +14,21 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.types import Array, BoolArray
 from slam_gym.world.floor_plan import Features, Kind
+from slam_gym.world.wall_grid import PADDING, Grid, Packed, wall_grid
 
 NO_DISCS: Array = np.empty((0, 3))
 NO_SEGMENTS: Array = np.empty((0, 4))
 
 _SURFACE = 1e-3  # [m] how far before a feature a line of sight ends, so that the feature's own walls do not hide it
-_PADDING = 1e-6  # [cells] walls are entered in every cell this close to them, against rounding at the borders
-_MAX_CELLS = 1 << 20  # larger buildings get larger cells
 
 
-class Grid(NamedTuple):
-    """Walls, and for each cell of a uniform grid the walls that touch it, in compressed rows."""
+class Movers(NamedTuple):
+    """What moves."""
 
-    walls: Array  # (s, 4) [m] x1 y1 x2 y2
-    starts: IntArray  # (rows·columns + 1,) cell c = row·columns + column holds members[starts[c]:starts[c + 1]]
-    members: IntArray  # rows of `walls`
-    xmin: float  # [m]
-    ymin: float  # [m]
-    cell: float  # [m] side of a cell
-    columns: int
-    rows: int
-
-
-Packed = tuple[Array, IntArray, IntArray, float, float, float, int, int]
-"""A `Grid` as a plain tuple: numba recognises one in .5 µs at a call from Python, a named one in 3 µs."""
+    discs: Array  # (d, 3) [m] x y radius
+    segments: Array  # (o, 4) [m] x1 y1 x2 y2
 
 
 class WallIndex:
@@ -51,21 +40,7 @@ class WallIndex:
     """
 
     def __init__(self, walls: Array, cell: float = 1.0) -> None:
-        walls = np.array(walls, dtype=np.float64, order="C")
-        if walls.ndim != 2 or walls.shape[1] != 4:
-            raise ValueError(f"walls must have shape (s, 4), not {walls.shape}")
-        if not np.isfinite(walls).all():
-            raise ValueError(f"walls[{int(np.argmin(np.isfinite(walls).all(axis=1)))}] is not finite")
-        if not (math.isfinite(cell) and cell > 0.0):
-            raise ValueError(f"cell must be a positive length [m], not {cell}")
-        ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
-        low, extent = ends.min(axis=0), np.ptp(ends, axis=0)
-        while np.prod(extent // cell + 1.0) > _MAX_CELLS:
-            cell *= 2.0
-        columns, rows = (extent // cell).astype(int) + 1
-        xmin, ymin, cell, columns, rows = float(low[0]), float(low[1]), float(cell), int(columns), int(rows)
-        starts, members = _enter_walls(walls, xmin, ymin, cell, columns, rows)
-        self.packed: Packed = (walls, starts, members, xmin, ymin, cell, columns, rows)
+        self.packed = wall_grid(walls, cell)
 
     def __len__(self) -> int:
         return len(self.packed[0])
@@ -78,7 +53,7 @@ class WallIndex:
         `discs` (d, 3) [m] `x y radius` and `segments` (o, 4) [m] stop a ray as walls do. A disc around the origin is
         not seen from within.
         """
-        return _cast(self.packed, origin, angles, max_range, discs, segments)
+        return cast(self.packed, origin, angles, max_range, (discs, segments))
 
     def visible(
         self, origin: Array, targets: Array, pull_back: Array, discs: Array = NO_DISCS, segments: Array = NO_SEGMENTS
@@ -87,7 +62,7 @@ class WallIndex:
 
         The line of sight ends `pull_back` (k,) [m] short of its target, outside the thing whose position it is.
         """
-        return _visible(self.packed, origin, targets, pull_back, discs, segments)
+        return _visible(self.packed, origin, targets, pull_back, (discs, segments))
 
 
 def pull_back(features: Features) -> Array:
@@ -96,54 +71,9 @@ def pull_back(features: Features) -> Array:
 
 
 @compiled
-def _rows_of(wall: Array, xmin: float, ymin: float, cell: float, rows: int, column: int) -> tuple[int, int]:
-    """First and last row of the cells of `column` that `wall` (4,) touches."""
-    x, y, dx, dy = wall[0], wall[1], wall[2] - wall[0], wall[3] - wall[1]
-    pad = _PADDING * cell
-    enter, leave = 0.0, 1.0
-    if abs(dx) > pad:
-        left = (xmin + column * cell - pad - x) / dx
-        right = (xmin + (column + 1) * cell + pad - x) / dx
-        enter, leave = max(0.0, min(left, right)), min(1.0, max(left, right))
-    y1, y2 = y + enter * dy, y + leave * dy
-    first = math.floor((min(y1, y2) - pad - ymin) / cell)
-    last = math.floor((max(y1, y2) + pad - ymin) / cell)
-    return max(first, 0), min(last, rows - 1)
-
-
-@compiled
-def _enter_walls(
-    walls: Array, xmin: float, ymin: float, cell: float, columns: int, rows: int
-) -> tuple[IntArray, IntArray]:
-    """Which walls touch which cell: `starts` and `members` of a `Grid`, by counting, then filling."""
-    pad, cells = _PADDING * cell, rows * columns
-    starts, filled = np.zeros(cells + 1, np.int64), np.zeros(cells, np.int64)
-    members = np.empty(0, np.int64)
-    for filling in range(2):
-        for w in range(walls.shape[0]):
-            low, high = min(walls[w, 0], walls[w, 2]), max(walls[w, 0], walls[w, 2])
-            first = max(math.floor((low - pad - xmin) / cell), 0)
-            last = min(math.floor((high + pad - xmin) / cell), columns - 1)
-            for column in range(first, last + 1):
-                bottom, top = _rows_of(walls[w], xmin, ymin, cell, rows, column)
-                for row in range(bottom, top + 1):
-                    c = row * columns + column
-                    if filling == 1:
-                        members[starts[c] + filled[c]] = w
-                        filled[c] += 1
-                    else:
-                        starts[c + 1] += 1
-        if filling == 0:
-            for c in range(cells):
-                starts[c + 1] += starts[c]
-            members = np.empty(starts[cells], np.int64)
-    return starts, members
-
-
-@compiled
-def _segment_hit(x: float, y: float, dx: float, dy: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """t in [0, 1] at which (x, y) + t (dx, dy) crosses the segment a–b, ends included; inf where it does not."""
-    ax, ay, bx, by = ax - x, ay - y, bx - x, by - y
+def _segment_hit(x: float, y: float, dx: float, dy: float, segment: Array) -> float:
+    """t in [0, 1] at which (x, y) + t (dx, dy) crosses a segment (4,), ends included; inf where it does not."""
+    ax, ay, bx, by = segment[0] - x, segment[1] - y, segment[2] - x, segment[3] - y
     if (dx * ay - dy * ax) * (dx * by - dy * bx) > 0.0:  # both ends on one side of the ray
         return math.inf
     ex, ey = bx - ax, by - ay
@@ -152,9 +82,9 @@ def _segment_hit(x: float, y: float, dx: float, dy: float, ax: float, ay: float,
 
 
 @compiled
-def _disc_hit(x: float, y: float, dx: float, dy: float, cx: float, cy: float, radius: float) -> float:
-    """t in [0, 1] at which (x, y) + t (dx, dy) enters the disc; inf where it does not, or starts within."""
-    cx, cy = x - cx, y - cy
+def _disc_hit(x: float, y: float, dx: float, dy: float, disc: Array) -> float:
+    """t in [0, 1] at which (x, y) + t (dx, dy) enters a disc (3,); inf where it does not, or starts within."""
+    cx, cy, radius = x - disc[0], y - disc[1], disc[2]
     a, b, c = dx * dx + dy * dy, dx * cx + dy * cy, cx * cx + cy * cy - radius * radius
     root = b * b - a * c
     if root < 0.0:
@@ -167,7 +97,7 @@ def _disc_hit(x: float, y: float, dx: float, dy: float, cx: float, cy: float, ra
 def _entry(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
     """t in [0, 1] at which the ray enters the grid's rectangle, 0 from within; inf where it never does."""
     enter, leave = 0.0, 1.0
-    pad = _PADDING * grid.cell
+    pad = PADDING * grid.cell
     for axis in range(2):
         p, d = (x, dx) if axis == 0 else (y, dy)
         low = grid.xmin if axis == 0 else grid.ymin
@@ -202,9 +132,7 @@ def _wall_hit(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
     while 0 <= column < grid.columns and 0 <= row < grid.rows:
         c = row * grid.columns + column
         for k in range(grid.starts[c], grid.starts[c + 1]):
-            w = grid.members[k]
-            t = _segment_hit(x, y, dx, dy, grid.walls[w, 0], grid.walls[w, 1], grid.walls[w, 2], grid.walls[w, 3])
-            nearest = min(nearest, t)
+            nearest = min(nearest, _segment_hit(x, y, dx, dy, grid.walls[grid.members[k]]))
         leave = min(next_x, next_y)
         if nearest <= leave or leave > 1.0:
             break
@@ -216,41 +144,39 @@ def _wall_hit(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
 
 
 @compiled
-def _mover_hit(x: float, y: float, dx: float, dy: float, discs: Array, segments: Array) -> float:
+def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> float:
     """As `_wall_hit`, for the few things that move."""
     nearest = math.inf
-    for d in range(discs.shape[0]):
-        nearest = min(nearest, _disc_hit(x, y, dx, dy, discs[d, 0], discs[d, 1], discs[d, 2]))
-    for s in range(segments.shape[0]):
-        t = _segment_hit(x, y, dx, dy, segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3])
-        nearest = min(nearest, t)
+    for d in range(movers.discs.shape[0]):
+        nearest = min(nearest, _disc_hit(x, y, dx, dy, movers.discs[d]))
+    for s in range(movers.segments.shape[0]):
+        nearest = min(nearest, _segment_hit(x, y, dx, dy, movers.segments[s]))
     return nearest
 
 
 @compiled
-def movers_near(x: float, y: float, reach: float, discs: Array, segments: Array) -> tuple[Array, Array]:
-    """Those of `discs` and `segments` that come within `reach` [m] of (x, y)."""
-    near_discs, near_segments = np.empty(discs.shape), np.empty(segments.shape)
+def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
+    """Those that come within `reach` [m] of (x, y)."""
+    discs, segments = np.empty(movers.discs.shape), np.empty(movers.segments.shape)
     d = s = 0
-    for i in range(discs.shape[0]):
-        if math.hypot(discs[i, 0] - x, discs[i, 1] - y) <= reach + discs[i, 2]:
-            near_discs[d, 0], near_discs[d, 1], near_discs[d, 2] = discs[i, 0], discs[i, 1], discs[i, 2]
+    for disc in movers.discs:
+        if math.hypot(disc[0] - x, disc[1] - y) <= reach + disc[2]:
+            discs[d] = disc
             d += 1
-    for i in range(segments.shape[0]):
-        ax, ay = segments[i, 0] - x, segments[i, 1] - y
-        ex, ey = segments[i, 2] - segments[i, 0], segments[i, 3] - segments[i, 1]
+    for segment in movers.segments:
+        ax, ay = segment[0] - x, segment[1] - y
+        ex, ey = segment[2] - segment[0], segment[3] - segment[1]
         length = ex * ex + ey * ey
         t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0) if length > 0.0 else 0.0
         if (ax + t * ex) ** 2 + (ay + t * ey) ** 2 <= reach * reach:
-            for k in range(4):
-                near_segments[s, k] = segments[i, k]
+            segments[s] = segment
             s += 1
-    return near_discs[:d], near_segments[:s]
+    return Movers(discs[:d], segments[:s])
 
 
 @compiled
 def _shortened(dx: float, dy: float, pull_back: float) -> float:
-    """The share of (dx, dy) that is left when it ends `pull_back` earlier; 0 where nothing is left."""
+    """The fraction of (dx, dy) that is left when it ends `pull_back` [m] earlier; 0 where nothing is left."""
     distance = math.hypot(dx, dy)
     return 1.0 - pull_back / distance if distance > pull_back else 0.0
 
@@ -258,48 +184,43 @@ def _shortened(dx: float, dy: float, pull_back: float) -> float:
 @compiled
 def sees(grid: Grid, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
     """Whether no wall stands between (x, y) and (x, y) + (dx, dy), the latter `pull_back` [m] nearer."""
-    share = _shortened(dx, dy, pull_back)
-    return _wall_hit(grid, x, y, share * dx, share * dy) == math.inf
+    left = _shortened(dx, dy, pull_back)
+    return _wall_hit(grid, x, y, left * dx, left * dy) == math.inf
 
 
 @compiled
-def hides(x: float, y: float, dx: float, dy: float, pull_back: float, discs: Array, segments: Array) -> bool:
-    """Whether one of `discs` or `segments` stands on the line of sight that `sees` asks the walls about."""
-    share = _shortened(dx, dy, pull_back)
-    return _mover_hit(x, y, share * dx, share * dy, discs, segments) < math.inf
+def hides(x: float, y: float, dx: float, dy: float, pull_back: float, movers: Movers) -> bool:
+    """Whether one of `movers` stands on the line of sight that `sees` asks the walls about."""
+    left = _shortened(dx, dy, pull_back)
+    return _mover_hit(x, y, left * dx, left * dy, movers) < math.inf
 
 
 @compiled
-def range_along(grid: Grid, x: float, y: float, angle: float, max_range: float, discs: Array, segments: Array) -> float:
+def range_along(grid: Grid, x: float, y: float, angle: float, max_range: float, movers: Movers) -> float:
     """[m] from (x, y) along `angle` [rad] to the first surface, at most `max_range`."""
     dx, dy = max_range * math.cos(angle), max_range * math.sin(angle)
-    t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, discs, segments))
+    t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, movers))
     return max_range * min(t, 1.0)
 
 
 @compiled
-def _cast(packed: Packed, origin: Array, angles: Array, max_range: float, discs: Array, segments: Array) -> Array:
-    grid = Grid(*packed)
-    near_discs, near_segments = movers_near(origin[0], origin[1], max_range, discs, segments)
+def cast(packed: Packed, origin: Array, angles: Array, max_range: float, moving: tuple[Array, Array]) -> Array:
+    """See `WallIndex.cast`; `moving` are the arrays of `Movers`."""
+    grid, x, y = Grid(*packed), origin[0], origin[1]
+    movers = movers_near(x, y, max_range, Movers(*moving))
     ranges = np.empty(angles.shape[0])
     for b in range(angles.shape[0]):
-        ranges[b] = range_along(grid, origin[0], origin[1], angles[b], max_range, near_discs, near_segments)
+        ranges[b] = range_along(grid, x, y, angles[b], max_range, movers)
     return ranges
 
 
 @compiled
-def _visible(
-    packed: Packed, origin: Array, targets: Array, pull_back: Array, discs: Array, segments: Array
-) -> BoolArray:
-    grid = Grid(*packed)
-    x, y, reach = origin[0], origin[1], 0.0
+def _visible(packed: Packed, origin: Array, targets: Array, pull_back: Array, moving: tuple[Array, Array]) -> BoolArray:
+    grid, x, y, reach = Grid(*packed), origin[0], origin[1], 0.0
     for i in range(targets.shape[0]):
         reach = max(reach, math.hypot(targets[i, 0] - x, targets[i, 1] - y))
-    near_discs, near_segments = movers_near(x, y, reach, discs, segments)
-    seen = np.empty(targets.shape[0], np.bool_)
+    movers, seen = movers_near(x, y, reach, Movers(*moving)), np.empty(targets.shape[0], np.bool_)
     for i in range(targets.shape[0]):
-        dx, dy = targets[i, 0] - x, targets[i, 1] - y
-        seen[i] = sees(grid, x, y, dx, dy, pull_back[i]) and not hides(
-            x, y, dx, dy, pull_back[i], near_discs, near_segments
-        )
+        dx, dy, short = targets[i, 0] - x, targets[i, 1] - y, pull_back[i]
+        seen[i] = sees(grid, x, y, dx, dy, short) and not hides(x, y, dx, dy, short, movers)
     return seen

@@ -12,7 +12,8 @@ from slam_gym._compile import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world import boxes
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, Packed, WallIndex, pull_back, sees
+from slam_gym.world.ray_casting import NO_SEGMENTS, WallIndex, pull_back, sees
+from slam_gym.world.wall_grid import Grid, Packed
 
 _START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
 

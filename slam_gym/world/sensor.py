@@ -119,7 +119,8 @@ class Sensor:
         self._walls = index.packed
         self._features = plan.features
         self._pull_back = pull_back(plan.features)
-        self._spurious_sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
+        self._no_kinds = np.full(self.spec.max_features, UNKNOWN_KIND)
+        self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
         self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
 
@@ -131,25 +132,16 @@ class Sensor:
         Furniture and people hide features, and a person is now and then taken for one (at their near side). Neither
         order nor attributes tell which measurements are spurious: their sizes are those of features of the plan.
         """
-        features, settings = self._features, self._settings
-        polar, sources = in_sight(self._walls, pose, features.positions, self._pull_back, people, furniture, settings)
+        walls, moving, settings = self._walls, (people, furniture), self._settings
+        polar, sources = in_sight(walls, pose, self._features.positions, self._pull_back, moving, settings)
         clutter = int(rng.poisson(self.spec.clutter))
-        shape = (len(sources) + clutter, 3)
-        uniform, normal = rng.random(shape), rng.standard_normal(shape)
+        noise = np.empty((2, len(sources) + clutter, 3))
+        rng.random(out=noise[0])
+        rng.standard_normal(out=noise[1])
         points, covariances, sizes, size_variances, sources = measure(
-            self._walls,
-            pose,
-            polar,
-            sources,
-            features.sizes,
-            self._spurious_sizes,
-            people,
-            furniture,
-            uniform,
-            normal,
-            settings,
+            walls, pose, polar, sources, self._sizes, moving, noise, settings
         )
-        kinds = self._kinds(sources, rng) if self.spec.kinds else np.full(len(sources), UNKNOWN_KIND)
+        kinds = self._kinds(sources, rng) if self.spec.kinds else self._no_kinds[: len(sources)].copy()
         return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
@@ -165,7 +157,7 @@ class Sensor:
         """One sweep of the range finder from `pose`: noisy ranges to what comes first, the full range for nothing."""
         spec = self.beam_spec
         noise = rng.standard_normal(spec.count)
-        ranges = noisy_ranges(self._walls, pose, self._bearings, spec.range, people, furniture, spec.sigma, noise)
+        ranges = noisy_ranges(self._walls, pose, self._bearings, spec.range, (people, furniture), spec.sigma, noise)
         return Beams(self._bearings.copy(), ranges, spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
