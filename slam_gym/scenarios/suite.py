@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from slam_gym.scenarios.scenario import Scenario
+from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
-from slam_gym.world.generators import AliasedGenerator, Contents, OfficeGenerator
+from slam_gym.world.generators import AliasedGenerator, OfficeGenerator
 from slam_gym.world.physics import DynamicsSpec
 from slam_gym.world.sensor import OdometrySpec, SensorSpec
 

@@ -61,19 +61,8 @@ class People:
         """Take one tick's steps [s] among the `robot` (2,) [m] W and `furniture` (f, 5)."""
         if len(self.discs) == 0:
             return
-        idle = _walk(
-            tick,
-            self._speed,
-            self._keep,
-            robot,
-            furniture,
-            self.discs,
-            self.velocities,
-            self._ways,
-            self._ahead,
-            self._passed,
-            self._timers,
-        )
+        crowd = (self.discs, self.velocities, self._ways, self._ahead, self._passed, self._timers)
+        idle = _walk(tick, self._speed, self._keep, robot, furniture, crowd)
         if idle:
             for person in np.flatnonzero(self._ahead[:, 0] >= self._ahead[:, 1]):
                 self._plan_stroll(int(person), rng)
@@ -99,21 +88,14 @@ class People:
         self._timers[person] = _PAUSE * rest, 0.0
 
 
+_Crowd = tuple[Array, Array, Array, IntArray, Array, Array]
+"""The arrays of `People`: discs, velocities, ways, ahead, passed, timers."""
+
+
 @compiled
-def _walk(
-    tick: float,
-    speed: float,
-    keep: float,
-    robot: Array,
-    furniture: Array,
-    discs: Array,
-    velocities: Array,
-    ways: Array,
-    ahead: IntArray,
-    passed: Array,
-    timers: Array,
-) -> bool:
-    """Move `discs` in place, one after the other; whether somebody has nowhere to go."""
+def _walk(tick: float, speed: float, keep: float, robot: Array, furniture: Array, crowd: _Crowd) -> bool:
+    """Move everybody, one after the other; whether somebody has nowhere to go."""
+    discs, velocities, ways, ahead, passed, timers = crowd
     idle = False
     for p in range(discs.shape[0]):
         velocities[p, 0] = velocities[p, 1] = 0.0
@@ -124,16 +106,16 @@ def _walk(
             dx, dy = ways[p, ahead[p, 0], 0] - discs[p, 0], ways[p, ahead[p, 0], 1] - discs[p, 1]
             left = math.hypot(dx, dy)
             if left > 1e-9:
-                share = min(speed * tick / left, 1.0)
-                if _blocked(p, discs[p, 0] + share * dx, discs[p, 1] + share * dy, keep, robot, furniture, discs):
+                step = min(speed * tick / left, 1.0)  # fraction of what is left
+                if _blocked(p, discs[p, 0] + step * dx, discs[p, 1] + step * dy, keep, robot, furniture, discs):
                     timers[p, 1] += tick
                     if timers[p, 1] > _PATIENCE:
                         ahead[p, 0] = ahead[p, 1]
                 else:
                     timers[p, 1] = 0.0
-                    velocities[p, 0], velocities[p, 1] = share * dx / tick, share * dy / tick
-                    discs[p, 0] += share * dx
-                    discs[p, 1] += share * dy
+                    velocities[p, 0], velocities[p, 1] = step * dx / tick, step * dy / tick
+                    discs[p, 0] += step * dx
+                    discs[p, 1] += step * dy
                 break
             passed[p, 0], passed[p, 1] = ways[p, ahead[p, 0], 0], ways[p, ahead[p, 0], 1]
             ahead[p, 0] += 1
@@ -170,12 +152,8 @@ def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, where: fl
         head += 1
         if steps[c] * cell > _STROLL:
             continue
-        for row, column in (
-            (c // columns - 1, c % columns),
-            (c // columns + 1, c % columns),
-            (c // columns, c % columns - 1),
-            (c // columns, c % columns + 1),
-        ):
+        for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            row, column = c // columns + down, c % columns + right
             n = row * columns + column
             if 0 <= row < rows and 0 <= column < columns and free[row, column] and steps[n] == 0:
                 parents[n], steps[n], queue[tail] = c, steps[c] + 1, n

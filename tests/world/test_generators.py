@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from slam_gym.world import boxes
+from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import Kind
-from slam_gym.world.generators import AliasedGenerator, Contents, HallGenerator, OfficeGenerator
+from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
 from slam_gym.world.ray_casting import WallIndex
 from slam_gym.world.reachability import observable, reachable
 

@@ -1,0 +1,184 @@
+"""A floor plan under construction: rooms, doors between them, and what stands in the rooms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym.types import Array
+from slam_gym.world.floor_plan import Door, Features, FloorPlan, Kind, Room
+from slam_gym.world.outline import outline
+
+MAX_CORNER_SIZE = 4.0  # [m] a longer wall at a corner counts as this long
+_PASSAGE = 0.8  # [m] between any two things that stand in a room
+_DOOR_AREA = 0.6  # [m] kept free around a door, beyond half its width
+_CENTRE_AREA = 0.5  # [m] kept free around the centre of a room
+_TO_CORNER = 0.6  # [m] between a pilaster and the corners of the room
+_TRIES = 40  # draws for one thing to find its place
+
+Limits = tuple[float, float]
+"""Smallest and largest value."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What stands in the rooms. Each thing is drawn at random and left out where it does not fit."""
+
+    pilasters: float = 0.04  # [1/m] mean number along a wall; each adds four corners
+    pilaster_width: Limits = (0.3, 0.6)  # [m] along the wall
+    pilaster_depth: Limits = (0.2, 0.4)  # [m] into the room
+    pillars: float = 0.4  # mean number in a room
+    pillar_diameter: Limits = (0.25, 0.6)  # [m]
+    furniture: float = 0.8  # mean number of movable boxes in a room
+    furniture_side: Limits = (0.4, 0.9)  # [m]
+
+    def __post_init__(self) -> None:
+        for name in ("pilasters", "pillars", "furniture"):
+            check_limits(f"Contents.{name}", (getattr(self, name),) * 2, 0.0, 1_000.0)
+        for name in ("pilaster_width", "pilaster_depth", "pillar_diameter", "furniture_side"):
+            check_limits(f"Contents.{name}", getattr(self, name), 0.05, 5.0)
+
+
+def check_limits(name: str, value: Limits, low: float, high: float) -> None:
+    """ValueError unless `value` is a range within [low, high]."""
+    if not low <= value[0] <= value[1] <= high:
+        raise ValueError(f"{name}: {value} is not a range (smallest, largest) within [{low:g}, {high:g}]")
+
+
+def draw(rng: np.random.Generator, limits: Limits) -> float:
+    """Uniform in `limits` [m], a whole number of millimetres."""
+    return round(float(rng.uniform(*limits)), 3)
+
+
+class Rectangle(NamedTuple):
+    """[m] W."""
+
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        return (self.x1 + self.x2) / 2, (self.y1 + self.y2) / 2
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Along x and along y."""
+        return self.x2 - self.x1, self.y2 - self.y1
+
+
+class Draft:
+    """A floor plan under construction."""
+
+    def __init__(self, rng: np.random.Generator, contents: Contents) -> None:
+        self.rng, self.contents = rng, contents
+        self.floors: list[Rectangle] = []  # of the rooms
+        self.names: list[str] = []  # of the rooms
+        self.openings: list[Rectangle] = []  # of the doors, through the wall
+        self.doors: list[Door] = []
+        self.blocked: list[Rectangle] = []
+        self.pillars: list[tuple[float, float, float]] = []  # x, y, diameter
+        self.furniture: list[tuple[float, float, float, float, float]] = []
+        self.kept_free: list[tuple[float, float, float]] = []  # x, y, radius of the discs in which nothing may stand
+
+    def add_room(self, name: str, floor: Rectangle) -> None:
+        self.floors.append(floor)
+        self.names.append(name)
+        self.kept_free.append((*floor.centre, _CENTRE_AREA))
+
+    def add_door(self, a: str, b: str, opening: Rectangle, upright: bool) -> None:
+        """A door as the rectangle that it cuts out of a wall; `upright`: the wall runs along y."""
+        width = round(opening.sides[int(upright)], 3)
+        self.openings.append(opening)
+        self.doors.append(Door(np.array(opening.centre), width, (a, b)))
+        self.kept_free.append((*opening.centre, width / 2 + _DOOR_AREA))
+
+    def fits(self, x: float, y: float, radius: float) -> bool:
+        """A thing of this radius leaves doors, room centres and passages free."""
+        return all((x - u) ** 2 + (y - v) ** 2 >= (radius + r) ** 2 for u, v, r in self.kept_free)
+
+    def furnish(self, floor: Rectangle) -> None:
+        """Pilasters, then pillars, then furniture, each where it finds a place."""
+        things = self.contents
+        for _ in range(self.rng.poisson(things.pilasters * 2 * (floor.x2 - floor.x1 + floor.y2 - floor.y1))):
+            self._place_pilaster(floor)
+        for _ in range(self.rng.poisson(things.pillars)):
+            diameter = draw(self.rng, things.pillar_diameter)
+            if place := self._place(floor, diameter / 2, _PASSAGE):
+                self.pillars.append((*place, diameter))
+        for _ in range(self.rng.poisson(things.furniture)):
+            sides = draw(self.rng, things.furniture_side), draw(self.rng, things.furniture_side)
+            length, width, heading = max(sides), min(sides), float(np.round(self.rng.uniform(-np.pi, np.pi), 3))
+            if place := self._place(floor, float(np.hypot(length, width)) / 2, 0.05):
+                self.furniture.append((*place, length, width, heading))
+
+    def _place(self, floor: Rectangle, radius: float, wall: float) -> tuple[float, float] | None:
+        """A place in a room for a thing of `radius` that keeps `wall` [m] from the walls; None if none was found.
+
+        Rooms too narrow for a passage on either side of it, like corridors, get none.
+        """
+        margin = radius + wall
+        if min(floor.sides) < 2 * (radius + _PASSAGE):
+            return None
+        for _ in range(_TRIES):
+            x = draw(self.rng, (floor.x1 + margin, floor.x2 - margin))
+            y = draw(self.rng, (floor.y1 + margin, floor.y2 - margin))
+            if self.fits(x, y, radius):
+                self.kept_free.append((x, y, radius + _PASSAGE))
+                return x, y
+        return None
+
+    def _place_pilaster(self, floor: Rectangle) -> None:
+        """A block against a wall of the room, clear of its corners."""
+        width, depth = draw(self.rng, self.contents.pilaster_width), draw(self.rng, self.contents.pilaster_depth)
+        (x1, y1, x2, y2), (across, along) = floor, floor.sides
+        side = int(self.rng.choice(4, p=np.array([across, across, along, along]) / (2 * (across + along))))
+        low, high = (x1, x2) if side < 2 else (y1, y2)
+        if high - low < width + 2 * _TO_CORNER:
+            return
+        for _ in range(_TRIES):
+            start = draw(self.rng, (low + _TO_CORNER, high - _TO_CORNER - width))
+            end = round(start + width, 3)
+            block = (
+                Rectangle(start, y1, end, round(y1 + depth, 3)),
+                Rectangle(start, round(y2 - depth, 3), end, y2),
+                Rectangle(x1, start, round(x1 + depth, 3), end),
+                Rectangle(round(x2 - depth, 3), start, x2, end),
+            )[side]
+            radius = float(np.hypot(width, depth)) / 2
+            if self.fits(*block.centre, radius):
+                self.blocked.append(block)
+                self.kept_free.append((*block.centre, radius + _PASSAGE))
+                return
+
+    def finish(self, name: str) -> FloorPlan:
+        """Walls and features from the outline of what is free."""
+        walls, corners, sizes = outline(np.array(self.floors + self.openings), np.array(self.blocked).reshape(-1, 4))
+        kinds = np.full(len(corners), int(Kind.CORNER))
+        sizes = np.minimum(sizes, MAX_CORNER_SIZE)
+        for door, (x1, y1, x2, y2) in zip(self.doors, self.openings):
+            jamb = np.isin(corners[:, 0], (x1, x2)) & np.isin(corners[:, 1], (y1, y2))
+            kinds[jamb], sizes[jamb] = int(Kind.DOOR_JAMB), door.width
+        pillars = np.array(self.pillars).reshape(-1, 3)
+        features = Features(
+            np.vstack([corners, pillars[:, :2]]),
+            np.concatenate([kinds, np.full(len(pillars), int(Kind.PILLAR))]),
+            np.round(np.concatenate([sizes, pillars[:, 2]]), 3),
+        )
+        walls = np.vstack([walls, *(pillar_outline(*pillar) for pillar in self.pillars)])
+        rooms = [
+            Room(name, np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]]))
+            for name, (x1, y1, x2, y2) in zip(self.names, self.floors)
+        ]
+        furniture = np.array(self.furniture).reshape(-1, 5)
+        return FloorPlan(name, walls, features, tuple(rooms), tuple(self.doors), furniture)
+
+
+def pillar_outline(x: float, y: float, diameter: float) -> Array:
+    """(8, 4) [m] the octagon inscribed in a pillar."""
+    angles = (np.arange(9) + 0.5) * np.pi / 4
+    ring = np.stack([x + np.cos(angles) * diameter / 2, y + np.sin(angles) * diameter / 2], axis=1)
+    return np.hstack([ring[:-1], ring[1:]])
