@@ -1,46 +1,110 @@
-"""What the commands share: the options that choose a world, and errors told in one line."""
+"""What the commands share: options, folders of results, and errors told in one line."""
 
 from __future__ import annotations
 
 import argparse
-import platform
 import shlex
-import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
-import slam_gym
-from agents.evaluation.rollout import Setting
+import joblib
+from rich.console import Console
 
-CHECKOUT = Path(__file__).parents[1]
-PACKAGES = ("numpy", "scipy", "numba", "gymnasium", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "joblib")
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.parallel import BACKENDS
+from agents.evaluation.pipeline import Execution
+from slam_gym.scenarios import parse_override
 
 
-def add_world_options(parser: argparse.ArgumentParser, scenario: str) -> None:
-    """--scenario, --floor-plan, --resolution, --associator, --relocation."""
+def add_override_option(group: Any) -> None:
+    """--set NAME=VALUE, as often as one likes."""
+    group.add_argument("--set", action="append", default=[], type=_override, metavar="NAME=VALUE", dest="overrides",
+                       help="change the scenario, such as sensor.range=4 or dynamics.people=3; repeatable")  # fmt: skip
+
+
+def _override(text: str) -> tuple[str, Any]:
+    try:
+        return parse_override(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def add_explore_options(parser: argparse.ArgumentParser, scenario: str) -> None:
+    """What chooses the world and its SLAM."""
     world = parser.add_argument_group("world")
     world.add_argument("--scenario", default=scenario, help="name of a scenario (default: %(default)s)")
+    add_override_option(world)
     world.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
     world.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
     world.add_argument("--associator", default="jcbb", help="name or module:function (default: %(default)s)")
-    world.add_argument(
-        "--relocation", metavar="NAME", help="search that finds a lost robot: gcbb, rs, module:function …"
-    )
+    world.add_argument("--relocation", metavar="NAME", help="search that finds a lost robot: gcbb, module:function …")
 
 
-def setting_of(arguments: argparse.Namespace, **more: str) -> Setting:
-    """The setting that the options above choose."""
-    plan = str(Path(arguments.floor_plan).resolve()) if arguments.floor_plan else None
-    return Setting(
-        arguments.scenario,
-        arguments.associator,
-        floor_plan=plan,
-        resolution=arguments.resolution,
-        relocation=arguments.relocation,
-        **more,
-    )
+def explore_arguments(a: argparse.Namespace, **more: str) -> ExploreArguments:
+    """What the options above choose."""
+    plan = str(Path(a.floor_plan).resolve()) if a.floor_plan else None
+    return ExploreArguments(
+        a.scenario, tuple(a.overrides), associator=a.associator, floor_plan=plan, resolution=a.resolution,
+        relocation=a.relocation, **more,
+    )  # fmt: skip
+
+
+def add_associate_options(parser: argparse.ArgumentParser) -> None:
+    """What chooses an episode of Associate-v0, but for the split."""
+    group = parser.add_argument_group("environment (see slam_gym/Associate-v0)")
+    default = AssociateArguments()
+    group.add_argument("--scenario", default=default.scenario, help="a scenario, or corridor (default: %(default)s)")
+    add_override_option(group)
+    group.add_argument("--driver", default=default.driver, help="nearest_frontier or random (default: %(default)s)")
+    group.add_argument("--reward", default=default.reward, help="truth or map_error (default: %(default)s)")
+    group.add_argument("--candidates", type=int, default=default.candidates, metavar="K", help="default: %(default)s")
+    group.add_argument("--order", default=default.order, help="of the measurements (default: %(default)s)")
+    group.add_argument("--compatibility", default=default.compatibility, help="joint or individual")
+    group.add_argument("--wrong-cost", type=float, default=default.wrong_cost, metavar="C", help="default: %(default)s")
+
+
+def associate_arguments(a: argparse.Namespace, split: str) -> AssociateArguments:
+    """What the options above choose."""
+    names = ("scenario", "driver", "reward", "candidates", "order", "compatibility", "wrong_cost")
+    return AssociateArguments(overrides=tuple(a.overrides), split=split, **{name: getattr(a, name) for name in names})
+
+
+def add_execution_options(parser: argparse.ArgumentParser, folder: str) -> None:
+    """How an evaluation is carried out, and where its files go."""
+    parser.add_argument("--jobs", type=int, default=joblib.cpu_count(), metavar="J",
+                        help="processes (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--backend", default="loky", choices=BACKENDS, help="of joblib (default: %(default)s)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"default: {folder}")
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted evaluation (default: the "
+                        "latest)")  # fmt: skip
+
+
+def execution(a: argparse.Namespace, command: str) -> Execution:
+    """What the options above choose."""
+    return Execution(a.jobs, a.backend, command, a.resume, Console())
+
+
+def require_positive(a: argparse.Namespace, *names: str) -> None:
+    """ValueError for an option that is given and less than 1."""
+    for name in names:
+        value = getattr(a, name)
+        if value is not None and value < 1:
+            raise ValueError(f"--{name.replace('_', '-')} must be at least 1, not {value}")
+
+
+def results_folder(name: str, resume: bool) -> Path:
+    """A new folder under results/ of the current directory, or the latest one of that name."""
+    results = Path("results")
+    if not resume:
+        return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+    folders = sorted(results.glob(f"{name}-[0-9]*"))
+    if not folders:
+        raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its folder with "
+                         "--out")  # fmt: skip
+    return folders[-1]
 
 
 def run_main(main: Callable[[list[str]], int]) -> int:
@@ -58,19 +122,3 @@ def run_main(main: Callable[[list[str]], int]) -> int:
 def command_line(module: str, argv: list[str]) -> str:
     """The command as it would be typed."""
     return " ".join(["python -m", module, *map(shlex.quote, argv)])
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that results depend on; the commit of the checkout where it is one."""
-    found = {"slam_gym": slam_gym.__version__, "python": platform.python_version(), "machine": platform.platform()}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    try:
-        git = ["git", "-C", str(CHECKOUT), "describe", "--always", "--dirty", "--abbrev=12"]
-        found["commit"] = subprocess.run(git, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        found["commit"] = "unknown"
-    return found

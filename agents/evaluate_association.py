@@ -7,181 +7,146 @@ Writes into OUT: records.jsonl (--resume goes on from it), records.csv, results.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from datetime import datetime
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-import joblib
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
-
-from agents.cli import CHECKOUT, command_line, run_main
+from agents.cli import (
+    add_execution_options,
+    add_override_option,
+    command_line,
+    execution,
+    require_positive,
+    results_folder,
+    run_main,
+)
 from agents.drivers.base import AGENTS
-from agents.evaluation.associators import ORDER, carry_out, row, shipped, short
-from agents.evaluation.drives import Course, columns_for, drives
-from agents.evaluation.drives import tables as drive_tables
-from agents.evaluation.parallel import BACKENDS
-from agents.evaluation.recordings import add_recording_options, run_recording
-from agents.evaluation.results import Record, cell
-from agents.suite.run import OUTCOMES, by_world, capabilities, names_of, number, over_all, ranked, worlds
-from agents.suite.run import tables as suite_tables
+from agents.evaluation import associators, recordings
+from agents.evaluation.associators import SIMPLEST_FIRST, associator_evaluation, shipped
+from agents.evaluation.episodes import ExploreArguments
+from agents.evaluation.pipeline import Evaluation, Results, carry_out
+from agents.evaluation.recordings import Log, logs_of, recording_evaluation
+from agents.evaluation.tables import Table, print_table
+from agents.suite import numbers as suite
+from agents.suite.worlds import SuiteSize, suite_evaluation
 from slam_gym.association import RELOCATORS
-from slam_gym.metrics.statistics import Interval
+from slam_gym.recordings.catalogue import PUBLISHED
 from slam_gym.scenarios import SCENARIOS, SPLITS
-from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
+from slam_gym.scenarios.suite import EXPERIMENTS
 
-SETTINGS = ("office-small", "hall", "crowd")
+LOOPS = ("office-small", "hall", "crowd")
 EPISODES = 8
-WORLDS, PROBLEMS = 24, 12
-LEFT_OUT, BARE = (
-    ("F1", "wrong reloc.", "ticks astray"),
-    ("ANEES", "recovered"),
-)  # columns, intervals: where 80 characters must do
-QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
+SIZE, QUICK = SuiteSize(), SuiteSize(worlds=4, problems=8, quick=True)
 
 
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="python -m agents.evaluate_association", description="Evaluate associators on the same test worlds."
     )
-    p.add_argument("--associators", nargs="+", metavar="NAME", help=f"of {', '.join(ORDER)}, module:function, "
-                   "or the file of a learned one (default: all that ship)")  # fmt: skip
-    p.add_argument("--jobs", type=int, default=joblib.cpu_count(), metavar="J", help="processes (default: %(default)s)")
-    p.add_argument("--backend", default="loky", choices=BACKENDS, help="of joblib (default: %(default)s)")
-    p.add_argument("--out", type=Path, metavar="DIR", help="default: results/association-TIME or results/suite-TIME")
-    p.add_argument("--resume", action="store_true", help="go on with the interrupted evaluation in --out")
+    p.add_argument("--associators", nargs="+", metavar="NAME", help=f"of {', '.join(SIMPLEST_FIRST)}, "
+                   "true_association, module:function, or the file of a learned one (default: all that "
+                   "ship)")  # fmt: skip
+    add_execution_options(p, "results/association-TIME, suite-TIME or recording-TIME")
     p.add_argument("--split", default="test", choices=SPLITS, help="worlds; tune on train (default: %(default)s)")
+    _add_loop_options(p)
+    _add_suite_options(p)
+    _add_recording_options(p)
+    return p
+
+
+def _add_loop_options(p: argparse.ArgumentParser) -> None:
     loop = p.add_argument_group("in the loop")
-    loop.add_argument("--scenarios", nargs="+", default=list(SETTINGS), metavar="NAME",
-                      help=f"of {', '.join(SCENARIOS)}, or "
-                      "levels of the suite such as clutter/2 (default: %(default)s)")  # fmt: skip
+    loop.add_argument("--scenarios", nargs="+", default=list(LOOPS), metavar="NAME", help=f"of {', '.join(SCENARIOS)}, "
+                      "or levels of the suite such as clutter/2 (default: %(default)s)")  # fmt: skip
+    add_override_option(loop)
     loop.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="a scenario (default: %(default)s)")
     loop.add_argument("--driver", default="nearest_frontier", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
                       "learned ones, or module:Class (default: %(default)s)")  # fmt: skip
     loop.add_argument("--relocation", metavar="SEARCH", help=f"how a lost robot is found: {', '.join(RELOCATORS)}, or "
                       "module:function (default: not at all)")  # fmt: skip
+
+
+def _add_suite_options(p: argparse.ArgumentParser) -> None:
     suite = p.add_argument_group("suite")
     suite.add_argument("--suite", action="store_true", help="one number per capability instead of drives")
     suite.add_argument("--quick", action="store_true", help="every second level, few worlds")
     suite.add_argument("--experiments", nargs="+", default=list(EXPERIMENTS), metavar="NAME",
                        help="default: %(default)s")  # fmt: skip
     suite.add_argument("--relocators", nargs="+", metavar="NAME", help="for kidnapped (default: all that ship)")
-    suite.add_argument("--worlds", type=int, metavar="W", help=f"a level (default: {WORLDS}; quick: {QUICK_WORLDS})")
-    suite.add_argument("--problems", type=int, metavar="P", help=f"a world (default: {PROBLEMS}; quick: "
-                       f"{QUICK_PROBLEMS})")  # fmt: skip
-    add_recording_options(p)
-    return p
+    suite.add_argument("--worlds", type=int, metavar="W", help=f"a level (default: {SIZE.worlds}; quick: "
+                       f"{QUICK.worlds})")  # fmt: skip
+    suite.add_argument("--problems", type=int, metavar="P", help=f"a world (default: {SIZE.problems}; quick: "
+                       f"{QUICK.problems})")  # fmt: skip
 
 
-def run_drives(a: argparse.Namespace, out: Path, common: dict[str, Any], console: Console) -> None:
-    """Drive, print the tables, write the report."""
-    names, settings = a.associators or shipped(), list(dict.fromkeys(a.scenarios))
-    courses = [Course(setting, a.driver, a.relocation, a.split) for setting in settings]
-    tasks = drives(names, courses, a.episodes)
-    fixed = {"driver": a.driver, "relocation": a.relocation, "split": a.split}
-
-    def tables(records: list[Record]) -> dict[str, Any]:
-        return {"episodes": a.episodes, "table": drive_tables(records, names, settings)}
-
-    records = carry_out(tasks, out, fixed, tables, console=console, **common)
-    for setting in settings:
-        own = [record for record in records if record["setting"] == setting]
-        columns = columns_for(own)
-        rows = {name: [row(own, name, None, columns)[c.key] for c in columns] for name in names}
-        titles = [(column.title, column.digits) for column in columns]
-        show(rows, titles, f"{setting}, {a.episodes} episodes, driven by {a.driver}", console)
-    from agents.reports.associators import write_report  # matplotlib takes a second to import
-
-    console.print(f"report: {write_report(out, names, settings)}", soft_wrap=True)
+def _add_recording_options(p: argparse.ArgumentParser) -> None:
+    group = p.add_argument_group("recording")
+    group.add_argument("--recording", metavar="LOG", help=f"EKF-SLAM over a real log: {', '.join(PUBLISHED)}, "
+                       "or a file .npz, .g2o, .txt (iSAM)")  # fmt: skip
+    group.add_argument("--data", type=Path, metavar="DIR", help="folder of the published files (default: the one of "
+                       "that name in SLAM_GYM_DATA)")  # fmt: skip
+    group.add_argument("--robots", type=int, nargs="+", metavar="N", help="of mrclam (default: all)")
+    group.add_argument("--every", type=int, default=1, metavar="K", help="only each K-th scan (default: %(default)s)")
+    group.add_argument("--merge", type=float, default=0.0, metavar="M", help="landmarks no farther apart are one [m]")
+    group.add_argument("--clean", action="store_true", help="leave out spurious measurements, such as the barcodes "
+                       "that the robots of mrclam wear themselves")  # fmt: skip
+    group.add_argument("--reference", action="store_true", help="the vertices of a .g2o file are the truth")
 
 
-def run_suite(a: argparse.Namespace, out: Path, common: dict[str, Any], console: Console) -> None:
-    """Ask, print the numbers, write the report."""
+class Plan(NamedTuple):
+    """An evaluation that the options choose, and how its results are shown."""
+
+    evaluation: Evaluation
+    tables: Callable[[Results], list[Table]]
+
+
+def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
+    """Drives through scenarios. ValueError for whatever nobody knows."""
+    common = {"split": a.split, "relocation": a.relocation}
+    loops = [ExploreArguments(name, tuple(a.overrides), **common) for name in dict.fromkeys(a.scenarios)]
+    return Plan(associator_evaluation(a.associators or shipped(), loops, a.driver, a.episodes), associators.tables)
+
+
+def suite_plan(a: argparse.Namespace, out: Path) -> Plan:
+    """The suite. ValueError for whatever nobody knows."""
+    default = QUICK if a.quick else SIZE
+    size = SuiteSize(a.worlds or default.worlds, a.problems or default.problems, a.quick, a.split)
     names, searches = a.associators or shipped(), a.relocators or list(RELOCATORS)
-    count, each = (QUICK_WORLDS, QUICK_PROBLEMS) if a.quick else (WORLDS, PROBLEMS)
-    count, each = a.worlds or count, a.problems or each
-    tasks = worlds(names, searches, list(dict.fromkeys(a.experiments)), count, each, a.split, a.quick)
-    fixed = {"suite": True, "quick": a.quick, "worlds": count, "problems": each, "split": a.split}
-    records = carry_out(tasks, out, fixed, suite_tables, console=console, **common)
-    about = f"{count} worlds a level, up to {each} scans in each"
-    if order := ranked(records):
-        shown = capabilities(records)
-        rows = {
-            name: [*(number(by_world(records, name, e)) for e in shown), number(over_all(records, name, shown))]
-            for name in order
-        }
-        show(rows, [(e, 3) for e in [*shown, "all"]], f"association suite, {about}", console)
-    if found := names_of(records, relocators=True):
-        relocation = suite_tables(records)["relocation"]
-        rows = {
-            name: [relocation[name][RELOCATION], *(Interval(*[float(relocation[name][o])] * 3) for o in OUTCOMES)]
-            for name in found
-        }
-        columns = [("score", 3), *((outcome, 0) for outcome in OUTCOMES)]
-        show(rows, columns, f"kidnapped: searches without a prior, {about}", console)
-    from agents.reports.suite import write_report
-
-    console.print(f"report: {write_report(out)}", soft_wrap=True)
+    return Plan(suite_evaluation(names, searches, list(dict.fromkeys(a.experiments)), size), suite.tables)
 
 
-def show(rows: dict[str, list[Interval]], columns: Sequence[tuple[str, int]], title: str, console: Console) -> None:
-    """A table on the terminal, each interval under its estimate; less of it where the terminal is narrow."""
-    caption = "interquartile mean, 95 % bootstrap interval"
-    narrow = console.width < 120
-    shown = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 0 if narrow else 1))
-    shown.add_column("", min_width=12 if narrow else None)
-    kept = [k for k, (name, _) in enumerate(columns) if not (narrow and name in LEFT_OUT)]
-    for k in kept:
-        shown.add_column(columns[k][0], justify="right", no_wrap=True)
-    for name, values in rows.items():
-        cells = [_two_lines(values[k], *columns[k], narrow) for k in kept]
-        shown.add_row(short(name), *cells)
-    console.print(shown)
-
-
-def _two_lines(value: Interval, name: str, digits: int, narrow: bool) -> str:
-    """The estimate, and under it the interval; shorter where the terminal is narrow."""
-    if narrow and (digits < 2 or name in BARE):
-        return cell(value, digits).partition(" ")[0]
-    estimate, _, interval = cell(value, digits - narrow).partition(" ")
-    interval = interval.strip("[]").replace(", ", "–")
-    if set(interval.split("–")) == {estimate}:
-        return estimate
-    return f"{estimate}\n{interval.replace('0.', '.') if narrow else interval}"
-
-
-def default_out(kind: str, resume: bool) -> Path:
-    """A new folder under results/, or the latest one of this kind."""
-    results = CHECKOUT / "results"
-    if not resume:
-        return results / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}"
-    folders = sorted(results.glob(f"{kind}-[0-9]*"))
-    if not folders:
-        raise ValueError(f"there is nothing to resume in {results}: give its folder with --out")
-    return folders[-1]
+def recording_plan(a: argparse.Namespace, out: Path) -> Plan:
+    """Logs. Raises as `open_recordings`, and ValueError for an associator that nobody knows."""
+    data = None if a.data is None else str(a.data)
+    template = Log(a.recording, data, reference=a.reference, every=a.every, merge=a.merge, clean=a.clean)
+    logs = logs_of(template, a.robots)
+    for name, log in logs.items():
+        print(f"{name}: {log.open().source} {log.open().terms}")
+    return Plan(recording_evaluation(a.associators or shipped(), logs, out), recordings.tables)
 
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
-    for name in ("episodes", "jobs", "worlds", "problems", "every"):
-        if (value := getattr(a, name)) is not None and value < 1:
-            raise ValueError(f"--{name} must be at least 1, not {value}")
+    require_positive(a, "episodes", "jobs", "worlds", "problems", "every")
     if a.suite and a.recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
-    kind, evaluate = "association", run_drives
-    if a.suite or a.recording:
-        kind, evaluate = ("suite", run_suite) if a.suite else ("recording", run_recording)
-    out = a.out or default_out(kind, a.resume)
-    command = command_line("agents.evaluate_association", argv)
-    common = {"jobs": a.jobs, "backend": a.backend, "command": command, "resume": a.resume}
-    console = Console()
+    kind, planned = ("suite", suite_plan) if a.suite else ("association", loop_plan)
+    if a.recording:
+        kind, planned = "recording", recording_plan
+    if a.overrides and kind != "association":
+        raise ValueError(f"--set changes the scenarios of the loop; there are none in --{kind}")
+    out, how = a.out or results_folder(kind, a.resume), execution(a, command_line("agents.evaluate_association", argv))
     try:
-        evaluate(a, out, common, console)
+        plan = planned(a, out)
+        results = carry_out(plan.evaluation, out, how)
     except KeyboardInterrupt:
-        console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
+        how.console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise
+    for table in plan.tables(results):
+        print_table(table, how.console)
+    from agents.report import write_report  # matplotlib takes a second to import
+
+    how.console.print(f"report: {write_report(out)}", soft_wrap=True)
     return 0
 
 

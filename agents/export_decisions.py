@@ -10,8 +10,8 @@ decisions and K candidates it holds
     episode, look   (D,) int64: where the decision was taken
     format, setting   text: "slam_gym decisions 1", and the settings as JSON
 
-The right actions are taken, except that a share of the scans (`--mistakes`) is walked at random after a random level:
-otherwise no state would be met in which something has gone wrong before.
+The right actions are taken, except that a fraction of the scans (`--mistakes`) is walked at random after a random
+level: otherwise no state would be met in which something has gone wrong before.
 """
 
 from __future__ import annotations
@@ -19,47 +19,47 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.cli import run_main
-from agents.learning.association_setting import AssociationSetting, add_association_options, association_setting
-from slam_gym.types import NONE
+from agents.cli import add_associate_options, associate_arguments, require_positive, run_main
+from agents.evaluation.episodes import AssociateArguments, reset_arguments
+
+UNKNOWN_ACTION = -1  # the right action is not on offer, or nobody knows
 
 FORMAT = "slam_gym decisions 1"
 
 
-def decisions(setting: AssociationSetting, first: int, episodes: int, mistakes: float) -> dict[str, NDArray[Any]]:
+def decisions(arguments: AssociateArguments, first: int, episodes: int, mistakes: float) -> dict[str, NDArray[Any]]:
     """The arrays of the file, from worlds `first` … `first` + `episodes` − 1 of the split."""
-    env: Any = setting.make().unwrapped
+    env: Any = arguments.make().unwrapped
     rows: list[dict[str, Any]] = []
     for episode in range(first, first + episodes):
         rng = np.random.default_rng((episode, 3))
-        observation, info = env.reset(seed=episode, options={"world": episode})
-        look, astray, over = NONE, False, False
+        observation, info = env.reset(**reset_arguments(episode))
+        look, astray, over = -1, False, False
         while not over:
             if info["look"] != look:
                 look, astray = info["look"], bool(rng.random() < mistakes)
             mask, right = info["action_mask"], info["truth"]["action"]
             legal = np.flatnonzero(mask)
             wanders = astray and rng.random() < 0.5
-            taken = int(rng.choice(legal)) if wanders else env.K if right == NONE else right
+            taken = int(rng.choice(legal)) if wanders else env.K if right == UNKNOWN_ACTION else right
             if len(legal) > 1:  # an episode without any choice has nothing to tell
                 rows.append(observation | dict(mask=mask, right=right, taken=taken, episode=episode, look=look))
             observation, _, over, _, info = env.step(taken)
     if not rows:
-        raise ValueError(f"there was nothing to decide in {episodes} episodes of {setting.scenario!r}")
+        raise ValueError(f"there was nothing to decide in {episodes} episodes of {arguments.scenario!r}")
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-def export(path: Path, setting: AssociationSetting, *, first: int, episodes: int, mistakes: float) -> int:
+def export(path: Path, arguments: AssociateArguments, *, first: int, episodes: int, mistakes: float) -> int:
     """Write the file, in one piece, and return the number of decisions."""
-    arrays = decisions(setting, first, episodes, mistakes)
-    about = asdict(setting) | {"first": first, "episodes": episodes, "mistakes": mistakes}
+    arrays = decisions(arguments, first, episodes, mistakes)
+    about = arguments.plain | {"first": first, "episodes": episodes, "mistakes": mistakes}
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     with partial.open("wb") as file:
         np.savez_compressed(file, format=np.array(FORMAT), setting=np.array(json.dumps(about)), **arrays)
@@ -74,21 +74,20 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--episodes", type=int, default=10, metavar="N", help="default: %(default)s")
     p.add_argument("--first", type=int, default=0, metavar="I", help="first world (default: %(default)s)")
     p.add_argument("--split", default="train", help="train or test (default: %(default)s)")
-    p.add_argument("--mistakes", type=float, default=0.2, metavar="SHARE", help="of scans (default: %(default)s)")
-    add_association_options(p)
+    p.add_argument("--mistakes", type=float, default=0.2, metavar="FRACTION", help="of scans (default: %(default)s)")
+    add_associate_options(p)
     return p
 
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
-    if a.episodes < 1:
-        raise ValueError(f"--episodes must be at least 1, not {a.episodes}")
+    require_positive(a, "episodes")
     if not 0.0 <= a.mistakes <= 1.0:
-        raise ValueError(f"--mistakes must be a share, not {a.mistakes}")
+        raise ValueError(f"--mistakes must be a fraction, not {a.mistakes}")
     if not a.file.parent.is_dir():
         raise FileNotFoundError(f"no such folder: {a.file.parent}")
-    setting = association_setting(a, a.split)
-    count = export(a.file, setting, first=a.first, episodes=a.episodes, mistakes=a.mistakes)
+    arguments = associate_arguments(a, a.split)
+    count = export(a.file, arguments, first=a.first, episodes=a.episodes, mistakes=a.mistakes)
     print(f"wrote {a.file}: {count} decisions of {a.episodes} episodes of {a.scenario}")
     return 0
 

@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.cli import add_world_options, run_main, setting_of
+from agents.cli import add_explore_options, explore_arguments, run_main
 from agents.drivers.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
-from agents.evaluation.rollout import reset_arguments
+from agents.evaluation.episodes import reset_arguments
 
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world
@@ -102,14 +102,14 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--model", metavar="FILE", help="model of a learned agent")
     p.add_argument("--world", type=int, default=0, metavar="K", help="of the training worlds (default: %(default)s)")
     p.add_argument("--steps", type=int, metavar="N", help="stop after so many steps")
-    add_world_options(p, "office")
+    add_explore_options(p, "office")
     return p
 
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
     watched = make_agent(a.agent, a.model) if a.agent else None
-    env = setting_of(a, split="train").make(watched.action if watched else "twist", render_mode="human")
+    env = explore_arguments(a, split="train").make(watched.action if watched else "twist", render_mode="human")
     keyboard = Keyboard()
     print(HELP if watched is None else f"watching {watched.name}; N next world, R again, Esc quits")
     world, wish = a.world, "again"

@@ -41,11 +41,14 @@ AGENTS: dict[str, str] = {
     "lawnmower": "agents.drivers.lawnmower:Lawnmower",
     "information_gain": "agents.drivers.information_gain:InformationGain",
     "information_gain_no_revisits": "agents.drivers.information_gain:InformationGainNoRevisits",
-    "ppo": "agents.learning.ppo:PolicyAgent",
+    "ppo": "agents.learning.policies:PolicyAgent",
 }
 
 BASELINES = ("random", "nearest_frontier", "lawnmower", "information_gain")
 """The classical ones: they need no model file."""
+
+LOOK_AROUND = 0
+"""The goal that is always legal."""
 
 _VISIBLE = ("pose", "ticks", "action_mask")
 

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.drivers.base import ActionKind, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from slam_gym.envs.goal_observation import unsquash_goals
-
-LOOK_AROUND = 0
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.drivers.base import ActionKind, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from slam_gym.envs.goal_observation import unsquash_goals
-
-LOOK_AROUND = 0
 
 
 class NearestFrontier:

@@ -1,176 +1,184 @@
-"""What all evaluations of associators share: who is evaluated, tasks, a journal to resume from, estimates.
-
-A record is one associator in one episode of one setting; every associator meets the same episodes. Where an episode
-comes from is the business of its task: a drive through a scenario (`association_drives`), or a world of a level of the
-suite (`suite_run`).
-"""
+"""Associators in the loop: the same driver on the same test worlds, with each associator in turn."""
 
 from __future__ import annotations
 
-import functools
-import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from datetime import datetime
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from threadpoolctl import threadpool_limits
 
-from agents.cli import versions
-from agents.evaluation.parallel import connect, run_all
-from agents.evaluation.results import Column, Journal, Record, estimate, write_csv, write_json
+from agents.drivers.base import Agent, make_agent
+from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.pipeline import ASSOCIATORS as KIND
+from agents.evaluation.pipeline import Evaluation, Results
+from agents.evaluation.records import Key, Record
+from agents.evaluation.tables import Column, Rows, Table, by_name, by_setting, estimates
 from slam_gym.association import ASSOCIATORS, resolve_associator
-from slam_gym.metrics.statistics import Interval
-from slam_gym.types import Hypothesis
+from slam_gym.simulation.judged import CEILING
+from slam_gym.types import Associator, Hypothesis, Prediction, Scan
 
-Key = tuple[str, str, int]
-"""associator, setting, episode"""
+COLUMNS = (
+    Column("precision", "precision", 3, "higher"),
+    Column("recall", "recall", 3, "higher"),
+    Column("f1", "F1", 3, "higher", optional=True),
+    Column("exact", "exact", 3, "higher"),
+    Column("duplicates", "dupl.", 1, "lower"),
+    Column("nodes", "nodes", 0),
+    Column("microseconds", "µs/scan", 0, "lower"),
+    Column("map_error", "map error", 3, "lower"),
+    Column("anees", "ANEES", 2),
+)
+RELOCATION_COLUMNS = (
+    Column("recovered", "recovered", 2, "higher"),
+    Column("relocations_wrong", "wrong reloc.", 1, "lower", optional=True),
+    Column("ticks_astray", "ticks astray", 0, "lower", optional=True),
+)
+BEFORE_RELOCATION = tuple(column for column in COLUMNS if column.key not in ("f1", "nodes", "duplicates"))
 
-ORDER = (
+SIMPLEST_FIRST = (
     "nearest_neighbour", "global_nearest_neighbour", "singles", "one_point_ransac", "jcbb", "ipjc", "map_hypothesis",
-    "true_association",
 )  # fmt: skip
-CEILING = "true_association"
-
-
-class Task(Protocol):
-    """A piece of work that yields one record for each of its keys."""
-
-    @property
-    def keys(self) -> tuple[Key, ...]: ...
-
-    def without(self, done: set[Key]) -> Task | None:
-        """What is left of it, or None."""
-
-    def run(self) -> list[Record]: ...
 
 
 def shipped() -> list[str]:
     """The associators that ship, in the order of tables: from the simplest to the truth."""
-    return sorted(ASSOCIATORS, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER) - 2)
+    known = [name for name in SIMPLEST_FIRST if name in ASSOCIATORS]
+    return [*known, *(name for name in ASSOCIATORS if name not in (*known, CEILING)), CEILING]
 
 
-def short(name: str) -> str:
-    """What to call it in a table: the function of `module:function`, the name of a file."""
-    return (Path(name).name if ":" not in name else name.rpartition(":")[2]).replace("_", " ")
-
-
-@functools.lru_cache
-def find_associator(name: str) -> Callable[..., Hypothesis]:
+@lru_cache
+def find_associator(name: str) -> Associator:
     """An associator by name, `module:function`, or the file of a learned one. ValueError lists the known names."""
     if Path(name).suffix in (".pt", ".zip"):
-        from agents.learning.association_models import load  # torch is imported for learned associators only
+        from agents.learning.policies import load_associator  # torch is imported for learned associators only
 
-        return load(Path(name))
+        return load_associator(Path(name))
     return resolve_associator(name)
 
 
-def run_task(task: Task) -> list[Record]:
-    """Run a task in whatever process this is, on one thread."""
-    with threadpool_limits(1):
-        return task.run()
+class Metered:
+    """An associator, and what its calls take since the last `reset`."""
+
+    def __init__(self, associate: Associator) -> None:
+        self._associate = associate
+        self.reset()
+
+    def reset(self) -> None:
+        self.nodes: list[int] = []
+        self.seconds: list[float] = []
+        self.limits = 0  # calls that met the limit of their search
+
+    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
+        start = time.perf_counter()
+        hypothesis = self._associate(scan, prediction)
+        self.seconds.append(time.perf_counter() - start)
+        self.nodes.append(hypothesis.effort.nodes)
+        self.limits += hypothesis.effort.limit_hit
+        return hypothesis
+
+    def effort(self) -> Record:
+        """Means a scan; of the time the median, which does not see the first call being compiled. NaN without calls."""
+        if not self.seconds:
+            return dict.fromkeys(("nodes", "microseconds", "microseconds_p99", "limits"), float("nan"))
+        microseconds = 1e6 * np.array(self.seconds)
+        return {
+            "nodes": float(np.mean(self.nodes)),
+            "microseconds": float(np.median(microseconds)),
+            "microseconds_p99": float(np.quantile(microseconds, 0.99)),
+            "limits": float(self.limits),
+        }
 
 
-def carry_out(
-    tasks: Sequence[Task], out: Path, fixed: dict[str, Any], tables: Callable[[list[Record]], dict[str, Any]], *,
-    jobs: int, backend: str = "loky", command: str = "", resume: bool = False, console: Console | None = None,
-) -> list[Record]:  # fmt: skip
-    """Run what the journal in `out` does not have yet; return the records of all tasks, in their order.
-
-    `fixed` is what may not change when the evaluation is resumed; `tables` turns records into results.json. An
-    interruption writes what there is and is passed on. Raises ValueError where `out` holds another evaluation.
-    """
-    started = datetime.now().isoformat("T", "seconds")
-    commands = [*_history(out, fixed, resume), {"command": command, "started": started}]
-    connect(backend, jobs)
-    out.mkdir(parents=True, exist_ok=True)
-    journal = Journal(out / "records.jsonl")
-    found = {key_of(record): record for record in journal.read()}
-    wanted = [key for task in tasks for key in task.keys]
-    left = [rest for task in tasks if (rest := task.without(set(found))) is not None]
-    start = time.perf_counter()
-    records: list[Record] = []
-    write_json(out / "results.json", {"commands": commands, "complete": False, "fixed": fixed, "versions": versions()})
-    try:
-        _run(left, journal, jobs, backend, console or Console())
-    finally:
-        commands[-1]["seconds"] = round(time.perf_counter() - start, 1)
-        found = {key_of(record): record for record in journal.read()}
-        records = [found[key] for key in wanted if key in found]
-        about = {"commands": commands, "complete": len(records) == len(wanted), "fixed": fixed}
-        write_json(out / "results.json", about | (plain(tables(records)) if records else {}) | {"versions": versions()})
-        write_csv(out / "records.csv", records)
-    return records
+def metered(associator: str) -> tuple[Metered, Associator | str]:
+    """A meter, and what to associate with: the metered associator, or the name of the one that is told the truth,
+    which nothing may stand in for and whose meter stays empty."""
+    if associator == CEILING:
+        return Metered(ASSOCIATORS[CEILING]), CEILING
+    meter = Metered(find_associator(associator))
+    return meter, meter
 
 
-def plain(value: Any) -> Any:
-    """Tables without classes, for JSON."""
-    if isinstance(value, Interval):
-        return asdict(value)
-    return {key: plain(item) for key, item in value.items()} if isinstance(value, dict) else value
+@dataclass(frozen=True)
+class AssociatorTask:
+    """One episode with one associator."""
+
+    associator: str
+    arguments: ExploreArguments
+    driver: str
+    episode: int
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        return (Key(self.associator, self.arguments.scenario, self.episode),)
+
+    def run(self, wanted: Sequence[Key]) -> list[Record]:
+        env, meter = _loop(self.associator, self.arguments, self.driver)
+        meter.reset()
+        driven = run_episode(env, _driver(self.driver), self.episode)
+        driven.pop("curve")
+        tally: Any = env.unwrapped.tally  # type: ignore[attr-defined]
+        record = {"associator": self.associator, "setting": self.arguments.scenario} | driven
+        return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
 
 
-def key_of(record: Record) -> Key:
-    return record["associator"], record["setting"], record["episode"]
+class _Loop(NamedTuple):
+    env: gym.Env[Any, Any]
+    meter: Metered  # on its associator
 
 
-def _run(tasks: Sequence[Task], journal: Journal, jobs: int, backend: str, console: Console) -> None:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task("tasks", total=len(tasks))
-        for records in run_all(tasks, jobs, backend, run_task):
-            for record in records:
-                journal.append(record)
-            progress.advance(bar)
+@lru_cache(maxsize=4)
+def _loop(associator: str, arguments: ExploreArguments, driver: str) -> _Loop:
+    meter, associate = metered(associator)
+    return _Loop(arguments.make(_driver(driver).action, associator=associate), meter)
 
 
-def _history(out: Path, fixed: dict[str, Any], resume: bool) -> list[dict[str, Any]]:
-    """Earlier commands of a resumed evaluation."""
-    if not (out / "results.json").exists():
-        if resume:
-            raise ValueError(f"{out} holds no evaluation to resume")
-        return []
-    if not resume:
-        raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --out")
-    before = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    for name, value in fixed.items():
-        if before.get("fixed", {}).get(name) != value:
-            raise ValueError(f"{out} was evaluated with {name} {before.get('fixed', {}).get(name)!r}, not {value!r}")
-    return list(before["commands"])
+@lru_cache(maxsize=2)
+def _driver(name: str) -> Agent:
+    return make_agent(name)
 
 
-def values(records: Sequence[Record], associator: str, setting: str | None, key: str) -> tuple[np.ndarray, np.ndarray]:
-    """Values (e,) of an associator's records in one setting (None: in all), and the setting (e,) of each, by number."""
-    own = [r for r in records if r["associator"] == associator and setting in (None, r["setting"])]
-    names = sorted({record["setting"] for record in own})
-    return np.array([r[key] for r in own], dtype=float), np.array([names.index(r["setting"]) for r in own], dtype=int)
+def associator_evaluation(
+    associators: Sequence[str], loops: Sequence[ExploreArguments], driver: str, episodes: int
+) -> Evaluation:
+    """Every associator in every loop, checked. ValueError for an associator, scenario, driver or relocator that nobody
+    knows."""
+    for arguments in loops:
+        for associator in associators:
+            _loop(associator, arguments, driver)
+    tasks = [AssociatorTask(name, arguments, driver, k)
+             for arguments in loops for k in range(episodes) for name in associators]  # fmt: skip
+    common = ("relocation", "split", "overrides")
+    conditions = {"driver": driver} | {name: value for name, value in loops[0].plain.items() if name in common}
+    return Evaluation(KIND, tasks, conditions, lambda records: {"table": numbers(records)})
 
 
-def row(
-    records: Sequence[Record], associator: str, setting: str | None, columns: Sequence[Column]
-) -> dict[str, Interval]:
-    """Column key → interquartile mean over episodes, with its interval; resampled within each setting."""
-    return {column.key: estimate(*values(records, associator, setting, column.key)) for column in columns}
+def columns_for(records: Sequence[Record]) -> tuple[Column, ...]:
+    """The columns of the table; where a robot was carried away, some are about relocation."""
+    carried = any(record.get("kidnapped") for record in records)
+    return BEFORE_RELOCATION + RELOCATION_COLUMNS if carried else COLUMNS
 
 
-def paired(records: Sequence[Record], first: str, second: str, key: str, setting: str | None = None) -> Interval:
-    """Difference first − second over the episodes that both have, with its interval."""
-    of: dict[str, dict[tuple[str, int], float]] = {first: {}, second: {}}
-    for record in records:
-        if record["associator"] in of and setting in (None, record["setting"]):
-            of[record["associator"]][record["setting"], record["episode"]] = record[key]
-    common = sorted(of[first].keys() & of[second].keys())
-    settings = sorted({setting for setting, _ in common})
-    differences = np.array([of[first][k] - of[second][k] for k in common], dtype=float)
-    return estimate(differences, np.array([settings.index(setting) for setting, _ in common], dtype=int))
+def rows(records: Sequence[Record]) -> Rows:
+    """Associator → column → estimate."""
+    columns = columns_for(records)
+    return {name: estimates(own, columns) for name, own in by_name(records, "associator").items()}
+
+
+def numbers(records: Sequence[Record]) -> dict[str, Rows]:
+    """Scenario → associator → column → estimate; `all` pools the scenarios, resampling within each."""
+    found = {setting: rows(own) for setting, own in by_setting(records).items()}
+    return found | {"all": rows(records)} if len(found) > 1 else found
+
+
+def tables(results: Results) -> list[Table]:
+    """One table a scenario, with the associators in the order in which they were asked for."""
+    driver, episodes = results.content["conditions"]["driver"], results.content["asked"]["episodes"]
+    return [
+        Table(f"{setting}, {episodes} episodes, driven by {driver}", "associator", columns_for(own), rows(own))
+        for setting, own in by_setting(results.records).items()
+    ]

@@ -1,33 +1,30 @@
-"""Associators on recordings: one run over one log each, with their tables."""
+"""Associators on recordings: EKF-SLAM over every log with each associator in turn."""
 
 from __future__ import annotations
 
-import argparse
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
 
-from agents.evaluation.associators import CEILING, Key, Task, carry_out, find_associator, shipped, short
-from agents.evaluation.recording_files import write_run
-from agents.evaluation.recording_measures import measure
-from agents.evaluation.recording_run import run
-from agents.evaluation.results import Column, Record
-from slam_gym.recordings.catalogue import PUBLISHED, open_recordings
+from agents.evaluation.associators import find_associator
+from agents.evaluation.log_files import write_mapped_log
+from agents.evaluation.log_measures import measure
+from agents.evaluation.mapped_log import map_log
+from agents.evaluation.pipeline import RECORDINGS, Evaluation, Results
+from agents.evaluation.records import Key, Record
+from agents.evaluation.tables import Column, Rows, Table, by_setting
+from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.recorded import slam_for
 
 COLUMNS = (
     Column("precision", "prec.", 3, "higher"),
     Column("recall", "recall", 3, "higher"),
-    Column("f1", "F1", 3, "higher"),
+    Column("f1", "F1", 3, "higher", optional=True),
     Column("features", "feat.", 0),
     Column("duplicates", "dupl.", 0, "lower"),
     Column("clutter_features", "clut.", 0, "lower"),
@@ -35,9 +32,9 @@ COLUMNS = (
     Column("ate_unaligned", "ATE₀", 2, "lower"),
     Column("landmark_rmse", "lm.", 2, "lower"),
     Column("anees", "ANEES", 1),
-    Column("seconds", "s", 1, "lower"),
+    Column("seconds", "s", 1, "lower", optional=True),
 )
-MORE = (
+FURTHER_COLUMNS = (
     Column("ate_median", "median error", 2, "lower"),
     Column("landmark_rmse_unaligned", "landmarks₀", 2, "lower"),
     Column("wrong", "wrong", 0, "lower"),
@@ -49,11 +46,15 @@ MORE = (
     Column("step_microseconds", "µs/step", 0, "lower"),
     Column("limits", "limit met", 0, "lower"),
 )
+CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; ATE₀: not aligned.
+feat.: confirmed features; dupl.: of a landmark that has one; clut.: of none.
+s: time of the whole log."""
+FOLDER = "runs"  # of trajectories and maps, within that of the evaluation
 
 
 @dataclass(frozen=True)
 class Log:
-    """Which log, and what is done to it before it is run."""
+    """Which log, and what is done to it before it is mapped."""
 
     recording: str  # a name or a file
     data: str | None = None  # folder of the published files
@@ -78,9 +79,23 @@ def _opened(log: Log) -> Recording:
     return recording.every(log.every) if log.every > 1 else recording
 
 
+def logs_of(template: Log, robots: Sequence[int] | None = None) -> dict[str, Log]:
+    """All logs that a recording's name stands for, or those of some robots, by their names. Raises as
+    `open_recordings`; ValueError for robots of another recording than mrclam."""
+    if robots and template.recording != "mrclam":
+        raise ValueError(f"--robots is for mrclam, not for {template.recording}")
+    found: dict[str, Log] = {}
+    for robot in robots or [None]:
+        wanted = None if robot is None else [robot]
+        opened = open_recordings(template.recording, template.data, wanted, reference=template.reference)
+        for position, recording in enumerate(opened):
+            found[recording.name] = Log(**(asdict(template) | {"robot": robot, "position": position}))
+    return found
+
+
 @dataclass(frozen=True)
-class RecordingRun:
-    """One associator on one log."""
+class LogTask:
+    """One log with one associator."""
 
     associator: str
     log: Log
@@ -89,122 +104,55 @@ class RecordingRun:
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        return ((self.associator, self.setting, 0),)
+        return (Key(self.associator, self.setting, 0),)
 
-    def without(self, done: set[Key]) -> Task | None:
-        return None if self.keys[0] in done else self
-
-    def run(self) -> list[Record]:
+    def run(self, wanted: Sequence[Key]) -> list[Record]:
         log = self.log.open()
-        done = run(log, self.associator, slam_for(log))
-        record: Record = {"associator": self.associator, "setting": self.setting, "episode": 0}
-        record |= {"source": log.source, "landmarks": log.landmarks.tolist()} | measure(log, done)
+        mapped = map_log(log, self.associator, slam_for(log))
         if self.folder is not None:
-            align = np.array([record["align_x"], record["align_y"], record["align_heading"]])
-            write_run(self.folder, log, self.associator, done, align)
-        return [record]
+            write_mapped_log(self.folder, log, self.associator, mapped)
+        record = {"associator": self.associator, "setting": self.setting, "episode": 0}
+        return [record | {"source": log.source, "landmarks": log.landmarks.tolist()} | measure(log, mapped)]
 
 
-def logs_of(a: argparse.Namespace) -> dict[str, Log]:
-    """The logs that the options ask for, by name. Raises as `open_recordings`."""
-    found: dict[str, Log] = {}
-    data = None if a.data is None else str(a.data)
-    robots: Sequence[int | None] = a.robots or [None]
-    if a.robots and a.recording != "mrclam":
-        raise ValueError(f"--robots is for mrclam, not for {a.recording}")
-    for robot in robots:
-        opened = open_recordings(a.recording, data, None if robot is None else [robot], reference=a.reference)
-        for position, recording in enumerate(opened):
-            found[recording.name] = Log(a.recording, data, robot, position, a.reference, a.every, a.merge, a.clean)
+def recording_evaluation(associators: Sequence[str], logs: dict[str, Log], out: Path) -> Evaluation:
+    """Every associator on every log, checked; files go into a folder of `out`. ValueError for an associator that
+    nobody knows."""
+    for name in associators:
+        find_associator(name)
+    tasks = [LogTask(name, log, setting, out / FOLDER) for setting, log in logs.items() for name in associators]
+    first = asdict(next(iter(logs.values())))
+    conditions = {name: first[name] for name in ("recording", "every", "merge", "clean", "reference")}
+    conditions["settings"] = {setting: asdict(slam_for(log.open())) for setting, log in logs.items()}
+    return Evaluation(RECORDINGS, tasks, conditions, lambda records: {"table": numbers(records)})
+
+
+def numbers(records: Sequence[Record]) -> dict[str, Rows]:
+    """Log → associator → column → number; `mean` over the logs where there are several."""
+    columns = (*COLUMNS, *FURTHER_COLUMNS)
+    found: dict[str, Rows] = {
+        setting: {r["associator"]: {c.key: float(r[c.key]) for c in columns} for r in own}
+        for setting, own in by_setting(records).items()
+    }
+    if len(found) > 1:
+        everywhere = [name for name in next(iter(found.values())) if all(name in rows for rows in found.values())]
+        found["mean"] = {
+            name: {c.key: float(np.mean([rows[name][c.key] for rows in found.values()])) for c in columns}
+            for name in everywhere
+        }
     return found
 
 
-def tables(records: Sequence[Record], names: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
-    """Log → associator → column → number; `mean` over the logs where there are several."""
-    columns, settings = (*COLUMNS, *MORE), list(dict.fromkeys(record["setting"] for record in records))
-    rows = {(r["setting"], r["associator"]): {c.key: float(r[c.key]) for c in columns} for r in records}
-    out = {setting: {name: rows[setting, name] for name in names if (setting, name) in rows} for setting in settings}
-    if len(settings) > 1:
-        full = [name for name in names if all(name in out[setting] for setting in settings)]
-        out["mean"] = {
-            name: {c.key: float(np.mean([out[setting][name][c.key] for setting in settings])) for c in columns}
-            for name in full
-        }
-    return out
-
-
-def text(value: float | None, digits: int) -> str:
-    """A number as tables have it; a dash where nothing was measured."""
-    if value is None or not math.isfinite(value):
-        return "–" if value is None or math.isnan(value) else "∞"
-    return f"{value:.{digits}f}" if abs(value) < 1e4 else f"{value:.0e}"
-
-
-def shown_columns(rows: dict[str, dict[str, float]], columns: Sequence[Column] = COLUMNS) -> list[Column]:
+def columns_with_numbers(rows: Rows, columns: Sequence[Column] = COLUMNS) -> list[Column]:
     """Those in which there is anything."""
-    return [c for c in columns if any(not math.isnan(row[c.key]) for row in rows.values())]
+    return [c for c in columns if any(not math.isnan(float(row[c.key])) for row in rows.values())]  # type: ignore[arg-type]
 
 
-_NARROW = ("f1", "seconds")  # columns that 80 characters have no room for beside those about the truth
-
-
-def show(table: dict[str, dict[str, dict[str, float]]], records: Sequence[Record], console: Console) -> None:
-    """The tables, on the terminal."""
-    for setting, rows in table.items():
-        own = next((record for record in records if record["setting"] == setting), None)
-        about = "" if own is None else f", {own['steps']} scans, {own['true_features']} labelled features"
-        columns = shown_columns(rows)
-        if console.width < 100 and len(columns) > 9:
-            columns = [column for column in columns if column.key not in _NARROW]
-        shown = Table(title=f"{setting}{about}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        shown.add_column("", min_width=16)
-        for column in columns:
-            shown.add_column(column.title, justify="right", no_wrap=True)
-        for name, row in rows.items():
-            shown.add_row(short(name), *(text(row[c.key], c.digits) for c in columns))
-        console.print(shown)
-    console.print(
-        "ATE, lm.: RMSE of positions, of landmarks [m], aligned; ATE₀: not aligned.\n"
-        "feat.: confirmed features; dupl.: of a landmark that has one; clut.: of none.\n"
-        "s: time of the whole run.", soft_wrap=True, markup=False, highlight=False,
-    )  # fmt: skip
-
-
-def run_recording(a: argparse.Namespace, out: Path, common: dict[str, Any], console: Console) -> None:
-    """Run all associators over all logs; tables on the terminal, files and report in `out`."""
-    names = a.associators or shipped()
-    logs = logs_of(a)
-    for name in names:
-        if name != CEILING:
-            find_associator(name)  # ValueError for an associator that nobody knows
-    for setting, log in logs.items():
-        recording = log.open()
-        console.print(f"{setting}: {recording.source} {recording.terms}", soft_wrap=True)
-    folder = out / "runs"
-    tasks = [RecordingRun(name, log, setting, folder) for setting, log in logs.items() for name in names]
-    fixed = {"recording": a.recording, "every": a.every, "merge": a.merge, "clean": a.clean, "reference": a.reference}
-    fixed |= {"settings": {setting: asdict(slam_for(log.open())) for setting, log in logs.items()}}
-
-    def numbers(records: list[Record]) -> dict[str, Any]:
-        return {"table": tables(records, names)}
-
-    records = carry_out(tasks, out, fixed, numbers, console=console, **common)
-    show(tables(records, names), records, console)
-    from agents.reports.recordings import write_report  # matplotlib takes a second to import
-
-    console.print(f"report: {write_report(out, names)}", soft_wrap=True)
-
-
-def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """--recording and what belongs to it."""
-    group = parser.add_argument_group("recording")
-    group.add_argument("--recording", metavar="LOG", help=f"EKF-SLAM over a real log: {', '.join(PUBLISHED)}, "
-                       "or a file .npz, .g2o, .txt (iSAM)")  # fmt: skip
-    group.add_argument("--data", type=Path, metavar="DIR", help="folder of the published files (default: the one of "
-                       "that name in SLAM_GYM_DATA)")  # fmt: skip
-    group.add_argument("--robots", type=int, nargs="+", metavar="N", help="of mrclam (default: all)")
-    group.add_argument("--every", type=int, default=1, metavar="K", help="only each K-th scan (default: %(default)s)")
-    group.add_argument("--merge", type=float, default=0.0, metavar="M", help="landmarks no farther apart are one [m]")
-    group.add_argument("--clean", action="store_true", help="leave out spurious measurements, such as the barcodes "
-                       "that the robots of mrclam wear themselves")  # fmt: skip
-    group.add_argument("--reference", action="store_true", help="the vertices of a .g2o file are the truth")
+def tables(results: Results) -> list[Table]:
+    """One table a log, and that of their means."""
+    about = {r["setting"]: f", {r['steps']} scans, {r['true_features']} labelled features" for r in results.records}
+    found = [
+        Table(f"{setting}{about.get(setting, '')}", "associator", columns_with_numbers(rows), rows, "")
+        for setting, rows in numbers(results.records).items()
+    ]
+    return [*found[:-1], replace(found[-1], caption=CAPTION)]

@@ -1,21 +1,28 @@
-"""The figures of a report, as PNG."""
+"""Figures that several reports share, as PNG: one style, one colour a name."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, PercentFormatter
-from numpy.typing import NDArray
+from matplotlib.ticker import MaxNLocator, NullFormatter, PercentFormatter
 
-from agents.evaluation.results import Record, estimate, values_of
+from agents.evaluation.records import Record
+from agents.evaluation.tables import Sample, display_name, estimate, sample
+from slam_gym.metrics.statistics import Interval
+from slam_gym.simulation.judged import CEILING
+from slam_gym.types import Array
 
-COLOURS = ("#8a97a6", "#e08e45", "#3f9b7b", "#2f6db5", "#b04a8b", "#c6a02c", "#6554a4", "#a4503e")
-POINTS = 61  # of a curve
+PALETTE = ("#8a97a6", "#e08e45", "#3f9b7b", "#2f6db5", "#b04a8b", "#c6a02c", "#6554a4", "#a4503e")
+INK = "#1c2733"
+WIDTH, DPI = 10.4, 160  # [inches] of a figure
+MARKERS = "osD^vP*X"
+CURVE_POINTS = 61
 
 matplotlib.rcParams.update({
     "font.family": "DejaVu Sans", "font.size": 10, "axes.spines.top": False, "axes.spines.right": False,
@@ -24,67 +31,15 @@ matplotlib.rcParams.update({
 })  # fmt: skip
 
 
-def colour_of(agents: Sequence[str], agent: str) -> str:
-    """The colour of an agent throughout a report."""
-    return COLOURS[list(agents).index(agent) % len(COLOURS)]
+def colours(names: Sequence[str]) -> dict[str, str]:
+    """The colour of each name throughout a report; the ceiling is drawn in ink."""
+    others = [name for name in names if name != CEILING]
+    return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(others)} | {CEILING: INK}
 
 
-def interval_chart(records: Sequence[Record], agents: Sequence[str]) -> bytes:
-    """Every episode as a dot, with mean and interval of each agent, for map error and coverage."""
-    figure = Figure(figsize=(10.4, 1.3 + 0.48 * len(agents)), dpi=160, layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
-    rng = np.random.default_rng(0)
-    for axis, (key, label) in zip(axes, (("map_error", "map error (lower is better)"), ("coverage", "coverage"))):
-        for row, agent in enumerate(agents):
-            values, strata = values_of(records, agent, key)
-            colour, middle = colour_of(agents, agent), estimate(values, strata)
-            axis.scatter(
-                values, row + rng.uniform(-0.17, 0.17, len(values)), s=9, color=colour, alpha=0.35, linewidths=0
-            )
-            axis.plot(
-                [middle.low, middle.high], [row, row], color=colour, linewidth=6, alpha=0.9, solid_capstyle="round"
-            )
-            axis.plot(middle.estimate, row, "o", color="white", markersize=4.5, zorder=4)
-        axis.set_xlabel(label)
-        axis.grid(visible=False, axis="y")
-    axes[1].xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes[1].xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    axes[0].set_yticks(range(len(agents)), list(agents))
-    axes[0].set_ylim(len(agents) - 0.5, -0.5)
-    return as_png(figure)
-
-
-def curves(records: Sequence[Record], agents: Sequence[str]) -> bytes:
-    """Map error and coverage against ticks, with interval bands."""
-    figure = Figure(figsize=(10.4, 3.9), dpi=160, layout="constrained")
-    axes = figure.subplots(1, 2)
-    end = max(record["ticks"] for record in records)
-    grid = np.linspace(0.0, end, POINTS)
-    for axis, (key, label) in zip(axes, (("map_error", "map error"), ("coverage", "coverage"))):
-        for agent in agents:
-            _band(axis, grid, _resampled(records, agent, key, grid), agent, colour_of(agents, agent))
-        axis.set_xlabel("ticks")
-        axis.set_ylabel(label)
-        axis.set_xlim(0.0, end)
-        axis.set_ylim(0.0, None)
-    axes[1].yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(len(agents), 6), frameon=False
-    )
-    return as_png(figure)
-
-
-def _resampled(records: Sequence[Record], agent: str, key: str, grid: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(episodes, points): each episode's curve at the same ticks; it stays where it was once the episode is over."""
-    own = [record["curve"] for record in records if record["agent"] == agent]
-    return np.array([np.interp(grid, curve["ticks"], curve[key]) for curve in own])
-
-
-def _band(axis: Axes, grid: NDArray[np.float64], values: NDArray[np.float64], label: str, colour: str) -> None:
-    estimates = [estimate(column, resamples=1000) for column in values.T]
-    axis.plot(grid, [e.estimate for e in estimates], color=colour, linewidth=2.0, label=label)
-    low, high = [e.low for e in estimates], [e.high for e in estimates]
-    axis.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """An empty figure of so many inches."""
+    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
 def as_png(figure: Figure) -> bytes:
@@ -92,3 +47,93 @@ def as_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
+
+
+class Panel(NamedTuple):
+    """A number over episodes, and how its axis is scaled."""
+
+    key: str  # in a record
+    label: str
+    scale: str = "linear"  # or "percent" or "log"
+
+
+def dot_chart(groups: Mapping[str, Sequence[Record]], panels: Sequence[Panel]) -> bytes:
+    """Every episode as a dot, with mean and interval of each name; `groups` are the records of each."""
+    figure = new_figure(1.3 + 0.42 * len(groups))
+    axes = figure.subplots(1, len(panels), sharey=True)
+    rng, colour = np.random.default_rng(0), colours(list(groups))
+    for axis, panel in zip(axes, panels):
+        samples = {name: sample(records, panel.key) for name, records in groups.items()}
+        for row, (name, found) in enumerate(samples.items()):
+            _dots_with_interval(axis, row, found, colour[name], rng)
+        _scale(axis, panel, np.concatenate([found.values for found in samples.values()]))
+    name_rows(axes[0], list(groups))
+    return as_png(figure)
+
+
+def _dots_with_interval(axis: Axes, row: int, found: Sample, colour: str, rng: np.random.Generator) -> None:
+    jitter = rng.uniform(-0.17, 0.17, len(found.values))
+    if not np.isfinite(found.values).any():
+        return
+    middle = found.estimate
+    axis.scatter(found.values, row + jitter, s=9, color=colour, alpha=0.35, linewidths=0)
+    axis.plot([middle.low, middle.high], [row, row], color=colour, linewidth=6, alpha=0.9, solid_capstyle="round")
+    axis.plot(middle.estimate, row, "o", color="white", markersize=4.5, zorder=4)
+
+
+def _scale(axis: Axes, panel: Panel, values: Array) -> None:
+    axis.set_xlabel(panel.label)
+    axis.grid(visible=False, axis="y")
+    axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    if panel.scale == "percent":
+        axis.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    elif panel.scale == "log" and np.isfinite(values).any():
+        axis.set_xscale("log")
+        decades = np.log10([np.nanmin(values), np.nanmax(values)])
+        axis.set_xlim(10.0 ** np.floor(decades[0]), 10.0 ** np.ceil(decades[1] + 1e-9))
+        axis.xaxis.set_minor_formatter(NullFormatter())
+
+
+def name_rows(axis: Axes, names: Sequence[str]) -> None:
+    """One row a name, the first on top."""
+    axis.set_yticks(range(len(names)), [display_name(name) for name in names])
+    axis.set_ylim(len(names) - 0.5, -0.5)
+
+
+def band(axis: Axes, x: Array, found: Sequence[Interval], name: str, names: Sequence[str], *, marked: bool) -> None:
+    """A line of estimates with the band of their intervals; the ceiling is dashed."""
+    colour, dashed = colours(names)[name], name == CEILING
+    marker = MARKERS[list(names).index(name) % len(MARKERS)] if marked and not dashed else ""
+    axis.plot(
+        x, [value.estimate for value in found], "--" if dashed else "-", marker=marker, markersize=5, color=colour,
+        linewidth=1.9, label=display_name(name),
+    )  # fmt: skip
+    low, high = [value.low for value in found], [value.high for value in found]
+    axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+
+
+def curve_chart(groups: Mapping[str, Sequence[Record]], panels: Sequence[Panel]) -> bytes:
+    """Numbers against ticks, from the curves of the episodes, with interval bands."""
+    figure = new_figure(3.9)
+    axes = figure.subplots(1, len(panels))
+    end = max(record["ticks"] for records in groups.values() for record in records)
+    grid = np.linspace(0.0, end, CURVE_POINTS)
+    for axis, panel in zip(axes, panels):
+        for name, records in groups.items():
+            at_grid = _resampled(records, panel.key, grid)
+            found = [estimate(column, resamples=1000) for column in at_grid.T]
+            band(axis, grid, found, name, list(groups), marked=False)
+        axis.set_xlabel("ticks")
+        axis.set_ylabel(panel.label)
+        axis.set_xlim(0.0, end)
+        axis.set_ylim(0.0, None)
+        if panel.scale == "percent":
+            axis.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6), frameon=False)
+    return as_png(figure)
+
+
+def _resampled(records: Sequence[Record], key: str, grid: Array) -> Array:
+    """(episodes, points): each episode's curve at the same ticks; it stays where it was once the episode is over."""
+    return np.array([np.interp(grid, record["curve"]["ticks"], record["curve"][key]) for record in records])

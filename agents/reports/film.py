@@ -1,7 +1,9 @@
-"""A short film of an episode: the same seeds as the evaluation, drawn tick by tick."""
+"""Short films of episodes: the same seeds as the evaluation, drawn tick by tick."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.drivers.base import Agent
-from agents.evaluation.rollout import Setting, run_episode
+from agents.evaluation.drivers import Driver
+from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.parallel import run_all
+from agents.evaluation.pipeline import Execution
 
 FRAMES = 300
 RATE = 20  # [frames/s]
 SLOW = 8  # frames a tick, around a kidnapping and a recovery
+
+
+def film_path(out: Path, agent: str) -> Path:
+    """Where an agent's film lies; its last picture has the same name with .png."""
+    return out / "films" / f"{agent.replace(':', '.')}.mp4"
+
+
+def make_films(drivers: Sequence[Driver], arguments: ExploreArguments, out: Path, execution: Execution) -> None:
+    """One film per agent, of the first episode, by its first model; those that are there already stay."""
+    first = {driver.agent: driver for driver in reversed(drivers)}
+    paths = {agent: film_path(out, agent) for agent in first}
+    missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
+    calls = [partial(_film_by, first[agent], arguments, paths[agent]) for agent in missing]
+    with execution.console.status(f"filming {', '.join(missing)}"):
+        list(run_all(calls, execution.jobs, execution.backend))
+
+
+def _film_by(driver: Driver, arguments: ExploreArguments, path: Path) -> Path:
+    return film(arguments, driver.make(), 0, path)
+
+
+def film(arguments: ExploreArguments, agent: Agent, episode: int, path: Path) -> Path:
+    """Film one episode into `path` (.mp4); its last picture is kept beside it as .png, which is returned.
+
+    At most about `FRAMES` frames, however long the episode is.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    env = arguments.make(agent.action, render_mode="rgb_array")
+    try:
+        stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
+        with Camera(path, stride) as camera:
+            run_episode(env, agent, episode, watch=camera)
+            for _ in range(RATE):  # hold the final map for a second
+                camera.shoot(env)
+    finally:
+        env.close()
+    picture = path.with_suffix(".png")
+    imageio.imwrite(picture, camera.last)
+    return picture
 
 
 class Camera:
@@ -52,23 +96,3 @@ def _worth_a_closer_look(env: gym.Env[Any, Any]) -> bool:
     episode = env.unwrapped.episode  # type: ignore[attr-defined]
     moments = (episode.kidnapping.happened, episode.kidnapping.recovered)
     return any(moment is not None and 0 <= episode.ticks - moment < 4 for moment in moments)
-
-
-def film(setting: Setting, agent: Agent, episode: int, path: Path) -> Path:
-    """Film one episode into `path` (.mp4); its last picture is kept beside it as .png, which is returned.
-
-    At most about `FRAMES` frames, however long the episode is.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    env = setting.make(agent.action, render_mode="rgb_array")
-    try:
-        stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
-        with Camera(path, stride) as camera:
-            run_episode(env, agent, episode, watch=camera)
-            for _ in range(RATE):  # hold the final map for a second
-                camera.shoot(env)
-    finally:
-        env.close()
-    picture = path.with_suffix(".png")
-    imageio.imwrite(picture, camera.last)
-    return picture

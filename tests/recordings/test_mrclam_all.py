@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.evaluation.recording_run import run
+from agents.evaluation.mapped_log import map_log
 from slam_gym.geometry import compose, relative
 from slam_gym.metrics.map_quality import landmark_rmse
 from slam_gym.recordings.mrclam import ROBOTS, mrclam
@@ -50,8 +50,8 @@ def test_what_links_two_robots_is_their_relative_pose(folder) -> None:
 def test_one_map_of_all_robots_is_right_to_decimetres(folder) -> None:
     """The true association, every scan: the floor for everything else on this log."""
     log = mrclam_all(folder)
-    done = run(log, "true_association", slam_for(log))
-    seen = dict(zip(done.identities.tolist(), done.positions))
+    mapped = map_log(log, "true_association", slam_for(log))
+    seen = dict(zip(mapped.sources.tolist(), mapped.map.positions))
     place = dict(zip(log.landmark_ids.tolist(), log.landmarks))
     common = [identity for identity in seen if identity != SPURIOUS]
     assert sorted(common) == sorted(place)

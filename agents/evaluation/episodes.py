@@ -1,0 +1,133 @@
+"""One episode: the arguments of its environment, the same for every agent, and how it is run to its end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import slam_gym  # noqa: F401  (registers the environments)
+from agents.drivers.base import Agent, visible
+from agents.evaluation.records import Record
+from slam_gym.association.tracking.policy import Policy
+from slam_gym.scenarios import get_scenario, overridden
+from slam_gym.types import Associator
+
+EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
+
+
+@dataclass(frozen=True)
+class _Arguments:
+    """What both environments take."""
+
+    scenario: str
+    overrides: tuple[tuple[str, Any], ...] = ()  # dotted names in the scenario, and their values
+    split: str = "test"
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The arguments as results name them."""
+        return asdict(self) | {"overrides": dict(self.overrides)}
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The arguments as the environment takes them."""
+        arguments = self.plain
+        overrides = arguments.pop("overrides")
+        changed = {"scenario": overridden(get_scenario(self.scenario), overrides)} if overrides else {}
+        return arguments | changed
+
+
+@dataclass(frozen=True)
+class ExploreArguments(_Arguments):
+    """Arguments of slam_gym/Explore-v0, but for what the agent brings with it."""
+
+    scenario: str = "office"
+    associator: str = "jcbb"
+    reward: str = "map_error"
+    floor_plan: str | None = None  # a file that replaces the scenario's worlds
+    resolution: float | None = None  # [m/pixel] of that file, where it is an image
+    relocation: str | None = None  # the search that finds a lost robot again
+
+    def make(
+        self, action: str, render_mode: str | None = None, associator: Associator | None = None
+    ) -> gym.Env[Any, Any]:
+        """The environment; a callable may stand in for the associator. ValueError, with the known names, for what it
+        does not know."""
+        given = self.given if associator is None else self.given | {"associator": associator}
+        return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **given)
+
+    @property
+    def world(self) -> str:
+        """What to call it in a title."""
+        return self.scenario if self.floor_plan is None else self.floor_plan
+
+
+@dataclass(frozen=True)
+class AssociateArguments(_Arguments):
+    """Arguments of slam_gym/Associate-v0."""
+
+    scenario: str = "office-small"
+    split: str = "train"
+    driver: str = "nearest_frontier"
+    reward: str = "truth"
+    candidates: int = 5
+    order: str = "as_scanned"
+    compatibility: str = "joint"
+    wrong_cost: float = 10.0
+
+    def make(self, action: str = "branch") -> gym.Env[Any, Any]:
+        """The environment, which has one action only. ValueError, with the known names, for what it does not know."""
+        return gym.make(ASSOCIATE, disable_env_checker=True, **self.given)
+
+
+def reset_arguments(episode: int) -> dict[str, Any]:
+    """Arguments of `env.reset` for the i-th episode of a split."""
+    return {"seed": episode, "options": {"world": episode}}
+
+
+CURVE = ("ticks", "map_error", "coverage")
+CURVE_STEP = 10  # [ticks] between points of a curve: every step of a twist episode would be too many
+
+
+def run_episode(
+    env: gym.Env[Any, Any], agent: Agent, episode: int, watch: Callable[[gym.Env[Any, Any]], None] | None = None
+) -> Record:
+    """Drive one episode of Explore-v0 to its end. `watch(env)` is called after every tick.
+
+    Returns a flat dict of JSON-able numbers: episode, return, decisions, ticks, seconds (of driving, without the
+    reset), all of `map_quality`; and `curve`, lists of equal length over the decisions: ticks, map_error, coverage.
+    """
+    observation, info = env.reset(**reset_arguments(episode))
+    agent.reset(episode)
+    if watch is not None:
+        env.unwrapped.watch(watch)  # type: ignore[attr-defined]
+    curve = {name: [float(info[name]) if name != "ticks" else 0] for name in CURVE}
+    decisions, ticks, total, ended = 0, 0, 0.0, False
+    start = time.perf_counter()
+    while not ended:
+        observation, reward, terminated, truncated, info = env.step(agent.act(observation, visible(info)))
+        ended = terminated or truncated
+        decisions, ticks, total = decisions + 1, ticks + int(info["ticks"]), total + float(reward)
+        if ended or ticks - curve["ticks"][-1] >= CURVE_STEP:
+            for name, value in zip(CURVE, (ticks, info["map_error"], info["coverage"])):
+                curve[name].append(round(float(value), 6))
+    seconds = time.perf_counter() - start
+    quality = {key: float(np.asarray(value)) for key, value in info["map_quality"].items()}
+    record = {"episode": episode, "return": total, "decisions": decisions, "seconds": seconds} | quality
+    return record | {"ticks": ticks, "ticks_per_second": ticks / seconds, "curve": curve}
+
+
+def associate_episode(env: gym.Env[Any, Any], policy: Policy, episode: int) -> Record:
+    """Associate one episode of Associate-v0 to its end: return, decisions, score and map error of the episode."""
+    observation, info = env.reset(**reset_arguments(episode))
+    total, count, ended = 0.0, 0, False
+    while not ended:
+        action = policy(observation, info["action_mask"])
+        observation, reward, terminated, truncated, info = env.step(action)
+        total, count, ended = total + float(reward), count + 1, terminated or truncated
+    return {"return": total, "decisions": count, "score": info["score"], "map_error": info["map_error"]}

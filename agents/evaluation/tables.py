@@ -1,0 +1,196 @@
+"""Numbers of an evaluation: estimates with their intervals over episodes, and the tables that show them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.measure import Measurement
+from rich.table import Table as RichTable
+
+from agents.evaluation.records import Record
+from slam_gym.metrics.statistics import Interval, bootstrap_interval
+from slam_gym.simulation.judged import CEILING
+from slam_gym.types import Array, IntArray
+
+Value = Interval | float | int
+Rows = dict[str, dict[str, Value]]
+"""Name of an agent or associator → key of a column → value."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    key: str  # in a record
+    title: str
+    digits: int
+    better: str = ""  # "lower", "higher", or neither
+    optional: bool = False  # left out where the terminal is narrow
+
+
+@dataclass(frozen=True)
+class Table:
+    """What is shown on the terminal and in the report."""
+
+    title: str
+    corner: str  # title of the first column, that of the names
+    columns: Sequence[Column]
+    rows: Rows
+    caption: str = "interquartile mean, 95 % bootstrap interval"
+    differences: bool = False  # of two each: told with their signs
+
+
+# -- estimates -----------------------------------------------------------------------------------------------------
+
+
+def by_name(records: Sequence[Record], subject: str) -> dict[str, list[Record]]:
+    """The records of each agent or associator, whichever field `subject` says, in the order of their first records."""
+    groups: dict[str, list[Record]] = {}
+    for record in records:
+        groups.setdefault(record[subject], []).append(record)
+    return groups
+
+
+def by_setting(records: Sequence[Record]) -> dict[str, list[Record]]:
+    """The records of each scenario, level or log."""
+    return by_name(records, "setting")
+
+
+def estimate(values: Array, strata: IntArray | None = None, resamples: int = 5000) -> Interval:
+    """Interquartile mean of values (n,) and its 95 % bootstrap interval, resampled within each of the strata (n,).
+
+    Values that are not finite are left out; all NaN where none is left. The same values always give the same interval.
+    """
+    finite = np.isfinite(values)
+    if not finite.any():
+        return Interval(math.nan, math.nan, math.nan)
+    strata = None if strata is None else strata[finite]
+    return bootstrap_interval(values[finite], np.random.default_rng(0), strata=strata, resamples=resamples)
+
+
+class Sample(NamedTuple):
+    """A number over episodes."""
+
+    values: Array  # (n,)
+    strata: IntArray  # (n,) number of the setting and model behind each
+
+    @property
+    def estimate(self) -> Interval:
+        return estimate(self.values, self.strata)
+
+
+def sample(records: Sequence[Record], key: str) -> Sample:
+    """A number of all records. Settings and models are strata: what differs between them is no noise."""
+    groups = [(record.get("setting") or "", record.get("model") or "") for record in records]
+    number = {group: k for k, group in enumerate(sorted(set(groups)))}
+    values = np.array([record[key] for record in records], dtype=float)
+    return Sample(values, np.array([number[group] for group in groups], dtype=np.int64))
+
+
+def estimates(records: Sequence[Record], columns: Sequence[Column]) -> dict[str, Value]:
+    """Column key → estimate over the records."""
+    return {column.key: sample(records, column.key).estimate for column in columns}
+
+
+def difference(first: Sequence[Record], second: Sequence[Record], key: str) -> Interval:
+    """First − second on the episodes that both have (means over models), with its interval: paired."""
+    found: tuple[dict[tuple[str, int], list[float]], ...] = ({}, {})
+    for side, records in zip(found, (first, second)):
+        for record in records:
+            side.setdefault((record.get("setting") or "", record["episode"]), []).append(record[key])
+    common = sorted(found[0].keys() & found[1].keys())
+    settings = sorted({setting for setting, _ in common})
+    differences = np.array([np.mean(found[0][k]) - np.mean(found[1][k]) for k in common], dtype=float)
+    return estimate(differences, np.array([settings.index(setting) for setting, _ in common], dtype=np.int64))
+
+
+def best_names(values: Mapping[str, Value], column: Column) -> set[str]:
+    """The names with the best value and those that cannot be told from it; none where that is all. No ceiling.
+
+    Numbers without an interval are compared as they are shown.
+    """
+    found = {name: _as_interval(value, column.digits) for name, value in values.items() if name != CEILING}
+    known = {name: value for name, value in found.items() if math.isfinite(value.estimate)}
+    if not column.better or len(known) < 2:
+        return set()
+    sign = 1.0 if column.better == "lower" else -1.0
+    first = min(known.values(), key=lambda value: sign * value.estimate)
+    tied = {name for name, value in known.items() if value.low <= first.high and value.high >= first.low}
+    return tied if len(tied) < len(known) else set()
+
+
+def _as_interval(value: Value, digits: int) -> Interval:
+    return value if isinstance(value, Interval) else Interval(*[round(float(value), digits)] * 3)
+
+
+# -- as text -------------------------------------------------------------------------------------------------------
+
+
+def display_name(name: str) -> str:
+    """What to call it in a table: the function of `module:function`, the name of a file, words instead of `_`."""
+    return (Path(name).name if ":" not in name else name.rpartition(":")[2]).replace("_", " ")
+
+
+class Cell(NamedTuple):
+    """A value as text."""
+
+    value: str  # a dash where nothing was measured
+    interval: str = ""  # `low, high`; empty where there is none
+
+
+def cell(value: Value, digits: int, signed: bool = False) -> Cell:
+    """A value as tables have it; `signed` tells a plus as well."""
+    if not isinstance(value, Interval):
+        return Cell(number(value, digits, signed))
+    if not math.isfinite(value.estimate):
+        return Cell("–")
+    middle, low, high = (number(v, digits, signed) for v in (value.estimate, value.low, value.high))
+    return Cell(middle, f"{low}, {high}")
+
+
+def number(value: float, digits: int, signed: bool = False) -> str:
+    """Fixed digits, a real minus, no negative zero; large numbers that have fractions as powers of ten."""
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else "∞"
+    form = f"{'+' if signed else ''}.{digits}f" if abs(value) < 1e4 or digits == 0 else ".0e"
+    return f"{round(value, digits) + 0.0:{form}}".replace("-", "−") if "e" not in form else f"{value:{form}}"
+
+
+def print_table(table: Table, console: Console) -> None:
+    """The table on the terminal, each interval under its estimate; less of it where the terminal is narrow."""
+    shown = _terminal_table(table, narrow=False)
+    unlimited = console.options.update(max_width=10_000)
+    if Measurement.get(console, unlimited, shown).maximum > console.width:
+        shown = _terminal_table(table, narrow=True)
+    console.print(table.title, style="bold", markup=False, highlight=False, soft_wrap=True)
+    console.print(shown)
+    console.print(table.caption, style="dim", markup=False, highlight=False)
+
+
+def _terminal_table(table: Table, narrow: bool) -> RichTable:
+    """`narrow`: no optional columns, intervals only of what has three digits, and then one digit less, as `.12–.34`."""
+    columns = [column for column in table.columns if not (narrow and column.optional)]
+    shown = RichTable(box=box.SIMPLE_HEAD, padding=(0, 0 if narrow else 1), show_edge=False)
+    shown.add_column(table.corner, min_width=12)
+    for column in columns:
+        shown.add_column(column.title, justify="right", no_wrap=True)
+    for name, row in table.rows.items():
+        shown.add_row(escape(display_name(name)), *(_two_lines(row[c.key], c.digits, narrow) for c in columns))
+    return shown
+
+
+def _two_lines(value: Value, digits: int, narrow: bool) -> str:
+    with_interval = isinstance(value, Interval) and not (narrow and digits < 3)
+    middle, interval = cell(value, digits - (narrow and with_interval))
+    low, _, high = interval.partition(", ")
+    if low == high == middle or not interval or not with_interval:
+        return middle
+    return f"{middle}\n{f'{low}–{high}'.replace('0.', '.') if narrow else f'{low}–{high}'}"

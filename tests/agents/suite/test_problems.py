@@ -1,0 +1,98 @@
+"""The problems of the suite are what their level says, the same every time, and judged as by hand."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from agents.suite.problems import MIN_MAPPED, Judgement, Problem, TwoLaps, ask, judge, problems
+from slam_gym.association import ASSOCIATORS
+from slam_gym.association.compatibility import individual
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Level, get_level
+from slam_gym.simulation.judged import CEILING
+from slam_gym.types import SPURIOUS, UNPAIRED
+
+ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
+
+
+def drawn(level: Level, world: int, count: int = 6, split: str = "train") -> list[Problem]:
+    return list(problems(TwoLaps(level, world, split), count))
+
+
+@functools.cache
+def pool(id: str, seeds: int = 2) -> list[Problem]:
+    return [problem for world in range(seeds) for problem in drawn(get_level(id), world)]
+
+
+def test_problems_are_the_same_every_time_and_others_in_other_worlds():
+    first, again, other = (drawn(get_level("clutter/1"), world) for world in (0, 0, 1))
+    assert len(first) == 6
+    for a, b in zip(first, again):
+        np.testing.assert_array_equal(a.scan.points, b.scan.points)
+        np.testing.assert_array_equal(a.prediction.positions, b.prediction.positions)
+        np.testing.assert_array_equal(a.truth.right, b.truth.right)
+    assert all(a.scan.points.shape != c.scan.points.shape or (a.scan.points != c.scan.points).any()
+               for a in first for c in other)  # fmt: skip
+    test = drawn(get_level("clutter/1"), 0, split="test")
+    assert all(a.scan.points.shape != c.scan.points.shape or (a.scan.points != c.scan.points).any()
+               for a in first for c in test)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ASSOCIATION)
+def test_a_problem_tells_the_truth_about_itself(name):
+    for problem in pool(f"{name}/2"):
+        assert problem.truth.known >= MIN_MAPPED
+        for source, feature in zip(problem.truth.sources, problem.truth.right):
+            known = np.flatnonzero(problem.truth.identities == source) if source >= 0 else []
+            assert feature == (known[0] if len(known) else UNPAIRED)
+        view = problem.prediction.visibility()
+        assert view.shape == (len(problem.prediction),) and ((view >= 0.0) & (view <= 1.0)).all()
+
+
+def test_what_the_pose_is_off_by_is_what_its_covariance_says():
+    """D² of right hypotheses follows its χ² law while the pose is not so poor that linearisation fails."""
+    total, dof = 0.0, 0
+    for problem in pool("closure/1", 6):
+        hypothesis = ask(CEILING, ASSOCIATORS[CEILING], problem)
+        total, dof = total + hypothesis.joint_distance, dof + hypothesis.dof
+    assert 0.85 < total / dof < 1.2
+
+
+def candidates(id: str) -> float:
+    """Individually compatible features per measurement."""
+    found = [individual(problem.scan, problem.prediction) for problem in pool(id)]
+    return sum(len(f.slots) for f in found) / sum(len(problem.scan) for problem in pool(id))
+
+
+@pytest.mark.parametrize("name", ["closure", "density"])
+def test_a_poorer_pose_and_closer_features_bring_more_candidates(name):
+    counts = [candidates(level.id) for level in EXPERIMENTS[name].levels]
+    assert counts[0] < 1.4 and counts[-1] > 2.5 and counts[0] < counts[2] < counts[-1]
+
+
+@pytest.mark.parametrize("name", ["clutter", "dynamics"])
+def test_clutter_and_people_bring_spurious_measurements(name):
+    shares = [np.mean(np.concatenate([problem.truth.sources == SPURIOUS for problem in pool(level.id)]))
+              for level in EXPERIMENTS[name].levels]  # fmt: skip
+    assert shares[0] == 0.0 and shares[-1] > 0.2 and shares == sorted(shares)
+
+
+def test_a_detector_that_misses_shows_less():
+    mapped = [np.mean([(problem.truth.right != UNPAIRED).sum() for problem in pool(level.id)])
+              for level in EXPERIMENTS["detection"].levels]  # fmt: skip
+    assert mapped[-1] < 0.6 * mapped[0]
+
+
+def test_an_answer_is_judged_by_hand():
+    right = np.array([3, 5, UNPAIRED, 7, UNPAIRED])
+    perfect = judge(right, right)
+    assert perfect == Judgement(3, 0, 0, 3) and perfect.exact and perfect.score == 1.0
+    assert judge(np.full(5, UNPAIRED), right).score == 0.0
+    partly = judge(np.array([3, UNPAIRED, UNPAIRED, 7, UNPAIRED]), right)
+    assert partly == Judgement(2, 0, 1, 3) and partly.score == pytest.approx(2 / 3) and not partly.exact
+    swapped = judge(np.array([5, 3, UNPAIRED, 7, UNPAIRED]), right)
+    assert swapped == Judgement(1, 2, 0, 3) and swapped.score == -1.0
+    spurious = judge(np.array([3, 5, 9, 7, UNPAIRED]), right)
+    assert spurious == Judgement(3, 1, 0, 3) and spurious.score == -1.0
+    with pytest.raises(ValueError, match="4 decisions for 5 measurements"):
+        judge(np.full(4, UNPAIRED), right)

@@ -1,0 +1,74 @@
+"""The command that evaluates associators: in the loop, over the suite; bad input in one line."""
+
+import json
+import re
+
+import pytest
+
+from agents.evaluate_association import main
+from slam_gym.association import nearest_neighbour
+from tests.agents.reports import PNG, Page
+
+
+def mine(scan, prediction):
+    """An associator of a user: nearest neighbour."""
+    return nearest_neighbour(scan, prediction)
+
+
+def test_the_command_in_the_loop(tmp_path, capsys):
+    own = f"{__name__}:mine"
+    line = ["--associators", own, "true_association", "--scenarios", "office-small", "clutter/1", "--episodes", "2"]
+    assert main([*line, "--set", "budget=60", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
+    page = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert len(page.pictures) == 2
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    told = results["table"]["office-small"][own]
+    for expected in ("mine", "true association", "Against mine", f"{told['recall']['estimate']:.3f}", "--episodes 2"):
+        assert expected in page.text
+    assert told["precision"]["estimate"] > 0.5 and list(results["table"]) == ["office-small", "clutter/1", "all"]
+    shown = capsys.readouterr().out
+    assert "mine" in shown and "clutter/1, 2 episodes" in shown
+
+
+def test_the_command_of_the_suite(tmp_path, capsys):
+    out = tmp_path / "out"
+    line = ["--suite", "--quick", "--experiments", "closure", "kidnapped", "--worlds", "1", "--problems", "4"]
+    line += ["--associators", "nearest_neighbour", "jcbb", "true_association", "--jobs", "1", "--out", str(out)]
+    assert main([*line, "--relocators", "gcbb"]) == 0
+    page = Page((out / "report.html").read_text(encoding="utf-8"))
+    assert len(page.pictures) >= 4 and (out / "suite.png").read_bytes().startswith(PNG)
+    results = json.loads((out / "results.json").read_text())
+    numbers, relocation = results["numbers"], results["relocation"]
+    for scores in (*numbers.values(), {"kidnapped": relocation["gcbb"]["kidnapped"]}):
+        assert all(0.0 <= value["low"] <= value["estimate"] <= value["high"] <= 1.0 for value in scores.values())
+    assert [value["estimate"] for value in numbers["true_association"].values()] == [1.0] * 2
+    assert numbers["jcbb"]["all"]["estimate"] > numbers["nearest_neighbour"]["all"]["estimate"]
+    shown = capsys.readouterr().out
+    assert f"{numbers['jcbb']['closure']['estimate']:.3f}" in shown and "kidnapped" in shown
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (["--associators", "nn"], r"nn.*jcbb.*nearest_neighbour"),
+        (["--associators", "nowhere.pt"], r"nowhere\.pt"),
+        (["--scenarios", "offic"], r"unknown scenario 'offic'.*office-small.*closure/…"),
+        (["--scenarios", "closure/9"], r"closure/9.*closure/0 … closure/4"),
+        (["--driver", "nobody"], r"nobody.*nearest_frontier"),
+        (["--driver", "ppo"], r"ppo"),
+        (["--relocation", "gps"], r"gps.*gcbb"),
+        (["--episodes", "0"], r"--episodes.*at least 1"),
+        (["--suite", "--worlds", "0"], r"--worlds.*at least 1"),
+        (["--suite", "--experiments", "fog"], r"fog.*closure"),
+        (["--suite", "--relocators", "gps"], r"gps.*gcbb"),
+        (["--resume", "--out", "nowhere"], r"nowhere.*resume"),
+        (["--suite", "--set", "budget=9"], r"--set.*--suite"),
+        (["--suite", "--recording", "mrclam"], r"give one of them"),
+    ],
+)
+def test_bad_input_is_told_in_one_line_that_names_it(tmp_path, monkeypatch, line, said):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((ValueError, FileNotFoundError)) as caught:
+        main(line + ([] if "--out" in line else ["--out", "out"]))
+    assert re.search(said, str(caught.value)) and "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
