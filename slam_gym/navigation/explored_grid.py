@@ -56,7 +56,7 @@ class ExploredGrid:
     @property
     def explored(self) -> ExploredCells:
         """The cells and where they lie: what may be handed on to be looked at, but not changed."""
-        return ExploredCells(self.cells, self.origin.copy(), self.resolution)
+        return ExploredCells(self.cells, read_only(self.origin), self.resolution)
 
     @property
     def explored_area(self) -> float:

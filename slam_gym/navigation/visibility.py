@@ -73,8 +73,8 @@ class FieldOfView:
             raise ValueError(f"pose: expected three finite numbers to look into explored space, got {pose}")
         sensor = (0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown))
         cells, origin, resolution = explored or _NOTHING_EXPLORED
-        at = _NOWHERE if pose is None else np.ascontiguousarray(pose)
-        out, fault = _in_view(positions, covariances, sensor, (cells, origin, resolution), at)
+        at = _NOWHERE if pose is None else np.array(pose)  # copies: read-only ones would be compiled for anew
+        out, fault = _in_view(positions, covariances, sensor, (cells, np.array(origin), resolution), at)
         if fault >= 0:
             raise ValueError(
                 f"feature {fault}: position {positions[fault].tolist()} or covariance {covariances[fault].tolist()} is "

@@ -6,7 +6,6 @@ B, the frame of the robot's first pose.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.geometry import compose, observe, relative, transform
+from slam_gym.mapping.linear_algebra import read_only
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.consistency import pose_nees
-from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import Scenario
@@ -58,6 +58,18 @@ def survey(plan: FloorPlan, scenario: Scenario) -> Site:
         where = "can be seen from where the robot can get to"
         raise ValueError(f"floor plan {plan.name!r}: none of its {len(seen)} features {where}")
     return Site(plan, index, cells, seen)
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """`Prediction.view`: what the sensor would have in view from a pose, as far as walls are known."""
+
+    field: FieldOfView
+    explored: ExploredCells
+    pose: Array  # (3,) in B
+
+    def __call__(self, positions: Array, covariances: Array) -> Array:
+        return self.field.in_view(positions, covariances, self.explored, self.pose)
 
 
 class Episode:
@@ -145,8 +157,8 @@ class Episode:
     def _view_from(self, pose: Array) -> Callable[[Array, Array], Array]:
         """`Prediction.view` from a pose (3,) in B, as far as walls are known."""
         sensor = self.scenario.sensor
-        view = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-        return functools.partial(view.in_view, explored=self.grid.explored, pose=pose)
+        field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
+        return _View(field, self.grid.explored, read_only(pose))
 
     def _explore(self, beams: Beams) -> None:
         pose = self.slam.map.pose
