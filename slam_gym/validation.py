@@ -78,7 +78,7 @@ def check_scan(scan: Scan) -> None:
 
 @compiled
 def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> tuple[int, int]:
-    """The first decision that is out of range (1) or for a feature paired already (2), and which of them; else (−1, 0)."""
+    """The first decision that is out of range (1) or for a feature paired already (2), and which; else (−1, 0)."""
     for i in range(len(features)):
         if features[i] < UNPAIRED or features[i] >= n:
             return i, 1
