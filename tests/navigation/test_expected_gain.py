@@ -1,0 +1,101 @@
+"""The gain that a place promises, against an EKF update of a copy of the map."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym.geometry import observe, relative
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.navigation.expected_gain import MOST_FEATURES, expected_reduction
+from slam_gym.navigation.explored_grid import WALL, ExploredGrid
+from slam_gym.types import Beams, Odometry, Scan
+
+DRIFT = np.array([0.03, 0.03, 0.02])
+SIGMA = 0.05
+
+
+def scan_of(points: np.ndarray, sigma: float) -> Scan:
+    unknown = np.full(len(points), np.nan)
+    return Scan(points, np.tile(np.eye(2) * sigma**2, (len(points), 1, 1)), unknown, unknown)
+
+
+def correlated_map(rng: np.random.Generator, features: int) -> StochasticMap:
+    """A map built on the move, so that everything is correlated with everything."""
+    slam_map = StochasticMap()
+    true = rng.uniform(-6, 6, (features, 2))
+    for k in range(6):
+        turn = rng.normal(0, 0.5)
+        slam_map.predict(Odometry(np.array([0.7, 0.0, turn]), np.diag([0.05, 0.02, 0.04]) ** 2))
+        local = observe(slam_map.pose, true) + rng.normal(0, 0.05, true.shape)
+        if k < 3:
+            slam_map.add(scan_of(local, 0.1), np.arange(k * features // 3, (k + 1) * features // 3))
+        some = rng.permutation(slam_map.n)[: slam_map.n // 2]
+        pairings = np.full(features, -1)
+        pairings[some] = some
+        slam_map.update(scan_of(local, 0.1), pairings)
+    return slam_map
+
+
+def blank_grid() -> ExploredGrid:
+    return ExploredGrid(np.array([-15.0, -15.0, 15.0, 15.0]))
+
+
+def by_ekf(slam_map: StochasticMap, place: np.ndarray, heading: float, measured: np.ndarray) -> float:
+    """Drop of Σ tr P_jj in a copy of the map that is driven to the place and sees the features `measured` there."""
+    after = slam_map.copy()
+    destination = np.array([*place, heading])
+    c, s = math.cos(after.pose[2]), math.sin(after.pose[2])
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    noise = turn.T @ np.diag(DRIFT**2) @ turn
+    after.predict(Odometry(relative(after.pose, destination), 0.5 * (noise + noise.T)))
+    after.update(scan_of(observe(destination, after.positions[measured]), SIGMA), measured)
+    return float(np.trace(slam_map.covariance[3:, 3:]) - np.trace(after.covariance[3:, 3:]))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_expected_reduction_is_that_of_an_ekf_update_of_a_copy(seed) -> None:
+    rng = np.random.default_rng(seed)
+    slam_map = correlated_map(rng, 30)
+    mean, covariance = slam_map.mean, slam_map.covariance
+    places, reach = rng.uniform(-6, 6, (8, 2)), 5.0
+    found = expected_reduction(mean, covariance, blank_grid(), places, reach=reach, sigma=SIGMA, drift=DRIFT)
+    for place, gain in zip(places, found):
+        distances = np.hypot(*(slam_map.positions - place).T)
+        measured = np.argsort(distances)[:MOST_FEATURES]
+        measured = measured[distances[measured] <= reach]
+        expected = by_ekf(slam_map, place, rng.uniform(-math.pi, math.pi), measured)
+        assert gain == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert found.max() > 0.0
+    np.testing.assert_array_equal(mean, slam_map.mean)
+    np.testing.assert_array_equal(covariance, slam_map.covariance)
+
+
+def test_expected_reduction_counts_what_is_in_reach_and_in_sight_only() -> None:
+    slam_map = StochasticMap(pose_covariance=np.diag([0.1, 0.1, 0.01]))
+    slam_map.add(scan_of(np.array([[4.0, 0.0]]), 0.3), np.array([0]))
+    grid = blank_grid()
+
+    def gain(x: float, reach: float = 6.0) -> float:
+        place = np.array([[x, 0.0]])
+        found = expected_reduction(
+            slam_map.mean, slam_map.covariance, grid, place, reach=reach, sigma=SIGMA, drift=DRIFT
+        )
+        return float(found[0])
+
+    assert gain(-3.0) == 0.0 and gain(-3.0, reach=8.0) > 0.0  # farther than the sensor sees
+    assert gain(0.0) == pytest.approx(by_ekf(slam_map, np.zeros(2), 0.0, np.array([0])), rel=1e-9)
+    bearings = np.linspace(-0.6, 0.6, 40)
+    grid.integrate(np.zeros(3), Beams(bearings, 2.1 / np.cos(bearings), 6.0))
+    assert grid.cells[int(15 / 0.2), int(17.1 / 0.2)] == WALL
+    assert gain(0.0) == 0.0 and gain(3.0) > 0.0  # a wall in between, and from beyond it
+    slam_map.add(scan_of(np.array([[2.15, 0.0]]), 0.3), np.array([0]))
+    assert gain(0.0) > 0.0  # a feature of the wall itself hides behind nothing
+
+
+def test_an_empty_map_has_nothing_to_gain() -> None:
+    slam_map, places = StochasticMap(), np.zeros((3, 2))
+    gains = expected_reduction(
+        slam_map.mean, slam_map.covariance, blank_grid(), places, reach=6.0, sigma=SIGMA, drift=DRIFT
+    )
+    np.testing.assert_array_equal(gains, np.zeros(3))

@@ -1,0 +1,125 @@
+"""The driver that carries goals out: when it hands back, what that costs, and what it leaves behind."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam_gym.navigation.planner import distance_field
+from slam_gym.scenarios import get_scenario
+from slam_gym.simulation import driver, goals
+from slam_gym.simulation.driver import ARRIVED, STUCK_TICKS, carry_out
+from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING
+from slam_gym.world.physics import RobotSpec
+from tests.rollouts import episode, explore, random_action, short
+
+FIRST_REVISIT = 1 + FRONTIERS
+
+
+def why_handed_back(env, slot: int, goal: np.ndarray) -> str:
+    ep = env.episode
+    if slot == LOOK:
+        return "looked"
+    if math.dist(ep.slam.map.pose[:2], goal) < ARRIVED:
+        return "arrived"
+    if ep.over:
+        return "over"
+    field = distance_field(ep.grid, ep.slam.map.pose[:2], env.scenario.robot.radius + goals.CLEARANCE)
+    if len(field.path(goal)) == 0:
+        return "lost"
+    unseen = float(ep.grid.expected_area(goal[None], env.scenario.beams.range)[0])
+    return "out of date" if slot <= FRONTIERS and unseen < WORTH_SEEING else "stuck"
+
+
+def test_goals_are_reached_lost_or_out_of_date_and_hardly_ever_given_up() -> None:
+    reasons: list[str] = []
+    for seed, scenario in enumerate(["office", "office", "aliased", "hall", "hall", "crowd"]):
+        env, rng = explore(scenario), np.random.default_rng(seed)
+        _, info = env.reset(seed=seed)
+        while not env.episode.over:
+            slot = random_action(env, info, rng)
+            goal, far = env.goals.positions[slot], env.goals.lengths[slot]
+            *_, info = env.step(slot)
+            reasons.append(why_handed_back(env, slot, goal))
+            # half the greatest speed and a turn on the spot, or as long as it takes to see that nothing helps
+            assert info["ticks"] <= 20.0 * far + 2 * STUCK_TICKS + 64
+            assert len(env.episode.path) == 0
+    count = {reason: reasons.count(reason) for reason in set(reasons)}
+    assert count["arrived"] >= 0.4 * len(reasons) and count["out of date"] >= 5, count
+    assert count.get("stuck", 0) <= 0.05 * len(reasons), count
+
+
+def test_a_revisit_where_nobody_walks_arrives() -> None:
+    env = explore(replace(get_scenario("hall"), budget=10**6))
+    for seed in range(4):
+        *_, (_, _, _, _, info) = episode(env, 5, seed=seed)
+        slots = np.flatnonzero(info["action_mask"][FIRST_REVISIT:]) + FIRST_REVISIT
+        goal = env.goals.positions[slots[0]]
+        env.step(int(slots[0]))
+        assert math.dist(env.episode.slam.map.pose[:2], goal) < ARRIVED
+
+
+def test_looking_around_turns_once_on_the_spot() -> None:
+    env = explore("hall")
+    env.reset(seed=0)
+    turned = []
+    env.watch(lambda watched: turned.append(watched.episode.odometry.motion[2]))
+    start = env.episode.world.pose
+    *_, info = env.step(LOOK)
+    assert len(turned) == info["ticks"]
+    assert sum(turned[:-1]) < 2.0 * math.pi <= sum(turned)
+    assert math.dist(start[:2], env.episode.world.pose[:2]) < 0.1
+
+
+def test_looking_around_is_given_up_by_a_robot_that_cannot_turn() -> None:
+    robot = RobotSpec(max_angular_acceleration=1e-3)
+    env = explore(short(400, robot=robot))
+    env.reset(seed=0)
+    assert env.step(LOOK)[-1]["ticks"] == math.ceil(4.0 * math.pi / (robot.max_turn * env.scenario.dynamics.tick))
+
+
+def test_a_goal_is_given_up_by_a_robot_that_cannot_move() -> None:
+    env = explore(short(400, robot=RobotSpec(max_acceleration=1e-6, max_angular_acceleration=1e-6)))
+    _, info = env.reset(seed=0)
+    slot = np.flatnonzero(info["action_mask"])[1]
+    assert env.step(slot)[-1]["ticks"] == STUCK_TICKS + 1
+
+
+def test_the_length_left_is_measured_along_the_path() -> None:
+    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
+    for position, left in [
+        ((0, 0), 7.0),
+        ((1, 0), 6.0),
+        ((3.9, 0), 3.1),
+        ((4, 2), 1.0),
+        ((2, 0.5), 5.5),
+        ((4, 4), 1.0),
+    ]:
+        assert driver._length_left(path, np.array(position, float)) == pytest.approx(left)
+    assert driver._length_left(np.zeros((2, 2)), np.array([0.3, 0.4])) == pytest.approx(0.5)
+
+
+def test_a_goal_that_no_path_leads_to_costs_one_tick_at_rest() -> None:
+    env, calls = explore("office"), []
+    env.reset(seed=0)
+    before = env.episode.world.pose
+    carry_out(env.episode, 1, np.array([500.0, 500.0]), lambda: calls.append(env.episode.ticks))
+    assert calls == [1]
+    np.testing.assert_allclose(env.episode.world.pose, before, atol=1e-9)
+
+
+def test_a_goal_ends_with_the_budget_in_its_middle() -> None:
+    env = explore(short(5, "hall"))
+    _, info = env.reset(seed=0)
+    *_, terminated, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
+    assert terminated and info["ticks"] == 5
+
+
+def test_the_path_is_there_while_it_is_followed() -> None:
+    env, paths = explore("office"), []
+    _, info = env.reset(seed=0)
+    env.watch(lambda watched: paths.append(len(watched.episode.path)))
+    slot = int(np.flatnonzero(info["action_mask"])[1])
+    *_, info = env.step(slot)
+    assert len(paths) == info["ticks"] and min(paths) >= 2 and len(env.episode.path) == 0
