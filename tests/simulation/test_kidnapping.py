@@ -9,9 +9,9 @@ from slam_gym.association import gcbb
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.geometry import compose
 from slam_gym.scenarios import KidnappingSpec, Scenario
-from slam_gym.simulation.kidnapping import pose_is_right
+from slam_gym.simulation.kidnapping import HEADING, POSITION, Kidnapping, pose_is_right
 from slam_gym.slam.relocation import relocate_by
-from slam_gym.types import Landmarks, Locality, Relocation, Scan
+from slam_gym.types import Array, Landmarks, Locality, Relocation, Scan
 from tests.rollouts import differences, explore, short
 
 BUDGET = 300
@@ -19,6 +19,69 @@ BUDGET = 300
 
 def kidnapped(**settings) -> Scenario:
     return short(BUDGET, "kidnapped", kidnapping=KidnappingSpec(**settings))
+
+
+# --- what is done to the robot ----------------------------------------------------------------------------------------
+
+CELLS = np.array([[float(x), 0.0] for x in range(20)])
+TRAIL = [np.array([x, 0.0, 0.0]) for x in np.linspace(0.0, 9.0, 91)]
+
+
+def destination(tick: int = 50, been: list[Array] = TRAIL, seed: int = 0, **settings) -> Array | None:
+    kidnapping = Kidnapping(KidnappingSpec(**settings), 100)
+    return kidnapping.destination(tick, been, CELLS, np.random.default_rng(seed))
+
+
+def test_inside_is_a_place_where_the_robot_has_been_and_far_enough_away() -> None:
+    drawn = np.array([destination(seed=seed, distance=4.0) for seed in range(200)])
+    been = np.array(TRAIL)[:, 0]
+    assert np.isin(drawn[:, 0], been[been <= 5.0]).all() and len(np.unique(drawn[:, 0])) > 30
+    assert drawn[:, 2].min() < -3.0 and drawn[:, 2].max() > 3.0  # facing anywhere
+
+
+def test_where_no_place_is_far_enough_it_is_the_farthest() -> None:
+    for seed in range(5):
+        assert destination(seed=seed, distance=50.0)[0] == 0.0
+
+
+def test_outside_is_as_far_as_there_is_from_all_where_the_robot_has_been() -> None:
+    np.testing.assert_array_equal(destination(inside=False)[:2], [19.0, 0.0])
+    back = [*TRAIL, *(np.array([x, 0.0, 0.0]) for x in np.linspace(9.0, 18.0, 91))]
+    assert destination(been=back, inside=False)[0] == 19.0
+
+
+def test_it_happens_once_when_it_is_due_and_never_without_a_spec() -> None:
+    kidnapping, rng = Kidnapping(KidnappingSpec(at=0.5), 100), np.random.default_rng(0)
+    carried = [tick for tick in range(100) if kidnapping.destination(tick, TRAIL, CELLS, rng) is not None]
+    assert carried == [50] and kidnapping.happened == 50
+    nobody, before = Kidnapping(None, 100), rng.bit_generator.state
+    assert all(nobody.destination(tick, TRAIL, CELLS, rng) is None for tick in range(100))
+    assert nobody.happened is None and rng.bit_generator.state == before
+
+
+def test_a_robot_has_recovered_when_its_pose_is_right_and_it_is_not_lost() -> None:
+    kidnapping, here, elsewhere = Kidnapping(KidnappingSpec(), 10), np.zeros(3), np.array([3.0, 0.0, 0.0])
+    kidnapping.judge(4, here, here, 0, False)
+    assert kidnapping.recovered is None  # nothing has happened yet
+    kidnapping.destination(5, TRAIL, CELLS, np.random.default_rng(0))
+    kidnapping.judge(5, elsewhere, here, 0, False)
+    kidnapping.judge(6, here, here, 0, True)  # by chance, and it does not know
+    assert kidnapping.recovered is None
+    kidnapping.judge(7, elsewhere, here, 1, False)
+    kidnapping.judge(8, here, here, 2, False)
+    kidnapping.judge(9, elsewhere, here, 2, False)
+    assert (kidnapping.recovered, kidnapping.right, kidnapping.wrong) == (8, 1, 1)
+
+
+def test_a_pose_is_right_up_to_its_tolerances_in_position_and_heading() -> None:
+    true = np.array([2.0, -1.0, 3.1])
+    for share, right in ((0.99, True), (1.01, False)):
+        for off in ([share * POSITION, 0.0, 0.0], [0.0, -share * POSITION, 0.0], [0.0, 0.0, share * HEADING]):
+            assert pose_is_right(compose(true, np.array(off)), true) is right
+            assert pose_is_right(true, compose(true, np.array(off))) is right
+
+
+# --- what becomes of it -----------------------------------------------------------------------------------------------
 
 
 def nearest_frontier(env: ExploreEnv, world: int) -> dict:

@@ -1,0 +1,123 @@
+"""SLAM that is judged: the twin of a loop written by hand, and who gets to see the truth."""
+
+import numpy as np
+import pytest
+
+from slam_gym.association import jcbb, true_association
+from slam_gym.metrics.association import Identities, Tally
+from slam_gym.simulation.judged import CEILING, JudgedSlam
+from slam_gym.slam.slam import Slam, SlamSpec, send
+from slam_gym.types import SPURIOUS, UNPAIRED, Effort, Hypothesis, Odometry, Prediction, Scan, Truth
+from tests.simulation.episodes import circle
+from tests.slam.strangers import reachable
+
+LOG = circle(15, spurious=0.1)
+
+
+def test_it_is_a_loop_of_steps_and_judgements() -> None:
+    judged, slam, identities = JudgedSlam(Slam(), "jcbb"), Slam(), Identities()
+    for odometry, scan, truth in LOG:
+        step = judged.step(odometry, scan, truth)
+        by_hand = slam.step(odometry, scan, "jcbb")
+        tally = identities.update(by_hand, truth)
+        np.testing.assert_array_equal(step.ids, by_hand.ids)
+        assert judged.last_tally == tally
+        np.testing.assert_array_equal(judged.identities.decisions, identities.decisions)
+    np.testing.assert_array_equal(judged.slam.map.mean, slam.map.mean)
+    assert judged.tally == identities.total != Tally()
+
+
+def test_where_somebody_outside_associates_the_step_and_its_judgement_are_the_same() -> None:
+    told, asking = JudgedSlam(Slam(), "jcbb"), JudgedSlam(Slam())
+    for odometry, scan, truth in LOG:
+        told.step(odometry, scan, truth)
+        pending = asking.asking_step(odometry, scan, truth)
+        send(pending, jcbb(scan, next(pending)))
+    assert told.tally == asking.tally
+    np.testing.assert_array_equal(told.slam.map.covariance, asking.slam.map.covariance)
+
+
+# --- who is told the truth --------------------------------------------------------------------------------------------
+
+
+def renamed(truth: Truth) -> Truth:
+    """The same truth about the poses, and a lie about every source."""
+    return Truth(truth.pose, np.where(truth.sources == SPURIOUS, SPURIOUS, (truth.sources + 1) % 12))
+
+
+def test_the_truth_is_told_to_its_associator_by_name_scan_after_scan() -> None:
+    honest, lied_to = JudgedSlam(Slam(), CEILING), JudgedSlam(Slam(), CEILING)
+    for number, (odometry, scan, truth) in enumerate(LOG):
+        honest.step(odometry, scan, truth)
+        lied_to.step(odometry, scan, truth if number < 5 else renamed(truth))
+    assert honest.tally.fp == honest.tally.fn == 0 < honest.tally.tp
+    positions = honest.slam.map.positions[:, None]
+    assert np.hypot(*(positions - lied_to.slam.map.positions[None]).transpose(2, 0, 1)).min(axis=1).max() > 0.2
+
+
+@pytest.mark.parametrize("associator", [true_association, "slam_gym.association:true_association"])
+def test_its_function_by_any_other_way_is_told_nothing(associator) -> None:
+    judged = JudgedSlam(Slam(), associator)
+    with pytest.raises(TypeError, match="sources"):
+        judged.step(*LOG[0])
+    assert judged.tally == Tally()
+
+
+def test_a_lie_changes_nothing_but_the_judgement_for_everybody_else() -> None:
+    honest, lied_to = JudgedSlam(Slam(), "jcbb"), JudgedSlam(Slam(), "jcbb")
+    for odometry, scan, truth in LOG:
+        rng = np.random.default_rng(len(honest.identities.decisions))
+        honest.step(odometry, scan, truth)
+        lied_to.step(odometry, scan, Truth(truth.pose + 1.0, rng.permutation(truth.sources)))
+    np.testing.assert_array_equal(honest.slam.map.mean, lied_to.slam.map.mean)
+    assert honest.tally != lied_to.tally
+
+
+def test_a_stranger_finds_no_truth() -> None:
+    found: list[object] = []
+
+    def spy(scan: Scan, prediction: Prediction) -> Hypothesis:
+        found.extend(reachable(scan, prediction))
+        return Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
+
+    judged = JudgedSlam(Slam(), spy)
+    for look in LOG[:3]:
+        judged.step(*look)
+    assert len(found) > 20 and not any(isinstance(thing, (Truth, Identities, JudgedSlam)) for thing in found)
+
+
+def test_an_unknown_associator_is_refused_with_those_that_are_known() -> None:
+    with pytest.raises(ValueError, match=r"unknown associator 'oracle'; known: .*jcbb"):
+        JudgedSlam(Slam(), "oracle")
+
+
+# --- what the map is told ---------------------------------------------------------------------------------------------
+
+
+def test_informed_every_labelled_feature_goes_in_when_it_is_first_seen_and_nothing_else_does() -> None:
+    """Side by side, the second feature would be taken for the first by the rule of `Slam`."""
+    still = Odometry.from_motion([0, 0, 0], 0.001)
+    first = Scan.from_points([[2, 0]], sigma=0.05)
+    second = Scan.from_points([[2, 0], [2.04, 0], [-3, 0], [4, 4]], sigma=0.05)
+    sources = np.array([0, 1, SPURIOUS, 1])
+    created = {}
+    for informed in (False, True):
+        judged = JudgedSlam(Slam(SlamSpec(reach=9.0)), CEILING, informed=informed)
+        judged.step(still, first, Truth(np.zeros(3), np.array([0])))
+        created[informed] = judged.step(still, second, Truth(np.zeros(3), sources)).created.tolist()
+    assert created[True] == [False, True, False, False]
+    assert created[False] == [False, False, True, True]
+
+
+def test_identities_may_be_gone_on_from() -> None:
+    slam = Slam()
+    before = JudgedSlam(slam, "jcbb")
+    for look in LOG[:8]:
+        before.step(*look)
+    went_on, whole = JudgedSlam(slam, CEILING, identities=before.identities), JudgedSlam(Slam(), "jcbb")
+    for look in LOG[8:]:
+        went_on.step(*look)
+    for look in LOG[:8]:
+        whole.step(*look)
+    assert went_on.identities is before.identities and went_on.tally.scans == len(LOG) > whole.tally.scans
+    assert went_on.tally.fp == whole.tally.fp  # the truth makes no mistake about features mapped before it came
