@@ -1,10 +1,14 @@
 """A robot that is lost: what is not learned, when the search is asked, and how the step goes on from its answer."""
 
-import numpy as np
+from dataclasses import replace
 
-from slam_gym.slam.relocation import RelocatingSlam
+import numpy as np
+import pytest
+
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.slam.relocation import LOCALITIES, RelocatingSlam, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import UNPAIRED, Effort, Odometry, Relocation, Scan
+from slam_gym.types import UNPAIRED, Effort, Landmarks, Locality, Odometry, Relocation, Scan
 
 STILL = Odometry.from_motion([0, 0, 0], [0.01, 0.01, 0.003])
 
@@ -67,3 +71,81 @@ def test_the_pose_found_is_what_the_pairings_tell() -> None:
         slam.step(STILL, scan_of(here))
     slam.step(Odometry.from_motion([0, 0, 3.0], 0.01), scan_of(np.array(here) - there[:2]))
     np.testing.assert_allclose(slam.map.pose, there, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("features", "pose", "message"),
+    [
+        ([0, 7], np.zeros(3), r"hypothesis.features\[1\]: 7, expected −1 … 1"),
+        ([1, 1], np.zeros(3), "feature 1 is paired twice"),
+        ([0], np.zeros(3), r"expected \(2,\) signed integers"),
+        ([0, 1], np.full(3, np.nan), "pose: expected 3 finite numbers"),
+    ],
+)
+def test_an_answer_that_cannot_be_is_refused_and_the_robot_is_not_moved(features, pose, message: str) -> None:
+    slam = RelocatingSlam(SlamSpec(lost_scans=1, min_expected=2), lambda slam, scan: found(features, pose))
+    still = Odometry(np.zeros(3), np.zeros((3, 3)))
+    for _ in range(3):
+        slam.step(still, scan_of([[1, 0], [2, 1]]))
+    mean, covariance = slam.map.mean, slam.map.covariance
+    with pytest.raises(ValueError, match=message):
+        slam.step(still, scan_of([[4, 4], [5, 3]]))
+    np.testing.assert_array_equal(slam.map.mean, mean)
+    np.testing.assert_array_equal(slam.map.covariance, covariance)
+    assert slam.relocations == 0
+
+
+@pytest.mark.parametrize("kind", [*LOCALITIES, None])
+def test_localities_are_named(kind) -> None:
+    """A row of features 1 m apart, seen three at a time by a sensor that reaches 2 m."""
+    graph, positions = CovisibilityGraph(), np.column_stack([np.arange(12.0), np.zeros(12)])
+    graph.add(12)
+    for first in range(0, 10):
+        graph.see_together(np.arange(first, first + 3))
+    locality = locality_of(graph, positions, 2.0, kind)
+    reach = {"covisibility": 2, "two-hop covisibility": 4, "distance": 4, None: None}[kind]
+    if reach is None:
+        assert locality is None
+    else:
+        for j in range(12):
+            assert locality.of(j).tolist() == [i for i in range(12) if abs(i - j) <= reach]
+
+
+class Asked:
+    """A search that gives one answer, and keeps what it was asked with."""
+
+    def __init__(self, answer: Relocation) -> None:
+        self.answer, self.asked = answer, []
+
+    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
+        self.asked.append((scan, landmarks, locality))
+        return self.answer
+
+
+def test_only_answers_that_explain_the_scan_and_cannot_be_chance_are_believed() -> None:
+    points = np.random.default_rng(0).uniform(-6, 6, (12, 2))
+    slam, scan = Slam(), scan_of(points)
+    for _ in range(2):
+        slam.step(STILL, scan)
+    every = np.arange(12)
+    believed = {
+        "all": found(every.tolist(), np.zeros(3)),
+        "ambiguous": replace(found(every.tolist(), np.zeros(3)), ambiguous=True),
+        "chance": found(np.where(every < 2, every, UNPAIRED).tolist(), np.zeros(3)),
+        "too little of the scan": found(np.where(every < 5, every, UNPAIRED).tolist(), np.zeros(3)),
+    }
+    for name, answer in believed.items():
+        search = Asked(answer)
+        assert (relocate_by(search)(slam, scan) is answer) is (name == "all"), name
+        given, landmarks, locality = search.asked[0]
+        assert not given.points.flags.writeable and len(landmarks) == len(locality) == slam.map.n == 12
+
+
+def test_a_search_or_a_locality_that_nobody_knows_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"unknown relocator 'oracle'; known: .*gcbb"):
+        relocate_by("oracle")
+    with pytest.raises(ValueError, match="locality: 'rooms' is none of covisibility, "):
+        relocate_by("gcbb", locality="rooms")
+    for probability in (0.0, 1.0, np.nan):
+        with pytest.raises(ValueError, match="probability"):
+            relocate_by("gcbb", probability=probability)
