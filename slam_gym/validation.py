@@ -92,25 +92,32 @@ def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> tuple[in
 def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:
     """The hypothesis, its decisions as a plain array (m,), once they fit m `measurements` and a map of n `features`.
 
-    Raises ValueError where they are not m signed integers −1 … n−1, where a feature is paired twice by a hypothesis
-    that is exclusive, and where a measurement is paired and called new.
+    Raises ValueError where it is none, where they are not m signed integers −1 … n−1, where a feature is paired twice
+    by a hypothesis that is exclusive, and where a measurement is paired and called new.
     """
+    if not isinstance(hypothesis, Hypothesis):
+        raise ValueError(f"hypothesis: {type(hypothesis).__name__}, expected a Hypothesis")
     given = hypothesis.features
     if not isinstance(given, np.ndarray) or given.shape != (measurements,) or given.dtype.kind != "i":
         told = f"{given.dtype} of shape {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
         raise ValueError(f"hypothesis.features: {told}, expected ({measurements},) signed integers")
     decisions = given
-    if type(given) is not np.ndarray or given.dtype != np.int64:
-        decisions = np.array(given, dtype=np.int64, subok=False)
+    if type(given) is not np.ndarray or given.dtype != np.int64 or not given.flags.carray:
+        decisions = np.array(given, dtype=np.int64, subok=False)  # what follows is compiled for plain arrays alone
     entry, fault = _first_bad_decision(decisions, features, hypothesis.exclusive)
     if fault == 1:
         raise ValueError(f"hypothesis.features[{entry}]: {decisions[entry]}, expected −1 … {features - 1}")
     if fault == 2:
         raise ValueError(f"hypothesis.features[{entry}]: feature {decisions[entry]} is paired twice")
-    new = hypothesis.new
-    if new is not None and (new.shape != (measurements,) or new.dtype != np.bool_ or (new & (decisions >= 0)).any()):
+    if hypothesis.new is not None and not _fits(hypothesis.new, decisions):
         raise ValueError(f"hypothesis.new: expected ({measurements},) booleans, true for unpaired measurements only")
     return hypothesis if decisions is given else replace(hypothesis, features=decisions)
+
+
+def _fits(new: Any, decisions: IntArray) -> bool:
+    """Whether `new` are booleans, one for each decision and none of them for one that pairs."""
+    right = isinstance(new, np.ndarray) and new.shape == decisions.shape and new.dtype == np.bool_
+    return right and not bool((new & (decisions >= 0)).any())
 
 
 def one_of(name: str, value: Any, known: Any) -> None:

@@ -129,11 +129,24 @@ def test_decisions_that_do_not_fit_are_named(features, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "new", [np.array([True, False]), np.array([1, 0, 0]), np.array([True, False, False]), np.array([[False] * 3])]
+    "new",
+    [
+        np.array([True, False]),
+        np.array([1, 0, 0]),
+        np.array([True, False, False]),
+        np.array([[False] * 3]),
+        [False, True, False],
+    ],
 )
 def test_a_measurement_that_is_paired_or_not_there_cannot_be_new(new) -> None:
     with pytest.raises(ValueError, match=r"hypothesis.new: expected \(3,\) booleans"):
         check_hypothesis(hypothesis(np.array([0, UNPAIRED, 1]), new=new), 3, 5)
+
+
+@pytest.mark.parametrize("answer", [None, np.array([0, 1, 2]), (np.array([0, 1, 2]), 0.0, 0, Effort())])
+def test_what_is_no_hypothesis_is_named(answer) -> None:
+    with pytest.raises(ValueError, match=rf"hypothesis: {type(answer).__name__}, expected a Hypothesis"):
+        check_hypothesis(answer, 3, 5)
 
 
 def test_what_fits_is_handed_back_as_it_is() -> None:
@@ -158,13 +171,19 @@ class Shouting(np.ndarray):
 
 @pytest.mark.parametrize(
     "features",
-    [np.array([2, -1, 0], np.int8), np.array([2, -1, 0], ">i4"), np.array([2, -1, 0]).view(Shouting)],
-    ids=["int8", "another byte order", "subclass"],
+    [
+        np.array([2, -1, 0], np.int8),
+        np.array([2, -1, 0], ">i4"),
+        np.array([2, -1, 0]).view(Shouting),
+        np.array([2, 7, -1, 7, 0, 7])[::2],
+        np.frombuffer(np.array([2, -1, 0]).tobytes(), np.int64),
+    ],
+    ids=["int8", "another byte order", "subclass", "every second", "read-only"],
 )
-def test_integers_of_another_sort_are_made_plain(features) -> None:
+def test_integers_of_another_sort_or_otherwise_laid_out_are_made_plain(features) -> None:
     checked = check_hypothesis(hypothesis(features), 3, 5).features
     assert type(checked) is np.ndarray and checked.dtype == np.dtype(np.int64)
-    assert checked.tolist() == [2, -1, 0]
+    assert checked.tolist() == [2, -1, 0] and checked.flags.carray
     assert not np.shares_memory(checked, np.asarray(features))
 
 
