@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.types import NONE
+from slam_gym.types import UNPAIRED
 
 
 class DictGraph:
@@ -20,7 +20,7 @@ class DictGraph:
         self.counts: Counter[tuple[int, int]] = Counter()
 
     def see_together(self, features: np.ndarray) -> None:
-        self.counts.update(combinations(sorted(set(features.tolist()) - {NONE}), 2))
+        self.counts.update(combinations(sorted(set(features.tolist()) - {UNPAIRED}), 2))
 
     def keep(self, kept: np.ndarray) -> None:
         new = {old: i for i, old in enumerate(kept.tolist())}
@@ -44,7 +44,7 @@ def random_pair(rng: np.random.Generator, steps: int) -> tuple[CovisibilityGraph
         count = int(rng.integers(0, 5))
         graph.add(count)
         oracle.n += count
-        seen = rng.integers(NONE, oracle.n, rng.integers(0, 12))
+        seen = rng.integers(UNPAIRED, oracle.n, rng.integers(0, 12))
         graph.see_together(seen)
         oracle.see_together(seen)
         if rng.random() < 0.2:
@@ -75,7 +75,7 @@ def test_localities_equal_the_definition(seed: int) -> None:
         chosen = rng.integers(0, graph.n, size)
         neighbours = {j for j in range(graph.n) for f in chosen if oracle.count(j, f)}
         expected = np.isin(np.arange(graph.n), [*chosen, *neighbours])
-        np.testing.assert_array_equal(graph.local_to(np.append(chosen, NONE)), expected)
+        np.testing.assert_array_equal(graph.local_to(np.append(chosen, UNPAIRED)), expected)
         among = [[bool(i == j or oracle.count(i, j)) for j in chosen] for i in chosen]
         np.testing.assert_array_equal(graph.among(chosen), np.array(among, dtype=bool).reshape(size, size))
 
@@ -83,7 +83,7 @@ def test_localities_equal_the_definition(seed: int) -> None:
 def test_repetitions_and_unpaired_measurements_count_for_nothing() -> None:
     graph = CovisibilityGraph()
     graph.add(3)
-    graph.see_together(np.array([2, NONE, 0, 2, NONE, 0]))
+    graph.see_together(np.array([2, UNPAIRED, 0, 2, UNPAIRED, 0]))
     edges, counts = graph.edges()
     np.testing.assert_array_equal(edges, [[0, 2]])
     np.testing.assert_array_equal(counts, [1])
@@ -127,7 +127,7 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing() -> None:
             with pytest.raises(ValueError, match="features"):
                 refusing(np.array(features))
     with pytest.raises(ValueError, match="features"):
-        graph.among(np.array([0, NONE]))
+        graph.among(np.array([0, UNPAIRED]))
     with pytest.raises(ValueError, match="count"):
         graph.add(-1)
     for kept in ([1, 0], [0, 0], [-1, 2], [0, graph.n]):

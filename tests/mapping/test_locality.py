@@ -8,7 +8,7 @@ import pytest
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, linked, locality_sizes, same_local_map, with_blocks, within
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Locality
+from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Locality
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.ray_casting import WallIndex, pull_back
 from slam_gym.world.reachability import reachable
@@ -97,7 +97,7 @@ def some_landmarks(rng: np.random.Generator, n: int) -> Landmarks:
     covariance = factor @ factor.T
     marginals = np.array([covariance[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
     none, unknown = np.empty(0, np.int64), np.full(n, np.nan)
-    kinds, blocks = np.full(n, UNKNOWN), np.empty((0, 2, 2))
+    kinds, blocks = np.full(n, UNKNOWN_KIND), np.empty((0, 2, 2))
     return Landmarks(rng.uniform(0, 9, (n, 2)), marginals, unknown, unknown, kinds, covariance, none, none, blocks)
 
 

@@ -10,7 +10,7 @@ from slam_gym.mapping.map_joining import equality_update, equate, join, joined_e
 from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import anees_interval, nees
-from slam_gym.types import UNKNOWN, Array, IntArray, Odometry, Scan
+from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Odometry, Scan
 from tests.oracles.map import SIGMA, KnownAssociation, Q, Step, make_scan, random_covariance, wander
 
 KEEP = MapSpec(unconfirmed_age=None)
@@ -192,11 +192,11 @@ def sized(points: list[list[float]], sizes: list[float], variances: list[float],
 def two_small_maps() -> tuple[StochasticMap, StochasticMap]:
     """Three features each; the robot of the first stands 1 m ahead of its base."""
     a = StochasticMap(KEEP)
-    a.add(sized([[2, 0], [2, 1], [2, 2]], [0.5, np.nan, 0.3], [0.01, np.nan, 0.02], [3, UNKNOWN, 2]), np.arange(3))
+    a.add(sized([[2, 0], [2, 1], [2, 2]], [0.5, np.nan, 0.3], [0.01, np.nan, 0.02], [3, UNKNOWN_KIND, 2]), np.arange(3))
     a.end_of_step()
     a.predict(Odometry(np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3)))
     b = successor(a)
-    b.add(sized([[1, 0], [1, 1], [9, 9]], [0.7, 0.4, 0.6], [0.03, 0.05, 0.01], [3, 1, UNKNOWN]), np.arange(3))
+    b.add(sized([[1, 0], [1, 1], [9, 9]], [0.7, 0.4, 0.6], [0.03, 0.05, 0.01], [3, 1, UNKNOWN_KIND]), np.arange(3))
     b.end_of_step()
     return a, b
 
@@ -210,7 +210,7 @@ def test_what_is_known_of_a_duplicate_goes_to_the_older_feature() -> None:
     np.testing.assert_array_equal(m.last_seen, [1, 1, 0, 1])
     np.testing.assert_allclose(m.sizes, [(0.5 / 0.01 + 0.7 / 0.03) / (1 / 0.01 + 1 / 0.03), 0.4, 0.3, 0.6])
     np.testing.assert_allclose(m.size_variances, [0.0075, 0.05, 0.02, 0.01])
-    np.testing.assert_array_equal(m.kinds, [3, 1, 2, UNKNOWN])
+    np.testing.assert_array_equal(m.kinds, [3, 1, 2, UNKNOWN_KIND])
     np.testing.assert_allclose(m.positions, [[2, 0], [2, 1], [2, 2], [10, 9]], atol=1e-9)
     assert m.step == 2
     m.add(sized([[1, 1]], [1.0], [1.0], [0]), np.array([0]))

@@ -15,7 +15,7 @@ from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.recordings import Recording, save
 from slam_gym.simulation.recorded_logs import reference_poses, windows
-from slam_gym.types import NONE, UNKNOWN
+from slam_gym.types import SPURIOUS, UNLABELLED
 from tests.envs.test_associate import ID, Playing, associate, at_random, episode, refuse, total
 from tests.rollouts import differences
 
@@ -36,7 +36,7 @@ def drive(seed=0, steps=STEPS, headings=True, **changes) -> Recording:
         seen = np.flatnonzero(np.hypot(*local.T) < 8.0)
         points.append(local[seen] + 0.05 * rng.standard_normal((len(seen), 2)))
         points.append(rng.uniform(-8.0, 8.0, (1, 2)))
-        sources += [*np.where(rng.random(len(seen)) < 0.1, UNKNOWN, seen), NONE]
+        sources += [*np.where(rng.random(len(seen)) < 0.1, UNLABELLED, seen), SPURIOUS]
         starts.append(len(sources))
     unknown = np.full(len(sources), math.nan)
     reference = np.array(poses) if headings else np.column_stack([np.array(poses)[:, :2], np.full(steps, math.nan)])
@@ -58,7 +58,7 @@ def arc(tmp_path, monkeypatch) -> str:
 
 
 def truth(env, info):
-    return env.K if info["truth"]["action"] == NONE else info["truth"]["action"]
+    return env.K if info["truth"]["action"] == SPURIOUS else info["truth"]["action"]
 
 
 def looks_of(log, seed):
@@ -155,13 +155,13 @@ def test_refusing_everything_earns_nothing_and_the_truth_the_maximum(arc) -> Non
 
 
 def test_sources_that_nobody_knows_earn_nothing_and_spurious_ones_cost() -> None:
-    for source, earns in ((UNKNOWN, 0.0), (NONE, -1.0)):
+    for source, earns in ((UNLABELLED, 0.0), (SPURIOUS, -1.0)):
         log = drive()
         env = associate(windows(replace(log, sources=np.full_like(log.sources, source)), "train"), wrong_cost=2.0)
         steps = list(episode(env, at_random(0)))
         assert len(steps) > 100 and np.sign(total(steps)) == earns
         tally = env.run.identities.total
-        assert (tally.fp_spurious > 50) == (source == NONE) and tally.fp == tally.fp_spurious and tally.tp == 0
+        assert (tally.fp_spurious > 50) == (source == SPURIOUS) and tally.fp == tally.fp_spurious and tally.tp == 0
         assert steps[-1][4]["score"] == pytest.approx(-2.0 * tally.fp)
 
 
