@@ -1,0 +1,346 @@
+"""The pages that nobody writes by hand: MkDocs calls this module while it builds the site.
+
+Environments and scenarios come from their registries and docstrings, the reference from the packages, tutorials from
+the notebooks, formats, changelog and contributing from the files where developers look for them. Every such page is
+an entry of `GENERATED`: where it stands in the navigation, and what writes it.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.plugins import event_priority
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+import slam_gym
+from slam_gym.bench.__main__ import BENCHMARKS
+from slam_gym.scenarios import SCENARIOS, Scenario
+
+ROOT = Path(__file__).parents[1]
+CACHE = ROOT / ".cache" / "notebooks"
+
+COPIES = {
+    "changelog.md": "CHANGELOG.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "formats/recording.md": "slam_gym/recordings/FORMAT.md",
+    "formats/floor_plan.md": "slam_gym/world/FORMAT.md",
+}
+"""Pages of the site that are files of the repository."""
+
+ROOMS = {
+    "slam_gym": "The data that flows, geometry, checks of arguments",
+    "slam_gym.world": "The truth: floor plans, physics, sensors",
+    "slam_gym.mapping": "The stochastic map",
+    "slam_gym.navigation": "What the robot itself knows of space",
+    "slam_gym.association": "Compatibility and the interpretation tree",
+    "slam_gym.association.tracking": "Searches with a prior on the pose",
+    "slam_gym.association.relocation": "Searches without one",
+    "slam_gym.association.triangles": "The index over the map",
+    "slam_gym.slam": "One step of SLAM; losing and finding the robot; several maps",
+    "slam_gym.metrics": "What is measured against the truth",
+    "slam_gym.recordings": "Real logs",
+    "slam_gym.scenarios": "Named configurations",
+    "slam_gym.simulation": "Episodes: world and estimate side by side",
+    "slam_gym.rendering": "Pictures",
+    "slam_gym.envs": "The Gymnasium environments",
+    "slam_gym.bench": "Benchmarks",
+    "agents": "Commands: evaluate, train, play",
+    "agents.drivers": "Drivers",
+    "agents.learning": "Learned drivers and associators",
+    "agents.evaluation": "Running evaluations",
+    "agents.suite": "The suite of association problems",
+    "agents.reports": "Tables, figures, films, pages",
+}
+"""Packages in the order of the reference, and what each is about. Its own modules stand on its page."""
+
+
+# -- MkDocs ----------------------------------------------------------------------------------------------------------
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Put the generated pages into the navigation."""
+    notebooks = [f"tutorials/{path.name}" for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
+    environments = ["environments/index.md", *(f"environments/{_file(spec.id)}.md" for spec in _environments())]
+    scenarios = ["scenarios/index.md", *(f"scenarios/{name}.md" for name in SCENARIOS)]
+    reference = ["reference/index.md", *(f"reference/{room}.md" for room in ROOMS)]
+    generated = {"Tutorials": notebooks, "Environments": environments, "Scenarios": scenarios, "Reference": reference}
+    for entry in config.nav or []:
+        (section,) = entry
+        entry[section] += generated.get(section, [])
+        if section == "Bring your own":
+            entry[section] += [page for page in COPIES if page.startswith("formats/")]
+    return config
+
+
+@event_priority(100)  # before mkdocs-jupyter, which is to find the notebooks
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add every generated page to the files of the site."""
+    for uri, content in _pages():
+        files.append(File.generated(config, uri, content=content))
+    CACHE.mkdir(parents=True, exist_ok=True)
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        target = CACHE / "tutorials" / path.name
+        target.parent.mkdir(exist_ok=True)
+        target.write_text(_notebook(path), encoding="utf-8")
+        files.append(File(f"tutorials/{path.name}", str(CACHE), config.site_dir, config.use_directory_urls))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Fill in the table of the benchmarks."""
+    rows = [f"| `python -m slam_gym.bench {name}` | {text} |" for name, text in BENCHMARKS.items()]
+    return markdown.replace("<!-- benchmarks -->", "\n".join(["| Benchmark | What it measures |", "|---|---|", *rows]))
+
+
+# -- what is copied --------------------------------------------------------------------------------------------------
+
+
+def _pages() -> Iterator[tuple[str, str]]:
+    for uri, path in COPIES.items():
+        yield uri, _on_the_site((ROOT / path).read_text(encoding="utf-8"), uri)
+    for spec in _environments():
+        yield f"environments/{_file(spec.id)}.md", _environment(spec)
+    yield "scenarios/index.md", _scenario_index()
+    for scenario in SCENARIOS.values():
+        yield f"scenarios/{scenario.name}.md", _scenario(scenario)
+    yield "reference/index.md", _reference_index()
+    for room, about in ROOMS.items():
+        yield f"reference/{room}.md", _reference(room, about)
+
+
+def _on_the_site(text: str, uri: str) -> str:
+    """Links between files of the repository as links between pages of the site."""
+    up = "../" * uri.count("/")
+    text = re.sub(r"\]\(docs/", f"]({up}", text)
+    text = re.sub(r"\]\((?:\.\./)*notebooks/", f"]({up}tutorials/", text)
+    for page, path in COPIES.items():
+        text = re.sub(rf"\]\((?:\.\./)*{re.escape(path)}", f"]({up}{page}", text)
+    return text
+
+
+def _notebook(path: Path) -> str:
+    """The notebook with its links as they are on the site, where every page is a folder."""
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "markdown":
+            text = "".join(cell["source"])
+            text = re.sub(r"\]\((\w+)\.ipynb\)", r"](../\1/)", text)
+            for page, file in COPIES.items():
+                text = text.replace(f"](../{file})", f"](../../{page.removesuffix('.md')}/)")
+            cell["source"] = re.sub(r"\]\(\.\./docs/([\w/]+)\.md\)", r"](../../\1/)", text).splitlines(keepends=True)
+    return json.dumps(notebook, ensure_ascii=False, indent=1)
+
+
+# -- environments ----------------------------------------------------------------------------------------------------
+
+
+def _environments() -> list[Any]:
+    return [spec for spec in gym.registry.values() if spec.namespace == "slam_gym"]
+
+
+def _file(environment: str) -> str:
+    return environment.partition("/")[2].partition("-")[0].lower()
+
+
+def _class_of(spec: Any) -> Any:
+    return gym.envs.registration.load_env_creator(spec.entry_point)
+
+
+def _environment(spec: Any) -> str:
+    """One page: picture, docstring, spaces and the arguments with their defaults."""
+    class_ = _class_of(spec)
+    made = gym.make(spec.id).unwrapped
+    arguments = inspect.signature(class_.__init__).parameters
+    rows = [f"| `{name}` | `{p.default!r}` |" for name, p in arguments.items() if p.default is not p.empty]
+    spaces = [f"| `{name}` | `{space}` |" for name, space in made.observation_space.items()]
+    text = inspect.getdoc(class_) or ""
+    return "\n".join(
+        [
+            f"# {spec.id}",
+            "",
+            f"![A picture of {spec.id}](../pictures/{_file(spec.id)}.png){{ .picture }}",
+            "",
+            text,
+            "",
+            "## Arguments and their defaults",
+            "",
+            "| Argument | Default |",
+            "|---|---|",
+            *rows,
+            "",
+            "## Spaces, with the defaults",
+            "",
+            f"Action space: `{made.action_space}`",
+            "",
+            "| Observation | Space |",
+            "|---|---|",
+            *spaces,
+            "",
+            f"Reference: [`{class_.__name__}`](../reference/slam_gym.envs.md)",
+            "",
+        ]
+    )
+
+
+# -- scenarios -------------------------------------------------------------------------------------------------------
+
+
+def _scenario_index() -> str:
+    rows = [
+        f"| [`{s.name}`]({s.name}.md) | {type(s.generator).__name__} | {s.budget} | {_summary(s)} |"
+        for s in SCENARIOS.values()
+    ]
+    return "\n".join(
+        [
+            "# Scenarios",
+            "",
+            "A scenario is everything that defines an episode but its seed: a generator of worlds, a robot with its",
+            "sensors, noise and filter, and a budget. [Your own scenario](../own/scenario.md) says how to change one.",
+            "",
+            "| Scenario | Worlds | Ticks (.1 s) | What differs from the defaults |",
+            "|---|---|---|---|",
+            *rows,
+            "",
+        ]
+    )
+
+
+def _summary(scenario: Scenario) -> str:
+    parts = dict.fromkeys(path.split(".")[0] for path, _, _ in _differences(scenario))
+    return ", ".join(parts) or "nothing"
+
+
+def _differences(scenario: Scenario) -> list[tuple[str, Any, Any]]:
+    """Dotted names of the settings in which a scenario differs from the defaults: its value, and theirs."""
+    plain = Scenario(scenario.name, scenario.generator, scenario.budget)
+    return list(_compared("", scenario, plain))
+
+
+def _compared(path: str, one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
+    if is_dataclass(one) and type(one) is type(other):
+        for field in fields(one):
+            below = f"{path}.{field.name}" if path else field.name
+            yield from _compared(below, getattr(one, field.name), getattr(other, field.name))
+    elif one != other:
+        yield path, one, other
+
+
+def _scenario(scenario: Scenario) -> str:
+    generator = scenario.generator
+    drawn = [f"| `generator.{field.name}` | `{getattr(generator, field.name)!r}` |" for field in fields(generator)]
+    rows = [f"| `{path}` | `{value!r}` | `{default!r}` |" for path, value, default in _differences(scenario)]
+    differs = ["| Setting | Here | Default |", "|---|---|---|", *rows] if rows else ["Everything is at its default."]
+    return "\n".join(
+        [
+            f"# {scenario.name}",
+            "",
+            f"![A world of {scenario.name}](../pictures/scenario_{scenario.name}.png){{ .picture }}",
+            "",
+            f"*Test world 1, driven by `information_gain` for all of its {scenario.budget} ticks of .1 s.*",
+            "",
+            f"`{type(generator).__name__}`: {inspect.getdoc(type(generator))}",
+            "",
+            "## What differs from the defaults",
+            "",
+            *differs,
+            "",
+            "## What its worlds are drawn from",
+            "",
+            "| Setting | Here |",
+            "|---|---|",
+            *drawn,
+            "",
+            "[Your own scenario](../own/scenario.md) says how to change any of this by name.",
+            "",
+        ]
+    )
+
+
+# -- reference -------------------------------------------------------------------------------------------------------
+
+
+def _modules(room: str) -> list[str]:
+    """The public modules of a room itself, its packages below where they are no rooms of their own."""
+    folder = ROOT / room.replace(".", "/")
+    below = folder.glob("*.py") if room in ("slam_gym", "agents") else folder.rglob("*.py")
+    names = []
+    for path in sorted(below):
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        inner = name != room and any(
+            name == other or name.startswith(f"{other}.")
+            for other in ROOMS
+            if other != room and other.startswith(f"{room}.")
+        )
+        listed = _has_docstring(path) if name == room else not (inner or path.stem.startswith("_"))
+        if listed:
+            names.append(name)
+    return names
+
+
+def _has_docstring(path: Path) -> bool:
+    return bool(ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+def _reference_index() -> str:
+    rows = [f"| [`{room}`]({room}.md) | {about} |" for room, about in ROOMS.items()]
+    packages = ["| Package | |", "|---|---|", *rows]
+    names = ["| `from slam_gym import …` | |", "|---|---|", *map(_public_name, slam_gym.__all__)]
+    return "\n".join(["# Reference", "", *packages, "", "## What users import", "", *names, ""])
+
+
+def _public_name(name: str) -> str:
+    """A row of the table of public names, with a link to where the thing is defined."""
+    thing = getattr(slam_gym, name)
+    if callable(thing):
+        return f"| [`{name}`][{thing.__module__}.{name}] | {(inspect.getdoc(thing) or '').partition(chr(10))[0]} |"
+    module = slam_gym._MODULE_OF[name]
+    about = _constants(module).get(name)
+    return f"| [`{name}`][{module}.{name}] | {about} |" if about else f"| `{name}` | = {thing} |"
+
+
+def _constants(module: str) -> dict[str, str]:
+    """The first line that the docstring of each constant of a module has, by name."""
+    path = ROOT / module.replace(".", "/")
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    found = {}
+    for node, after in pairwise(body):
+        target = (
+            node.target
+            if isinstance(node, ast.AnnAssign)
+            else node.targets[0]
+            if isinstance(node, ast.Assign)
+            else None
+        )
+        if isinstance(target, ast.Name) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            found[target.id] = str(after.value.value).partition("\n")[0]
+    return found
+
+
+def _reference(room: str, about: str) -> str:
+    blocks = []
+    for name in _modules(room):
+        blocks.append(f"::: {name}\n")
+        path = ROOT / name.replace(".", "/") / "__init__.py"
+        if path.is_file():  # what a package merely passes on stands where it is defined
+            blocks[-1] += f"    options:\n      members: {json.dumps(_defined(path))}\n"
+    return "\n".join([f"# {room}", "", f"{about}.", "", *blocks])
+
+
+def _defined(path: Path) -> list[str]:
+    """Public names that a module defines itself, with a docstring."""
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    names = [node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    names += [n.target.id for n in body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)]
+    return [name for name in names if not name.startswith("_")]

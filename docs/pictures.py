@@ -1,0 +1,210 @@
+"""Draw the pictures of these pages: `python docs/pictures.py [NAME …]`, all of them by default.
+
+They are drawn by the package itself, and committed, small. Names are those of `PICTURES`; `scenarios` stands for the
+pictures of all scenarios. Needs the extra `agents`, or `docs` and `render` with matplotlib.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import gymnasium as gym
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.collections import EllipseCollection
+from PIL import Image
+
+import slam_gym  # noqa: F401 (registers the environments)
+from agents.drivers.base import make_agent, visible
+from slam_gym.association import jcbb, nearest_neighbour
+from slam_gym.association.compatibility import chi2_gate, individual
+from slam_gym.scenarios import SCENARIOS
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import UNPAIRED
+from slam_gym.world import corridor
+
+FOLDER = Path(__file__).parent / "pictures"
+COLOURS = 256  # of a picture: few enough for small files
+RED, BLUE, GREEN, GREY, INK = "#c8553d", "#2b6ca3", "#3a8a5c", "#b8bec6", "#2f3640"
+STYLE = {
+    "figure.dpi": 110, "font.size": 9, "axes.titlesize": 10, "axes.titleweight": "bold", "axes.edgecolor": GREY,
+    "axes.spines.top": False, "axes.spines.right": False, "text.color": INK, "axes.labelcolor": INK,
+}  # fmt: skip
+
+
+def save(name: str, picture: Any) -> None:
+    """Write an array (h, w, 3) uint8, or the current figure of matplotlib (None), with few colours."""
+    if picture is None:
+        figure = plt.gcf()
+        figure.canvas.draw()
+        picture = np.asarray(figure.canvas.buffer_rgba())[:, :, :3]  # type: ignore[attr-defined]
+        plt.close(figure)
+    image = Image.fromarray(np.ascontiguousarray(picture))
+    image = image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, 2, dither=Image.Dither.NONE)  # keeps rare colours
+    image.save(FOLDER / f"{name}.png", optimize=True)
+
+
+# -- environments and scenarios --------------------------------------------------------------------------------------
+
+
+def driven(scenario: str, ticks: int, world: int = 0, **arguments: Any) -> Any:
+    """A test world, explored by information gain until `ticks` have passed or the budget is spent: the picture."""
+    env = gym.make(
+        "slam_gym/Explore-v0", scenario=scenario, split="test", render_mode="rgb_array", disable_env_checker=True,
+        **arguments,
+    )  # fmt: skip
+    agent = make_agent("information_gain")
+    agent.reset(world)
+    observation, info = env.reset(seed=world, options={"world": world})
+    driven, over = 0, False
+    while driven < ticks and not over:
+        observation, _, over, _, info = env.step(agent.act(observation, visible(info)))
+        driven += info["ticks"]
+    return env.render()
+
+
+def associate() -> Any:
+    """The decision of an episode in which most is on offer."""
+    env = gym.make("slam_gym/Associate-v0", scenario="corridor", render_mode="rgb_array", split="test")
+    best, picture = (0, 0), None
+    _, info = env.reset(seed=4)
+    over = False
+    while not over:
+        if info["look"] >= 40:
+            walk: Any = env.unwrapped.walk  # type: ignore[attr-defined]
+            choice = (int(info["action_mask"].sum()), walk.pairings)
+            if choice > best and walk.pairings >= 2:
+                best, picture = choice, env.render()
+        action = info["truth"]["action"]
+        _, _, over, _, info = env.step(action if action >= 0 else env.action_space.n - 1)  # type: ignore[attr-defined]
+    return picture
+
+
+def relocate() -> Any:
+    """A robot that is about to be found: the right branches were taken, the last is to be decided."""
+    env = gym.make("slam_gym/Relocate-v0", scenario="office", render_mode="rgb_array", split="test", outside=0.0)
+    _, info = env.reset(seed=3)
+    over, picture = False, env.render()
+    while not over:
+        action = info["truth"]["action"]
+        picture = env.render()
+        _, _, over, _, info = env.step(action if action >= 0 else env.action_space.n - 2)  # type: ignore[attr-defined]
+    return picture
+
+
+# -- concepts --------------------------------------------------------------------------------------------------------
+
+
+def ellipses(ax: Any, centres: Any, covariances: Any, colour: str, scale: float) -> None:
+    values, vectors = np.linalg.eigh(covariances)
+    widths = 2 * scale * np.sqrt(np.maximum(values, 0.0))
+    angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    ax.add_collection(
+        EllipseCollection(
+            widths[:, 1], widths[:, 0], angles, units="xy", offsets=centres, offset_transform=ax.transData,
+            facecolors=colour + "18", edgecolors=colour, linewidths=0.6,
+        )
+    )  # fmt: skip
+
+
+def compatibility() -> None:
+    """Gates and pairings of nearest neighbour and JCBB where the reference corridor's loop closes."""
+    slam = Slam(SlamSpec(reach=corridor.RANGE, locality=False))
+    source_of: dict[int, int] = {}  # map feature -> true feature behind the measurement that created it
+    for step, (odometry, scan, truth) in enumerate(corridor.walk_round(np.random.default_rng(7))):
+        right = [source_of[i] for i in slam.map.ids.tolist()]
+        features = np.array([right.index(int(source)) if source in right else UNPAIRED for source in truth.sources])
+        done = slam.step(odometry, scan, partial(draw_both, features) if step == 40 else "jcbb")
+        if step == 40:
+            return
+        source_of |= {int(i): int(s) for i, s, new in zip(done.ids, truth.sources, done.created) if new}
+
+
+def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
+    """An associator that draws what nearest neighbour and JCBB make of the scan, whose right features are `right`."""
+    candidates = individual(scan, prediction)
+    rows = candidates.rows[candidates.slots]
+    gates = prediction.covariances[rows] + scan.covariances[candidates.measured]
+    place = dict(zip(prediction.features.tolist(), prediction.positions))
+    answers = {"nearest neighbour": nearest_neighbour(scan, prediction), "JCBB": jcbb(scan, prediction)}
+    _, axes = plt.subplots(1, 2, figsize=(11.5, 4.9), sharex=True, sharey=True, layout="constrained")
+    for ax, (name, answer) in zip(axes, answers.items()):
+        ellipses(ax, prediction.positions[rows], gates, GREY, np.sqrt(chi2_gate(2, prediction.confidence)))
+        ax.plot(*prediction.positions.T, "o", mfc="white", color=INK, ms=4.5, mew=0.9)
+        ax.plot(*scan.points.T, "x", color=INK, ms=6, mew=1.6, zorder=3)
+        for i in np.flatnonzero(answer.features != UNPAIRED):
+            colour = GREEN if answer.features[i] == right[i] else RED
+            arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.8, "connectionstyle": "arc3,rad=-0.35"}
+            ax.annotate("", scan.points[i], place[int(answer.features[i])], arrowprops=arrow)
+        wrong = int((answer.features != right).sum())
+        ax.set(title=f"{name}: {wrong} of {len(scan)} wrong", xlabel="ahead [m]", xlim=(-0.45, 4.5), ylim=(-0.95, 3.3))
+        ax.set_aspect("equal")
+    axes[0].set_ylabel("to the left [m]")
+    axes[0].plot([], [], "o", mfc="white", color=INK, ms=4.5, label="predicted feature, with its 99 % gate")
+    axes[0].plot([], [], "x", color=INK, ms=6, mew=1.6, label="measurement")
+    axes[0].plot([], [], color=GREEN, lw=2, label="paired rightly")
+    axes[0].plot([], [], color=RED, lw=2, label="paired wrongly")
+    axes[0].legend(frameon=False, loc="upper right")
+    return answers["JCBB"]
+
+
+def locality() -> None:
+    """Four localities of one feature in a map that was made in one pass."""
+    from slam_gym.bench.locality.worlds import mapped_field
+
+    area = mapped_field(200, np.random.default_rng(5))
+    first = int(np.argmin(np.hypot(*(area.landmarks.positions - [45.0, 50.0]).T)))
+    titles = {
+        "covisibility": "covisibility",
+        "two hops": "two hops",
+        "within 2r": "distance",
+        "local maps": "local maps",
+    }
+    colours = (BLUE, GREEN, "#e0a030", "#7d5ba6")
+    _, axes = plt.subplots(1, 4, figsize=(12.5, 3.5), layout="constrained", sharey=True)
+    for ax, (name, title), colour in zip(axes, titles.items(), colours):
+        members = area.locality(name).of(first)
+        ax.plot(*area.path[:, :2].T, color="#e6e9ed", lw=2, zorder=0)
+        ax.plot(*area.landmarks.positions.T, ".", ms=3, color=GREY)
+        ax.plot(*area.landmarks.positions[members].T, "o", ms=4, color=colour)
+        ax.plot(*area.landmarks.positions[first], "*", ms=12, color=INK)
+        ax.set(title=f"{title}: {len(members)} of 200", aspect="equal", xlabel="x [m]")
+    axes[0].set_ylabel("y [m]")
+
+
+# -- command ---------------------------------------------------------------------------------------------------------
+
+PICTURES: dict[str, Callable[[], Any]] = {
+    "explore": partial(driven, "office", 800),
+    "associate": associate,
+    "relocate": relocate,
+    "compatibility": compatibility,
+    "locality": locality,
+} | {f"scenario_{name}": partial(driven, name, scenario.budget, world=1) for name, scenario in SCENARIOS.items()}
+
+
+def main(names: list[str]) -> int:
+    """Draw the pictures of these names."""
+    wanted = [
+        name for name in PICTURES if not names or name in names or (name[:9] == "scenario_" and "scenarios" in names)
+    ]
+    if unknown := set(names) - set(wanted) - {"scenarios"}:
+        print(f"unknown: {', '.join(sorted(unknown))}; known: scenarios, {', '.join(PICTURES)}", file=sys.stderr)
+        return 2
+    with plt.rc_context(STYLE):
+        for name in wanted:
+            save(name, PICTURES[name]())
+            print(f"{FOLDER / name}.png: {(FOLDER / f'{name}.png').stat().st_size // 1000} kB")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
