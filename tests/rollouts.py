@@ -1,4 +1,4 @@
-"""Random episodes, single and vectorised, and a comparison of what they hand out, bit for bit."""
+"""The environments made small, random episodes, single and vectorised, and a comparison of what they hand out."""
 
 import copy
 from collections.abc import Iterator
@@ -8,18 +8,34 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-import slam_gym  # noqa: F401 (registers the environment)
+import slam_gym  # noqa: F401 (registers the environments)
+from slam_gym.envs.associate import AssociateEnv
 from slam_gym.envs.explore import ExploreEnv
+from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import Scenario, get_scenario
 
 SCENARIOS = ("office-small", "office", "aliased", "hall", "crowd")
 Step = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 
 
-def explore(scenario: str | Scenario = "office-small", **kwargs: Any) -> ExploreEnv:
-    """The bare environment, without the wrappers of `gym.make`."""
-    env = gym.make("slam_gym/Explore-v0", scenario=scenario, disable_env_checker=True, **kwargs).unwrapped
-    assert isinstance(env, ExploreEnv)
+def bare(name: str, **options: Any) -> Any:
+    """The environment `slam_gym/<name>` without the wrappers of `gym.make`."""
+    return gym.make(f"slam_gym/{name}", disable_env_checker=True, **options).unwrapped
+
+
+def explore(scenario: str | Scenario = "office-small", **options: Any) -> ExploreEnv:
+    env: ExploreEnv = bare("Explore-v0", scenario=scenario, **options)
+    return env
+
+
+def associate(scenario: Any = "office-small", **options: Any) -> AssociateEnv:
+    env: AssociateEnv = bare("Associate-v0", scenario=scenario, **options)
+    return env
+
+
+def relocate(scenario: str | Scenario | None = None, **options: Any) -> RelocateEnv:
+    """In maps that are made in 120 ticks, unless the scenario says otherwise."""
+    env: RelocateEnv = bare("Relocate-v0", scenario=scenario or short(120), **options)
     return env
 
 
@@ -34,7 +50,7 @@ def in_any_process(name: str, **options: Any) -> gym.Env:
 
 
 def random_action(env: gym.Env, info: dict[str, Any], rng: np.random.Generator) -> Any:
-    """A legal goal, or a twist that leans forward, so that the robot gets somewhere."""
+    """A legal action, or a twist that leans forward, so that the robot gets somewhere."""
     if "action_mask" in info:
         return int(rng.choice(np.flatnonzero(info["action_mask"])))
     return np.clip(rng.normal([0.5, 0.0], [0.6, 0.5]), -1.0, 1.0).astype(np.float32)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import copy
+from collections.abc import Mapping
 from typing import Any, Literal
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association.tracking.observation import lengths, nothing
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.envs.warm_up import compile_on_two_cores
-from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, get_scenario, world_generator, world_seed
+from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario
+from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
+from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.association_runs import (
     DRIVERS,
     LOGS,
@@ -23,18 +23,13 @@ from slam_gym.simulation.association_runs import (
     LoggedRun,
     ScanLog,
 )
-from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
 from slam_gym.simulation.verdicts import Verdicts
 from slam_gym.types import NONE, Hypothesis
 from slam_gym.validation import one_of
 
-Observation = dict[str, Any]
-Info = dict[str, Any]
-Snapshot = dict[str, Any]
 
-
-class AssociateEnv(gym.Env[Observation, Any]):
+class AssociateEnv(BaseEnv):
     """Decide where measurements come from, one after the other, while a robot explores and maps.
 
     ## Description
@@ -81,6 +76,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
       `slam_gym.association.tracking.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
     - `wrong_cost`: what a wrong pairing costs, in right ones.
+    - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`; not for logs.
     - `render_mode`: `"rgb_array"` or `"human"`.
     """
 
@@ -89,23 +85,22 @@ class AssociateEnv(gym.Env[Observation, Any]):
     def __init__(
         self,
         scenario: str | Scenario | ScanLog = "office",
-        split: Literal["train", "test"] = "train",
+        split: Split = "train",
         driver: str | Driver = "nearest_frontier",
         reward: Literal["truth", "map_error"] = "truth",
         candidates: int = 5,
         order: Order = "as_scanned",
         compatibility: Compatibility = "joint",
         wrong_cost: float = 10.0,
-        render_mode: Literal["rgb_array", "human"] | None = None,
+        overrides: Mapping[str, Plain] | None = None,
+        render_mode: RenderMode | None = None,
     ) -> None:
+        super().__init__(split, render_mode, arguments=locals())
         check_arguments(candidates, order, compatibility)
-        one_of("split", split, SPLITS)
         one_of("reward", reward, ("truth", "map_error"))
-        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         if not 0.0 <= wrong_cost < np.inf:
             raise ValueError(f"wrong_cost={wrong_cost}: expected a finite number ≥ 0")
-        if isinstance(scenario, str):
-            scenario = _named(scenario, split)
+        scenario = _chosen(scenario, split, overrides)
         if not callable(driver):
             one_of("driver", driver, DRIVERS)
             driver = DRIVERS[driver]
@@ -114,7 +109,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
             raise ValueError(
                 f"reward={reward!r}: nobody knows where the features of {scenario.name!r} are; known: truth"
             )
-        self.scenario, self.split, self.render_mode = scenario, split, render_mode
+        self.scenario = scenario
         self._driver, self._of_truth, self._wrong_cost = driver, reward == "truth", wrong_cost
         self.K, self.order, self.compatibility = candidates, order, compatibility
         parts: dict[str, spaces.Space[Any]] = {
@@ -123,89 +118,15 @@ class AssociateEnv(gym.Env[Observation, Any]):
         self.observation_space = spaces.Dict(parts | {"budget": spaces.Box(0.0, 1.0, (1,), np.float32)})
         self.action_space = spaces.Discrete(candidates + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over
-        self._site: Site | None = None
         self._run: AssociationRun | None = None
-        self._renderer: Any = None
         self._ended = False
-
-    # -- Gymnasium ---------------------------------------------------------------------------------------------------
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
-        """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
-        options = dict(options or {})
-        if unknown := set(options) - {"world"}:
-            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
-        world_seed(self.split, options.get("world", 0))  # refuses a world outside the split, while nothing has changed
-        super().reset(seed=seed)
-        self._snapshot: Snapshot = {
-            "generator": copy.deepcopy(self.np_random.bit_generator.state),
-            "options": options,
-            "actions": [],
-        }
-        world = options.get("world", int(self.np_random.integers(SPLITS[self.split][1])))
-        compile_on_two_cores()
-        self._run = self._start(world)
-        self.walk, self._last_error = None, 1.0
-        self._right = self._wrong = self._known = 0
-        self._proceed()
-        self._last_error = self._run.map_error()
-        if self.render_mode == "human":
-            self.render()
-        return self._observe(), self._info()
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
-        """Decide the current measurement, and go on to the next choice, in this scan or a later one."""
-        run = self.run
-        if self._ended:
-            raise RuntimeError("the episode is over: call reset()")
-        if not self.action_space.contains(action):
-            raise ValueError(f"action {action!r} is not one of 0 … {self.K}")
-        self._snapshot["actions"].append(int(action))
-        reward = 0.0
-        if self.walk is not None:
-            action = int(action) if self.walk.mask[action] else self.K
-            reward = self._judge(action)
-            self.walk.take(action)
-        learned = run.scans
-        self._proceed()
-        if not self._of_truth:
-            reward = 0.0
-            if run.scans > learned or self.walk is None:
-                error = run.map_error()
-                reward, self._last_error = self._last_error - error, error
-        self._ended = self.walk is None
-        if self.render_mode == "human":
-            self.render()
-        return self._observe(), reward, self._ended, False, self._info()
-
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""
-        if self.render_mode is None:
-            gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
-            return None
-        # pygame is an extra, and runs without pictures never need it
-        from slam_gym.rendering.associate_view import TreeRenderer
-
-        if self._renderer is None:
-            mode: Any = self.render_mode
-            self._renderer = TreeRenderer(mode, fps=float(self.metadata["render_fps"]))
-        picture: NDArray[np.uint8] | None = self._renderer.draw(self.run, self.walk, self._verdicts, self._figures())
-        return picture
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called twice."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
 
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
     def run(self) -> AssociationRun:
         """The SLAM run that the agent associates for. Raises RuntimeError before the first reset."""
-        if self._run is None:
-            raise RuntimeError("no episode yet: call reset() first")
-        return self._run
+        return self._started(self._run)
 
     @property
     def score(self) -> float:
@@ -214,6 +135,7 @@ class AssociateEnv(gym.Env[Observation, Any]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(K + 1,) the actions that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
+        self._started(self._run)
         if self.walk is not None:
             return self.walk.mask.copy()
         return np.equal(np.arange(self.K + 1), self.K)
@@ -231,32 +153,49 @@ class AssociateEnv(gym.Env[Observation, Any]):
         row = NONE if feature == NONE else int(np.searchsorted(self.run.prediction.features, feature))
         return self.walk.action_of(row)
 
-    def snapshot(self) -> Snapshot:
-        """What it takes to come back here: the generator at the last reset, its options, and the actions since."""
-        self.run  # noqa: B018 (raises before the first reset)
-        return copy.deepcopy(self._snapshot)
-
-    def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
-        """Replay a snapshot of an env with the same arguments; returns its last observation and info."""
-        generator = np.random.default_rng()
-        generator.bit_generator.state = copy.deepcopy(snapshot["generator"])
-        self.np_random = generator
-        observation, info = self.reset(options=snapshot["options"])
-        for action in snapshot["actions"]:
-            observation, _, _, _, info = self.step(action)
-        return observation, info
-
     # -- parts of a step ---------------------------------------------------------------------------------------------
 
+    def _begin(self, world: int) -> Observation:
+        self._run = self._start(world)
+        self.walk, self._ended, self._last_error = None, False, 1.0
+        self._right = self._wrong = self._known = 0
+        self._proceed()
+        self._last_error = self._run.map_error()
+        self._changed()
+        return self._observe()
+
+    def _act(self, action: int) -> float:
+        """Decide the current measurement, and go on to the next choice, in this scan or a later one."""
+        run, reward = self.run, 0.0
+        if self.walk is not None:
+            action = action if self.walk.mask[action] else self.K
+            reward = self._judge(action)
+            self.walk.take(action)
+        learned = run.scans
+        self._proceed()
+        if not self._of_truth:
+            reward = 0.0
+            if run.scans > learned or self.walk is None:
+                error = run.map_error()
+                reward, self._last_error = self._last_error - error, error
+        self._ended = self.walk is None
+        self._changed()
+        return reward
+
+    @property
+    def _over(self) -> bool:
+        return self._ended
+
+    def _picture(self) -> Any:
+        from slam_gym.rendering import associate_view
+
+        return associate_view.draw(self.run, self.walk, self._verdicts, self._figures())
+
     def _start(self, world: int) -> AssociationRun:
-        self._ended = False
         if isinstance(self.scenario, ScanLog):
             stream = np.random.default_rng((world_seed(self.split, world), int(self.np_random.integers(2**63))))
             return LoggedRun(self.scenario, stream)
-        plan = self.scenario.generator(world_generator(self.split, world))
-        if self._site is None or self._site.plan is not plan:  # a given floor plan is surveyed once
-            self._site = survey(plan, self.scenario)
-        return DrivenRun(self.scenario, self._site, self._driver, self.np_random)
+        return DrivenRun(self.scenario, self._survey(self.scenario, world), self._driver, self.np_random)
 
     def _proceed(self) -> None:
         """Learn from scans that are decided, and look on, until there is a choice or the run is over."""
@@ -315,14 +254,19 @@ class AssociateEnv(gym.Env[Observation, Any]):
         )
 
 
-def _named(scenario: str, split: str) -> Scenario | ScanLog:
-    """The scenario or log of that name."""
-    if scenario.startswith(PREFIX):
-        return recorded_log(scenario, split)
-    if scenario in LOGS:
-        return LOGS[scenario]
-    if "/" not in scenario:
-        one_of(
-            "scenario", scenario, (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1")
-        )
-    return get_scenario(scenario)
+def _chosen(
+    scenario: str | Scenario | ScanLog, split: str, overrides: Mapping[str, Plain] | None
+) -> Scenario | ScanLog:
+    """The scenario or log that the arguments mean."""
+    if isinstance(scenario, str) and scenario.startswith(PREFIX):
+        scenario = recorded_log(scenario, split)
+    if isinstance(scenario, str):
+        scenario = LOGS.get(scenario, scenario)
+    if isinstance(scenario, ScanLog):
+        if overrides:
+            raise ValueError(f"overrides change a simulated scenario, and {scenario.name!r} is a log")
+        return scenario
+    if isinstance(scenario, str) and "/" not in scenario:
+        names = (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1")
+        one_of("scenario", scenario, names)
+    return chosen_scenario(scenario, overrides)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve_associator
+from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario
 from slam_gym.envs.goal_observation import GOAL_FIELDS, encode_goals
 from slam_gym.envs.observation import (
     encode_features,
@@ -22,24 +21,20 @@ from slam_gym.envs.observation import (
     observation_space,
 )
 from slam_gym.envs.rewards import get_reward
-from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.metrics.association import Tally
-from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, world_generator, world_seed
+from slam_gym.scenarios import Scenario, from_floor_plan
+from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation import goals as goals_module
 from slam_gym.simulation.driver import carry_out
-from slam_gym.simulation.episode import Episode, Site, survey
+from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.relocation import LocalityName, relocate_by
 from slam_gym.types import NONE, Associator, Relocator
 from slam_gym.validation import one_of
 
-Observation = dict[str, Any]
-Info = dict[str, Any]
-Snapshot = dict[str, Any]
 
-
-class ExploreEnv(gym.Env[Observation, Any]):
+class ExploreEnv(BaseEnv):
     """Explore an unknown building with a robot whose SLAM depends on where it goes.
 
     ## Description
@@ -83,6 +78,8 @@ class ExploreEnv(gym.Env[Observation, Any]):
     - `relocation`: the search that finds a lost robot again, by name (`slam_gym.association.RELOCATORS`),
       `"module:function"` or a callable; None: a robot that was carried away never finds back. `relocation_locality`:
       `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
+    - `overrides`: fields of the scenario to change, by dotted name:
+      `{"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3}`.
     - `render_mode`: `"rgb_array"` or `"human"`; `render_covisibility` adds the edges of the covisibility graph.
     """
 
@@ -91,7 +88,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
     def __init__(
         self,
         scenario: str | Scenario = "office",
-        split: Literal["train", "test"] = "train",
+        split: Split = "train",
         associator: str | Associator = "jcbb",
         action: Literal["goal", "twist"] = "goal",
         reward: Literal["map_error", "a_opt", "d_opt", "entropy"] = "map_error",
@@ -100,20 +97,19 @@ class ExploreEnv(gym.Env[Observation, Any]):
         locality: Literal["covisibility"] | None = "covisibility",
         relocation: str | Relocator | None = None,
         relocation_locality: LocalityName | None = "covisibility",
-        render_mode: Literal["rgb_array", "human"] | None = None,
+        overrides: Mapping[str, Plain] | None = None,
+        render_mode: RenderMode | None = None,
         render_covisibility: bool = False,
     ) -> None:
-        one_of("split", split, SPLITS)
+        super().__init__(split, render_mode, arguments=locals())
         one_of("action", action, ("goal", "twist"))
         one_of("locality", locality, ("covisibility", None))
-        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         if resolution is not None and floor_plan is None:
             raise ValueError(f"resolution={resolution} goes with a floor_plan, and there is none")
-        self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
         if floor_plan is not None:
-            self.scenario = from_floor_plan(floor_plan, resolution, self.scenario)
-        self.split, self.locality = split, locality
-        self.render_mode = render_mode
+            scenario = from_floor_plan(floor_plan, resolution, chosen_scenario(scenario))
+        self.scenario = chosen_scenario(scenario, overrides)
+        self.locality = locality
         self.render_covisibility = render_covisibility
         self.goal_mode = action == "goal"
         resolve_associator(associator)  # refuses an unknown one now
@@ -125,103 +121,21 @@ class ExploreEnv(gym.Env[Observation, Any]):
         goal_shape = (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
         self.observation_space = observation_space(self.measurements, goal_shape)
         self.action_space = spaces.Discrete(SLOTS) if self.goal_mode else spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._site: Site | None = None
         self._episode: Episode | None = None
-        self._watchers: list[Callable[[ExploreEnv], None]] = []
-        self._renderer: Any = None
-
-    # -- Gymnasium ---------------------------------------------------------------------------------------------------
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
-        """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
-        options = dict(options or {})
-        if unknown := set(options) - {"world"}:
-            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
-        world_seed(self.split, options.get("world", 0))  # refuses a world outside the split, while nothing has changed
-        super().reset(seed=seed)
-        self._snapshot: Snapshot = {
-            "generator": copy.deepcopy(self.np_random.bit_generator.state),
-            "options": options,
-            "actions": [],
-        }
-        world = options.get("world", int(self.np_random.integers(SPLITS[self.split][1])))
-        compile_on_two_cores()
-        site = self._draw_site(world)
-        locality = self.locality is not None
-        self._episode = Episode(
-            self.scenario,
-            site,
-            self.associator,
-            self.np_random,
-            locality=locality,
-            virtual=self._virtual,
-            relocate=self.relocate,
-        )
-        self._places = Places()
-        self._begin_step()
-        observation = self._observe()  # first, so that watchers and pictures find the goals on offer
-        self._after_tick()
-        self._last_error = self._error(self._episode)
-        return observation, self._info()
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
-        """Carry out one action: a whole goal, or one tick."""
-        episode = self.episode
-        if episode.over:
-            raise RuntimeError("the episode is over: call reset()")
-        action = self._check(action)
-        self._snapshot["actions"].append(action)
-        self._begin_step()
-        if self.goal_mode:
-            slot = action if self._goals.legal[action] else goals_module.LOOK
-            carry_out(episode, slot, self._goals.positions[slot], self._after_tick)
-        else:
-            episode.tick(action[0], action[1])
-            self._after_tick()
-        error = self._error(episode)
-        reward, self._last_error = self._last_error - error, error
-        return self._observe(), reward, episode.over, False, self._info()
-
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""
-        if self.render_mode is None:
-            gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
-            return None
-        # pygame is an extra, and runs without pictures never need it
-        from slam_gym.rendering.explore_view import Renderer
-        from slam_gym.rendering.frames import frame_of
-
-        episode = self.episode
-        if self._renderer is None:
-            mode: Any = self.render_mode
-            fps = float(self.metadata["render_fps"])
-            self._renderer = Renderer(mode, episode.site.plan.bounds, fps=fps)
-        self._renderer.bounds = episode.site.plan.bounds
-        goals = self._goals.positions[1:][self._goals.legal[1:]] if self.goal_mode else np.empty((0, 2))
-        frame = frame_of(episode, goals, covisibility=self.render_covisibility)
-        picture: NDArray[np.uint8] | None = self._renderer.draw(frame)
-        return picture
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called twice."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
 
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
     def episode(self) -> Episode:
         """The running episode. Raises RuntimeError before the first reset."""
-        if self._episode is None:
-            raise RuntimeError("no episode yet: call reset() first")
-        return self._episode
+        return self._started(self._episode)
 
     @property
     def goals(self) -> Goals:
         """The goals on offer. Raises RuntimeError in twist mode, where there are none, and before the first reset."""
-        if not self.goal_mode or self._episode is None:
-            raise RuntimeError("goals exist in goal mode, after reset()")
+        self._started(self._episode)
+        if not self.goal_mode:
+            raise RuntimeError("there are goals in goal mode only")
         return self._goals
 
     @property
@@ -233,45 +147,57 @@ class ExploreEnv(gym.Env[Observation, Any]):
         """(SLOTS,) the slots that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
         if not self.goal_mode:
             raise AttributeError("action masks exist in goal mode only")
-        return self._goals.legal.copy()
+        return self.goals.legal.copy()
 
     def map_quality(self) -> dict[str, float]:
         """All measures of the map, the trajectory and the associations of the episode so far."""
         return quality(self.episode)
 
-    def watch(self, callback: Callable[[ExploreEnv], None]) -> None:
-        """Call `callback(env)` after every tick from now on, also within the long steps of goal mode (for films)."""
-        self._watchers.append(callback)
-
-    def snapshot(self) -> Snapshot:
-        """What it takes to come back here: the generator at the last reset, its options, and the actions since."""
-        self.episode  # noqa: B018 (raises before the first reset)
-        return copy.deepcopy(self._snapshot)
-
-    def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
-        """Replay a snapshot of an env with the same arguments; returns its last observation and info."""
-        generator = np.random.default_rng()
-        generator.bit_generator.state = copy.deepcopy(snapshot["generator"])
-        self.np_random = generator
-        observation, info = self.reset(options=snapshot["options"])
-        for action in snapshot["actions"]:
-            observation, _, _, _, info = self.step(action)
-        return observation, info
-
     # -- parts of a step ---------------------------------------------------------------------------------------------
 
-    def _draw_site(self, world: int) -> Site:
-        plan = self.scenario.generator(world_generator(self.split, world))
-        if self._site is None or self._site.plan is not plan:  # a given floor plan is surveyed once
-            self._site = survey(plan, self.scenario)
-        return self._site
+    def _begin(self, world: int) -> Observation:
+        self._episode = Episode(
+            self.scenario,
+            self._survey(self.scenario, world),
+            self.associator,
+            self.np_random,
+            locality=self.locality is not None,
+            virtual=self._virtual,
+            relocate=self.relocate,
+        )
+        self._places = Places()
+        self._begin_step()
+        observation = self._observe()  # first, so that watchers and pictures find the goals on offer
+        self._after_tick()
+        self._last_error = self._error(self._episode)
+        return observation
 
-    def _check(self, action: Any) -> Any:
-        """The action in the form that the step works with. Raises ValueError where it is outside the space."""
+    def _act(self, action: Any) -> float:
+        episode = self.episode
+        self._begin_step()
         if self.goal_mode:
-            if not self.action_space.contains(action):
-                raise ValueError(f"action {action!r} is not a slot 0 … {SLOTS - 1}")
-            return int(action)
+            slot = action if self._goals.legal[action] else goals_module.LOOK
+            carry_out(episode, slot, self._goals.positions[slot], self._after_tick)
+        else:
+            episode.tick(action[0], action[1])
+            self._after_tick()
+        error = self._error(episode)
+        reward, self._last_error = self._last_error - error, error
+        return reward
+
+    @property
+    def _over(self) -> bool:
+        return self.episode.over
+
+    def _picture(self) -> Any:
+        from slam_gym.rendering import explore_view
+
+        goals = self._goals.positions[1:][self._goals.legal[1:]] if self.goal_mode else np.empty((0, 2))
+        return explore_view.draw(self.episode, goals, covisibility=self.render_covisibility)
+
+    def _checked(self, action: Any) -> Any:
+        if self.goal_mode:
+            return super()._checked(action)
         if np.shape(action) == (2,):
             forward, turn = float(action[0]), float(action[1])
             if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
@@ -285,10 +211,7 @@ class ExploreEnv(gym.Env[Observation, Any]):
     def _after_tick(self) -> None:
         if self.goal_mode:
             self._places.pass_by(self.episode.estimates[-1][:2])
-        for callback in self._watchers:
-            callback(self)
-        if self.render_mode == "human":
-            self.render()
+        self._changed()
 
     def _observe(self) -> Observation:
         episode = self.episode

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -14,22 +13,19 @@ from numpy.typing import NDArray
 from slam_gym.association import resolve_associator
 from slam_gym.association.relocation.observation import observe_walk, walk_shapes
 from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
-from slam_gym.envs.warm_up import compile_on_two_cores
+from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario
 from slam_gym.geometry import relative
-from slam_gym.scenarios import SPLITS, Scenario, get_scenario, world_seed
+from slam_gym.scenarios import SPLITS, Scenario
+from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
 from slam_gym.slam.relocation import LocalityName
 from slam_gym.types import NONE, Associator, IntArray
 from slam_gym.validation import one_of
 
-Observation = dict[str, Any]
-Info = dict[str, Any]
-Snapshot = dict[str, Any]
-
 _MAPS = 4  # maps that are kept
 
 
-class RelocateEnv(gym.Env[Observation, Any]):
+class RelocateEnv(BaseEnv):
     """Find out where the robot is: one scan, one map, no prior.
 
     ## Description
@@ -74,6 +70,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
     - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation.walk.WalkSpec`.
     - `outside`: probability that the robot is not in the map.
     - `associator`: that of the robot that made the map.
+    - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`.
     - `render_mode`: `"rgb_array"` or `"human"`.
     """
 
@@ -82,7 +79,7 @@ class RelocateEnv(gym.Env[Observation, Any]):
     def __init__(
         self,
         scenario: str | Scenario = "office",
-        split: Literal["train", "test"] = "train",
+        split: Split = "train",
         locality: LocalityName | None = "covisibility",
         candidates: int = 8,
         order: RelocationOrder = "fewest_candidates",
@@ -95,11 +92,11 @@ class RelocateEnv(gym.Env[Observation, Any]):
         wrong_cost: float = 1.0,
         position_tolerance: float = 0.3,
         heading_tolerance: float = math.radians(3.0),
-        render_mode: Literal["rgb_array", "human"] | None = None,
+        overrides: Mapping[str, Plain] | None = None,
+        render_mode: RenderMode | None = None,
     ) -> None:
-        one_of("split", split, SPLITS)
+        super().__init__(split, render_mode, arguments=locals())
         one_of("locality", locality, ("covisibility", "two-hop covisibility", "distance", None))
-        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         if not 0.0 <= outside <= 1.0:
             raise ValueError(f"outside={outside} is no probability")
         if not (isinstance(kidnappings_per_map, int) and kidnappings_per_map >= 1):
@@ -109,9 +106,9 @@ class RelocateEnv(gym.Env[Observation, Any]):
         for name, value in (costs | tolerances).items():
             if not 0.0 <= value < math.inf:
                 raise ValueError(f"{name}={value}: expected a finite number >= 0")
-        self.scenario = get_scenario(scenario) if isinstance(scenario, str) else scenario
+        self.scenario = chosen_scenario(scenario, overrides)
         self.walk_spec = WalkSpec(candidates, order, node_limit, sizes, self.scenario.slam.map.confidence)
-        self.split, self.locality, self.outside, self.render_mode = split, locality, outside, render_mode
+        self.locality, self.outside = locality, outside
         self.kidnappings_per_map = kidnappings_per_map
         resolve_associator(associator)  # refuses an unknown one now
         self.associator = associator
@@ -124,72 +121,14 @@ class RelocateEnv(gym.Env[Observation, Any]):
         )
         self.action_space = spaces.Discrete(self.walk_spec.actions)
         self._maps: dict[int, MappedWorld] = {}
-        self._world, self._left = 0, 0  # of the series, and how many kidnappings are left in it
         self._walk: RelocationWalk | None = None
-        self._renderer: Any = None
-
-    # -- Gymnasium ---------------------------------------------------------------------------------------------------
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
-        """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
-        options = dict(options or {})
-        if unknown := set(options) - {"world"}:
-            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
-        world_seed(self.split, options.get("world", 0))  # refuses a world outside the split, while nothing has changed
-        super().reset(seed=seed)
-        if seed is not None:
-            self._left = 0
-        if "world" in options:
-            return self._begin(int(options["world"]))
-        if self._left == 0:
-            self._world, self._left = int(self.np_random.integers(SPLITS[self.split][1])), self.kidnappings_per_map
-        self._left -= 1
-        return self._begin(self._world)
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
-        """Decide the current measurement, restart, or stop."""
-        walk = self.walk
-        if walk.done:
-            raise RuntimeError("the episode is over: call reset()")
-        if not self.action_space.contains(action):
-            raise ValueError(f"action {action!r} is not one of 0 … {self.walk_spec.actions - 1}")
-        self._snapshot["actions"].append(int(action))
-        nodes = walk.nodes
-        walk.take(int(action) if walk.mask[action] else self.walk_spec.star)
-        reward = -self._node_cost * (walk.nodes - nodes)
-        if walk.done:
-            right, wrong = self.verdict()
-            reward += right - self._wrong_cost * wrong
-        return self._observe(), reward, walk.done, False, self._info()
-
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""
-        if self.render_mode is None:
-            gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
-            return None
-        # pygame is an extra, and runs without pictures never need it
-        from slam_gym.rendering.relocate_view import RelocationRenderer
-
-        if self._renderer is None:
-            mode: Any = self.render_mode
-            self._renderer = RelocationRenderer(mode, float(self.metadata["render_fps"]))
-        picture: NDArray[np.uint8] | None = self._renderer.draw(self.walk, self.mapped, self.kidnapped, self._figures())
-        return picture
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called twice."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
 
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
     def walk(self) -> RelocationWalk:
         """The walk of the running episode. Raises RuntimeError before the first reset."""
-        if self._walk is None:
-            raise RuntimeError("no episode yet: call reset() first")
-        return self._walk
+        return self._started(self._walk)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(K + 2,) the actions that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
@@ -221,38 +160,48 @@ class RelocateEnv(gym.Env[Observation, Any]):
         i = self.walk.measurement
         return self.walk_spec.star if i is None else self.walk.action_of(int(features[i]))
 
-    def snapshot(self) -> Snapshot:
-        """What it takes to come back here: world, series and generator at the last reset, and the actions since."""
-        self.walk  # noqa: B018 (raises before the first reset)
-        return copy.deepcopy(self._snapshot)
-
-    def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
-        """Replay a snapshot of an env with the same arguments; returns its last observation and info."""
-        generator = np.random.default_rng()
-        generator.bit_generator.state = copy.deepcopy(snapshot["generator"])
-        self.np_random = generator
-        self._world, self._left = snapshot["series"]
-        observation, info = self._begin(snapshot["world"])
-        for action in snapshot["actions"]:
-            observation, _, _, _, info = self.step(action)
-        return observation, info
-
     # -- parts of a step ---------------------------------------------------------------------------------------------
 
-    def _begin(self, world: int) -> tuple[Observation, Info]:
-        self._snapshot: Snapshot = {
-            "generator": copy.deepcopy(self.np_random.bit_generator.state),
-            "world": world,
-            "series": (self._world, self._left),
-            "actions": [],
-        }
-        compile_on_two_cores()
+    def _draw_world(self, options: dict[str, Any]) -> int:
+        """The one asked for; else that of the series, a new one where no kidnapping is left in it."""
+        if "world" in options:
+            return int(options["world"])
+        world, left = self._series or (int(self.np_random.integers(SPLITS[self.split][1])), self.kidnappings_per_map)
+        self._series = (world, left - 1) if left > 1 else ()
+        return world
+
+    def _begin(self, world: int) -> Observation:
         self.mapped = self._map(world)
         inside = bool(self.np_random.random() >= self.outside)
         self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)
         landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.locality)
         self._walk = RelocationWalk(self.walk_spec, self.kidnapped.scan, landmarks, locality, self.np_random)
-        return self._observe(), self._info()
+        self._changed()
+        return self._observe()
+
+    def _act(self, action: int) -> float:
+        """Decide the current measurement, restart, or stop."""
+        walk = self.walk
+        nodes = walk.nodes
+        walk.take(action if walk.mask[action] else self.walk_spec.star)
+        reward = -self._node_cost * (walk.nodes - nodes)
+        if walk.done:
+            right, wrong = self.verdict()
+            reward += right - self._wrong_cost * wrong
+        self._changed()
+        return reward
+
+    @property
+    def _over(self) -> bool:
+        return self.walk.done
+
+    def _picture(self) -> Any:
+        from slam_gym.rendering import relocate_view
+
+        return relocate_view.draw(self.walk, self.mapped, self.kidnapped, self._figures())
+
+    def _carried_over(self) -> dict[str, Any]:
+        return super()._carried_over() | {"_maps": dict(self._maps)}  # it takes long to make them
 
     def _map(self, world: int) -> MappedWorld:
         """The map of a world: the one kept, or made anew; the last few asked for are kept."""

@@ -1,87 +1,85 @@
-"""Pictures of a walk through the interpretation tree: its levels and branches, beside the map that they are of."""
+"""The view of `Associate-v0`: what surrounds the robot, with the decision at hand, and the interpretation tree."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam_gym.association.tracking.walk import Walk
 from slam_gym.geometry import compose, rotate_covariances, transform
+from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame
-from slam_gym.rendering.explore_view import Frame, draw_map
-from slam_gym.rendering.figures_panel import Figures, badges
-from slam_gym.rendering.scene import scene_of
-from slam_gym.rendering.tree_panel import draw_panel
-from slam_gym.rendering.window import Window
-from slam_gym.simulation.association_runs import AssociationRun
+from slam_gym.rendering.panels import Choice, Figures, KeyEntry, badges
+from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
+from slam_gym.rendering.tree_panel import PANEL, STAR, Level, TreePanel, draw_panel
+from slam_gym.simulation.association_runs import AssociationRun, DrivenRun, LoggedRun
 from slam_gym.simulation.verdicts import Verdicts, decisions
-from slam_gym.types import NONE, Array
+from slam_gym.types import NONE, UNKNOWN, Array, IntArray
 
-_PANEL = 420  # [pixels] width of the tree
+SIZE = (1140, 720)  # [pixels]
 _MARGIN = 60  # [pixels] around the robot and what it sees
-_LEAST = 6.0  # [m] shown from edge to edge
+_MIN_EXTENT = 6.0  # [m] shown from edge to edge
+_COLUMNS = (0, 64, 156, 274)  # [pixels] of the table
+_KEY: tuple[KeyEntry, ...] = (
+    (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
+    (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
+    (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
+    (symbols.PAPER, symbols.INK, "not decided yet"),
+    (symbols.CHOICE, symbols.INK, "to decide now"),
+    (symbols.PAPER, symbols.PLAN, "legal, 95 % gate"),
+    (symbols.PAPER, symbols.LINE, "compatible alone"),
+    (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
+    (None, symbols.TRUTH, "the truth"),
+)
 
 
-class TreeRenderer:
-    """Draws the decision at hand: left the robot's surroundings, right the tree.
-
-    In `rgb_array` mode needs no display; in `human` mode keeps a window that follows the clock at `fps`.
-    """
-
-    def __init__(
-        self, mode: Literal["rgb_array", "human"], size: tuple[int, int] = (1140, 720), fps: float = 4.0
-    ) -> None:
-        self.size = size
-        self._window = Window(mode, size, "slam_gym: the interpretation tree", fps)
-
-    def draw(
-        self, run: AssociationRun, walk: Walk | None, verdicts: Verdicts, figures: Figures
-    ) -> NDArray[np.uint8] | None:
-        """The picture (h, w, 3); None in `human` mode, where it goes to the window."""
-        picture = pygame.Surface(self.size, depth=32)
-        picture.fill(symbols.PAPER)
-        width, height = self.size
-        _draw_surroundings(picture, (width - _PANEL, height), run, walk, verdicts)
-        draw_panel(picture, (width - _PANEL, 0, _PANEL, height), run, walk, verdicts, figures)
-        return self._window.show(picture)
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called twice; drawing again opens it anew."""
-        self._window.close()
+def draw(
+    run: AssociationRun, walk: Walk | None, verdicts: Verdicts, figures: Figures, size: tuple[int, int] = SIZE
+) -> Any:
+    """A surface with a run and the walk through the tree of its present scan; None: the run is over."""
+    picture = pygame.Surface(size, depth=32)
+    picture.fill(symbols.PAPER)
+    width, height = size[0] - PANEL, size[1]
+    _draw_surroundings(picture, (width, height), run, walk, verdicts)
+    draw_panel(picture, (width, 0, PANEL, height), _panel(run, walk, verdicts, figures))
+    return picture
 
 
 def _draw_surroundings(
     picture: Any, size: tuple[int, int], run: AssociationRun, walk: Walk | None, verdicts: Verdicts
 ) -> None:
-    base, frame = scene_of(run)
+    base, scene = _scene(run)
     pose = compose(base, run.slam.map.pose)
-    low, scale = _view(size, np.vstack([pose[:2], transform(pose, run.scan.points)]))
-    canvas = Canvas(size, low, scale, symbols.UNKNOWN_CELL if frame.cells is not None else symbols.PAPER)
-    if walk is None:
-        draw_map(canvas, frame)
-        picture.blit(canvas.picture(), (0, 0))
-        return
-    draw_map(canvas, _with_decisions(frame, pose, walk, verdicts))
-    labels = _draw_choice(canvas, pose, walk)
+    low, scale = _extent(size, np.vstack([pose[:2], transform(pose, run.scan.points)]))
+    canvas = Canvas(size, low, scale, symbols.PAPER if scene.grid is None else symbols.UNKNOWN_CELL)
+    draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, verdicts))
+    centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, pose, walk)
     picture.blit(canvas.picture(), (0, 0))
-    badges(picture, [(x * scale, size[1] - y * scale) for x, y in (labels - np.array(low)).tolist()])
+    badges(picture, [(x * scale, size[1] - y * scale) for x, y in (centres - np.array(low)).tolist()])
 
 
-def _view(size: tuple[int, int], points: Array) -> tuple[tuple[float, float], float]:
-    """Lower left corner [m] and scale [pixels/m] of a view that holds the points (k, 2)."""
+def _scene(run: AssociationRun) -> tuple[Array, Scene]:
+    """Pose (3,) of B in the frame of the scene, and the scene: of a scenario in W, of a log in B."""
+    if isinstance(run, DrivenRun):
+        return run.episode.base, scene_of_episode(run.episode)
+    assert isinstance(run, LoggedRun)
+    return np.zeros(3), scene_of_log(run)
+
+
+def _extent(size: tuple[int, int], points: Array) -> tuple[tuple[float, float], float]:
+    """Lower left corner [m] and scale [pixels/m] of a canvas that holds the points (k, 2)."""
     room = np.array(size) - 2 * _MARGIN
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    scale = float((room / np.maximum(np.ptp(points, axis=0), _LEAST)).min())
+    scale = float((room / np.maximum(np.ptp(points, axis=0), _MIN_EXTENT)).min())
     corner = middle - 0.5 * np.array(size) / scale
     return (float(corner[0]), float(corner[1])), scale
 
 
-def _with_decisions(frame: Frame, pose: Array, walk: Walk, verdicts: Verdicts) -> Frame:
-    """The frame with what has been decided about the scan so far."""
+def _with_decisions(scene: Scene, pose: Array, walk: Walk, verdicts: Verdicts) -> Scene:
+    """The scene with what has been decided about the scan so far."""
     tree, rows = walk.tree, walk.decided
     codes = decisions(walk, verdicts)
     done = np.flatnonzero(codes != NONE)
@@ -89,7 +87,7 @@ def _with_decisions(frame: Frame, pose: Array, walk: Walk, verdicts: Verdicts) -
     has = rows != NONE
     paired[has] = transform(pose, tree.prediction.positions[rows[has]])
     points = transform(pose, tree.scan.points[done])
-    return replace(frame, scan_points=points, decisions=codes[done], paired_positions=paired[done])
+    return replace(scene, scan_points=points, decisions=codes[done], paired_positions=paired[done])
 
 
 def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:
@@ -106,3 +104,46 @@ def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:
         canvas.dashes(np.stack([here, centre]), symbols.PLAN, 1.6, 6.0)
     symbols.choice(canvas, here)
     return centres
+
+
+def _panel(run: AssociationRun, walk: Walk | None, verdicts: Verdicts, figures: Figures) -> TreePanel:
+    if walk is None or walk.done:
+        return TreePanel(figures, (), 0, _KEY, remarks=("Nothing is left to decide",))
+    codes = decisions(walk, verdicts)
+    levels = [_level(walk, verdicts, codes, k) for k in range(walk.tree.levels)]
+    columns = tuple(zip(_COLUMNS, (f"z{walk.measurement} is …", "feature", "alone D²", "with the path D²")))
+    note = f"and {walk.hidden} more that K = {walk.K} hides" if walk.hidden else ""
+    return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(run, walk, verdicts), note)
+
+
+def _level(walk: Walk, verdicts: Verdicts, codes: IntArray, k: int) -> Level:
+    """Branches by ascending D²_ij; those of the level at hand that stayed compatible with the path are on offer."""
+    candidates, tree = walk.candidates, walk.tree
+    first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
+    i = int(candidates.measurements[k])
+    features = tree.prediction.features[tree.rows[candidates.slots[first:last]]].tolist()
+    right = STAR if verdicts.right[i] == NONE else None
+    if verdicts.sources[i] == UNKNOWN:
+        right = None
+    elif verdicts.right[i] in features:
+        right = features.index(verdicts.right[i])
+    taken = int(walk.chosen[k]) if k < walk.level else None
+    return Level(
+        f"z{i}",
+        last - first,
+        on_offer=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
+        taken=taken if taken is None else STAR if taken == NONE else taken - first,
+        colour=symbols.LINE if taken is None else symbols.DECISIONS[int(codes[i])],
+        right=right,
+    )
+
+
+def _choices(run: AssociationRun, walk: Walk, verdicts: Verdicts) -> list[Choice]:
+    """What may be chosen: action, feature, D²_ij and D²_H with bars up to their gates."""
+    gates = float(walk.tree.gates[1]), float(walk.tree.gates[walk.pairings + 1])
+    ids, right = run.slam.map.ids[run.prediction.features[walk.rows]], verdicts.right_action(walk)
+    choices = []
+    for action, (alone, joint) in enumerate(zip(walk.individual_distances, walk.joint_distances)):
+        cells = (f"{ids[action]}", (f"{alone:.1f}", alone / gates[0]), (f"{joint:.1f}", joint / gates[1]))
+        choices.append(Choice(str(action), action == right, cells))
+    return [*choices, Choice("*", right == walk.K, ("nothing that is mapped",))]

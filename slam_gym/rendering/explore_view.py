@@ -1,122 +1,162 @@
-"""Pictures of a running episode: what is true, what the robot believes, and what it has just decided."""
+"""The view of `Explore-v0`: the whole floor, with figures and legend beside or below it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slam_gym.geometry import compose
-from slam_gym.rendering import side_panel as legend
+from slam_gym.geometry import compose, transform
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas, pygame
-from slam_gym.rendering.figures_panel import Figures
-from slam_gym.rendering.window import Window
-from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.rendering.canvas import Canvas, pygame, text
+from slam_gym.rendering.legend import legend, shown_in
+from slam_gym.rendering.panels import Box, Figures, figures
+from slam_gym.rendering.scene import Scene, draw_scene, paired_positions, scene_of_episode
+from slam_gym.simulation.episode import Episode
+from slam_gym.slam.relocation import RelocatingSlam
+from slam_gym.types import Array
+
+SIZE = (960, 720)  # [pixels]
+_SMALLEST = 240  # [pixels]
+_MARGIN = 16  # [pixels] around the plan, and within the panel
+_BESIDE = 226  # [pixels] width of a panel beside the map
+_TITLE, _ROW, _FIGURE = 48, 20, 150  # [pixels] height of the title with what is around it, size of a figure
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """Everything that a picture shows, in W unless said otherwise."""
+class Layout(NamedTuple):
+    """Where things go, in pixels from the upper left, and how the map is scaled."""
 
-    walls: Array  # (s, 4) [m] x1 y1 x2 y2
-    features: Array  # (N, 2) [m] true
-    kinds: IntArray  # (N,) 0 corner, 1 door jamb, 2 pillar
-    furniture: Array  # (f, 5) x, y, length, width [m], heading [rad]
-    people: Array  # (p, 3) x, y, radius [m]
-    robot_radius: float  # [m]
-    true_pose: Array  # (3,) [m, m, rad]
-    true_trail: Array  # (t, 2) [m]
-    pose: Array  # (3,) estimated
-    pose_covariance: Array  # (3, 3)
-    trail: Array  # (t, 2) [m] estimated
-    landmarks: Array  # (n, 2) [m] the map
-    landmark_covariances: Array  # (n, 2, 2) [m²]
-    provisional: BoolArray  # (n,) seen once
-    scan_points: Array  # (m, 2) [m] as measured from the estimated pose
-    decisions: IntArray  # (m,) `metrics.association.Decision`
-    paired_positions: Array  # (m, 2) [m] of the landmark that each was paired with, NaN if none
-    path: Array  # (p, 2) [m] what the robot is about to follow
-    goals: Array  # (g, 2) [m] on offer
-    covisibility: IntArray | None = None  # (e, 2) pairs of landmarks seen together; None = not drawn
-    cells: NDArray[np.uint8] | None = None  # (h, w) explored grid: 0 unknown, 1 free, 2 wall; None = not drawn
-    cells_origin: Array | None = None  # (2,) [m] its lower left corner, in B
-    cells_base: Array | None = None  # (3,) pose of B
-    cells_resolution: float = 1.0  # [m] a cell
-    title: str = ""
-    panel: Figures = ()
+    map_size: tuple[int, int]
+    low: tuple[float, float]  # [m] position of the map's lower left corner
+    scale: float  # [pixels/m]
+    panel: Box
+    legend: Any  # a surface; None where there is no room for it
+    columns: int  # of figures
+
+    @property
+    def beside(self) -> bool:
+        """The panel is beside the map, not below it."""
+        return self.panel[1] == 0
 
 
-class Renderer:
-    """Draws frames of a plan with `bounds` (4,) [m] xmin ymin xmax ymax; these may be set anew at any time.
+def draw(episode: Episode, goals: Array, *, covisibility: bool = False, size: tuple[int, int] = SIZE) -> Any:
+    """A surface with an episode as it is now; `goals` (g, 2) in B are those on offer."""
+    scene = scene_of_episode(episode, goals=goals, covisibility=covisibility)
+    scene = replace(
+        scene,
+        scan_points=transform(compose(episode.base, episode.slam.map.pose), episode.scan.points),
+        decisions=episode.identities.decisions,
+        paired_positions=paired_positions(episode, scene.landmarks),
+    )
+    title = f"{episode.scenario.name}, tick {episode.ticks} of {episode.scenario.budget}"
+    return draw_floor(scene, episode.site.plan.bounds, title, _figures(episode), size)
 
-    In `rgb_array` mode needs no display; in `human` mode keeps a window that follows the clock at `fps`. Colours and
-    legend are the same in both.
+
+def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = (), size: tuple[int, int] = SIZE) -> Any:
+    """A surface with a scene that lies within `bounds` (4,) [m] xmin ymin xmax ymax, and figures beside it.
+
+    Raises ValueError for a picture too small to hold anything.
     """
-
-    def __init__(
-        self,
-        mode: Literal["rgb_array", "human"],
-        bounds: Array,
-        size: tuple[int, int] = (960, 720),
-        fps: float = 10.0,
-    ) -> None:
-        """Raises ValueError for an unknown mode or a picture too small to hold anything."""
-        if min(size) < 240:
-            raise ValueError(f"the picture must be at least 240 pixels wide and high, got {size}")
-        self.bounds, self.size = bounds, size
-        self._window = Window(mode, size, "slam_gym", fps)
-
-    def draw(self, frame: Frame) -> NDArray[np.uint8] | None:
-        """The picture (h, w, 3) of a frame; None in `human` mode, where it goes to the window."""
-        layout = legend.arrange(self.size, self.bounds)
-        picture = pygame.Surface(self.size, depth=32)
-        picture.fill(symbols.PAPER)
-        canvas = Canvas(layout.map_size, layout.low, layout.scale, symbols.UNKNOWN_CELL)
-        draw_map(canvas, frame)
-        picture.blit(canvas.picture(), (0, 0))
-        legend.draw(picture, layout, frame.title, frame.panel, _shown(frame))
-        return self._window.show(picture)
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called twice; drawing again opens it anew."""
-        self._window.close()
+    if min(size) < _SMALLEST:
+        raise ValueError(f"the picture must be at least {_SMALLEST} pixels wide and high, got {size}")
+    layout = arrange(size, bounds, len(shown), shown_in(scene))
+    picture = pygame.Surface(size, depth=32)
+    picture.fill(symbols.PAPER)
+    canvas = Canvas(layout.map_size, layout.low, layout.scale, symbols.UNKNOWN_CELL)
+    draw_scene(canvas, scene)
+    picture.blit(canvas.picture(), (0, 0))
+    _scale_bar(picture, layout)
+    _panel(picture, layout, title, shown)
+    return picture
 
 
-def draw_map(canvas: Canvas, frame: Frame) -> None:
-    """Layer upon layer: explored cells, uncertainties, the true world, the map, the robot and its decisions."""
-    if frame.cells is not None and frame.cells_origin is not None and frame.cells_base is not None:
-        corner = compose(frame.cells_base, np.array([*frame.cells_origin, 0.0]))
-        colours = [symbols.UNKNOWN_CELL, symbols.FREE_CELL, symbols.WALL_CELL]
-        canvas.cells(frame.cells, colours, corner, frame.cells_resolution)
-    symbols.uncertainties(canvas, frame.landmarks, frame.landmark_covariances, frame.provisional)
-    if frame.covisibility is not None:
-        ends = frame.landmarks[frame.covisibility]
-        canvas.segments(ends.reshape(-1, 4), symbols.COVISIBLE, 0.7)
-    symbols.furniture(canvas, frame.furniture)
-    canvas.segments(frame.walls, symbols.WALL, 1.6)
-    canvas.polyline(frame.true_trail, symbols.TRAIL, 2.0)
-    canvas.polyline(frame.trail, symbols.ESTIMATED_TRAIL, 1.2)
-    symbols.plan(canvas, frame.pose[:2], frame.path, frame.goals)
-    size = min(1.0, max(0.65, canvas.scale / 25.0))  # marks shrink on floors so large that they would crowd
-    symbols.true_features(canvas, frame.features, frame.kinds, 3.0 * size)
-    symbols.landmarks(canvas, frame.landmarks, frame.provisional, 2.3 * size)
-    symbols.people(canvas, frame.people)
-    canvas.ellipses(frame.pose[None, :2], frame.pose_covariance[None, :2, :2], None, symbols.MAPPED)
-    symbols.decisions(canvas, frame.pose[:2], frame.scan_points, frame.paired_positions, frame.decisions)
-    symbols.robot_body(canvas, frame.true_pose, frame.robot_radius)
-    symbols.robot_estimate(canvas, frame.pose, frame.robot_radius)
+def arrange(size: tuple[int, int], bounds: Array, rows: int = 0, shown: frozenset[str] = frozenset()) -> Layout:
+    """The layout that shows `bounds` (4,) [m] largest, with `rows` figures and the legend for what is `shown`.
+
+    The panel is beside or below the map; where neither leaves room for the legend, there is none.
+    """
+    width, height = size
+    layouts = []
+    stacked, side_by_side = legend(shown, True), legend(shown, False)
+    if height >= _TITLE + rows * _ROW + stacked.get_height() + 2 * _MARGIN and width >= 2 * _BESIDE:
+        panel = width - _BESIDE, 0, _BESIDE, height
+        layouts.append(_fit((width - _BESIDE, height), panel, bounds, stacked, 1))
+    room = width - side_by_side.get_width()
+    if room >= _FIGURE + 2 * _MARGIN:
+        columns = min(max(1, room // (_FIGURE + _MARGIN)), 2)
+        below = max(_TITLE + math.ceil(rows / columns) * _ROW, side_by_side.get_height() + 2 * _MARGIN)
+        layouts.append(_fit((width, height - below), (0, height - below, width, below), bounds, side_by_side, columns))
+    if not layouts:
+        columns = max(1, width // (_FIGURE + _MARGIN))
+        below = min(_TITLE + math.ceil(rows / columns) * _ROW, height // 3)
+        layouts.append(_fit((width, height - below), (0, height - below, width, below), bounds, None, columns))
+    return max(layouts, key=lambda layout: layout.scale)
 
 
-def _shown(frame: Frame) -> frozenset[str]:
-    """Entries of the legend that not every map has."""
-    optional = {
-        "covisibility": frame.covisibility is not None,
-        "plan": len(frame.path) + len(frame.goals) > 0,
-        "cells": frame.cells is not None,
-        "people": len(frame.people) > 0,
-        "furniture": len(frame.furniture) > 0,
-    }
-    return frozenset(name for name, present in optional.items() if present)
+def _fit(area: tuple[int, int], panel: Box, bounds: Array, key: Any, columns: int) -> Layout:
+    x0, y0, x1, y1 = (float(b) for b in bounds)
+    room = area[0] - 2 * _MARGIN, area[1] - 2 * _MARGIN - 14  # the scale bar stands below the plan
+    scale = min(room[0] / max(x1 - x0, 1e-3), room[1] / max(y1 - y0, 1e-3))
+    low = 0.5 * (x0 + x1) - 0.5 * area[0] / scale, 0.5 * (y0 + y1) - (0.5 * area[1] + 7) / scale
+    return Layout(area, low, scale, panel, key, columns)
+
+
+def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:
+    """Title, figures and legend."""
+    left, top, width, height = layout.panel
+    edge = ((left, top), (left, top + height)) if layout.beside else ((left, top), (left + width, top))
+    pygame.draw.line(picture, symbols.LINE, *edge)
+    x, y, room = left + _MARGIN, top + _MARGIN - 3, width - 2 * _MARGIN
+    if layout.legend is not None and layout.beside:
+        picture.blit(layout.legend, (x, top + height - _MARGIN - layout.legend.get_height()))
+    elif layout.legend is not None:
+        room -= layout.legend.get_width() + 8
+        picture.blit(layout.legend, (width - layout.legend.get_width(), y + 1))
+    sizes = (text(title, size, symbols.INK, bold=True) for size in range(15, 7, -1))
+    picture.blit(next((line for line in sizes if line.get_width() <= room), text(title, 8, symbols.INK)), (x, y))
+    rows = (height - _TITLE) // _ROW * layout.columns  # what there is room for
+    figures(picture, shown[:rows], (x, y + 30), room, layout.columns)
+
+
+def _scale_bar(picture: Any, layout: Layout) -> None:
+    """A bar of 1, 2 or 5 · 10^k metres in the lower right corner of the map."""
+    longest = min(130.0, 0.4 * layout.map_size[0]) / layout.scale
+    decade = 10.0 ** math.floor(math.log10(longest))
+    metres = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
+    length = round(metres * layout.scale)
+    right, y = layout.map_size[0] - _MARGIN, layout.map_size[1] - 13
+    label = text(f"{metres:g} m", 12, symbols.INK)
+    pygame.draw.rect(picture, symbols.INK, (right - length, y, length, 2))
+    for x in (right - length, right - 2):
+        pygame.draw.rect(picture, symbols.INK, (x, y - 4, 2, 6))
+    picture.blit(label, (right - length - 8 - label.get_width(), y - 8))
+
+
+def _figures(episode: Episode) -> Figures:
+    tally, slam_map = episode.identities.total, episode.slam.map
+    error = float(np.hypot(*(compose(episode.base, slam_map.pose) - episode.world.pose)[:2]))
+    return (
+        ("map error", f"{episode.map_error():.2f}"),
+        ("explored", f"{100.0 * episode.coverage():.0f} %"),
+        ("features mapped", f"{int((~slam_map.provisional).sum())} of {len(episode.targets)}"),
+        ("pairings right", f"{100.0 * tally.precision:.1f} %" if tally.tp + tally.fp else "–"),
+        ("pose error", f"{100.0 * error:.0f} cm" if error < 1.0 else f"{error:.1f} m"),
+        *_whereabouts(episode),
+    )
+
+
+def _whereabouts(episode: Episode) -> Figures:
+    """What was done to the robot, and what it makes of it; nothing where nobody carries robots away."""
+    kidnapping = episode.kidnapping
+    if episode.scenario.kidnapping is None and not isinstance(episode.slam, RelocatingSlam):
+        return ()
+    rows = () if kidnapping.happened is None else (("carried away", f"tick {kidnapping.happened}"),)
+    if episode.slam.lost:
+        return (*rows, ("robot", "is lost"))
+    if episode.slam.doubted:
+        return (*rows, ("robot", "in doubt"))
+    if kidnapping.recovered is not None:
+        return (*rows, ("found back", f"tick {kidnapping.recovered}"))
+    return (*rows, ("robot", "tracks"))

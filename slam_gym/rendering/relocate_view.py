@@ -1,11 +1,10 @@
-"""Pictures of a relocation: the map with what the scan may be of, the scan itself, and the interpretation tree."""
+"""The view of `Relocate-v0`: the map with what the scan may be of, the scan itself, and the interpretation tree."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam_gym.association.relocation.location import locate
 from slam_gym.association.relocation.tree import hypothesis
@@ -14,39 +13,47 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame, text
-from slam_gym.rendering.figures_panel import Figures, badges
-from slam_gym.rendering.relocation_panel import draw_panel
-from slam_gym.rendering.window import Window
+from slam_gym.rendering.panels import Choice, Figures, KeyEntry, badges
+from slam_gym.rendering.tree_panel import PANEL, STAR, Level, TreePanel, draw_panel
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
 from slam_gym.types import NONE, Array, IntArray
 
-_SIZE, _PANEL = (1140, 720), 420  # [pixels] picture; width of the panel
-_INSET = 190  # [pixels] side of the scan
+SIZE = (1140, 720)  # [pixels]
+_INSET, _HEADING = 190, 34  # [pixels] side of the scan, height of the line above the map
 _MARGIN = 0.7  # [m] around the plan
+_COLUMNS = (0, 64, 134, 268)  # [pixels] of the table
+_KEY: tuple[KeyEntry, ...] = (
+    (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
+    (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
+    (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
+    (symbols.PAPER, symbols.INK, "not decided yet"),
+    (symbols.CHOICE, symbols.INK, "to decide now"),
+    (symbols.PAPER, symbols.PLAN, "on offer"),
+    (symbols.PAPER, symbols.LINE, "legal, later"),
+    (symbols.PAPER, symbols.PROVISIONAL, "local to the first"),
+    (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
+    (None, symbols.TRUTH, "the truth"),
+    (symbols.INK, symbols.INK, "true robot"),
+    (symbols.PAPER, symbols.MAPPED, "robot as located"),
+)
 
 
-class RelocationRenderer:
-    """Draws the decision at hand: left the whole map, in a corner the scan as the robot sees it, right the tree."""
-
-    def __init__(self, mode: Literal["rgb_array", "human"], fps: float) -> None:
-        self._window = Window(mode, _SIZE, "slam_gym: relocation", fps)
-
-    def draw(
-        self, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figures: Figures
-    ) -> NDArray[np.uint8] | None:
-        """The picture (h, w, 3); None in `human` mode, where it goes to the window."""
-        picture = pygame.Surface(_SIZE, depth=32)
-        picture.fill(symbols.PAPER)
-        width, height = _SIZE[0] - _PANEL, _SIZE[1]
-        codes = _codes(walk, kidnapped)
-        _draw_map(picture, (width, height), walk, mapped, kidnapped, codes)
-        _draw_scan(picture, (10, height - _INSET - 10), walk, codes)
-        draw_panel(picture, (width, 0, _PANEL, height), walk, kidnapped.features, codes, figures)
-        return self._window.show(picture)
-
-    def close(self) -> None:
-        """Close the window, if there is one. May be called twice."""
-        self._window.close()
+def draw(
+    walk: RelocationWalk,
+    mapped: MappedWorld,
+    kidnapped: Kidnapped,
+    figures: Figures,
+    size: tuple[int, int] = SIZE,
+) -> Any:
+    """A surface with the walk: left the whole map, in a corner the scan as the robot sees it, right the tree."""
+    picture = pygame.Surface(size, depth=32)
+    picture.fill(symbols.PAPER)
+    width, height = size[0] - PANEL, size[1]
+    codes = _codes(walk, kidnapped)
+    _draw_map(picture, (width, height), walk, mapped, kidnapped, codes)
+    _draw_scan(picture, (10, height - _INSET - 10), walk, codes)
+    draw_panel(picture, (width, 0, PANEL, height), _panel(walk, kidnapped.features, codes, figures))
+    return picture
 
 
 def _codes(walk: RelocationWalk, kidnapped: Kidnapped) -> IntArray:
@@ -67,7 +74,7 @@ def _draw_map(
     codes: IntArray,
 ) -> None:
     x0, y0, x1, y1 = mapped.site.plan.bounds + _MARGIN * np.array([-1.0, -1.0, 1.0, 1.0])
-    room = size[0], size[1] - _INSET
+    room = size[0], size[1] - _INSET - _HEADING
     scale = float(min(room[0] / (x1 - x0), room[1] / (y1 - y0)))
     low = 0.5 * (x0 + x1) - 0.5 * size[0] / scale, 0.5 * (y0 + y1) - (0.5 * room[1] + _INSET) / scale
     canvas = Canvas(size, (float(low[0]), float(low[1])), scale, symbols.PAPER)
@@ -83,7 +90,7 @@ def _draw_map(
     if kidnapped.inside:
         symbols.robot_body(canvas, kidnapped.true_pose, 0.2)
     _draw_hypothesis(canvas, walk, mapped, landmarks, codes)
-    shown = _shown(walk)
+    shown = _on_offer(walk)
     canvas.discs(landmarks[shown], 5.4, None, symbols.PLAN, 1.8)
     picture.blit(canvas.picture(), (0, 0))
     badges(picture, [(x * scale, size[1] - y * scale) for x, y in (landmarks[shown] - np.array(low)).tolist()])
@@ -91,7 +98,7 @@ def _draw_map(
     picture.blit(text(where, 13, symbols.MUTED), (14, 10))
 
 
-def _shown(walk: RelocationWalk) -> IntArray:
+def _on_offer(walk: RelocationWalk) -> IntArray:
     return np.empty(0, np.int64) if walk.offer is None else walk.offer.features[: walk.spec.candidates]
 
 
@@ -134,3 +141,60 @@ def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, code
     picture.blit(canvas.picture(), corner)
     pygame.draw.rect(picture, symbols.LINE, (*corner, _INSET, _INSET), 1)
     picture.blit(text("the scan", 12, symbols.MUTED), (corner[0] + 8, corner[1] + 6))
+
+
+def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figures) -> TreePanel:
+    """`right` (m,) are the true features, `codes` (m,) what became of the measurements."""
+    levels = [_level(walk, right, codes, k) for k in range(len(walk.order))]
+    if walk.offer is None:
+        return TreePanel(figures, levels, walk.level, _KEY, remarks=_remarks(walk))
+    headings = (f"z{walk.measurement} is …", "feature", "pairings, at most", "worst distance D²")
+    note = f"and {walk.hidden} more that K = {walk.spec.star} hides" if walk.hidden else ""
+    columns = tuple(zip(_COLUMNS, headings if len(walk.node.features) else headings[:3]))
+    return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(walk, right), note)
+
+
+def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> Level:
+    """Branches by rank: of a level decided those that were on offer, of any other those that are legal now."""
+    i, star = int(walk.order[k]), walk.spec.star
+    if k < walk.level:
+        branches, action = walk.offered[k]
+        taken = STAR if action == star else action
+        return Level(f"z{i}", branches, taken=taken, colour=symbols.DECISIONS[int(codes[i])])
+    alive = int(walk.node.alive[i].sum())
+    if k > walk.level or walk.offer is None:
+        return Level(f"z{i}", alive)
+    action_of_truth = walk.action_of(int(right[i]))
+    return Level(
+        f"z{i}",
+        alive,
+        on_offer=frozenset(range(min(len(walk.offer.features), star))),
+        right=STAR if action_of_truth == star else action_of_truth,
+    )
+
+
+def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
+    """What may be chosen: action, feature, what it could come to, D² of its distances to the pairings of the path."""
+    offer, i, star = walk.offer, walk.measurement, walk.spec.star
+    assert offer is not None and i is not None
+    m, gate, k = len(walk.order), walk.tree.chi2[0], len(walk.node.features)
+    choices = []
+    for action, feature in enumerate(offer.features[:star].tolist()):
+        bound, worst = k + 1 + int(offer.support[action]), float(offer.worst[action])
+        cells = (str(feature), (str(bound), bound / m), (f"{worst:.1f}", worst / gate))
+        choices.append(Choice(str(action), feature == right[i], cells if k else cells[:2]))
+    bound = walk.node.bound_without(i)
+    return [*choices, Choice("*", right[i] == NONE, ("none", (str(bound), bound / m)))]
+
+
+def _remarks(walk: RelocationWalk) -> tuple[str, ...]:
+    """At a leaf: what the hypothesis comes to."""
+    leaf = walk.leaf
+    assert leaf is not None
+    pairings = int((leaf.features != NONE).sum())
+    believed = "the best so far is believed" if walk.best.accepted else "the best so far is not believed"
+    if pairings < 2:
+        return "A leaf without a pose", "two pairings at least determine one", believed
+    passed = "passes" if leaf.compatible else "fails"
+    distance = f"D² = {leaf.located.joint_distance:.1f}, dof {leaf.located.dof}"
+    return f"A leaf of {pairings} pairings: {passed} the joint test", distance, believed

@@ -1,57 +1,150 @@
-"""What surrounds a decision: the frame of a run whose scan is still being associated."""
+# ruff: noqa: RUF009 (`_no_rows` is `dataclasses.field`)
+"""A scene: what is true, what the robot believes and what it has just decided, all in one frame, ready to be drawn."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slam_gym.geometry import observe, relative
-from slam_gym.rendering.explore_view import Frame
-from slam_gym.rendering.frames import frame_of
-from slam_gym.simulation.association_runs import AssociationRun, DrivenRun, LoggedRun
-from slam_gym.types import Array
+from slam_gym.geometry import compose, observe, relative, rotate_covariances, transform
+from slam_gym.rendering import symbols
+from slam_gym.rendering.canvas import Canvas
+from slam_gym.simulation.association_runs import LoggedRun
+from slam_gym.simulation.episode import Episode, turned
+from slam_gym.types import NONE, Array, BoolArray, IntArray
 
-_NO_POINTS, _NO_DECISIONS = np.empty((0, 2)), np.empty(0, np.int64)
+_TRAIL = 400  # points of a trail that are drawn
+_LEAP = 1.5  # [m] from one of them to the next: nobody drove there
+_CELLS = [symbols.UNKNOWN_CELL, symbols.FREE_CELL, symbols.WALL_CELL]
 
 
-def scene_of(run: AssociationRun) -> tuple[Array, Frame]:
-    """Pose (3,) of B in the frame of the picture, and the picture without any measurement.
+class Grid(NamedTuple):
+    """The explored grid."""
 
-    A scenario is drawn in W; a log in B, where it has no walls, and where its true robot need not be known.
+    cells: NDArray[np.uint8]  # (h, w) 0 unknown, 1 free, 2 wall; row 0 lowest
+    corner: Array  # (3,) pose of its lower left corner
+    resolution: float  # [m] a cell
+
+
+def _no_rows(*shape: int, dtype: Any = np.float64) -> Any:
+    return field(default_factory=lambda: np.empty((0, *shape), dtype))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that a picture of the plane may show, in one frame: W, or B where nobody knows W. All is optional."""
+
+    walls: Array = _no_rows(4)  # (s, 4) [m] x1 y1 x2 y2
+    features: Array = _no_rows(2)  # (N, 2) [m] true
+    kinds: IntArray = _no_rows(dtype=np.int64)  # (N,) 0 corner, 1 door jamb, 2 pillar
+    furniture: Array = _no_rows(5)  # (f, 5) x, y, length, width [m], heading [rad]
+    people: Array = _no_rows(3)  # (p, 3) x, y, radius [m]
+    robot_radius: float = 0.2  # [m]
+    true_pose: Array | None = None  # (3,) [m, m, rad]; NaN where nobody knows it
+    true_trail: Array = _no_rows(2)  # (t, 2) [m]
+    pose: Array | None = None  # (3,) estimated
+    pose_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    trail: Array = _no_rows(2)  # (t, 2) [m] estimated
+    landmarks: Array = _no_rows(2)  # (n, 2) [m] the map
+    landmark_covariances: Array = _no_rows(2, 2)  # (n, 2, 2) [m²]
+    provisional: BoolArray = _no_rows(dtype=np.bool_)  # (n,) not confirmed yet
+    scan_points: Array = _no_rows(2)  # (m, 2) [m] as measured from the estimated pose
+    decisions: IntArray = _no_rows(dtype=np.int64)  # (m,) `metrics.association.Decision`
+    paired_positions: Array = _no_rows(2)  # (m, 2) [m] of the landmark that each was paired with, NaN if none
+    path: Array = _no_rows(2)  # (p, 2) [m] what the robot is about to follow
+    goals: Array = _no_rows(2)  # (g, 2) [m] on offer
+    covisibility: IntArray = _no_rows(2, dtype=np.int64)  # (e, 2) pairs of landmarks seen together
+    grid: Grid | None = None
+
+
+def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:
+    """Layer upon layer: explored cells, uncertainties, the true world, the map, the robot and its decisions.
+
+    `size` scales the marks; by default they shrink where the scale is so small that they would crowd.
     """
-    if isinstance(run, DrivenRun):
-        frame = frame_of(run.episode, _NO_POINTS)
-        frame = replace(frame, scan_points=_NO_POINTS, decisions=_NO_DECISIONS, paired_positions=_NO_POINTS)
-        return run.episode.base, frame
-    assert isinstance(run, LoggedRun)
-    return np.zeros(3), _of_log(run)
+    size = min(1.0, max(0.4, canvas.scale / 18.0)) if size is None else size
+    if scene.grid is not None:
+        canvas.cells(scene.grid.cells, _CELLS, scene.grid.corner, scene.grid.resolution)
+    symbols.uncertainties(canvas, scene.landmarks, scene.landmark_covariances, scene.provisional)
+    symbols.covisibility(canvas, scene.landmarks[scene.covisibility])
+    symbols.furniture(canvas, scene.furniture)
+    canvas.segments(scene.walls, symbols.WALL, 1.6 * max(size, 0.7))
+    canvas.polyline(scene.true_trail, symbols.TRAIL, 2.0 * size)
+    canvas.polyline(scene.trail, symbols.ESTIMATED_TRAIL, 1.2)
+    here = np.zeros(2) if scene.pose is None else scene.pose[:2]
+    symbols.plan(canvas, here, scene.path, scene.goals, size)
+    symbols.true_features(canvas, scene.features, scene.kinds, 3.0 * size)
+    symbols.landmarks(canvas, scene.landmarks, scene.provisional, 2.3 * size)
+    symbols.people(canvas, scene.people)
+    if scene.pose is not None and scene.pose_covariance.any():
+        canvas.ellipses(scene.pose[None, :2], scene.pose_covariance[None, :2, :2], None, symbols.MAPPED)
+    symbols.decisions(canvas, here, scene.scan_points, scene.paired_positions, scene.decisions, size)
+    if scene.true_pose is not None:
+        symbols.robot_body(canvas, scene.true_pose, scene.robot_radius, 6.0 * size)
+    if scene.pose is not None:
+        symbols.robot_estimate(canvas, scene.pose, scene.robot_radius, 6.0 * size)
 
 
-def _of_log(run: LoggedRun) -> Frame:
+def scene_of_episode(episode: Episode, *, goals: Array | None = None, covisibility: bool = False) -> Scene:
+    """The present state of an episode in W, without its scan; `goals` (g, 2) in B are those on offer."""
+    base, slam_map, plan = episode.base, episode.slam.map, episode.site.plan
+    corner = compose(base, np.array([*episode.grid.origin, 0.0]))
+    return Scene(
+        walls=plan.walls,
+        features=plan.features.positions,
+        kinds=plan.features.kinds,
+        furniture=episode.world.furniture,
+        people=episode.world.people,
+        robot_radius=episode.scenario.robot.radius,
+        true_pose=episode.world.pose,
+        true_trail=_trail(episode.poses),
+        pose=compose(base, slam_map.pose),
+        pose_covariance=turned(base, slam_map.pose_covariance),
+        trail=transform(base, _trail(episode.estimates)),
+        landmarks=transform(base, slam_map.positions),
+        landmark_covariances=rotate_covariances(base[2], slam_map.covariances),
+        provisional=slam_map.provisional,
+        path=transform(base, episode.path),
+        goals=np.empty((0, 2)) if goals is None else transform(base, goals),
+        covisibility=episode.slam.covisibility.edges()[0] if covisibility else np.empty((0, 2), np.int64),
+        grid=Grid(episode.grid.cells, corner, episode.grid.resolution),
+    )
+
+
+def scene_of_log(run: LoggedRun) -> Scene:
+    """The present state of a run on a log in B, without its scan: no walls, and perhaps no true robot."""
     slam_map, targets = run.slam.map, run.targets
-    pose = slam_map.pose
     poses = np.array([*run.poses, run.truth.pose])  # NaN where nobody knows them
-    start = poses[0]
-    trail = np.array([estimate[:2] for estimate in run.estimates] + [pose[:2]])
-    return Frame(
-        walls=np.empty((0, 4)),
+    return Scene(
         features=targets,
         kinds=np.zeros(len(targets), np.int64),
-        furniture=np.empty((0, 5)),
-        people=np.empty((0, 3)),
-        robot_radius=0.2,
-        true_pose=relative(start, run.truth.pose),
-        true_trail=observe(start, poses[:, :2]) if np.isfinite(poses).all() else _NO_POINTS,
-        pose=pose,
+        true_pose=relative(poses[0], run.truth.pose),
+        true_trail=observe(poses[0], poses[:, :2]) if np.isfinite(poses).all() else np.empty((0, 2)),
+        pose=slam_map.pose,
         pose_covariance=slam_map.pose_covariance,
-        trail=trail,
+        trail=np.array([*(estimate[:2] for estimate in run.estimates), slam_map.pose[:2]]),
         landmarks=slam_map.positions,
         landmark_covariances=slam_map.covariances,
         provisional=slam_map.provisional,
-        scan_points=_NO_POINTS,
-        decisions=_NO_DECISIONS,
-        paired_positions=_NO_POINTS,
-        path=_NO_POINTS,
-        goals=_NO_POINTS,
     )
+
+
+def paired_positions(episode: Episode, landmarks: Array) -> Array:
+    """(m, 2) which of `landmarks` (n, 2) each measurement of the last scan was paired with, NaN if none."""
+    step, ids = episode.last_step, episode.slam.map.ids
+    positions = np.full((len(step.ids), 2), np.nan)
+    paired = (step.ids != NONE) & ~step.created & np.isin(step.ids, ids)
+    positions[paired] = landmarks[np.searchsorted(ids, step.ids[paired])]
+    return positions
+
+
+def _trail(poses: list[Array]) -> Array:
+    """Positions (≤ _TRAIL, 2) of the poses so far, the last among them; NaN where the robot did not drive."""
+    every = max(1, len(poses) // _TRAIL)
+    points = np.array([pose[:2] for pose in poses[::-1][::every][::-1]])
+    leaps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _LEAP) + 1
+    trail: Array = np.insert(points, leaps, np.nan, axis=0)
+    return trail

@@ -30,6 +30,7 @@ TRAIL: Colour = (172, 178, 187)
 ESTIMATED_TRAIL: Colour = (92, 143, 206)
 PLAN: Colour = (0, 124, 128)
 BAND: Colour = (237, 243, 250)  # behind the level at hand
+TRUTH: Colour = (120, 56, 168)  # around the branch that is right
 CHOICE: Colour = (255, 196, 61)  # the measurement to decide now
 DECISIONS: dict[int, Colour] = {
     Decision.RIGHT: (0, 150, 105),
@@ -66,8 +67,17 @@ def landmarks(canvas: Canvas, positions: Array, provisional: BoolArray, radius: 
     canvas.discs(positions[provisional], radius, PAPER, MAPPED, 0.8)
 
 
-def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes: IntArray) -> None:
-    """Measurements (m, 2) as rays from `robot` (2,), and lines to the landmarks (m, 2) that they were paired with."""
+def covisibility(canvas: Canvas, pairs: Array) -> None:
+    """Lines between landmarks seen together (e, 2, 2): the more there are, the thinner and paler."""
+    pale = min(1.0, max(0.55, 300.0 / max(len(pairs), 1)))
+    canvas.segments(pairs.reshape(-1, 4), _mixed(COVISIBLE, pale), 1.4 if len(pairs) < 20 else 0.7)
+
+
+def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes: IntArray, size: float = 1.0) -> None:
+    """Measurements (m, 2) as rays from `robot` (2,), and lines to the landmarks (m, 2) that they were paired with.
+
+    `codes` (m,) are of `metrics.association.Decision`, `size` scales the marks.
+    """
     for code, colour in DECISIONS.items():
         mine = codes == code
         if not mine.any():
@@ -76,8 +86,8 @@ def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes:
         canvas.segments(rays, _mixed(colour, 0.6), 0.9)
     for code, colour in DECISIONS.items():
         pairs = (codes == code) & np.isfinite(paired).all(axis=1)
-        canvas.segments(np.concatenate([points[pairs], paired[pairs]], axis=1), colour, 2.4)
-        canvas.discs(points[codes == code], 3.2, colour, PAPER, 0.8)
+        canvas.segments(np.concatenate([points[pairs], paired[pairs]], axis=1), colour, 2.4 * size)
+        canvas.discs(points[codes == code], 3.2 * size, colour, PAPER, 0.8)
 
 
 def undecided(canvas: Canvas, points: Array) -> None:
@@ -90,31 +100,31 @@ def choice(canvas: Canvas, point: Array) -> None:
     canvas.discs(point[None], 5.0, CHOICE, INK, 1.4)
 
 
-def robot_body(canvas: Canvas, pose: Array, radius: float) -> None:
+def robot_body(canvas: Canvas, pose: Array, radius: float, min_pixels: float = 6.0) -> None:
     """The true robot, pose (3,), radius [m]: a disc with a wedge that points ahead. Nothing where nobody knows it."""
     if not np.isfinite(pose).all():
         return
-    pixels = max(radius * canvas.scale, 6.0)
+    pixels = max(radius * canvas.scale, min_pixels)
     canvas.discs(pose[None, :2], pixels, INK, PAPER, 1.0)
     wedge = np.array([[0.72, 0.0], [-0.42, 0.5], [-0.42, -0.5]]) * (pixels / canvas.scale)
     canvas.polygons(transform(pose, wedge)[None], PAPER)
 
 
-def robot_estimate(canvas: Canvas, pose: Array, radius: float) -> None:
+def robot_estimate(canvas: Canvas, pose: Array, radius: float, min_pixels: float = 6.0) -> None:
     """The estimated robot, pose (3,), radius [m]: a ring with its heading."""
-    pixels = max(radius * canvas.scale, 6.0)
+    pixels = max(radius * canvas.scale, min_pixels)
     canvas.discs(pose[None, :2], pixels + 1.5, None, MAPPED, 1.6)
     nose = np.array([[pixels + 2.0, 0.0], [pixels + 8.0, 0.0]]) / canvas.scale
     canvas.polyline(transform(pose, nose), MAPPED, 1.8)
 
 
-def plan(canvas: Canvas, robot: Array, path: Array, goals: Array) -> None:
+def plan(canvas: Canvas, robot: Array, path: Array, goals: Array, size: float = 1.0) -> None:
     """Goals on offer (g, 2), and the path (p, 2) to the one chosen, from where the robot (2,) is by now."""
-    canvas.discs(goals, 3.6, PAPER, PLAN, 1.2)
+    canvas.discs(goals, 3.6 * size, PAPER, PLAN, 1.2)
     if len(path):
-        canvas.dashes(_ahead(robot, path), PLAN, 2.2)
-        canvas.discs(path[-1:], 4.6, PLAN, PAPER, 1.2)
-        canvas.discs(path[-1:], 1.6, PAPER)
+        canvas.dashes(_ahead(robot, path), PLAN, 2.2 * size)
+        canvas.discs(path[-1:], 4.6 * size, PLAN, PAPER, 1.2)
+        canvas.discs(path[-1:], 1.6 * size, PAPER)
 
 
 def furniture(canvas: Canvas, boxes: Array) -> None:
@@ -133,15 +143,15 @@ def people(canvas: Canvas, discs: Array) -> None:
 def _ahead(robot: Array, path: Array) -> Array:
     """The part of a path (p, 2) beyond its point closest to the robot (2,)."""
     start, along = path[:-1], np.diff(path, axis=0)
-    share = ((robot - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
-    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    fraction = ((robot - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
+    nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * along
     if not len(nearest):
         return path
     k = int(np.argmin(((nearest - robot) ** 2).sum(axis=1)))
     return np.concatenate([nearest[k : k + 1], path[k + 1 :]])
 
 
-def _mixed(colour: Colour, share: float) -> Colour:
-    """`share` of a colour on white paper."""
-    red, green, blue = (round(share * part + (1.0 - share) * 255) for part in colour)
+def _mixed(colour: Colour, fraction: float) -> Colour:
+    """`fraction` of a colour on white paper."""
+    red, green, blue = (round(fraction * part + (1.0 - fraction) * 255) for part in colour)
     return red, green, blue

@@ -1,86 +1,162 @@
-"""The panel of an association: its interpretation tree, and the table of what may be chosen."""
+"""The panel of an interpretation tree: its levels and branches, and the table of what may be chosen next."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from slam_gym.association.tracking.walk import Walk
-from slam_gym.metrics.association import Decision
+import numpy as np
+
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import pygame, text
-from slam_gym.rendering.figures_panel import ROW, Box, Choice, Figures, KeyEntry, figures, key, table
-from slam_gym.rendering.tree_levels import Level, draw_levels
-from slam_gym.simulation.association_runs import AssociationRun
-from slam_gym.simulation.verdicts import Verdicts, decisions
-from slam_gym.types import NONE, UNKNOWN, IntArray
+from slam_gym.rendering.canvas import Canvas, Colour, pygame, text
+from slam_gym.rendering.panels import ROW, Box, Choice, Figures, KeyEntry, figures, key, star, table
+from slam_gym.types import Array
 
+PANEL = 420  # [pixels] width
+STAR = -1  # the branch `*`, which pairs the measurement with nothing
 _MARGIN = 18  # [pixels]
-_COLUMNS = (0, 64, 156, 274)  # [pixels] of the table
-_KEY: tuple[KeyEntry, ...] = (
-    (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
-    (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
-    (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
-    (symbols.PAPER, symbols.INK, "not decided yet"),
-    (symbols.CHOICE, symbols.INK, "to decide now"),
-    (symbols.PAPER, symbols.PLAN, "legal, 95 % gate"),
-    (symbols.PAPER, symbols.LINE, "compatible alone"),
-    (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
-    (None, symbols.DECISIONS[Decision.RIGHT], "the truth"),
-)
+_CLOSEST, _WIDEST = 21, 36  # [pixels] between two levels
+_BRANCHES = 9  # at most so many of a level are drawn, besides `*`
+_STAR, _SPACING = 70, 28  # [pixels] column of `*`; between branches
+_CHOICES = 12  # at most so many rows of the table
 
 
-def draw_panel(
-    picture: Any, box: Box, run: AssociationRun, walk: Walk | None, verdicts: Verdicts, shown: Figures
-) -> None:
-    """Figures, tree, the table of the branches to choose from, and the key."""
+class Level(NamedTuple):
+    """One level. Branches are numbered from 0, `*` is `STAR`."""
+
+    name: str
+    branches: int  # besides `*`
+    on_offer: frozenset[int] = frozenset()  # at the level at hand
+    taken: int | None = None  # None: not decided
+    colour: Colour = symbols.LINE  # of what was decided
+    right: int | None = None  # the branch that the truth would take; None: there is none, or nobody knows
+
+
+class TreePanel(NamedTuple):
+    """What a panel shows."""
+
+    figures: Figures
+    levels: Sequence[Level]
+    at: int  # the level to decide; their number at a leaf
+    key: Sequence[KeyEntry]
+    columns: Sequence[tuple[int, str]] = ()  # of the table: offset [pixels] and heading
+    choices: Sequence[Choice] = ()  # its rows, `*` last
+    note: str = ""  # below the table
+    remarks: Sequence[str] = ()  # in place of a table, where there is nothing to choose
+
+
+def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
+    """Title, figures, tree, table or remarks, and the key, from top to bottom."""
     left, top, width, height = box
     pygame.draw.line(picture, symbols.LINE, (left, top), (left, top + height))
     x, y, room = left + _MARGIN, top + 13, width - 2 * _MARGIN
     picture.blit(text("Interpretation tree", 15, symbols.INK, bold=True), (x, y))
-    figures(picture, shown, (x, y + 27), room, 2)
-    bottom = key(picture, (x, top, room, height), _KEY)
-    if walk is None or walk.done:
-        picture.blit(text("nothing left to decide", 13, symbols.MUTED), (x, y + 110))
-        return
-    below = bottom - (len(walk.offered) + 2 + (walk.hidden > 0)) * ROW - 8
-    codes = decisions(walk, verdicts)
-    levels = [_level(walk, verdicts, codes, k) for k in range(walk.tree.levels)]
-    draw_levels(picture, (x, y + 104, room, below - y - 126), levels, walk.level)
-    _table(picture, (x, below, room, 0), walk, verdicts, run)
+    figures(picture, shown.figures, (x, y + 27), room, 2)
+    tree_top = y + 44 + math.ceil(len(shown.figures) / 2) * 20
+    bottom = key(picture, (x, top, room, height), shown.key)
+    if shown.remarks:
+        tree_bottom = bottom - (len(shown.remarks) + 1) * ROW
+        _remarks(picture, (x, tree_bottom), room, shown.remarks)
+    else:
+        choices, note = _fitting(shown)
+        tree_bottom = bottom - (len(choices) + 1 + bool(note)) * ROW - 8
+        table(picture, (x, tree_bottom, room, 0), shown.columns, choices, note)
+    draw_levels(picture, (x, tree_top, room, tree_bottom - tree_top - 22), shown.levels, shown.at)
 
 
-def _level(walk: Walk, verdicts: Verdicts, codes: IntArray, k: int) -> Level:
-    """Branches by ascending D²_ij; those of the level at hand that stayed compatible with the path are on offer."""
-    candidates, tree = walk.candidates, walk.tree
-    first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
-    i = int(candidates.measurements[k])
-    features = tree.prediction.features[tree.rows[candidates.slots[first:last]]].tolist()
-    right = NONE if verdicts.right[i] == NONE else None
-    if verdicts.sources[i] == UNKNOWN:
-        right = None
-    elif verdicts.right[i] in features:
-        right = features.index(verdicts.right[i])
-    taken = int(walk.chosen[k]) if k < walk.level else None
-    return Level(
-        f"z{i}",
-        last - first,
-        on_offer=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
-        taken=taken if taken in (None, NONE) else taken - first,
-        colour=symbols.LINE if taken is None else symbols.DECISIONS[int(codes[i])],
-        right=right,
-    )
+def _fitting(shown: TreePanel) -> tuple[Sequence[Choice], str]:
+    """The rows that there is room for, `*` among them, and the note."""
+    left_out = len(shown.choices) - _CHOICES
+    if left_out <= 0:
+        return shown.choices, shown.note
+    return [*shown.choices[: _CHOICES - 1], shown.choices[-1]], shown.note or f"and {left_out} more"
 
 
-def _table(picture: Any, box: Box, walk: Walk, verdicts: Verdicts, run: AssociationRun) -> None:
-    """What may be chosen: action, feature, D²_ij and D²_H with bars up to their gates."""
-    gates = float(walk.tree.gates[1]), float(walk.tree.gates[walk.pairings + 1])
-    ids, right = run.slam.map.ids[run.prediction.features[walk.rows]], verdicts.right_action(walk)
-    choices = []
-    for action, distances in enumerate(zip(walk.individual_distances, walk.joint_distances)):
-        alone, joint = (f"{value:.1f}" for value in distances)
-        shares = float(distances[0]) / gates[0], float(distances[1]) / gates[1]
-        choices.append(Choice(str(action), action == right, (f"{ids[action]}", (alone, shares[0]), (joint, shares[1]))))
-    choices.append(Choice("*", right == walk.K, ("nothing that is mapped",)))
-    headings = (f"z{walk.measurement} is …", "feature", "alone D²", "with the path D²")
-    note = f"and {walk.hidden} more that K = {walk.K} hides" if walk.hidden else ""
-    table(picture, box, tuple(zip(_COLUMNS, headings)), choices, note)
+def _remarks(picture: Any, corner: tuple[int, int], width: int, lines: Sequence[str]) -> None:
+    left, top = corner
+    pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
+    for row, line in enumerate(lines):
+        picture.blit(text(line, 12, symbols.INK, bold=row == 0), (left, top + row * ROW))
+
+
+def draw_levels(picture: Any, box: Box, levels: Sequence[Level], at: int) -> None:
+    """As many levels as there is room for, level `at` among them; it is at a leaf where `at` is their number."""
+    left, top, width, height = box
+    view = _View(box, len(levels), at)
+    canvas = Canvas((width, height), (0.0, 0.0), 1.0, symbols.PAPER)
+    if at < len(levels):
+        y = view.position(at, STAR)[1]
+        canvas.polygons(np.array([[[0.0, y - 11], [width, y - 11], [width, y + 11], [0.0, y + 11]]]), symbols.BAND)
+    for k in range(max(view.first, 1), min(view.last, at + 1)):
+        _edges(canvas, view, levels, k, at)
+    for k in range(view.first, view.last):
+        _nodes(canvas, view, levels[k], k, at)
+    picture.blit(canvas.picture(), (left, top))
+    for k in range(view.first, view.last):
+        _labels(picture, view, levels[k], k, at)
+    for count, y, words in ((view.first, top - 16, "earlier"), (len(levels) - view.last, top + height, "more")):
+        if count:
+            label = text(f"{count} {words}", 11, symbols.MUTED)
+            picture.blit(label, (left + width - label.get_width(), y))
+
+
+class _View:
+    """Which levels are drawn, and where their nodes are."""
+
+    def __init__(self, box: Box, levels: int, at: int) -> None:
+        self.left, self.top, _, self.height = box
+        room = max(3, self.height // _CLOSEST)
+        self.first = int(np.clip(at - room // 2, 0, max(levels - room, 0)))
+        self.last = min(self.first + room, levels)
+        self.step = min(_WIDEST, self.height / max(self.last - self.first, 1))
+
+    def position(self, level: int, branch: int) -> tuple[float, float]:
+        """On the canvas, y up."""
+        column = 0 if branch == STAR else 1 + min(branch, _BRANCHES - 1)
+        return _STAR + column * _SPACING, self.height - 12.0 - (level - self.first) * self.step
+
+    def pixels(self, level: int, branch: int) -> tuple[float, float]:
+        """In the picture, y down."""
+        x, y = self.position(level, branch)
+        return self.left + x, self.top + self.height - y
+
+
+def _branches(level: Level) -> tuple[int, ...]:
+    return *range(min(level.branches, _BRANCHES)), STAR
+
+
+def _edges(canvas: Canvas, view: _View, levels: Sequence[Level], k: int, at: int) -> None:
+    """From the node before to the branches of a level; the path is drawn broad."""
+    before, level = levels[k - 1].taken, levels[k]
+    start = view.position(k - 1, STAR if before is None else before)
+    if level.taken is not None:
+        canvas.segments(np.array([[*start, *view.position(k, level.taken)]]), level.colour, 3.0)
+    elif k == at:
+        for branch in _branches(level):
+            colour = symbols.PLAN if branch == STAR or branch in level.on_offer else symbols.LINE
+            canvas.segments(np.array([[*start, *view.position(k, branch)]]), colour, 1.2)
+
+
+def _nodes(canvas: Canvas, view: _View, level: Level, k: int, at: int) -> None:
+    for branch in _branches(level):
+        centre: Array = np.array([view.position(k, branch)])
+        if branch == level.taken:
+            canvas.discs(centre, 6.0, level.colour, symbols.PAPER, 1.0)
+        elif k == at and (branch == STAR or branch in level.on_offer):
+            canvas.discs(centre, 6.0, symbols.PAPER, symbols.PLAN, 1.6)
+        else:
+            canvas.discs(centre, 6.0 if branch == STAR else 4.0, symbols.PAPER, symbols.LINE, 1.2)
+        if branch == level.right:
+            canvas.discs(centre, 8.4, None, symbols.TRUTH, 1.6)
+
+
+def _labels(picture: Any, view: _View, level: Level, k: int, at: int) -> None:
+    """The name of a level, its `*`, and how many branches are not drawn."""
+    x, y = view.pixels(k, STAR)
+    name = text(level.name, 12, symbols.INK if k == at else symbols.MUTED, bold=k == at)
+    picture.blit(name, (view.left + 8, round(y - name.get_height() / 2)))
+    star(picture, (x, y), symbols.PAPER if level.taken == STAR else symbols.MUTED)
+    if level.taken is None and level.branches > _BRANCHES:
+        more = text(f"+ {level.branches - _BRANCHES}", 11, symbols.MUTED)
+        picture.blit(more, (round(view.pixels(k, _BRANCHES - 1)[0] + 14), round(y - more.get_height() / 2)))

@@ -1,18 +1,11 @@
 """`Explore-v0` as Gymnasium knows it: checkers, spaces, twins, ends, snapshots, pictures; and no truth in sight."""
 
-import pickle
-import warnings
 from dataclasses import replace
-from functools import partial
-from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
-from slam_gym.association import jcbb
 from slam_gym.envs.observation import POINT_FIELDS
 from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import get_scenario, world_generator
@@ -27,40 +20,11 @@ from tests.rollouts import (
     differences,
     episode,
     explore,
-    in_any_process,
-    random_action,
     short,
-    vector_rollout,
 )
 
 INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_missed", "pose_nees", "ticks", "pose"]
 INFO += ["lost", "truth"]
-
-
-# -- checkers ------------------------------------------------------------------------------------------------------
-
-
-OPTIONS = [  # every value of every option at least once
-    dict(scenario="office-small", action="goal", reward="map_error", associator="jcbb", split="train"),
-    dict(scenario="office-small", action="twist", reward="a_opt", associator="true_association", split="test"),
-    dict(scenario="office", action="twist", reward="map_error", associator="nearest_neighbour"),
-    dict(scenario="aliased", action="goal", reward="d_opt", associator="singles", locality=None),
-    dict(scenario="hall", action="twist", reward="entropy", associator=jcbb, locality="covisibility"),
-    dict(scenario="crowd", action="goal", reward="entropy", associator="slam_gym.association:nearest_neighbour"),
-    dict(scenario=short(40, "hall"), action="twist", reward="d_opt", render_mode="human"),
-    dict(floor_plan="plan.json", action="goal", reward="a_opt", render_mode="rgb_array", render_covisibility=True),
-]
-
-
-@pytest.mark.parametrize("options", OPTIONS, ids=lambda o: "-".join(str(v) for v in o.values() if isinstance(v, str)))
-def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(options, tmp_path, monkeypatch) -> None:
-    if "floor_plan" in options:
-        monkeypatch.chdir(tmp_path)
-        save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(0)), "plan.json")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(gym.make("slam_gym/Explore-v0", **options).unwrapped)  # with all render modes
-        check_env_sb3(gym.make("slam_gym/Explore-v0", **options))
 
 
 # -- same seed, same episode, bit for bit --------------------------------------------------------------------------
@@ -77,12 +41,6 @@ def test_twins_are_equal_bit_for_bit_whatever_one_did_before(scenario, action) -
         assert not differences(one, other)
 
 
-def test_other_seeds_and_worlds_are_other_episodes() -> None:
-    env = explore(action="twist")
-    starts = [env.reset(seed=k, options=o)[0]["scan"] for k in range(3) for o in ({}, {"world": 0}, {"world": 1})]
-    assert all(not np.array_equal(a, b) for i, a in enumerate(starts) for b in starts[:i])
-
-
 def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
     env = explore("office-small")
     plans = []
@@ -94,30 +52,6 @@ def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
     assert plans[0][0].shape != plans[2][0].shape or not np.array_equal(plans[0][0], plans[2][0])
     drawn = env.scenario.generator(world_generator("train", 6))
     np.testing.assert_array_equal(plans[2][0], drawn.walls)
-
-
-def test_train_and_test_worlds_differ_under_the_same_options() -> None:
-    walls = []
-    for split in ("train", "test"):
-        env = explore("hall", split=split)
-        env.reset(seed=0, options={"world": 0})
-        walls.append(env.episode.site.plan.walls)
-    assert walls[0].shape != walls[1].shape or not np.array_equal(*walls)
-
-
-@pytest.mark.parametrize(("action", "steps"), [("goal", 8), ("twist", 80)])
-def test_vectorised_in_other_processes_and_over_autoresets(action, steps) -> None:
-    maker = partial(in_any_process, "Explore-v0", scenario=short(35), action=action, reward="entropy")
-    here = vector_rollout(gym.vector.SyncVectorEnv([maker] * 2), steps)
-    there = vector_rollout(gym.vector.AsyncVectorEnv([maker] * 2, context="spawn"), steps)
-    assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"
-    assert not differences(here[1:], there[1:])
-    alone, over = maker(), False
-    alone.reset(seed=11)
-    for observations, rewards, *_, actions in here[1:]:
-        observation, reward, over, *_ = (alone.reset()[0], 0.0, False) if over else alone.step(actions[1])
-        assert reward == rewards[1]
-        assert not differences(dict(sorted(observation.items())), {k: part[1] for k, part in observations.items()})
 
 
 # -- what is handed out --------------------------------------------------------------------------------------------
@@ -137,27 +71,6 @@ def test_observations_are_finite_and_inside_their_space_and_info_has_fixed_keys(
         numbers = [info[name] for name in INFO[:-1]]
         assert all(np.isfinite(number).all() for number in numbers) and 0.0 <= info["coverage"] <= 1.0
         assert action == "goal" or info["ticks"] <= 1
-
-
-@pytest.mark.parametrize("action", ["goal", "twist"])
-def test_the_agent_may_keep_and_scribble_on_all_that_it_is_given(action) -> None:
-    def arrays(value):
-        return [a for v in value.values() for a in arrays(v)] if isinstance(value, dict) else [np.asarray(value)]
-
-    kept = []
-    env, twin = explore(action=action), explore(action=action)
-    for one, other in zip(episode(env, 12), episode(twin, 12), strict=True):
-        assert not differences(one, other)
-        for array in [*one[0].values(), *arrays(one[4])]:
-            assert not any(np.shares_memory(array, before) for before in kept)
-            kept.append(array)
-        for part in (one[0]["image"], one[0]["scan"], one[4]["pose"], one[4]["truth"]["pose"]):
-            part.fill(7)
-        one[4]["truth"]["sources"].fill(0)
-    masks = env.unwrapped.action_masks if action == "goal" else None
-    if masks:
-        masks().fill(False)
-        assert masks()[LOOK]
 
 
 def test_the_scan_is_shown_nearest_first_and_the_features_are_those_of_the_map() -> None:
@@ -282,14 +195,6 @@ def test_time_limit_truncates_and_does_not_terminate() -> None:
     assert ends == [(False, False), (False, False), (False, True)]
 
 
-def test_nothing_works_before_the_first_reset_and_says_so() -> None:
-    env = explore(render_mode="rgb_array")
-    for use in (lambda: env.step(0), env.render, env.map_quality, env.snapshot, lambda: env.tally):
-        with pytest.raises(RuntimeError, match="call reset"):
-            use()
-    env.close()
-
-
 # -- masked goals --------------------------------------------------------------------------------------------------
 
 
@@ -314,39 +219,6 @@ def test_masks_agree_everywhere_and_looking_around_is_always_legal() -> None:
         explore(action="twist").action_masks()
 
 
-# -- snapshots -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("action", "steps"), [("goal", 3), ("twist", 40)])
-def test_a_snapshot_replays_bit_for_bit_in_the_same_and_in_another_env(action, steps) -> None:
-    env = explore("crowd", action=action, reward="entropy")
-    env.reset(seed=9)  # the generator has a past when the episode begins
-    rng = np.random.default_rng(1)
-    _, info = env.reset(options={"world": 77})
-    for _ in range(steps):
-        observation, *_, info = env.step(random_action(env, info, rng))
-    snapshot = pickle.loads(pickle.dumps(env.snapshot()))
-    after = [env.step(a) for a in _some_actions(env)]
-    for other in (env, explore("crowd", action=action, reward="entropy")):
-        assert not differences(other.restore(snapshot), (observation, info))
-        assert not differences(other.snapshot(), snapshot)
-        assert not differences([other.step(a) for a in _some_actions(other)], after)
-
-
-def _some_actions(env) -> list:
-    return [0, 1, 15] if env.goal_mode else [(1.0, 0.2)] * 10
-
-
-def test_a_snapshot_is_a_copy() -> None:
-    env = explore(action="twist")
-    env.reset(seed=0)
-    before = env.snapshot()
-    env.step((1.0, 0.0))
-    assert len(before["actions"]) == 0 and len(env.snapshot()["actions"]) == 1
-    before["generator"]["state"]["state"] = 0
-    assert env.snapshot()["generator"]["state"]["state"] != 0
-
-
 # -- specification, pictures, lifecycle ----------------------------------------------------------------------------
 
 
@@ -358,41 +230,6 @@ def test_the_spec_survives_json() -> None:
     again = gym.make(spec)
     for one, other in zip(episode(env, 20), episode(again, 20), strict=True):
         assert not differences(one, other)
-
-
-@pytest.mark.parametrize("action", ["goal", "twist"])
-def test_pictures_show_what_happens_and_change_nothing(action) -> None:
-    env = explore("crowd", action=action, render_mode="rgb_array", render_covisibility=True)
-    blind = explore("crowd", action=action)
-    pictures = []
-    for one, other in zip(episode(env, 4), episode(blind, 4), strict=True):
-        assert not differences(one, other)
-        pictures.append(env.render())
-    for picture in pictures:
-        assert picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3
-        assert picture.std() > 10.0, "blank"
-    assert all(not np.array_equal(a, b) for a, b in pairwise(pictures))
-    env.close()
-    env.close()
-    assert env.render().shape == pictures[0].shape  # a closed picture opens again
-    env.close()
-
-
-@pytest.mark.parametrize("action", ["goal", "twist"])
-def test_a_window_shows_every_tick_and_closes_twice(action) -> None:
-    pytest.importorskip("pygame")
-    env = explore(short(6), action=action, render_mode="human")
-    for _ in episode(env):
-        assert env.render() is None
-    env.close()
-    env.close()
-
-
-def test_render_without_a_mode_warns() -> None:
-    env = explore()
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="render_mode"):
-        assert env.render() is None
 
 
 def test_a_given_floor_plan_is_surveyed_once(tmp_path) -> None:

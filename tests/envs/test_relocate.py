@@ -1,18 +1,12 @@
 """`Relocate-v0`: checkers, kidnappings and who judges them, searches and policies through it, twins, snapshots."""
 
-import copy
 import math
-import pickle
-import warnings
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import gcbb, jcbb
@@ -26,7 +20,7 @@ from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.relocation_problems import KNOWN, kidnap, map_world
 from slam_gym.types import NONE
 from slam_gym.world.generators import OfficeGenerator
-from tests.rollouts import differences, explore, in_any_process, random_action, short, vector_rollout
+from tests.rollouts import differences, explore, random_action, short
 
 ID = "slam_gym/Relocate-v0"
 INFO = ["nodes", "tries", "hidden", "pairings", "needed", "accepted", "action_mask", "truth"]
@@ -84,14 +78,6 @@ OPTIONS = [  # every value of every option at least once
 ]
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids=lambda o: "-".join(str(v) for v in o.values() if isinstance(v, str)))
-def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(options):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(gym.make(ID, **options).unwrapped)  # with all render modes
-        check_env_sb3(gym.make(ID, **options))
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -115,27 +101,6 @@ def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(options):
 def test_bad_arguments_are_refused_by_name(options, message):
     with pytest.raises(ValueError, match=message):
         RelocateEnv(**options)
-
-
-def test_bad_calls_are_refused_by_name():
-    env = relocate()
-    for call in (lambda: env.step(0), env.snapshot, lambda: env.walk, env.action_masks):
-        with pytest.raises(RuntimeError, match="reset"):
-            call()
-    with pytest.raises(ValueError, match="unknown reset option 'floor'"):
-        env.reset(options={"floor": 1})
-    with pytest.raises(ValueError, match="world"):
-        env.reset(options={"world": 10**7})
-    env.reset(seed=0)
-    for action in (-1, 10, 0.5, None):
-        with pytest.raises(ValueError, match="action"):
-            env.step(action)
-    for _ in episode(env, refuse):
-        pass
-    with pytest.raises(RuntimeError, match="over"):
-        env.step(0)
-    with pytest.warns(UserWarning, match="render_mode"):
-        assert env.render() is None
 
 
 def one_floor(_rng):
@@ -338,49 +303,6 @@ def test_a_world_asked_for_does_not_depend_on_what_was_mapped_before_nor_disturb
     np.testing.assert_array_equal(env.mapped.landmarks.positions, twin.mapped.landmarks.positions)
 
 
-def test_other_seeds_worlds_and_splits_are_other_episodes():
-    seen = []
-    for split in ("train", "test"):
-        env = relocate(split=split)
-        starts = [env.reset(seed=k, options=o)[0] for k in range(2) for o in ({}, {"world": 0}, {"world": 1})]
-        seen += [start["scan"].tobytes() for start in starts]
-    assert len(set(seen)) == len(seen)
-
-
-@pytest.mark.parametrize("order", ["nearest_first", "random"])
-def test_snapshots_restore_in_another_environment_and_environments_pickle_and_copy(order):
-    env, choose = relocate(order=order, sizes=False, kidnappings_per_map=3), at_random(4)
-    env.reset(seed=9)
-    _, info = env.reset()
-    for _ in range(6):
-        last = env.step(choose(None, info))
-        info = last[4]
-    snapshot = pickle.loads(pickle.dumps(env.snapshot()))
-    restored = relocate(order=order, sizes=False, kidnappings_per_map=3)
-    assert not differences(restored.restore(snapshot), (last[0], info))
-    for other in (restored, pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
-        alone, now = pickle.loads(pickle.dumps(env)), info
-        draw = np.random.default_rng(0)
-        for _ in range(60):
-            if alone.walk.done:
-                one, another = alone.reset(), other.reset()
-                assert not differences(one, another)
-                now = one[1]
-            action = int(draw.choice(np.flatnonzero(now["action_mask"])))
-            one, another = alone.step(action), other.step(action)
-            assert not differences(one, another)
-            now = one[4]
-
-
-def test_vectorised_in_other_processes_and_over_autoresets():
-    options = dict(scenario=SMALL, kidnappings_per_map=2, order="random", node_limit=30)
-    makers = [partial(in_any_process, "Relocate-v0", **options)] * 2
-    here = vector_rollout(gym.vector.SyncVectorEnv(makers), 60)
-    there = vector_rollout(gym.vector.AsyncVectorEnv(makers, context="spawn"), 60)
-    assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"
-    assert not differences(here[1:], there[1:])
-
-
 # -- what is handed out --------------------------------------------------------------------------------------------
 
 
@@ -430,14 +352,6 @@ def test_a_lying_truth_changes_no_observation_and_no_mask(monkeypatch):
     assert differences(honest[0][4]["truth"], lied_to[0][4]["truth"])
 
 
-def test_the_agent_may_scribble_on_all_that_it_is_given():
-    env, twin = relocate(), relocate()
-    for one, other in zip(episode(env, at_random(3), seed=1), episode(twin, at_random(3), seed=1), strict=True):
-        assert not differences(one, other)
-        for array in (*one[0].values(), one[4]["truth"]["pose"], one[4]["truth"]["features"]):
-            array.fill(0.5)
-
-
 # -- pictures ------------------------------------------------------------------------------------------------------
 
 
@@ -456,18 +370,3 @@ def test_pictures_of_every_state_differ_and_draw_no_chance(name, outside):
     assert all(not np.array_equal(a, b) for a, b in pairwise(pictures[:-1]))
     env.close()
     env.close()
-
-
-def test_a_window_opens_closes_and_opens_again():
-    env = relocate(render_mode="human")
-    env.reset(seed=0)
-    for _ in range(2):
-        assert env.render() is None
-        env.close()
-        env.close()
-
-
-def test_specs_serialise():
-    spec = gym.make(ID, scenario="office-small", sizes=False).spec
-    made = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json())).unwrapped
-    assert isinstance(made, RelocateEnv) and not made.walk_spec.sizes

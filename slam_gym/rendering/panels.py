@@ -1,19 +1,18 @@
-"""What stands beside a picture: figures, a table of the actions to choose from, and the key to the colours."""
+"""Parts of a panel: figures, a table of the actions to choose from, the key to the colours; and badges on the map."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, Colour, pygame, text
 
-Figures = tuple[tuple[str, str], ...]  # what, how much
+Figures = tuple[tuple[str, str], ...]
+"""What, and how much."""
 Point = tuple[float, float]
 Box = tuple[int, int, int, int]  # left, top, width, height [pixels]
 KeyEntry = tuple[Colour | None, Colour, str]  # fill and line of a dot, what it stands for
@@ -50,9 +49,8 @@ def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
     return top
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A row of the table of actions. A cell is words, or a number with the share (0 … 1) that its bar shows."""
+class Choice(NamedTuple):
+    """A row of the table of actions. A cell is words, or a number with the fraction (0 … 1) that its bar shows."""
 
     action: str
     right: bool  # the truth would take it
@@ -69,10 +67,10 @@ def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: S
         y = top + row * ROW
         _action(picture, (left + 10, y + 8), choice)
         for (offset, _), cell in zip(columns[1:], choice.cells):
-            words, share = (cell, None) if isinstance(cell, str) else cell
+            words, fraction = (cell, None) if isinstance(cell, str) else cell
             picture.blit(text(words, 12, symbols.INK), (left + offset, y))
-            if share is not None:
-                _bar(picture, (left + offset + 36, y + 5), share)
+            if fraction is not None:
+                _bar(picture, (left + offset + 36, y + 5), fraction)
     picture.blit(text(note, 12, symbols.MUTED), (left + columns[1][0], top + (len(choices) + 1) * ROW))
 
 
@@ -103,14 +101,14 @@ def star(picture: Any, centre: Point, colour: Colour) -> None:
 
 def _action(picture: Any, centre: Point, choice: Choice) -> None:
     if choice.right:
-        pygame.draw.aacircle(picture, symbols.DECISIONS[Decision.RIGHT], centre, _BADGE + 3)
+        pygame.draw.aacircle(picture, symbols.TRUTH, centre, _BADGE + 3)
         pygame.draw.aacircle(picture, symbols.PAPER, centre, _BADGE + 1)
     badge(picture, centre, "" if choice.action == "*" else choice.action)
     if choice.action == "*":
         star(picture, centre, symbols.PAPER)
 
 
-def _bar(picture: Any, corner: tuple[int, int], share: float) -> None:
-    length = max(3, round(60 * min(max(share, 0.0), 1.0)))
+def _bar(picture: Any, corner: tuple[int, int], fraction: float) -> None:
+    length = max(3, round(60 * min(max(fraction, 0.0), 1.0)))
     pygame.draw.rect(picture, symbols.LINE, (*corner, 60, 6), border_radius=3)
     pygame.draw.rect(picture, symbols.PLAN, (*corner, length, 6), border_radius=3)

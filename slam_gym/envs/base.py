@@ -1,0 +1,240 @@
+"""What the three environments have in common: resets, steps, snapshots and copies, pictures, and being closed."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym.envs.warm_up import compile_on_two_cores
+from slam_gym.scenarios import SPLITS, Scenario, get_scenario, overridden, world_generator, world_seed
+from slam_gym.scenarios.overrides import Plain
+from slam_gym.simulation.episode import Site, survey
+from slam_gym.validation import one_of
+
+Observation = dict[str, Any]
+Info = dict[str, Any]
+Split = Literal["train", "test"]
+RenderMode = Literal["rgb_array", "human"]
+T = TypeVar("T")
+
+_CARRIED_OVER = ("_np_random_seed", "action_space", "observation_space", "spec")
+"""Attributes that a copy takes over, since no replay brings them back: the spaces have random states of their own."""
+
+
+class Snapshot(NamedTuple):
+    """What it takes to come back to the present state of an environment: the rest follows by replay."""
+
+    generator: dict[str, Any]  # state of `np_random` when the episode began
+    series: tuple[int, ...]  # what the environment had brought along from its earlier episodes
+    options: dict[str, Any]  # of the reset
+    actions: list[Any]  # since then
+
+
+def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | None = None) -> Scenario:
+    """A scenario given by name or itself, with fields changed. Raises ValueError as `get_scenario` and `overridden`."""
+    found = get_scenario(scenario) if isinstance(scenario, str) else scenario
+    return overridden(found, overrides) if overrides else found
+
+
+class BaseEnv(gym.Env[Observation, Any]):
+    """An environment whose episodes follow from the generator's state at the reset, its options, and the actions.
+
+    A subclass says how an episode begins (`_begin`) and what an action does (`_act`), what the agent sees and is told
+    (`_observe`, `_info`), when the episode is over (`_over`) and what it looks like (`_picture`). It calls `_changed`
+    whenever there is something new to see.
+
+    Environments pickle and deepcopy while they run: a copy is constructed from the same arguments and replays the
+    episode, so that it takes as long as that; it goes on like the original, bit for bit. Watchers and windows stay
+    behind. Where an argument does not pickle (a lambda as associator), pickling raises TypeError.
+    """
+
+    def __init__(self, split: Split, render_mode: RenderMode | None, arguments: Mapping[str, Any]) -> None:
+        """`arguments` are the `locals()` of the subclass' constructor before anything else is in them."""
+        one_of("split", split, SPLITS)
+        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        self.split, self.render_mode = split, render_mode
+        self._arguments = {name: value for name, value in arguments.items() if name not in ("self", "__class__")}
+        self._snapshot: Snapshot | None = None
+        self._series: tuple[int, ...] = ()
+        self._site: Site | None = None
+        self._watchers: list[Callable[[Any], None]] = []
+        self._replaying = False
+        self._window: Any = None
+
+    # -- Gymnasium ---------------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+        """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
+        options = dict(options or {})
+        if unknown := set(options) - {"world"}:
+            raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
+        world_seed(self.split, options.get("world", 0))  # refuses a world outside the split, while nothing has changed
+        super().reset(seed=seed)
+        if seed is not None:
+            self._series = ()
+        state: Any = copy.deepcopy(self.np_random.bit_generator.state)
+        self._snapshot = Snapshot(state, self._series, options, [])
+        compile_on_two_cores()
+        return self._begin(self._draw_world(options)), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Carry out one action.
+
+        Raises RuntimeError before the first reset and once the episode is over, ValueError for an action outside the
+        space; nothing has changed then.
+        """
+        history = self._started(self._snapshot)
+        if self._over:
+            raise RuntimeError("the episode is over: call reset()")
+        action = self._checked(action)
+        history.actions.append(action)
+        reward = self._act(action)
+        return self._observe(), reward, self._over, False, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""
+        if self.render_mode is None:
+            gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
+            return None
+        self._started(self._snapshot)
+        # pygame is an extra, and runs without pictures never need it
+        from slam_gym.rendering.window import Window, pixels
+
+        picture = self._picture()
+        if self.render_mode == "rgb_array":
+            return pixels(picture)
+        if self._window is None:
+            self._window = Window(type(self).__name__, float(self.metadata["render_fps"]))
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one. May be called twice; rendering again opens it anew."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    # -- beyond Gymnasium --------------------------------------------------------------------------------------------
+
+    def watch(self, callback: Callable[[Any], None]) -> None:
+        """Call `callback(env)` whenever there is something new to see, from now on (for films)."""
+        self._watchers.append(callback)
+
+    def snapshot(self) -> Snapshot:
+        """What it takes to come back here. Raises RuntimeError before the first reset."""
+        return copy.deepcopy(self._started(self._snapshot))
+
+    def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
+        """Replay a snapshot of an env with the same arguments; returns its last observation and info."""
+        generator = np.random.default_rng()
+        generator.bit_generator.state = copy.deepcopy(snapshot.generator)
+        self.np_random, self._series = generator, snapshot.series
+        self._replaying = True
+        try:
+            observation, info = self.reset(options=snapshot.options)
+            for action in snapshot.actions:
+                observation, _, _, _, info = self.step(action)
+        finally:
+            self._replaying = False
+        return observation, info
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        try:
+            pickle.dumps(self._arguments, protocol)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise TypeError(
+                f"{type(self).__name__} does not pickle, since one of its arguments does not ({error}): "
+                "pickle its snapshot(), and restore() that in an environment with the same arguments"
+            ) from error
+        return _copy, (type(self), self._arguments, self._snapshot, self._np_random, self._carried_over())
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> BaseEnv:
+        parts = copy.deepcopy((self._arguments, self._snapshot, self._np_random, self._carried_over()), memo)
+        return _copy(type(self), *parts)
+
+    # -- what a subclass provides ------------------------------------------------------------------------------------
+
+    def _begin(self, world: int) -> Observation:
+        """Start an episode in the `world`-th world of the split; returns the first observation."""
+        raise NotImplementedError
+
+    def _act(self, action: Any) -> float:
+        """Carry out an action that was `_checked`; returns the reward."""
+        raise NotImplementedError
+
+    def _observe(self) -> Observation:
+        raise NotImplementedError
+
+    def _info(self) -> Info:
+        raise NotImplementedError
+
+    @property
+    def _over(self) -> bool:
+        raise NotImplementedError
+
+    def _picture(self) -> Any:
+        """A surface with the present state."""
+        raise NotImplementedError
+
+    # -- what a subclass may use or change ---------------------------------------------------------------------------
+
+    def _draw_world(self, options: dict[str, Any]) -> int:
+        """The world of an episode: the one asked for, or any of the split."""
+        drawn = int(self.np_random.integers(SPLITS[self.split][1]))
+        return int(options.get("world", drawn))
+
+    def _checked(self, action: Any) -> Any:
+        """The action in the form that `_act` takes. Raises ValueError where it is outside the space."""
+        space = self.action_space
+        assert isinstance(space, gym.spaces.Discrete)
+        if not space.contains(action):
+            raise ValueError(f"action {action!r} is not one of 0 … {space.n - 1}")
+        return int(action)
+
+    def _carried_over(self) -> dict[str, Any]:
+        """Attributes that a copy takes over before it replays the episode, and again afterwards."""
+        return {name: getattr(self, name) for name in _CARRIED_OVER}
+
+    def _changed(self) -> None:
+        """Show the present state to whoever watches."""
+        if self._replaying:
+            return
+        for callback in self._watchers:
+            callback(self)
+        if self.render_mode == "human":
+            self.render()
+
+    def _started(self, part: T | None) -> T:
+        """A part of the running episode. Raises RuntimeError before the first reset, when there is none."""
+        if part is None:
+            raise RuntimeError("no episode yet: call reset() first")
+        return part
+
+    def _survey(self, scenario: Scenario, world: int) -> Site:
+        """The floor of a world; one that is the same in every episode is surveyed once."""
+        plan = scenario.generator(world_generator(self.split, world))
+        if self._site is None or self._site.plan is not plan:
+            self._site = survey(plan, scenario)
+        return self._site
+
+
+def _copy(
+    cls: type[BaseEnv],
+    arguments: dict[str, Any],
+    snapshot: Snapshot | None,
+    generator: np.random.Generator | None,
+    carried_over: dict[str, Any],
+) -> BaseEnv:
+    env = cls(**arguments)
+    vars(env).update(carried_over)
+    if snapshot is not None and generator is not None:
+        env.restore(snapshot)
+        env.np_random.bit_generator.state = generator.bit_generator.state  # the episode draws from the same one
+        vars(env).update(carried_over)
+    return env

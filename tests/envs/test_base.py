@@ -1,0 +1,400 @@
+"""What holds of every environment: checkers, resets, refusals, twins, snapshots, copies, vectors, pictures, windows."""
+
+import copy
+import pickle
+import warnings
+from functools import partial
+from itertools import pairwise
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+from slam_gym.association import jcbb
+from slam_gym.scenarios import SPLITS, get_scenario, overridden
+from slam_gym.simulation.association_runs import CORRIDOR, nearest_frontier
+from slam_gym.world.floor_plan_file import save_floor_plan
+from slam_gym.world.generators import OfficeGenerator
+from tests.rollouts import bare, differences, episode, in_any_process, random_action, short, vector_rollout
+
+SMALL = short(120)  # a map for Relocate-v0 that is made soon
+CASES = {  # every environment, in every way that differs inside
+    "explore, goals": ("Explore-v0", dict(scenario=short(150), reward="entropy")),
+    "explore, twists": ("Explore-v0", dict(scenario=short(12, "crowd"), action="twist", reward="d_opt")),
+    "associate": ("Associate-v0", dict(scenario=short(8), reward="map_error", driver="random")),
+    "associate, log": ("Associate-v0", dict(scenario="corridor", candidates=3)),
+    "relocate": ("Relocate-v0", dict(scenario=SMALL, kidnappings_per_map=2, order="random", node_limit=30)),
+}
+every_case = pytest.mark.parametrize("case", CASES)
+ENVIRONMENTS = ("Explore-v0", "Associate-v0", "Relocate-v0")
+every_environment = pytest.mark.parametrize("name", ENVIRONMENTS)
+
+
+def made(case, **options):
+    name, given = CASES[case]
+    return bare(name, **given | options)
+
+
+def small(name, **options):
+    """An environment whose resets are quick."""
+    return bare(name, **{"scenario": SMALL if name == "Relocate-v0" else short(12)} | options)
+
+
+# -- checkers ------------------------------------------------------------------------------------------------------
+
+OPTIONS = [  # every value of every option at least once
+    ("Explore-v0", dict(scenario="office-small", action="goal", reward="map_error", associator="jcbb", split="train")),
+    ("Explore-v0", dict(action="twist", reward="a_opt", associator="true_association", split="test")),
+    ("Explore-v0", dict(scenario="office", action="twist", reward="map_error", associator="nearest_neighbour")),
+    ("Explore-v0", dict(scenario="aliased", reward="d_opt", associator="singles", locality=None)),
+    ("Explore-v0", dict(scenario="hall", action="twist", reward="entropy", associator=jcbb, locality="covisibility")),
+    ("Explore-v0", dict(scenario="crowd", reward="entropy", associator="slam_gym.association:nearest_neighbour")),
+    ("Explore-v0", dict(scenario="closure/0", action="twist", overrides={"sensor.range": 4.0})),
+    ("Explore-v0", dict(scenario=short(40, "hall"), action="twist", reward="d_opt", render_mode="human")),
+    ("Explore-v0", dict(floor_plan="plan.json", reward="a_opt", render_mode="rgb_array", render_covisibility=True)),
+    ("Associate-v0", dict(split="train", driver="nearest_frontier", reward="truth", candidates=5)),
+    ("Associate-v0", dict(split="test", driver="random", reward="map_error", candidates=1, order="nearest_first")),
+    ("Associate-v0", dict(scenario="corridor", order="fewest_candidates", compatibility="individual", wrong_cost=1.0)),
+    ("Associate-v0", dict(scenario="corridor", split="test", reward="map_error", compatibility="joint")),
+    ("Associate-v0", dict(scenario=short(30, "hall"), driver=nearest_frontier, render_mode="human", candidates=3)),
+    ("Associate-v0", dict(scenario=CORRIDOR, render_mode="rgb_array")),
+    ("Associate-v0", dict(scenario=short(1), reward="map_error", overrides={"dynamics.people": 1})),
+    ("Relocate-v0", dict(split="train", scenario=SMALL, locality="covisibility", order="fewest_candidates")),
+    ("Relocate-v0", dict(scenario=SMALL, split="test", locality="two-hop covisibility", order="random", sizes=False)),
+    ("Relocate-v0", dict(scenario=SMALL, locality="distance", order="nearest_first", candidates=1, outside=1.0)),
+    ("Relocate-v0", dict(scenario=SMALL, locality=None, order="as_scanned", candidates=200, outside=0.0)),
+    ("Relocate-v0", dict(scenario=SMALL, associator="true_association", node_limit=1, kidnappings_per_map=1)),
+    ("Relocate-v0", dict(scenario=SMALL, associator=jcbb, position_tolerance=1.0, heading_tolerance=0.3)),
+    ("Relocate-v0", dict(scenario=SMALL, render_mode="human", node_cost=0.5, wrong_cost=5.0)),
+    ("Relocate-v0", dict(scenario=SMALL, render_mode="rgb_array", overrides={"sensor.clutter": 1.0})),
+]
+
+
+@pytest.mark.parametrize(("name", "options"), OPTIONS, ids=[f"{name}-{k}" for k, (name, _) in enumerate(OPTIONS)])
+def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(name, options, tmp_path, monkeypatch) -> None:
+    if "floor_plan" in options:
+        monkeypatch.chdir(tmp_path)
+        save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(0)), "plan.json")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(f"slam_gym/{name}", **options).unwrapped)  # with all render modes
+        check_env_sb3(gym.make(f"slam_gym/{name}", **options))
+
+
+# -- refusals ------------------------------------------------------------------------------------------------------
+
+
+@every_environment
+def test_nothing_works_before_the_first_reset_and_says_so(name) -> None:
+    env = small(name, render_mode="rgb_array")
+    for use in (lambda: env.step(0), env.render, env.snapshot, env.action_masks):
+        with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+            use()
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"wrold": 3}, "unknown reset option 'wrold'; known: world"),
+        ({"world": -1}, "world -1 of split 'train': expected a whole number 0 … 999999"),
+        ({"world": SPLITS["train"][1]}, "world 1000000 of split"),
+        ({"world": 0.5}, "world 0.5 of split"),
+    ],
+)
+@every_environment
+def test_a_bad_reset_is_refused_and_the_episode_goes_on(name, options, message) -> None:
+    env, twin = small(name), small(name)
+    _, info = env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        env.reset(seed=5, options=options)
+    action = random_action(env, info, np.random.default_rng(0))
+    assert not differences(env.step(action), twin.step(action))
+    assert not differences(env.snapshot(), twin.snapshot())
+
+
+@every_environment
+def test_a_bad_action_is_refused_and_changes_nothing(name) -> None:
+    env, twin = small(name), small(name)
+    _, info = env.reset(seed=0)
+    twin.reset(seed=0)
+    for wrong in (-1, env.action_space.n, 1.5, np.nan, None, "look", [0, 1], np.array([3])):
+        with pytest.raises(ValueError, match="action"):
+            env.step(wrong)
+    action = random_action(env, info, np.random.default_rng(1))
+    assert not differences(env.step(np.array(action)), twin.step(action))  # any integer will do
+    assert not differences(env.snapshot(), twin.snapshot())
+
+
+@every_case
+def test_an_episode_that_is_over_wants_a_reset(case) -> None:
+    env = made(case)
+    *_, last = episode(env)
+    assert last[2] and not last[3]
+    with pytest.raises(RuntimeError, match=r"over: call reset\(\)"):
+        env.step(env.action_space.sample())
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+
+
+@every_environment
+def test_bad_arguments_that_all_have_are_refused_by_name(name) -> None:
+    for options, message in (
+        ({"split": "validation"}, "split='validation'.*train, test"),
+        ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, human"),
+        ({"scenario": "atlantis"}, "office-small, office, aliased, hall, crowd, kidnapped"),
+        ({"overrides": {"sensor.reach": 4.0}}, "'sensor.reach': there is no such field"),
+        ({"overrides": {"sensor.range": "far"}}, "'sensor.range': expected"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            small(name, **options)
+
+
+# -- scenarios by name and plain values ----------------------------------------------------------------------------
+
+
+@every_environment
+def test_overrides_change_the_scenario_and_survive_json(name) -> None:
+    overrides = {"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3, "budget": 120}
+    spec = gym.make(f"slam_gym/{name}", scenario="office-small", overrides=overrides).spec
+    assert spec is not None and spec.kwargs["overrides"] == overrides
+    env = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json())).unwrapped
+    assert env.scenario == overridden(get_scenario("office-small"), overrides)
+    twin = bare(name, scenario=overridden(get_scenario("office-small"), overrides))
+    for one, other in zip(episode(env, 4), episode(twin, 4), strict=True):
+        assert not differences(one, other)
+
+
+@every_environment
+def test_a_level_of_the_suite_is_a_scenario(name) -> None:
+    assert bare(name, scenario="closure/1").scenario == get_scenario("closure/1")
+
+
+# -- same seed, same episode, bit for bit --------------------------------------------------------------------------
+
+
+@every_case
+def test_twins_are_equal_bit_for_bit_whatever_one_did_before(case) -> None:
+    fresh, used = made(case), made(case)
+    for seed in (3, None):
+        used.reset(seed=seed)
+        used.step(used.action_space.sample())
+    for options in ({}, {"world": 9}):
+        for seed in (8, None):  # that of the reset; the actions are the same
+            rng = np.random.default_rng(0)
+            one, other = fresh.reset(seed=seed, options=options), used.reset(seed=seed, options=options)
+            for _ in range(12):
+                assert not differences(one, other)
+                if len(one) == 5 and one[2]:
+                    break
+                action = random_action(fresh, one[-1], rng)
+                one, other = fresh.step(action), used.step(action)
+
+
+@every_case
+def test_other_seeds_worlds_and_splits_are_other_episodes(case) -> None:
+    seen = []
+    for split in ("train", "test"):
+        env = made(case, split=split)
+        starts = [env.reset(seed=k, options=o)[0] for k in range(2) for o in ({}, {"world": 0}, {"world": 1})]
+        seen += [b"".join(part.tobytes() for part in start.values()) for start in starts]
+    assert len(set(seen)) == len(seen)
+
+
+@every_case
+def test_the_agent_may_keep_and_scribble_on_all_that_it_is_given(case) -> None:
+    def arrays(value):
+        return [a for v in value.values() for a in arrays(v)] if isinstance(value, dict) else [np.asarray(value)]
+
+    kept, env, twin = [], made(case), made(case)
+    for one, other in zip(episode(env, 8), episode(twin, 8), strict=True):
+        assert not differences(one, other)
+        for array in [*one[0].values(), *arrays(one[4])]:
+            assert not any(np.shares_memory(array, before) for before in kept)
+            kept.append(array)
+            if array.ndim and array.dtype != np.bool_:  # the next action is drawn from the mask
+                array.fill(1)
+        if "action_mask" in one[4]:
+            before = env.action_masks()
+            env.action_masks().fill(True)
+            np.testing.assert_array_equal(env.action_masks(), before)
+
+
+@every_case
+def test_what_is_handed_out_lies_in_its_space_and_has_its_type(case) -> None:
+    env = made(case)
+    for observation, reward, terminated, truncated, info in episode(env, 200):
+        assert env.observation_space.contains(observation)
+        assert all(np.isfinite(part).all() for part in observation.values())
+        assert type(reward) is float and type(terminated) is bool and truncated is False
+        if "action_mask" in info:
+            assert info["action_mask"].dtype == np.bool_ and info["action_mask"].any()
+            np.testing.assert_array_equal(info["action_mask"], env.action_masks())
+
+
+# -- snapshots and copies ------------------------------------------------------------------------------------------
+
+
+def underway(case, steps=2):
+    """An environment in the middle of its second episode, whose generator has a past; and the last step."""
+    env, rng = made(case), np.random.default_rng(1)
+    env.reset(seed=9)
+    last = env.reset(options=None if case == "relocate" else {"world": 77})
+    for _ in range(steps):
+        last = env.step(random_action(env, last[-1], rng))
+    assert not last[2]
+    return env, last
+
+
+def goes_on_alike(env, other, steps=40) -> None:
+    """Both are driven on, over resets without a seed."""
+    rng, over = np.random.default_rng(2), False
+    info = {"action_mask": env.action_masks()} if isinstance(env.action_space, gym.spaces.Discrete) else {}
+    for _ in range(steps):
+        action = random_action(env, info, rng)
+        one, another = (env.reset(), other.reset()) if over else (env.step(action), other.step(action))
+        assert not differences(one, another)
+        over, info = len(one) == 5 and one[2], one[-1]
+    assert env.action_space.sample() is not None
+
+
+@every_case
+def test_a_snapshot_replays_bit_for_bit_in_the_same_and_in_another_env(case) -> None:
+    env, last = underway(case)
+    snapshot = pickle.loads(pickle.dumps(env.snapshot()))
+    other = made(case)
+    assert not differences(other.restore(snapshot), (last[0], last[-1]))
+    assert not differences(other.snapshot(), snapshot)
+    goes_on_alike(env, other)
+    assert not differences(env.restore(snapshot), (last[0], last[-1]))
+
+
+@every_environment
+def test_a_snapshot_is_a_copy(name) -> None:
+    env = small(name)
+    _, info = env.reset(seed=0)
+    before = env.snapshot()
+    env.step(random_action(env, info, np.random.default_rng(0)))
+    assert len(before.actions) == 0 and len(env.snapshot().actions) == 1
+    before.generator["state"]["state"] = 0
+    assert env.snapshot().generator["state"]["state"] != 0
+
+
+@pytest.mark.parametrize(
+    "duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"]
+)
+@every_case
+def test_environments_pickle_and_copy_while_they_run(case, duplicate) -> None:
+    env, _ = underway(case)
+    env.action_space.seed(5)
+    env.np_random.random()  # somebody else draws from it, too
+    twin = duplicate(env)
+    assert twin is not env and type(twin) is type(env)
+    assert not differences(twin.snapshot(), env.snapshot())
+    np.testing.assert_array_equal(env.action_space.sample(), twin.action_space.sample())
+    goes_on_alike(env, twin)
+
+
+@every_case
+def test_environments_pickle_and_copy_before_their_first_reset(case) -> None:
+    for duplicate in (copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))):
+        env = made(case)
+        twin = duplicate(env)
+        with pytest.raises(RuntimeError, match="call reset"):
+            twin.snapshot()
+        assert not differences(env.reset(seed=3), twin.reset(seed=3))
+
+
+@pytest.mark.parametrize(
+    ("name", "argument"), [("Explore-v0", "associator"), ("Associate-v0", "driver"), ("Relocate-v0", "associator")]
+)
+def test_where_an_argument_does_not_pickle_the_error_names_the_way_round_and_copies_work(name, argument) -> None:
+    given = nearest_frontier if argument == "driver" else jcbb
+    env = small(name, **{argument: lambda *arguments: given(*arguments)})
+    _, info = env.reset(seed=0)
+    action = random_action(env, info, np.random.default_rng(0))
+    with pytest.raises(TypeError, match=r"does not pickle.*snapshot\(\)"):
+        pickle.dumps(env)
+    assert not differences(copy.deepcopy(env).step(action), env.step(action))
+
+
+# -- vectors -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("case", "steps"), [("explore, goals", 24), ("associate", 80), ("relocate", 60)])
+def test_vectorised_in_other_processes_and_over_autoresets(case, steps) -> None:
+    name, options = CASES[case]
+    maker = partial(in_any_process, name, **options)
+    here = vector_rollout(gym.vector.SyncVectorEnv([maker] * 2), steps)
+    there = vector_rollout(gym.vector.AsyncVectorEnv([maker] * 2, context="spawn"), steps)
+    assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"
+    assert not differences(here[1:], there[1:])
+    alone, over = maker(), False
+    alone.reset(seed=11)
+    for observations, rewards, *_, actions in here[1:]:
+        observation, reward, over, *_ = (alone.reset()[0], 0.0, False) if over else alone.step(actions[1])
+        assert reward == rewards[1]
+        assert not differences(dict(sorted(observation.items())), {k: part[1] for k, part in observations.items()})
+
+
+# -- pictures ------------------------------------------------------------------------------------------------------
+
+
+@every_case
+def test_pictures_show_what_happens_and_change_nothing(case) -> None:
+    env, blind, pictures = made(case, render_mode="rgb_array"), made(case), []
+    for one, other in zip(episode(env, 5), episode(blind, 5), strict=True):
+        assert not differences(one, other)
+        pictures.append(env.render())
+    for picture in pictures:
+        assert picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3
+        assert picture.std() > 10.0, "blank"
+    assert all(not np.array_equal(a, b) for a, b in pairwise(pictures))
+    np.testing.assert_array_equal(env.render(), pictures[-1])
+    env.close()
+    env.close()
+
+
+@every_environment
+def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None:
+    pytest.importorskip("pygame")
+    from slam_gym.rendering.window import Window
+
+    shown, show = [], Window.show
+    monkeypatch.setattr(Window, "show", lambda self, picture: (shown.append(picture), show(self, picture)))
+    env = small(name, render_mode="human")
+    env.reset(seed=0)
+    assert len(shown) == 1
+    env.step(env.action_space.sample(env.action_masks().astype(np.int8)))
+    assert len(shown) >= 2
+    for _ in range(2):
+        assert env.render() is None
+        env.close()
+        env.close()
+    count = len(shown)
+    copy.deepcopy(env)
+    assert len(shown) == count, "a replay shows nothing"
+
+
+@every_environment
+def test_render_without_a_mode_warns(name) -> None:
+    env = small(name)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert env.render() is None
+
+
+@every_environment
+def test_watchers_see_every_change_but_no_replay(name) -> None:
+    env, seen = small(name), []
+    env.watch(seen.append)
+    _, info = env.reset(seed=0)
+    env.step(random_action(env, info, np.random.default_rng(0)))
+    assert len(seen) >= 2 and all(watched is env for watched in seen)
+    count = len(seen)
+    env.restore(env.snapshot())
+    copy.deepcopy(env).reset(seed=1)
+    assert len(seen) == count
