@@ -20,6 +20,7 @@ _CLOSEST, _WIDEST = 21, 36  # [pixels] between two levels
 _BRANCHES = 9  # at most so many of a level are drawn, besides `*`
 _STAR, _SPACING = 70, 28  # [pixels] column of `*`; between branches
 _CHOICES = 12  # at most so many rows of the table
+_MIN_TREE = 66  # [pixels] high, at the cost of the table
 
 
 class Level(NamedTuple):
@@ -59,18 +60,19 @@ def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
         tree_bottom = bottom - (len(shown.remarks) + 1) * ROW
         _remarks(picture, (x, tree_bottom), room, shown.remarks)
     else:
-        choices, note = _fitting(shown)
+        choices, note = _fitting(shown, (bottom - tree_top - _MIN_TREE - 30) // ROW - 2)
         tree_bottom = bottom - (len(choices) + 1 + bool(note)) * ROW - 8
         table(picture, (x, tree_bottom, room, 0), shown.columns, choices, note)
     draw_levels(picture, (x, tree_top, room, tree_bottom - tree_top - 22), shown.levels, shown.at)
 
 
-def _fitting(shown: TreePanel) -> tuple[Sequence[Choice], str]:
-    """The rows that there is room for, `*` among them, and the note."""
-    left_out = len(shown.choices) - _CHOICES
+def _fitting(shown: TreePanel, room: int) -> tuple[Sequence[Choice], str]:
+    """As many choices as there is `room` for, `*` among them, and the note."""
+    room = max(min(room, _CHOICES), 2)
+    left_out = len(shown.choices) - room
     if left_out <= 0:
         return shown.choices, shown.note
-    return [*shown.choices[: _CHOICES - 1], shown.choices[-1]], shown.note or f"and {left_out} more"
+    return [*shown.choices[: room - 1], shown.choices[-1]], shown.note or f"and {left_out} more"
 
 
 def _remarks(picture: Any, corner: tuple[int, int], width: int, lines: Sequence[str]) -> None:

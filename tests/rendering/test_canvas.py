@@ -1,0 +1,74 @@
+"""A canvas in metres: ellipses hold what they say, cells lie where they are put, nothing overflows."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pygame")
+
+from slam_gym.geometry import transform
+from slam_gym.rendering.canvas import SUPERSAMPLING, Canvas, pygame
+from slam_gym.rendering.window import pixels
+
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+
+
+def painted(canvas) -> np.ndarray:
+    """(w, h) of the supersampled surface, y down."""
+    return pygame.surfarray.array3d(canvas.surface)[:, :, 0] == 0
+
+
+def test_ellipses_hold_95_percent() -> None:
+    rng = np.random.default_rng(2)
+    covariance = np.array([[1.0, 0.6], [0.6, 0.8]])
+    canvas = Canvas((800, 800), (-8.0, -8.0), 50.0, WHITE)
+    canvas.ellipses(np.array([[0.5, -0.5]]), covariance[None], BLACK, None)
+    samples = rng.multivariate_normal([0.5, -0.5], covariance, 20_000)
+    x, y = ((samples + 8.0) * 50.0 * SUPERSAMPLING).astype(int).T
+    assert 0.94 < painted(canvas)[x, 800 * SUPERSAMPLING - 1 - y].mean() < 0.96
+
+
+def test_dashes_cover_about_half_of_a_line_and_a_polyline_breaks_at_nan() -> None:
+    canvas = Canvas((200, 40), (0.0, 0.0), 10.0, WHITE)
+    canvas.dashes(np.array([[1.0, 2.0], [19.0, 2.0]]), BLACK, 3.0)
+    row = painted(canvas)[:, SUPERSAMPLING * 20]
+    gaps = int((row[1:] & ~row[:-1]).sum())
+    assert 0.4 < row.mean() < 0.9 and gaps == 20  # one dash each 9 pixels
+    canvas = Canvas((200, 40), (0.0, 0.0), 10.0, WHITE)
+    canvas.polyline(np.array([[1.0, 2.0], [5.0, 2.0], [np.nan, np.nan], [15.0, 2.0], [19.0, 2.0]]), BLACK, 3.0)
+    row = painted(canvas)[:, SUPERSAMPLING * 20]
+    assert row[SUPERSAMPLING * 30] and row[SUPERSAMPLING * 170] and not row[SUPERSAMPLING * 100]
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, -2.5])
+def test_cells_lie_where_their_corner_puts_them(heading) -> None:
+    corner, codes = np.array([5.0, 4.0, heading]), np.random.default_rng(1).integers(0, 3, (4, 6)).astype(np.uint8)
+    colours = [(10, 0, 0), (20, 0, 0), (30, 0, 0)]
+    canvas = Canvas((400, 400), (0.0, 0.0), 40.0, WHITE)
+    canvas.cells(codes, colours, corner, 0.5)
+    picture = pixels(canvas.picture())
+    for row in range(4):
+        for column in range(6):
+            x, y = transform(corner, 0.5 * (np.array([[column, row]]) + 0.5))[0] * 40.0
+            assert tuple(picture[int(400 - y), int(x)]) == colours[codes[row, column]]
+    x, y = transform(corner, np.array([[-0.2, -0.2]]))[0] * 40.0
+    assert tuple(picture[int(400 - y), int(x)]) == WHITE
+
+
+def test_what_lies_far_outside_does_no_harm() -> None:
+    canvas, far = Canvas((50, 50), (0.0, 0.0), 10.0, WHITE), np.array([[1e9, -1e9], [2e9, 5.0]])
+    canvas.discs(far, 3.0, BLACK, BLACK)
+    canvas.polyline(far, BLACK)
+    canvas.dashes(far, BLACK)
+    canvas.ellipses(far, np.tile(1e12 * np.eye(2), (2, 1, 1)), None, BLACK)
+    assert pixels(canvas.picture()).shape == (50, 50, 3)
+
+
+def test_without_pygame_the_error_names_the_extra() -> None:
+    code = "import sys; sys.modules['pygame'] = None; import slam_gym.rendering.explore_view"
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode != 0 and "slam_gym[render]" in done.stderr

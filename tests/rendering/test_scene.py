@@ -1,0 +1,112 @@
+"""Scenes: what an episode and a log come to, and that it is drawn in its colours, where it stands."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pygame")
+
+from slam_gym.geometry import compose, observe
+from slam_gym.metrics.association import Decision
+from slam_gym.rendering import symbols
+from slam_gym.rendering.canvas import Canvas
+from slam_gym.rendering.scene import Scene, draw_scene, paired_positions, scene_of_episode, scene_of_log
+from slam_gym.rendering.window import pixels
+from slam_gym.types import NO_ID
+from tests.rollouts import associate, episode, explore, short
+
+SIZE, SCALE = (1000, 800), 100.0
+
+
+def drawn(**fields) -> np.ndarray:
+    """A scene of 10 × 8 m."""
+    canvas = Canvas(SIZE, (0.0, 0.0), SCALE, symbols.PAPER)
+    draw_scene(canvas, Scene(**fields))
+    return pixels(canvas.picture())
+
+
+def pixel(picture, x, y) -> tuple[int, ...]:
+    return tuple(picture[int(SIZE[1] - SCALE * y), int(SCALE * x)].tolist())
+
+
+def count(picture, colour) -> int:
+    return int((picture == colour).all(axis=2).sum())
+
+
+def test_an_empty_scene_is_a_blank_picture() -> None:
+    assert (drawn() == symbols.PAPER).all()
+
+
+def test_the_true_robot_and_its_estimate_stand_where_they_are() -> None:
+    picture = drawn(true_pose=np.array([2.0, 6.0, 0.0]), pose=np.array([8.0, 2.0, 0.0]))
+    for colour, where in ((symbols.INK, [2.0, 6.0]), (symbols.MAPPED, [8.0, 2.0])):
+        rows, columns = np.nonzero((picture == colour).all(axis=2))
+        np.testing.assert_allclose([columns.mean() / SCALE, (SIZE[1] - rows.mean()) / SCALE], where, atol=0.15)
+    nowhere = drawn(true_pose=np.full(3, np.nan))
+    assert count(nowhere, symbols.INK) == 0
+
+
+@pytest.mark.parametrize("decision", list(Decision)[:4])
+def test_each_decision_shows_in_its_colour(decision) -> None:
+    at, nothing = np.array([[2.0, 2.0]]), np.full((1, 2), np.nan)
+    picture = drawn(scan_points=at, decisions=np.array([int(decision)]), paired_positions=nothing)
+    for other in list(Decision)[:4]:
+        assert (count(picture, symbols.DECISIONS[other]) > 0) == (other == decision)
+    assert pixel(picture, 2.0, 2.0) == symbols.DECISIONS[decision]
+
+
+def test_a_pairing_is_a_line_from_measurement_to_landmark() -> None:
+    points, paired = np.array([[2.0, 2.0]]), np.array([[2.0, 5.0]])
+    picture = drawn(scan_points=points, decisions=np.array([1]), paired_positions=paired)
+    assert pixel(picture, 2.0, 3.5) == symbols.DECISIONS[Decision.WRONG]
+
+
+def test_the_plan_is_drawn_from_where_the_robot_is_by_now() -> None:
+    path = np.array([[1.0, 2.0], [9.0, 2.0]])
+    far, near = (drawn(path=path, pose=np.array([x, 2.0, 0.0])) for x in (1.0, 7.0))
+    assert count(far, symbols.PLAN) > 2.5 * count(near, symbols.PLAN) > 0
+    assert count(drawn(path=path[:1]), symbols.PLAN) > 0  # a goal that is reached has no way left
+
+
+def test_marks_shrink_where_they_would_crowd() -> None:
+    features = np.stack(np.meshgrid(np.arange(1.0, 60.0, 2.0), np.arange(1.0, 40.0, 2.0)), axis=-1).reshape(-1, 2)
+    covered = []
+    for size in (None, 1.0):
+        canvas = Canvas((360, 240), (0.0, 0.0), 6.0, symbols.PAPER)
+        draw_scene(canvas, Scene(features=features, kinds=np.zeros(len(features), np.int64)), size)
+        covered.append((pixels(canvas.picture()) != symbols.PAPER).any(axis=2).mean())
+    assert covered[0] < 0.7 * covered[1]
+
+
+def test_the_scene_of_an_episode_is_in_the_world_and_that_of_a_log_in_the_frame_of_its_start() -> None:
+    env = explore(short(60), action="twist")
+    for _ in episode(env, 40):
+        pass
+    run = env.episode
+    scene = scene_of_episode(run, goals=np.zeros((1, 2)), covisibility=True)
+    np.testing.assert_allclose(scene.pose, compose(run.base, run.slam.map.pose))
+    np.testing.assert_allclose(observe(run.base, scene.landmarks), run.slam.map.positions, atol=1e-9)
+    np.testing.assert_allclose(scene.goals, run.base[None, :2])
+    np.testing.assert_array_equal(scene.trail.shape, scene.true_trail.shape)
+    assert scene.covisibility.max() < len(scene.landmarks) == len(scene.provisional)
+    logged = associate("corridor")
+    logged.reset(seed=0)
+    scene = scene_of_log(logged.run)
+    np.testing.assert_allclose(scene.pose, logged.run.slam.map.pose)
+    assert scene.grid is None and len(scene.features) == len(logged.run.targets)
+    unknown = replace(scene, true_pose=np.full(3, np.nan))
+    assert count(drawn(true_pose=unknown.true_pose, pose=scene.pose), symbols.INK) == 0
+
+
+def test_measurements_are_paired_with_the_landmarks_that_they_updated() -> None:
+    env = explore(short(60), action="twist")
+    for _ in episode(env, 30):
+        pass
+    step, slam_map = env.episode.last_step, env.episode.slam.map
+    positions = paired_positions(env.episode, slam_map.positions)
+    updated = (step.ids != NO_ID) & ~step.created
+    np.testing.assert_array_equal(np.isfinite(positions).all(axis=1), updated & np.isin(step.ids, slam_map.ids))
+    for number in np.flatnonzero(updated):
+        index = list(slam_map.ids).index(step.ids[number])
+        np.testing.assert_array_equal(positions[number], slam_map.positions[index])
