@@ -7,12 +7,13 @@ import sys
 PRELUDE = """
 import sys
 import numba
+import slam_gym.envs.base
 import slam_gym.envs.explore
 from slam_gym._compile import announce_compilation
 from slam_gym.envs.warm_up import COMPILED
 """
 EPISODE = """
-slam_gym.envs.explore.compile_on_two_cores = lambda: None
+slam_gym.envs.base.compile_on_two_cores = lambda: None
 env = slam_gym.envs.explore.ExploreEnv(action="twist", associator="nearest_neighbour")
 env.reset(seed=0)
 env.step((0.5, 0.1))
