@@ -43,8 +43,8 @@ class ExploredGrid:
         self.origin: Array = bounds[:2].copy()  # (2,) [m] in B
         self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
         self._evidence = np.zeros(shape, dtype=np.int8)
-        self._sweeps = np.zeros(shape, dtype=np.int32)
         self._blocks = np.zeros([-(-side // grid.BLOCK) for side in shape], dtype=np.int16)
+        self._sweeps = np.zeros(shape, dtype=np.int32)
         self._sweep = 0
         self._free_cells = 0
 
@@ -70,10 +70,10 @@ class ExploredGrid:
         outside the bounds. Raises ValueError for a pose that is not finite.
         """
         self._sweep += 1
+        layers = (self._cells, self._evidence, self._blocks, self._sweeps)
         self._free_cells += grid.integrate(
-            self._cells, self._evidence, self._blocks, self._sweeps, self._sweep,
-            self.origin, self.resolution, pose, beams.bearings, beams.ranges, beams.max_range,
-        )  # fmt: skip
+            layers, self._sweep, self.origin, self.resolution, pose, beams.bearings, beams.ranges, beams.max_range
+        )
 
     def frontiers(self, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0) -> Frontiers:
         """Frontiers at least `min_length` [m] long: connected free cells with an unknown cell beside them.

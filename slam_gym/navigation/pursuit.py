@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 
 
-@dataclass(frozen=True, slots=True)
-class PursuitSpec:
+class PursuitSpec(NamedTuple):
     """A differential-drive robot and how it chases a point ahead of it on its path."""
 
     max_speed: float = 1.0  # [m/s] of the fraction 1
@@ -23,20 +22,37 @@ class PursuitSpec:
     tolerance: float = 0.03  # [m] from the end at which it rests
 
 
-def follow(pose: Array, path: Array, spec: PursuitSpec = PursuitSpec()) -> tuple[float, float]:
-    """Forward and turning speed, fractions in [−1, 1], for a robot at `pose` (3,) to follow `path` (p, 2), both in B.
+class Twist(NamedTuple):
+    """Speeds as fractions in [−1, 1] of the greatest."""
+
+    forward: float
+    turn: float
+
+
+_STANDARD = PursuitSpec()
+
+
+def follow(pose: Array, path: Array, spec: PursuitSpec = _STANDARD) -> Twist:
+    """The speeds for a robot at `pose` (3,) to follow `path` (p, 2), both in B.
 
     Pure pursuit (Coulter, 1992) of the point `lookahead` beyond the one nearest to the robot, slower the larger the
     heading error and, near the end of the path, the less room there is to stop. Large errors are turned away on the
     spot first. An empty path means standing still.
     """
-    return _pursue(pose, path, spec.max_speed, spec.max_turn, spec.lookahead, spec.turn_gain, spec.stop_angle,
-                   spec.deceleration, spec.tolerance)  # fmt: skip
+    return Twist(*_pursue(pose, path, tuple(spec)))
+
+
+class _Ahead(NamedTuple):
+    """The point to chase, and the length of the path that is left from the point nearest to the robot on."""
+
+    x: float
+    y: float
+    left: float
 
 
 @compiled
-def _ahead(x: float, y: float, path: Array, lookahead: float) -> tuple[float, float, float]:
-    """The point of a polyline `lookahead` beyond the one nearest to (x, y), and the length left from the nearest on."""
+def _ahead(x: float, y: float, path: Array, lookahead: float) -> _Ahead:
+    """Chase the point of a polyline `lookahead` beyond the one nearest to (x, y)."""
     best, segment, along = math.inf, 0, 0.0
     for i in range(path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
@@ -54,21 +70,20 @@ def _ahead(x: float, y: float, path: Array, lookahead: float) -> tuple[float, fl
             t = (lookahead - left) / length if length > 0.0 else 0.0
             target_x, target_y, found = path[i, 0] + t * dx, path[i, 1] + t * dy, True
         left += length
-    return target_x, target_y, left
+    return _Ahead(target_x, target_y, left)
 
 
 @compiled
-def _pursue(
-    pose: Array, path: Array, max_speed: float, max_turn: float, lookahead: float, turn_gain: float, stop_angle: float,
-    deceleration: float, tolerance: float,
-) -> tuple[float, float]:  # fmt: skip
+def _pursue(pose: Array, path: Array, packed: tuple[float, ...]) -> tuple[float, float]:
     if path.shape[0] == 0:
         return 0.0, 0.0
-    x, y, left = _ahead(pose[0], pose[1], path, lookahead)
-    left = max(left, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
-    if left < tolerance:
+    spec = PursuitSpec(*packed)
+    ahead = _ahead(pose[0], pose[1], path, spec.lookahead)
+    left = max(ahead.left, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
+    if left < spec.tolerance:
         return 0.0, 0.0
-    error = wrap_angle(math.atan2(y - pose[1], x - pose[0]) - pose[2])
-    speed = min(max_speed, math.sqrt(2.0 * deceleration * left)) * max(0.0, 1.0 - abs(error) / stop_angle)
-    turn = min(max_turn, max(-max_turn, turn_gain * error))
-    return speed / max_speed, turn / max_turn
+    error = wrap_angle(math.atan2(ahead.y - pose[1], ahead.x - pose[0]) - pose[2])
+    slower = max(0.0, 1.0 - abs(error) / spec.stop_angle)
+    speed = min(spec.max_speed, math.sqrt(2.0 * spec.deceleration * left)) * slower
+    turn = min(spec.max_turn, max(-spec.max_turn, spec.turn_gain * error))
+    return speed / spec.max_speed, turn / spec.max_turn

@@ -10,6 +10,7 @@ paid for its overconfidence.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,28 +53,29 @@ class VirtualMap:
         """
         improved: int = _observe(
             self.covariances, self.origin, self.cell, pose, pose_covariance, sigma * sigma,
-            beams.bearings, beams.ranges, beams.max_range,
+            (beams.bearings, beams.ranges, beams.max_range),
         )  # fmt: skip
         return improved
 
     def a_opt(self) -> float:
         """A-optimality tr(P)/l [m²] of all l = 2hw coordinates together: the mean λ, σ₀² before any observation."""
-        return _criteria(self.covariances)[0]
+        return _spectrum(self.covariances).mean
 
     def d_opt(self) -> float:
         """D-optimality exp(mean log λ) [m²], σ₀² before any observation."""
-        return math.exp(_criteria(self.covariances)[1])
+        return math.exp(_spectrum(self.covariances).mean_log)
 
     def entropy(self) -> float:
         """Differential entropy per coordinate, mean over λ of ½ log(2πe λ) [nat]."""
-        return 0.5 * (math.log(2.0 * math.pi * math.e) + _criteria(self.covariances)[1])
+        return 0.5 * (math.log(2.0 * math.pi * math.e) + _spectrum(self.covariances).mean_log)
 
 
 @compiled
 def _observe(
     covariances: Array, origin: Array, cell: float, pose: Array, P: Array, variance: float,
-    bearings: Array, ranges: Array, max_range: float,
+    beams: tuple[Array, Array, float],
 ) -> int:  # fmt: skip
+    bearings, ranges, max_range = beams
     h, w = covariances.shape[0], covariances.shape[1]
     directions = np.empty((bearings.shape[0], 2))
     for b in range(bearings.shape[0]):
@@ -113,9 +115,16 @@ def _in_view(dx: float, dy: float, directions: Array, ranges: Array, max_range: 
     return nearest >= 0 and best >= spread * distance - 1e-9 and distance <= min(ranges[nearest], max_range)
 
 
+class _Spectrum(NamedTuple):
+    """Eigenvalues λ [m²] of all covariances."""
+
+    mean: float
+    mean_log: float
+
+
 @compiled
-def _criteria(covariances: Array) -> tuple[float, float]:
-    """Mean λ and mean log λ over all cells, from traces and determinants."""
+def _spectrum(covariances: Array) -> _Spectrum:
+    """From traces and determinants."""
     h, w = covariances.shape[0], covariances.shape[1]
     traces, logs = 0.0, 0.0
     for row in range(h):
@@ -123,4 +132,4 @@ def _criteria(covariances: Array) -> tuple[float, float]:
             c = covariances[row, column]
             traces += c[0, 0] + c[1, 1]
             logs += math.log(c[0, 0] * c[1, 1] - c[0, 1] * c[1, 0])
-    return traces / (2 * h * w), logs / (2 * h * w)
+    return _Spectrum(traces / (2 * h * w), logs / (2 * h * w))
