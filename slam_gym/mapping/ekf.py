@@ -27,6 +27,7 @@ from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 
 ACCEPTED = -1  # what `update` returns
 NO_SUCH_FEATURE = -2
+_STANDS_STILL = 1e-5  # [m], [rad] an iteration that moves nothing by more than this is the last
 _ROUNDING = 1e-13  # share of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
@@ -131,10 +132,67 @@ def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array,
 
 
 @compiled
-def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Array, features: IntArray) -> int:
+def _optimum(
+    x: Array, P: Array, points: Array, covariances: Array, measured: IntArray, paired: IntArray, iterations: int
+) -> Array:
+    """The state (d,) at which the iterated update is linearised: Gauss–Newton from the prior x, which stays as it is.
+
+    x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) minimises the cost of prior and measurements together (Bell and
+    Cathey, IEEE TAC 38(2), 1993). Only the robot and the k paired features enter h: the iteration runs on them alone.
+    """
+    k = len(paired)
+    entries = np.empty(3 + 2 * k, np.int64)
+    entries[0], entries[1], entries[2] = 0, 1, 2
+    distinct = np.unique(paired)
+    c = 3 + 2 * len(distinct)
+    for j in range(len(distinct)):
+        entries[3 + 2 * j], entries[4 + 2 * j] = 3 + 2 * distinct[j], 4 + 2 * distinct[j]
+    prior, part = np.empty(c), np.zeros((c, padded(c)))
+    for i in range(c):
+        prior[i] = x[entries[i]]
+        for j in range(i, c):
+            part[i, j] = P[entries[i], entries[j]]
+    slots, best, change = np.searchsorted(distinct, paired), prior.copy(), np.empty(c)
+    for _ in range(iterations - 1):
+        nu, W, S = _innovation(best, best, part, c, points, covariances, measured, slots, k)
+        _refer_to_prior(nu, prior, best, slots)
+        if not cholesky(S):
+            break
+        whiten(S, W, nu)
+        moved = 0.0
+        for j in range(c):
+            change[j] = prior[j] - best[j]
+            for i in range(2 * k):
+                change[j] += W[i, j] * nu[i]
+            moved = max(moved, abs(change[j]))
+        best += change
+        if moved < _STANDS_STILL:
+            break
+    out = x.copy()
+    for i in range(c):
+        out[entries[i]] = best[i]
+    return out
+
+
+@compiled
+def _refer_to_prior(nu: Array, prior: Array, at: Array, paired: IntArray) -> None:
+    """ν ← ν − H (x − x_i) for H at x_i (`at`), in the axes of `_innovation`."""
+    rx, ry, turn = prior[0] - at[0], prior[1] - at[1], prior[2] - at[2]
+    for i in range(len(paired)):
+        f = 3 + 2 * paired[i]
+        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        nu[2 * i] -= prior[f] - at[f] - rx + dy * turn
+        nu[2 * i + 1] -= prior[f + 1] - at[f + 1] - ry - dx * turn
+
+
+@compiled
+def update(
+    x: Array, at: Array, P: Array, n: int, points: Array, covariances: Array, features: IntArray, iterations: int
+) -> int:
     """Joint EKF update with all pairings (measurement i, feature features[i] ≠ UNPAIRED), in place.
 
     ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
+    With more than one iteration, H and ν are those at the optimum (`_optimum`) instead of the prior.
     Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
     no covariance, or m where S is singular.
     """
@@ -149,7 +207,12 @@ def update(x: Array, at: Array, P: Array, n: int, points: Array, covariances: Ar
             return i
         measured[k], paired[k] = i, features[i]
         k += 1
-    nu, W, S = _innovation(x, at, P, d, points, covariances, measured, paired, k)
+    if iterations > 1 and k > 0:
+        at = _optimum(x, P, points, covariances, measured[:k], paired[:k], iterations)
+        nu, W, S = _innovation(at, at, P, d, points, covariances, measured, paired, k)
+        _refer_to_prior(nu, x, at, paired[:k])
+    else:
+        nu, W, S = _innovation(x, at, P, d, points, covariances, measured, paired, k)
     if not cholesky(S):
         return m
     whiten(S, W, nu)

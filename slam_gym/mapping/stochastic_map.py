@@ -35,12 +35,17 @@ class MapSpec:
 
     confidence: float = 0.99  # of the χ² gates in data association: every prediction carries it
     first_estimate_jacobians: bool = False  # evaluate Jacobians at first estimates (Huang et al. 2010)
+    iterations: int = 1  # of an update: 1 linearises at the prior, more by Gauss–Newton at the optimum, at most so many
     confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
     unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
 
     def __post_init__(self) -> None:
         if not 0.0 < self.confidence < 1.0:
             raise ValueError(f"MapSpec.confidence: {self.confidence} is not between 0 and 1")
+        if self.iterations < 1:
+            raise ValueError(f"MapSpec.iterations: {self.iterations} is less than 1")
+        if self.iterations > 1 and self.first_estimate_jacobians:
+            raise ValueError("MapSpec.iterations: with Jacobians at first estimates there is nothing to iterate")
         if self.confirmations < 1:
             raise ValueError(f"MapSpec.confirmations: {self.confirmations} is less than 1")
         if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
@@ -237,7 +242,9 @@ class StochasticMap:
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
         self._changes += 1
-        refused = ekf.update(self._x, self._at, self._P, self.n, scan.points, scan.covariances, features)
+        refused = ekf.update(
+            self._x, self._at, self._P, self.n, scan.points, scan.covariances, features, self.spec.iterations
+        )
         if refused == ekf.NO_SUCH_FEATURE:
             raise ValueError(f"features: {features.tolist()} for a map of {self.n} features")
         if refused == len(scan):
