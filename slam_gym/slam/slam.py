@@ -99,17 +99,22 @@ class Slam:
         compatible but unpaired is more likely a mapped feature than a new one, and is discarded.
         """
         check_scan(scan)
+        # predict
         self.map.predict(odometry)
         prediction = self.predict_features(scan)
+        # associate
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
+        # update
         self.map.update(scan, hypothesis.features)
+        # add
         new = self.new_features(scan, prediction, hypothesis)
-        created = self.map.add(scan, new) if len(new) else _NO_FEATURES
+        created = self.map.add(scan, new)
+        # maintain
         seen = _Seen(*_seen(hypothesis.features, new, created, self.map.ids))
-        self.covisibility.add(len(created))
-        self.covisibility.see_together(seen.features)
-        self._recent.append(seen.features)
-        return SlamStep(prediction, hypothesis, seen.ids, seen.created, self._maintain())
+        self._remember(seen.features, len(created))
+        removed = self._forget()
+        self.map.end_of_step()
+        return SlamStep(prediction, hypothesis, seen.ids, seen.created, removed)
 
     def predict_features(self, scan: Scan) -> Prediction:
         """What `scan` should show from the predicted pose, with the localities to search first."""
@@ -166,21 +171,25 @@ class Slam:
                 stacklevel=4,
             )
 
-    def _maintain(self) -> IntArray:
+    def _remember(self, features: IntArray, created: int) -> None:
+        """What this scan saw together; the last of the `features` (s,) are `created`."""
+        self.covisibility.add(created)
+        self.covisibility.see_together(features)
+        self._recent.append(features)
+
+    def _forget(self) -> IntArray:
         """Drop features that were never confirmed; everything indexed by feature is renumbered. Returns their ids."""
         unconfirmed = self.map.unconfirmed()
-        removed = _NO_FEATURES
-        if len(unconfirmed):
-            removed = self.map.ids[unconfirmed]
-            gone = -1
-            renumbered = np.full(self.map.n, gone)
-            kept = self.map.remove(unconfirmed)
-            self.covisibility.keep(kept)
-            renumbered[kept] = np.arange(len(kept))
-            for position, features in enumerate(self._recent):
-                still = renumbered[features]
-                self._recent[position] = still[still != gone]
-        self.map.end_of_step()
+        if not len(unconfirmed):
+            return _NO_FEATURES
+        removed, gone = self.map.ids[unconfirmed], -1
+        renumbered = np.full(self.map.n, gone)
+        kept = self.map.remove(unconfirmed)
+        self.covisibility.keep(kept)
+        renumbered[kept] = np.arange(len(kept))
+        for position, features in enumerate(self._recent):
+            still = renumbered[features]
+            self._recent[position] = still[still != gone]
         return removed
 
 
