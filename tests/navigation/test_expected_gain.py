@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.geometry import observe, relative
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.expected_gain import MOST_FEATURES, expected_reduction
+from slam_gym.navigation.expected_gain import MAX_FEATURES, expected_reduction
 from slam_gym.navigation.explored_grid import WALL, ExploredGrid
 from slam_gym.types import Beams, Odometry, Scan
 
@@ -62,7 +62,7 @@ def test_expected_reduction_is_that_of_an_ekf_update_of_a_copy(seed) -> None:
     found = expected_reduction(mean, covariance, blank_grid(), places, reach=reach, sigma=SIGMA, drift=DRIFT)
     for place, gain in zip(places, found):
         distances = np.hypot(*(slam_map.positions - place).T)
-        measured = np.argsort(distances)[:MOST_FEATURES]
+        measured = np.argsort(distances)[:MAX_FEATURES]
         measured = measured[distances[measured] <= reach]
         expected = by_ekf(slam_map, place, rng.uniform(-math.pi, math.pi), measured)
         assert gain == pytest.approx(expected, rel=1e-9, abs=1e-12)

@@ -6,11 +6,8 @@ import pickle
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
-from slam_gym.navigation.frontiers import find_frontiers
-from slam_gym.navigation.planner import distance_field
 from slam_gym.types import Beams
 
 BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
@@ -28,38 +25,6 @@ def box_ranges(pose, bounds, max_range=6.0):
         to_x = np.where(dx > 0, bounds[2] - pose[0], bounds[0] - pose[0]) / dx
         to_y = np.where(dy > 0, bounds[3] - pose[1], bounds[1] - pose[1]) / dy
     return np.minimum(np.minimum(to_x, to_y), max_range)
-
-
-def crossed(start, end, shape):
-    """Cells (h, w) in which the segment from `start` to `end` [cells] has some length: clipped against every cell."""
-    low = np.stack(np.meshgrid(np.arange(shape[1]), np.arange(shape[0])), axis=-1).astype(float)
-    delta = end - start
-    a, b = (low - start) / delta, (low + 1.0 - start) / delta
-    enter, leave = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
-    return np.minimum(leave, 1.0) - np.maximum(enter, 0.0) > 1e-12
-
-
-def test_evidence_of_a_sweep_is_that_of_every_cell_clipped_against_every_beam():
-    rng = np.random.default_rng(1)
-    grid = ExploredGrid(np.array([-3.0, -2.0, 4.0, 3.1]), 0.2)
-    shape = grid.cells.shape
-    evidence, cells = np.zeros(shape, dtype=int), np.full(shape, UNKNOWN)
-    for _ in range(40):
-        pose = np.array([*rng.uniform([-3, -2], [4, 3]), rng.uniform(-4, 4)])
-        ranges = np.where(rng.random(40) < 0.3, 6.0, rng.uniform(0.0, 6.0, 40))
-        grid.integrate(pose, sweep(ranges))
-        start = (pose[:2] - grid.origin) / 0.2
-        hit, miss = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-        for bearing, reading in zip(BEARINGS, ranges):
-            end = start + reading / 0.2 * np.array([math.cos(pose[2] + bearing), math.sin(pose[2] + bearing)])
-            miss |= crossed(start, end, shape)
-            column, row = np.floor(end).astype(int)
-            if reading < 6.0 and 0 <= row < shape[0] and 0 <= column < shape[1]:
-                hit[row, column] = True
-        evidence = np.clip(evidence + np.where(hit, 3, np.where(miss, -1, 0)), -8, 8)
-        cells = np.where(evidence == 0, cells, np.where(evidence > 0, WALL, FREE))
-        assert np.array_equal(grid.cells, cells)
-        assert grid.explored_area == pytest.approx((cells == FREE).sum() * 0.04)
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.4, math.pi / 4, 2.0])
@@ -148,145 +113,3 @@ def test_copies_are_independent_and_the_view_is_read_only():
         assert np.array_equal(twin.cells, grid.cells) and twin.explored_area == grid.explored_area
     with pytest.raises(ValueError):
         grid.cells[0, 0] = WALL
-
-
-def frontiers_by_labelling(cells, reachable, min_border):
-    """The same frontiers from image-processing primitives: the distance of each from its centroid to the cell that
-    stands for it, and its border; and the cells on frontiers."""
-    unknown = cells == UNKNOWN
-    cross = ndimage.generate_binary_structure(2, 1)
-    on_frontier = (cells == FREE) & ndimage.binary_dilation(unknown, cross)
-    labels, count = ndimage.label(on_frontier, np.ones((3, 3)))
-    found = []
-    for k in range(1, count + 1):
-        member = labels == k
-        border = (ndimage.binary_dilation(member, cross) & unknown).sum()
-        if border < min_border:
-            continue
-        centroid = np.argwhere(member).mean(axis=0)
-        candidates = member & reachable
-        for _ in range(2):
-            if candidates.any():
-                break
-            member = member | (ndimage.binary_dilation(member, cross) & (cells == FREE) & ~on_frontier)
-            candidates = member & reachable
-        where = np.argwhere(candidates)
-        if len(where):
-            found.append((np.round(np.hypot(*(where - centroid).T).min(), 9), border))
-    return found, on_frontier
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_frontiers_are_the_labelled_components(seed):
-    rng = np.random.default_rng(seed)
-    noise = ndimage.gaussian_filter(rng.normal(size=(40, 60)), 1.5 + seed % 3)
-    cells = np.digitize(noise, np.quantile(noise, [0.3, 0.8])).astype(np.uint8)
-    reachable = (cells == FREE) & (rng.random(cells.shape) < 0.3)
-    found = find_frontiers(cells, reachable, 3.0, math.inf)
-    centres, borders = found[:, :2], found[:, 2]
-    expected, on_frontier = frontiers_by_labelling(cells, reachable, 3.0)
-    assert all(reachable[row, column] for column, row in centres)
-    labels, _ = ndimage.label(on_frontier, np.ones((3, 3)))
-    assert len(centres) == len(expected)
-    for (column, row), border in zip(centres, borders):
-        near = [k for k in np.unique(labels[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]) if k > 0]
-        distances = {np.round(np.hypot(*(np.argwhere(labels == k).mean(axis=0) - (row, column))), 9) for k in near}
-        assert any((distance, border) in expected for distance in distances)
-
-
-def test_long_frontiers_are_split():
-    cells = np.full((20, 200), FREE, dtype=np.uint8)
-    cells[10:] = UNKNOWN
-    found = find_frontiers(cells, cells == FREE, 3.0, 15.0)
-    centres, borders = found[:, :2], found[:, 2]
-    assert borders.sum() >= 200 and borders.max() <= 31
-    assert np.diff(np.sort(centres[:, 0])).max() <= 31
-
-
-def test_frontiers_left_out_without_a_way_to_them():
-    """Two free areas with a wall between them: the robot's side has a frontier, and so has the other."""
-    cells = np.full((20, 41), FREE, dtype=np.uint8)
-    cells[:, 20], cells[15:, :] = WALL, UNKNOWN
-    grid = ExploredGrid(np.array([0.0, 0.0, 41 * 0.2, 4.0]))
-    grid._cells[:] = cells
-    assert {side for side in grid.frontiers().centres[:, 0] > 20.5 * 0.2} == {False, True}
-    field = distance_field(grid, np.array([1.0, 1.0]), 0.25)
-    reached = grid.frontiers(field.reachable)
-    assert len(reached) > 0 and (reached.centres[:, 0] < 20 * 0.2).all()
-    assert all(math.isfinite(field.length_to(centre)) for centre in reached.centres)
-
-
-def test_expected_area_of_discs_half_discs_and_rooms():
-    grid = ExploredGrid(np.array([-10.0, -10.0, 10.0, 10.0]))
-    origin = np.zeros((1, 2))
-    assert grid.expected_area(origin, 5.0)[0] == pytest.approx(25 * math.pi)
-    grid._cells[:, 50:] = FREE  # x > 0 is known
-    assert grid.expected_area(origin, 5.0, rays=720)[0] == pytest.approx(12.5 * math.pi, rel=0.01)
-    grid._cells[:] = UNKNOWN
-    grid._cells[40, 30:71] = grid._cells[60, 30:71] = grid._cells[40:61, 30] = grid._cells[40:61, 70] = WALL
-    inside = 19 * 0.2 * 39 * 0.2  # cells 41..59 × 31..69
-    areas = grid.expected_area(np.array([[0.1, 0.1], [-3.0, 1.1], [3.7, -1.7]]), 12.0, rays=7200)
-    assert areas == pytest.approx(inside, rel=0.01)
-    assert grid.expected_area(np.array([[50.0, 0.0]]), 5.0)[0] == 0.0
-
-
-def test_expected_area_sees_no_further_than_walls():
-    grid = ExploredGrid(np.array([-10.0, -10.0, 10.0, 10.0]))
-    grid._cells[:, 60] = WALL  # x in 2.0 … 2.2 from end to end
-    r, d = 5.0, 2.0
-    cap = r * r * math.acos(d / r) - d * math.sqrt(r * r - d * d)
-    assert grid.expected_area(np.zeros((1, 2)), r, rays=3600)[0] == pytest.approx(math.pi * r * r - cap, rel=0.005)
-
-
-def explored_grid(rng):
-    grid = ExploredGrid(np.array([-4.0, -3.0, 5.0, 4.0]))
-    for _ in range(60):
-        pose = np.array([*rng.uniform([-3.5, -2.5], [4.5, 3.5]), rng.uniform(-4, 4)])
-        grid.integrate(pose, sweep(rng.uniform(0.5, 6.0, 40)))
-    return grid
-
-
-def test_egocentric_image_is_the_grid_sampled_in_the_robots_frame():
-    rng = np.random.default_rng(5)
-    for _ in range(10):
-        grid = explored_grid(rng)
-        padded = np.pad(grid.cells, [(0, side % 2) for side in grid.cells.shape])
-        blocks = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2)
-        counts = [(blocks == kind).sum(axis=(1, 3)) for kind in (FREE, WALL)]
-        pose = np.array([*rng.uniform(-6, 6, 2), rng.uniform(-4, 4)])
-        image = grid.egocentric(pose, NO_FEATURES)
-        sums = np.zeros((2, 48, 48), dtype=int)
-        rows, columns = np.mgrid[:48, :48]
-        for quarter in (0.25, 0.75):
-            ahead, left = 12.0 - (rows + quarter) * 0.5, 12.0 - (columns + quarter) * 0.5
-            x = pose[0] + math.cos(pose[2]) * ahead - math.sin(pose[2]) * left
-            y = pose[1] + math.sin(pose[2]) * ahead + math.cos(pose[2]) * left
-            c, r = np.floor((x - grid.origin[0]) / 0.4).astype(int), np.floor((y - grid.origin[1]) / 0.4).astype(int)
-            inside = (r >= 0) & (r < counts[0].shape[0]) & (c >= 0) & (c < counts[0].shape[1])
-            for kind in range(2):
-                sums[kind][inside] += counts[kind][r[inside], c[inside]]
-        expected = np.stack([sums[0] * 255 // 8, np.minimum(255, sums[1] * 64)])
-        assert (image[:2] != expected).mean() < 0.002  # fixed point: only samples within 1e-3 of a border may differ
-        assert not image[2].any()
-
-
-def test_egocentric_heading_is_up_and_left_is_left():
-    grid = ExploredGrid(np.array([-20.0, -20.0, 20.0, 20.0]))
-    for heading in (0.0, 0.7, -2.5, math.pi):
-        c, s = math.cos(heading), math.sin(heading)
-        pose = np.array([1.0, -2.0, heading])
-        ahead, left = pose[:2] + 10.0 * np.array([c, s]), pose[:2] + 10.0 * np.array([-s, c])
-        image = grid.egocentric(pose, np.array([ahead, left, left, left, left, ahead + 50.0]))
-        pixels = {(r, col): image[2, r, col] for r, col in np.argwhere(image[2])}
-        assert sorted(pixels.values()) == [85, 255]
-        (up,), (side,) = ([p for p, v in pixels.items() if v == value] for value in (85, 255))
-        assert up[0] in (3, 4) and up[1] in (23, 24) and side[0] in (23, 24) and side[1] in (3, 4)
-
-
-def test_egocentric_hands_out_fresh_images():
-    grid = explored_grid(np.random.default_rng(6))
-    first = grid.egocentric(np.zeros(3), NO_FEATURES)
-    kept = first.copy()
-    assert first.dtype == np.uint8 and first.shape == (3, 48, 48) and first.any()
-    first[:] = 7
-    assert np.array_equal(grid.egocentric(np.zeros(3), NO_FEATURES), kept)

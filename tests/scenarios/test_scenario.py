@@ -38,7 +38,7 @@ def test_whatever_reset_draws_belongs_to_its_split(monkeypatch) -> None:
     for split, (first, count) in SPLITS.items():
         env = ExploreEnv("office-small", split=split, action="twist")
         seen = drawn.setdefault(split, set())
-        monkeypatch.setattr(env, "_draw_site", _record(env._draw_site, split, seen))
+        monkeypatch.setattr(env, "_draw_world", _record(env._draw_world, split, seen))
         for seed in range(20):
             env.reset(seed=seed)
         assert len(seen) == 20 and all(first <= world < first + count for world in seen)
@@ -46,9 +46,10 @@ def test_whatever_reset_draws_belongs_to_its_split(monkeypatch) -> None:
 
 
 def _record(draw, split: str, seen: set[int]):
-    def draw_and_record(world: int):
+    def draw_and_record(options):
+        world = draw(options)
         seen.add(world_seed(split, world))
-        return draw(world)
+        return world
 
     return draw_and_record
 

@@ -44,17 +44,6 @@ def test_ranges_agree_with_pymunk(seed):
         np.testing.assert_allclose(index.cast(origin, angles, 6.0, people, furniture), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("cell", [0.11, 0.7, 3.0, 100.0])
-def test_size_of_the_cells_does_not_matter(cell):
-    rng = np.random.default_rng(7)
-    walls = np.vstack([random_walls(rng), np.round(random_walls(rng) / cell) * cell])  # many along cell borders
-    one_by_one, index = WallIndex(np.zeros((1, 4))), WallIndex(walls, cell)
-    angles = np.concatenate([rng.uniform(-np.pi, np.pi, 60), np.arange(8) * np.pi / 4])
-    for origin in np.vstack([rng.uniform(-3, 18, (30, 2)), np.round(rng.uniform(0, 15, (30, 2)) / cell) * cell]):
-        brute_force = one_by_one.cast(origin, angles, 9.0, segments=walls)
-        np.testing.assert_allclose(index.cast(origin, angles, 9.0), brute_force, rtol=0, atol=1e-12)
-
-
 def test_no_ray_leaves_a_closed_room_through_its_corners():
     rng = np.random.default_rng(3)
     turn = np.linspace(0, 2 * np.pi, 41)[:-1]
@@ -132,12 +121,6 @@ def test_a_target_within_the_pull_back_is_visible():
     np.testing.assert_array_equal(WallIndex(ROOM).visible(np.ones(2), np.ones((1, 2)), np.full(1, 0.1)), [True])
 
 
-def test_a_huge_building_gets_larger_cells():
-    index = WallIndex(np.array([[0.0, 0.0, 1900.0, 0.0], [0.0, 1900.0, 1900.0, 1900.0]]), cell=0.05)
-    assert len(index.packed[1]) < 1.1e6
-    assert index.cast(np.array([950.0, 2.0]), np.array([-np.pi / 2]), 6.0)[0] == pytest.approx(2.0)
-
-
 def test_the_floors_of_the_benchmark_are_what_it_says():
     for rows, columns, segments in ((5, 5, 100), (25, 50, 5000)):
         plan = floor(rows, columns)
@@ -147,17 +130,3 @@ def test_the_floors_of_the_benchmark_are_what_it_says():
     middle, straight = np.array([7.5, 7.5]), np.arange(4) * np.pi / 2
     np.testing.assert_allclose(WallIndex(plan.walls).cast(middle, straight, 6.0), 6.0, err_msg="doors all around")
     np.testing.assert_allclose(WallIndex(plan.walls).cast(middle, straight + 0.3, 6.0), 2.5 / np.cos(0.3))
-
-
-@pytest.mark.parametrize(
-    ("walls", "cell", "message"),
-    [
-        (np.zeros((3, 3)), 1.0, r"shape \(s, 4\)"),
-        (np.array([[0, 0, 1, 1], [0, np.nan, 1, 1]]), 1.0, r"walls\[1\] is not finite"),
-        (ROOM, 0.0, "cell must be a positive length"),
-        (ROOM, np.nan, "cell must be a positive length"),
-    ],
-)
-def test_bad_walls_are_refused_by_name(walls, cell, message):
-    with pytest.raises(ValueError, match=message):
-        WallIndex(walls, cell)
