@@ -24,7 +24,7 @@ from slam_gym.simulation.association_runs import (
     ScanLog,
 )
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
-from slam_gym.simulation.verdicts import Verdicts
+from slam_gym.simulation.right_answers import NOT_OFFERED, RightAnswers
 from slam_gym.types import NONE, Hypothesis
 from slam_gym.validation import one_of
 
@@ -143,7 +143,7 @@ class AssociateEnv(BaseEnv):
     def right_action(self) -> int:
         """What the truth would decide now: K (`*`) for what is spurious or not mapped; −1 where the right feature is
         not on offer, or nobody knows."""
-        return NONE if self.walk is None else self._verdicts.right_action(self.walk)
+        return NOT_OFFERED if self.walk is None else self._answers.right_action(self.walk)
 
     def action_of(self, hypothesis: Hypothesis) -> int | None:
         """The action by which a hypothesis on the present scan decides now; None where that is not on offer."""
@@ -189,7 +189,7 @@ class AssociateEnv(BaseEnv):
     def _picture(self) -> Any:
         from slam_gym.rendering import associate_view
 
-        return associate_view.draw(self.run, self.walk, self._verdicts, self._figures())
+        return associate_view.draw(self.run, self.walk, self._answers, self._figures())
 
     def _start(self, world: int) -> AssociationRun:
         if isinstance(self.scenario, ScanLog):
@@ -207,8 +207,8 @@ class AssociateEnv(BaseEnv):
             if run.over:
                 return
             run.next_scan()
-            self._verdicts = Verdicts.of(run.truth, run.identities.source_of(run.slam.map.ids))
-            self._known += self._verdicts.known
+            self._answers = RightAnswers.of(run.truth, run.identities.source_of(run.slam.map.ids))
+            self._known += self._answers.known
             self.walk = Walk(
                 run.scan,
                 run.prediction,
@@ -223,9 +223,9 @@ class AssociateEnv(BaseEnv):
         if action == self.K:
             return 0.0
         feature = int(self.run.prediction.features[self.walk.rows[action]])
-        right, wrong = self._verdicts.judge(self.walk.measurement, feature)
+        right, wrong = self._answers.judge(self.walk.measurement, feature)
         self._right, self._wrong = self._right + right, self._wrong + wrong
-        share = max(self._verdicts.known, 1) * max(self.run.length - 1, 1)
+        share = max(self._answers.known, 1) * max(self.run.length - 1, 1)
         return (right - self._wrong_cost * wrong) / share
 
     def _observe(self) -> Observation:

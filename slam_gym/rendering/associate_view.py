@@ -16,7 +16,7 @@ from slam_gym.rendering.panels import Choice, Figures, KeyEntry, badges
 from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
 from slam_gym.rendering.tree_panel import PANEL, STAR, Level, TreePanel, draw_panel
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun, LoggedRun
-from slam_gym.simulation.verdicts import Verdicts, decisions
+from slam_gym.simulation.right_answers import RightAnswers, decisions
 from slam_gym.types import NONE, UNKNOWN, Array, IntArray
 
 SIZE = (1140, 720)  # [pixels]
@@ -37,25 +37,25 @@ _KEY: tuple[KeyEntry, ...] = (
 
 
 def draw(
-    run: AssociationRun, walk: Walk | None, verdicts: Verdicts, figures: Figures, size: tuple[int, int] = SIZE
+    run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures, size: tuple[int, int] = SIZE
 ) -> Any:
     """A surface with a run and the walk through the tree of its present scan; None: the run is over."""
     picture = pygame.Surface(size, depth=32)
     picture.fill(symbols.PAPER)
     width, height = size[0] - PANEL, size[1]
-    _draw_surroundings(picture, (width, height), run, walk, verdicts)
-    draw_panel(picture, (width, 0, PANEL, height), _panel(run, walk, verdicts, figures))
+    _draw_surroundings(picture, (width, height), run, walk, answers)
+    draw_panel(picture, (width, 0, PANEL, height), _panel(run, walk, answers, figures))
     return picture
 
 
 def _draw_surroundings(
-    picture: Any, size: tuple[int, int], run: AssociationRun, walk: Walk | None, verdicts: Verdicts
+    picture: Any, size: tuple[int, int], run: AssociationRun, walk: Walk | None, answers: RightAnswers
 ) -> None:
     base, scene = _scene(run)
     pose = compose(base, run.slam.map.pose)
     low, scale = _extent(size, np.vstack([pose[:2], transform(pose, run.scan.points)]))
     canvas = Canvas(size, low, scale, symbols.PAPER if scene.grid is None else symbols.UNKNOWN_CELL)
-    draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, verdicts))
+    draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, answers))
     centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, pose, walk)
     picture.blit(canvas.picture(), (0, 0))
     badges(picture, [(x * scale, size[1] - y * scale) for x, y in (centres - np.array(low)).tolist()])
@@ -78,10 +78,10 @@ def _extent(size: tuple[int, int], points: Array) -> tuple[tuple[float, float], 
     return (float(corner[0]), float(corner[1])), scale
 
 
-def _with_decisions(scene: Scene, pose: Array, walk: Walk, verdicts: Verdicts) -> Scene:
+def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers) -> Scene:
     """The scene with what has been decided about the scan so far."""
     tree, rows = walk.tree, walk.decided
-    codes = decisions(walk, verdicts)
+    codes = decisions(walk, answers)
     done = np.flatnonzero(codes != NONE)
     paired = np.full((len(rows), 2), np.nan)
     has = rows != NONE
@@ -106,27 +106,27 @@ def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:
     return centres
 
 
-def _panel(run: AssociationRun, walk: Walk | None, verdicts: Verdicts, figures: Figures) -> TreePanel:
+def _panel(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> TreePanel:
     if walk is None or walk.done:
         return TreePanel(figures, (), 0, _KEY, remarks=("Nothing is left to decide",))
-    codes = decisions(walk, verdicts)
-    levels = [_level(walk, verdicts, codes, k) for k in range(walk.tree.levels)]
+    codes = decisions(walk, answers)
+    levels = [_level(walk, answers, codes, k) for k in range(walk.tree.levels)]
     columns = tuple(zip(_COLUMNS, (f"z{walk.measurement} is …", "feature", "alone D²", "with the path D²")))
     note = f"and {walk.hidden} more that K = {walk.K} hides" if walk.hidden else ""
-    return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(run, walk, verdicts), note)
+    return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(run, walk, answers), note)
 
 
-def _level(walk: Walk, verdicts: Verdicts, codes: IntArray, k: int) -> Level:
+def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
     """Branches by ascending D²_ij; those of the level at hand that stayed compatible with the path are on offer."""
     candidates, tree = walk.candidates, walk.tree
     first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
     i = int(candidates.measurements[k])
     features = tree.prediction.features[tree.rows[candidates.slots[first:last]]].tolist()
-    right = STAR if verdicts.right[i] == NONE else None
-    if verdicts.sources[i] == UNKNOWN:
+    right = STAR if answers.right[i] == NONE else None
+    if answers.sources[i] == UNKNOWN:
         right = None
-    elif verdicts.right[i] in features:
-        right = features.index(verdicts.right[i])
+    elif answers.right[i] in features:
+        right = features.index(answers.right[i])
     taken = int(walk.chosen[k]) if k < walk.level else None
     return Level(
         f"z{i}",
@@ -138,10 +138,10 @@ def _level(walk: Walk, verdicts: Verdicts, codes: IntArray, k: int) -> Level:
     )
 
 
-def _choices(run: AssociationRun, walk: Walk, verdicts: Verdicts) -> list[Choice]:
+def _choices(run: AssociationRun, walk: Walk, answers: RightAnswers) -> list[Choice]:
     """What may be chosen: action, feature, D²_ij and D²_H with bars up to their gates."""
     gates = float(walk.tree.gates[1]), float(walk.tree.gates[walk.pairings + 1])
-    ids, right = run.slam.map.ids[run.prediction.features[walk.rows]], verdicts.right_action(walk)
+    ids, right = run.slam.map.ids[run.prediction.features[walk.rows]], answers.right_action(walk)
     choices = []
     for action, (alone, joint) in enumerate(zip(walk.individual_distances, walk.joint_distances)):
         cells = (f"{ids[action]}", (f"{alone:.1f}", alone / gates[0]), (f"{joint:.1f}", joint / gates[1]))

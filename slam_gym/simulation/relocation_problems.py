@@ -18,7 +18,7 @@ from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode, Site, survey
 from slam_gym.simulation.goals import LOOK, Places, propose
 from slam_gym.slam.relocation import LocalityName
-from slam_gym.types import NONE, Array, Associator, IntArray, Landmarks, Locality, Scan
+from slam_gym.types import SPURIOUS, UNPAIRED, Array, Associator, IntArray, Landmarks, Locality, Scan
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
@@ -35,7 +35,7 @@ class MappedWorld:
     landmarks: Landmarks
     graph: CovisibilityGraph
     reach: float  # [m] of the sensor
-    identities: IntArray  # (n,) true feature behind each landmark; NONE where it is none, or an older landmark has it
+    identities: IntArray  # (n,) true feature behind each landmark; SPURIOUS where it is none, or an older one has it
     trail: Array  # (t, 3) true poses of the robot that made the map, in W
     people: Array  # (p, 3) [m] as they stood when the map was done
     furniture: Array  # (o, 4) [m] likewise, as segments
@@ -59,7 +59,7 @@ class Kidnapped:
     inside: bool  # the place is in the map
     true_pose: Array  # (3,) in W of the world that the scan is from
     pose: Array  # (3,) in B of the map: where the true pose lies among the landmarks around it; NaN outside
-    features: IntArray  # (m,) landmark that each measurement is of; NONE for what is spurious or not in the map
+    features: IntArray  # (m,) landmark that each measurement is of; UNPAIRED for what is spurious or not in the map
 
 
 def map_world(scenario: Scenario, split: str, world: int, associator: str | Associator) -> MappedWorld:
@@ -95,7 +95,7 @@ def kidnap(mapped: MappedWorld, scenario: Scenario, inside: bool, rng: np.random
     best, most = None, -1
     for _ in range(_DRAWS):
         drawn = _inside(mapped, rng) if inside else _outside(mapped, scenario, rng)
-        found = int((drawn.features != NONE).sum()) if inside else len(drawn.scan)
+        found = int((drawn.features != UNPAIRED).sum()) if inside else len(drawn.scan)
         if found > most:
             best, most = drawn, found
         if most >= KNOWN:
@@ -118,11 +118,11 @@ def _explore(episode: Episode) -> None:
 
 
 def _identities(episode: Episode) -> IntArray:
-    """True feature behind each landmark, NONE for those that have none and for duplicates of an older one."""
+    """True feature behind each landmark, SPURIOUS for those that have none and for duplicates of an older one."""
     sources = episode.identities.source_of(episode.slam.map.ids)
     first = np.zeros(len(sources), np.bool_)
     first[np.unique(sources, return_index=True)[1]] = True
-    return np.where(first & (sources >= 0), sources, NONE)
+    return np.where(first & (sources >= 0), sources, SPURIOUS)
 
 
 def _elsewhere(scenario: Scenario, split: str, world: int, site: Site) -> Site | None:
@@ -135,8 +135,8 @@ def _inside(mapped: MappedWorld, rng: np.random.Generator) -> Kidnapped:
     place = mapped.trail[rng.integers(len(mapped.trail)), :2]
     true = np.array([place[0], place[1], rng.uniform(-math.pi, math.pi)])
     scan, truth = mapped.sensor.scan(true, rng, mapped.people, mapped.furniture)
-    landmark = np.full(len(mapped.site.plan.features) + 1, NONE)  # the last one is that of NONE
-    known = np.flatnonzero(mapped.identities != NONE)
+    landmark = np.full(len(mapped.site.plan.features) + 1, UNPAIRED)  # the last one is that of SPURIOUS
+    known = np.flatnonzero(mapped.identities != SPURIOUS)
     landmark[mapped.identities[known]] = known
     return Kidnapped(scan, True, true, _in_map(mapped, true), landmark[truth.sources])
 
@@ -147,7 +147,7 @@ def _in_map(mapped: MappedWorld, true: Array) -> Array:
     True features within the sensor's reach are aligned rigidly with their landmarks.
     """
     positions = mapped.site.plan.features.positions
-    known = np.flatnonzero(mapped.identities != NONE)
+    known = np.flatnonzero(mapped.identities != SPURIOUS)
     away = positions[mapped.identities[known]] - true[:2]
     near = known[np.hypot(away[:, 0], away[:, 1]) <= mapped.reach]
     return compose(align_se2(positions[mapped.identities[near]], mapped.landmarks.positions[near]), true)
@@ -160,4 +160,4 @@ def _outside(mapped: MappedWorld, scenario: Scenario, rng: np.random.Generator) 
     sensor = Sensor(site.plan, site.index, scenario.sensor)
     true = free_start(site.plan, site.cells, rng)
     scan, _ = sensor.scan(true, rng)
-    return Kidnapped(scan, False, true, np.full(3, np.nan), np.full(len(scan), NONE))
+    return Kidnapped(scan, False, true, np.full(3, np.nan), np.full(len(scan), UNPAIRED))

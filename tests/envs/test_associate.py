@@ -135,7 +135,7 @@ def test_the_return_ranks_nearest_neighbour_below_singles_below_jcbb():
 
 @pytest.mark.parametrize("scenario", ["corridor", short(150), short(150, "crowd")])
 @pytest.mark.parametrize("compatibility", ["joint", "individual"])
-def test_verdicts_are_those_of_the_tally(scenario, compatibility):
+def test_answers_are_those_of_the_tally(scenario, compatibility):
     env = associate(scenario, compatibility=compatibility, wrong_cost=3.0)
     for *_, last in episode(env, at_random(5), seed=5):
         info = last

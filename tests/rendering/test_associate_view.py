@@ -29,5 +29,5 @@ def test_every_stage_has_its_picture(scenario) -> None:
 def test_a_picture_may_be_small() -> None:
     env = associate(short(20))
     env.reset(seed=1)
-    surface = associate_view.draw(env.run, env.walk, env._verdicts, (("look", "1 of 9"),), (700, 480))
+    surface = associate_view.draw(env.run, env.walk, env._answers, (("look", "1 of 9"),), (700, 480))
     assert pixels(surface).shape == (480, 700, 3)

@@ -1,4 +1,4 @@
-"""Verdicts decision by decision are those of the tally that judges whole scans."""
+"""RightAnswers decision by decision are those of the tally that judges whole scans."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from slam_gym.association.tracking.walk import Walk
 from slam_gym.metrics.association import Decision
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.simulation.verdicts import Verdicts, decisions
+from slam_gym.simulation.right_answers import RightAnswers, decisions
 from slam_gym.slam.slam import Slam, send
 from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Truth
 from tests.simulation.episodes import circle
@@ -14,14 +14,14 @@ from tests.simulation.episodes import circle
 IDENTITIES = np.array([5, 3, SPURIOUS, 5, UNLABELLED, 7])
 
 
-def verdicts_on(*sources: int) -> Verdicts:
-    return Verdicts.of(Truth(np.zeros(3), np.array(sources)), IDENTITIES)
+def answers_on(*sources: int) -> RightAnswers:
+    return RightAnswers.of(Truth(np.zeros(3), np.array(sources)), IDENTITIES)
 
 
 def test_right_is_the_oldest_feature_of_the_source() -> None:
-    verdicts = verdicts_on(5, 3, 4, SPURIOUS, UNLABELLED)
-    assert verdicts.right.tolist() == [0, 1, UNPAIRED, UNPAIRED, UNPAIRED]
-    assert verdicts.known == 2
+    answers = answers_on(5, 3, 4, SPURIOUS, UNLABELLED)
+    assert answers.right.tolist() == [0, 1, UNPAIRED, UNPAIRED, UNPAIRED]
+    assert answers.known == 2
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_right_is_the_oldest_feature_of_the_source() -> None:
     ],
 )
 def test_a_pairing_is_right_wrong_or_nobody_knows(source: int, feature: int, verdict: tuple[int, int]) -> None:
-    assert verdicts_on(source).judge(0, feature) == verdict
+    assert answers_on(source).judge(0, feature) == verdict
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -50,28 +50,28 @@ def test_decisions_and_right_actions_along_walks_agree_with_the_tally(seed: int)
     for odometry, scan, truth in circle(12, seed, 25, spread=1.2, sigma=0.1, spurious=0.1, unlabelled=0.1):
         pending = judged.asking_step(odometry, scan, truth)
         prediction = next(pending)
-        verdicts = Verdicts.of(truth, judged.identities.source_of(judged.slam.map.ids))
+        answers = RightAnswers.of(truth, judged.identities.source_of(judged.slam.map.ids))
         walk = Walk(scan, prediction, compatibility="individual")
         while not walk.done:
-            measurement, best = walk.measurement, verdicts.right_action(walk)
+            measurement, best = walk.measurement, answers.right_action(walk)
             action = int(rng.choice(np.flatnonzero(walk.mask))) if rng.random() < 0.3 or best < 0 else best
             if truth.sources[measurement] == UNLABELLED:
                 assert best == -1
             elif action == best:
                 row = walk.K if action == walk.K else walk.rows[action]
                 feature = UNPAIRED if action == walk.K else prediction.features[row]
-                assert feature == verdicts.right[measurement]
+                assert feature == answers.right[measurement]
             walk.take(action)
-        told, hypothesis = decisions(walk, verdicts), walk.hypothesis()
+        told, hypothesis = decisions(walk, answers), walk.hypothesis()
         send(pending, hypothesis)
         paired = hypothesis.features != UNPAIRED
         judgement = judged.identities.decisions
         spurious = paired & (judgement == Decision.SPURIOUS)  # which a picture tells apart, and a reward does not
         np.testing.assert_array_equal(told[paired & ~spurious], judgement[paired & ~spurious])
         assert (told[spurious] == Decision.WRONG).all() and (told[~paired] == Decision.DISCARDED).all()
-        pairs = [verdicts.judge(int(i), int(hypothesis.features[i])) for i in np.flatnonzero(paired)]
+        pairs = [answers.judge(int(i), int(hypothesis.features[i])) for i in np.flatnonzero(paired)]
         right, wrong = right + sum(r for r, _ in pairs), wrong + sum(w for _, w in pairs)
-        assert verdicts.known >= judged.last_tally.in_map
+        assert answers.known >= judged.last_tally.in_map
     assert (right, wrong) == (judged.tally.tp, judged.tally.fp) and wrong > 3 < right
 
 
@@ -81,9 +81,9 @@ def test_what_is_not_decided_yet_is_told_apart_from_what_is_refused() -> None:
     slam.step(first, scan)
     pending = slam.asking_step(odometry, scan)
     walk = Walk(scan, next(pending))
-    verdicts = Verdicts.of(truth, np.arange(slam.map.n))
-    undecided = decisions(walk, verdicts)
+    answers = RightAnswers.of(truth, np.arange(slam.map.n))
+    undecided = decisions(walk, answers)
     assert (undecided[walk.candidates.measurements[walk.level :]] == -1).all()
     refused = walk.measurement
     walk.take(walk.K)
-    assert decisions(walk, verdicts)[refused] == Decision.DISCARDED
+    assert decisions(walk, answers)[refused] == Decision.DISCARDED
