@@ -22,7 +22,7 @@ from slam_gym.scenarios import world_generator, world_seed
 from slam_gym.scenarios.suite import Level
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.judged import CEILING, JudgedSlam
-from slam_gym.simulation.verdicts import Verdicts
+from slam_gym.simulation.right_answers import RightAnswers
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Array, Associator, Hypothesis, IntArray, Odometry, Prediction, Scan, Truth
 from slam_gym.world.physics import Motion
@@ -40,7 +40,7 @@ class Problem:
 
     scan: Scan
     prediction: Prediction
-    truth: Verdicts
+    truth: RightAnswers
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Stop:
     slam: Slam  # as it is before; it goes on once the next stop is asked for
     odometry: Odometry
     scan: Scan
-    truth: Verdicts
+    truth: RightAnswers
     grid: ExploredGrid  # explored so far
 
 
@@ -95,7 +95,7 @@ class TwoLaps:
             moved = relative(at, pose)
             odometry = self.sensor.odometry(Motion(moved, moved, False), self.rng)
             scan, truth = self.look(pose)
-            yield Stop(slam, odometry, scan, Verdicts.of(truth, judged.identities.source_of(slam.map.ids)), grid)
+            yield Stop(slam, odometry, scan, RightAnswers.of(truth, judged.identities.source_of(slam.map.ids)), grid)
             judged.step(odometry, scan, truth)
             grid.integrate(slam.map.pose, self.sensor.beams(pose, self.rng))
             at = pose

@@ -25,7 +25,7 @@ from slam_gym.simulation.association_runs import (
 )
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
 from slam_gym.simulation.right_answers import NOT_OFFERED, RightAnswers
-from slam_gym.types import NONE, Hypothesis
+from slam_gym.types import UNPAIRED, Hypothesis
 from slam_gym.validation import one_of
 
 
@@ -44,14 +44,14 @@ class AssociateEnv(BaseEnv):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `path` and `pairings`, as
-    `slam_gym.association.tracking.observation` lists them, and `budget`, the share of looks left. The first four are
-    what a policy sees as an associator elsewhere (`slam_gym.association.tracking.policy.from_policy`).
+    `slam_gym.association.tracking.observation` lists them, and `budget`, the fraction of the scans left. The first four
+    are what a policy sees as an associator elsewhere (`slam_gym.association.tracking.policy.from_policy`).
 
     ## Rewards
     - `reward="truth"`: a right pairing +1, a wrong one −`wrong_cost`, `*` 0, divided by the measurements of features
-      *seen before* in this scan (at least 1), and by the number of looks after the first. So an episode returns the
-      mean over its scans of what domain figures call the score: at most 1; exactly 0 for refusing everything; and what
-      a decision earns is known at once and does not depend on what was decided before. `info["score"]` is the same
+      *seen before* in this scan (at least 1), and by the number of scans after the first. So an episode returns the
+      mean over its scans of (right − `wrong_cost` · wrong) / (features seen before): at most 1, exactly 0 for refusing
+      everything; and what a decision earns is known at once, whatever was decided before. `info["score"]` is the same
       ratio taken over all scans together. The identity of a map feature is the source of the measurement that created
       it; of duplicates the oldest is right; a pairing with or of what has no label earns nothing.
     - `reward="map_error"`: the decrease of the map's error, as Explore scores it, when a scan has been learned from.
@@ -150,7 +150,7 @@ class AssociateEnv(BaseEnv):
         if self.walk is None:
             return self.K
         feature = hypothesis.features[self.walk.measurement]
-        row = NONE if feature == NONE else int(np.searchsorted(self.run.prediction.features, feature))
+        row = UNPAIRED if feature == UNPAIRED else int(np.searchsorted(self.run.prediction.features, feature))
         return self.walk.action_of(row)
 
     # -- parts of a step ---------------------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ class AssociateEnv(BaseEnv):
         run, reward = self.run, 0.0
         if self.walk is not None:
             action = action if self.walk.mask[action] else self.K
-            reward = self._judge(action)
+            reward = self._earned(action)
             self.walk.take(action)
         learned = run.scans
         self._proceed()
@@ -217,7 +217,7 @@ class AssociateEnv(BaseEnv):
                 compatibility=self.compatibility,
             )
 
-    def _judge(self, action: int) -> float:
+    def _earned(self, action: int) -> float:
         """What an action earns by the truth."""
         assert self.walk is not None
         if action == self.K:
@@ -225,8 +225,8 @@ class AssociateEnv(BaseEnv):
         feature = int(self.run.prediction.features[self.walk.rows[action]])
         right, wrong = self._answers.judge(self.walk.measurement, feature)
         self._right, self._wrong = self._right + right, self._wrong + wrong
-        share = max(self._answers.known, 1) * max(self.run.length - 1, 1)
-        return (right - self._wrong_cost * wrong) / share
+        decisions = max(self._answers.known, 1) * max(self.run.length - 1, 1)
+        return (right - self._wrong_cost * wrong) / decisions
 
     def _observe(self) -> Observation:
         run = self.run
@@ -246,7 +246,7 @@ class AssociateEnv(BaseEnv):
     def _figures(self) -> tuple[tuple[str, str], ...]:
         map_error = (("map error", f"{self.run.map_error():.2f}"),) if self.places_known else ()
         return (
-            ("look", f"{self.run.scans} of {self.run.length}"),
+            ("scan", f"{self.run.scans} of {self.run.length}"),
             ("score", f"{self.score:.2f}"),
             ("paired right", str(self._right)),
             ("paired wrong", str(self._wrong)),

@@ -30,7 +30,7 @@ from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.relocation import LocalityName, relocate_by
-from slam_gym.types import NONE, Associator, Relocator
+from slam_gym.types import SPURIOUS, Associator, Relocator
 from slam_gym.validation import one_of
 
 
@@ -53,7 +53,7 @@ class ExploreEnv(BaseEnv):
     ## Observation space
     A flat `Dict` of float32 vectors, scaled into [−1, 1] or [0, 1], and one image; all of it in the estimate's frame:
     `scan` and `features` (what the map expected to see in it), nearest first, `observation.POINT_FIELDS` per row;
-    `uncertainty` (σ of x, y, θ), `budget` (share left), `image` (3, 48, 48) uint8: free, wall, feature density, the
+    `uncertainty` (σ of x, y, θ), `budget` (fraction left), `image` (3, 48, 48) uint8: free, wall, feature density, the
     robot in the middle heading up; and, in goal mode, `goals` (`GOAL_FIELDS` per slot;
     `goal_observation.unsquash_goals` gives the numbers back in their units).
 
@@ -232,7 +232,7 @@ class ExploreEnv(BaseEnv):
     def _info(self) -> Info:
         episode = self.episode
         decided = Tally(*(episode.identities.counts - self._counts_before).tolist())
-        sources = np.full(self.measurements, NONE)
+        sources = np.full(self.measurements, SPURIOUS)
         sources[: len(episode.truth)] = episode.truth.sources
         info: Info = {
             "map_error": episode.map_error(),

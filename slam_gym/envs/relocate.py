@@ -18,8 +18,9 @@ from slam_gym.geometry import relative
 from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
+from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.slam.relocation import LocalityName
-from slam_gym.types import NONE, Associator, IntArray
+from slam_gym.types import UNPAIRED, Associator, IntArray
 from slam_gym.validation import one_of
 
 _MAPS = 4  # maps that are kept
@@ -153,7 +154,7 @@ class RelocateEnv(BaseEnv):
         right feature is not on offer."""
         i = self.walk.measurement
         action = self.walk_spec.star if i is None else self.walk.action_of(int(self.kidnapped.features[i]))
-        return NONE if action is None else action
+        return NOT_OFFERED if action is None else action
 
     def action_of(self, features: IntArray) -> int | None:
         """The action by which a hypothesis (m,) on the scan decides now, and stops; None where that is not on offer."""
@@ -217,7 +218,7 @@ class RelocateEnv(BaseEnv):
 
     def _info(self) -> Info:
         walk, kidnapped = self.walk, self.kidnapped
-        features = np.full(self.measurements, NONE)
+        features = np.full(self.measurements, UNPAIRED)
         features[: len(kidnapped.features)] = kidnapped.features
         info: Info = {
             "nodes": walk.nodes,

@@ -16,8 +16,8 @@ from slam_gym.rendering.panels import Choice, Figures, KeyEntry, badges
 from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
 from slam_gym.rendering.tree_panel import PANEL, STAR, Level, TreePanel, draw_panel
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun, LoggedRun
-from slam_gym.simulation.right_answers import RightAnswers, decisions
-from slam_gym.types import NONE, UNKNOWN, Array, IntArray
+from slam_gym.simulation.right_answers import UNDECIDED, RightAnswers, decisions
+from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
 SIZE = (1140, 720)  # [pixels]
 _MARGIN = 60  # [pixels] around the robot and what it sees
@@ -82,9 +82,9 @@ def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers
     """The scene with what has been decided about the scan so far."""
     tree, rows = walk.tree, walk.decided
     codes = decisions(walk, answers)
-    done = np.flatnonzero(codes != NONE)
+    done = np.flatnonzero(codes != UNDECIDED)
     paired = np.full((len(rows), 2), np.nan)
-    has = rows != NONE
+    has = rows != UNPAIRED
     paired[has] = transform(pose, tree.prediction.positions[rows[has]])
     points = transform(pose, tree.scan.points[done])
     return replace(scene, scan_points=points, decisions=codes[done], paired_positions=paired[done])
@@ -122,8 +122,8 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
     first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
     i = int(candidates.measurements[k])
     features = tree.prediction.features[tree.rows[candidates.slots[first:last]]].tolist()
-    right = STAR if answers.right[i] == NONE else None
-    if answers.sources[i] == UNKNOWN:
+    right = STAR if answers.right[i] == UNPAIRED else None
+    if answers.sources[i] == UNLABELLED:
         right = None
     elif answers.right[i] in features:
         right = features.index(answers.right[i])
@@ -132,7 +132,7 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
         f"z{i}",
         last - first,
         on_offer=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
-        taken=taken if taken is None else STAR if taken == NONE else taken - first,
+        taken=taken if taken is None else STAR if taken == UNPAIRED else taken - first,
         colour=symbols.LINE if taken is None else symbols.DECISIONS[int(codes[i])],
         right=right,
     )

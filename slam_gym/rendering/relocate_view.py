@@ -16,7 +16,8 @@ from slam_gym.rendering.canvas import Canvas, pygame, text
 from slam_gym.rendering.panels import Choice, Figures, KeyEntry, badges
 from slam_gym.rendering.tree_panel import PANEL, STAR, Level, TreePanel, draw_panel
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
-from slam_gym.types import NONE, Array, IntArray
+from slam_gym.simulation.right_answers import UNDECIDED
+from slam_gym.types import UNPAIRED, Array, IntArray
 
 SIZE = (1140, 720)  # [pixels]
 _INSET, _HEADING = 190, 34  # [pixels] side of the scan, height of the line above the map
@@ -57,11 +58,11 @@ def draw(
 
 
 def _codes(walk: RelocationWalk, kidnapped: Kidnapped) -> IntArray:
-    """(m,) `Decision` on each measurement, NONE where it is undecided."""
+    """(m,) `Decision` on each measurement, or UNDECIDED."""
     features, right = hypothesis(walk.tree, walk.node), kidnapped.features
     codes = np.where(features == right, int(Decision.RIGHT), int(Decision.WRONG))
-    codes[features == NONE] = Decision.DISCARDED
-    codes[~walk.node.decided] = NONE
+    codes[features == UNPAIRED] = Decision.DISCARDED
+    codes[~walk.node.decided] = UNDECIDED
     return codes
 
 
@@ -107,7 +108,7 @@ def _draw_hypothesis(
 ) -> None:
     """The features paired; and where they put the robot and its measurements, once there are two."""
     features = hypothesis(walk.tree, walk.node)
-    paired = features != NONE
+    paired = features != UNPAIRED
     if paired.sum() < 2:
         for code in (Decision.RIGHT, Decision.WRONG):
             canvas.discs(landmarks[features[codes == code]], 4.2, symbols.DECISIONS[code], symbols.PAPER, 0.8)
@@ -118,7 +119,7 @@ def _draw_hypothesis(
     pose = compose(mapped.base, located.pose)
     points, ends = transform(pose, walk.tree.scan.points), np.full((len(features), 2), np.nan)
     ends[paired] = landmarks[features[paired]]
-    known = codes != NONE
+    known = codes != UNDECIDED
     symbols.undecided(canvas, points[~known])
     symbols.decisions(canvas, pose[:2], points[known], ends[known], codes[known])
     turned = rotate_covariances(mapped.base[2], located.covariance[None, :2, :2])
@@ -132,7 +133,7 @@ def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, code
     reach = 1.3 * max(float(np.abs(points).max(initial=1.0)), 1.0)
     canvas = Canvas((_INSET, _INSET), (-reach, -reach), 0.5 * _INSET / reach, symbols.PAPER)
     canvas.segments(np.concatenate([np.zeros_like(points), points], axis=1), symbols.LINE, 0.8)
-    symbols.undecided(canvas, points[codes == NONE])
+    symbols.undecided(canvas, points[codes == UNDECIDED])
     for code, colour in symbols.DECISIONS.items():
         canvas.discs(points[codes == code], 3.4, colour, symbols.PAPER, 0.8)
     symbols.robot_estimate(canvas, np.array([0.0, 0.0, 0.5 * np.pi]), 0.0)
@@ -184,14 +185,14 @@ def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
         cells = (str(feature), (str(bound), bound / m), (f"{worst:.1f}", worst / gate))
         choices.append(Choice(str(action), feature == right[i], cells if k else cells[:2]))
     bound = walk.node.bound_without(i)
-    return [*choices, Choice("*", right[i] == NONE, ("none", (str(bound), bound / m)))]
+    return [*choices, Choice("*", right[i] == UNPAIRED, ("none", (str(bound), bound / m)))]
 
 
 def _remarks(walk: RelocationWalk) -> tuple[str, ...]:
     """At a leaf: what the hypothesis comes to."""
     leaf = walk.leaf
     assert leaf is not None
-    pairings = int((leaf.features != NONE).sum())
+    pairings = int((leaf.features != UNPAIRED).sum())
     believed = "the best so far is believed" if walk.best.accepted else "the best so far is not believed"
     if pairings < 2:
         return "A leaf without a pose", "two pairings at least determine one", believed

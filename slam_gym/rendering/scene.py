@@ -14,7 +14,7 @@ from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas
 from slam_gym.simulation.association_runs import LoggedRun
 from slam_gym.simulation.episode import Episode, turned
-from slam_gym.types import NONE, Array, BoolArray, IntArray
+from slam_gym.types import NO_ID, Array, BoolArray, IntArray
 
 _TRAIL = 400  # points of a trail that are drawn
 _LEAP = 1.5  # [m] from one of them to the next: nobody drove there
@@ -136,7 +136,7 @@ def paired_positions(episode: Episode, landmarks: Array) -> Array:
     """(m, 2) which of `landmarks` (n, 2) each measurement of the last scan was paired with, NaN if none."""
     step, ids = episode.last_step, episode.slam.map.ids
     positions = np.full((len(step.ids), 2), np.nan)
-    paired = (step.ids != NONE) & ~step.created & np.isin(step.ids, ids)
+    paired = (step.ids != NO_ID) & ~step.created & np.isin(step.ids, ids)
     positions[paired] = landmarks[np.searchsorted(ids, step.ids[paired])]
     return positions
 

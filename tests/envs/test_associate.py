@@ -11,8 +11,8 @@ from slam_gym.association import jcbb, nearest_neighbour, singles
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.simulation.association_runs import CORRIDOR
+from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.slam.slam import Slam
-from slam_gym.types import NONE
 from slam_gym.world.corridor import walk_round
 from tests.rollouts import differences, explore, short
 
@@ -170,7 +170,7 @@ def test_a_decision_earns_its_share_of_its_scan():
 
 def test_the_right_actions_are_right_and_earn_the_most():
     env = associate("corridor", candidates=8)
-    truth = lambda env, info: env.K if info["truth"]["action"] == NONE else info["truth"]["action"]  # noqa: E731
+    truth = lambda env, info: env.K if info["truth"]["action"] == NOT_OFFERED else info["truth"]["action"]  # noqa: E731
     steps = list(episode(env, truth, seed=0))
     tally = env.run.identities.total
     assert tally.fp == 0

@@ -14,7 +14,7 @@ import pytest
 from slam_gym.association import jcbb
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.scenarios import Scenario, get_scenario
-from slam_gym.types import NONE, Effort, Hypothesis, Scan
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
 from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.sensor import Sensor, SensorSpec
 from tests.rollouts import SCENARIOS, differences, episode, explore, random_action, short
@@ -34,7 +34,7 @@ from tests.rollouts import SCENARIOS, differences, episode, explore, random_acti
         ({"associator": "icp"}, "'icp'.*known: .*jcbb, .*nearest_neighbour, .*true_association"),
         ({"associator": "no_such_module:f"}, "no_such_module.*known: .*jcbb"),
         ({"associator": "slam_gym.association:no_such"}, "no_such.*known: .*jcbb"),
-        ({"associator": "slam_gym.types:NONE"}, "not callable.*known: .*jcbb"),
+        ({"associator": "slam_gym.types:UNPAIRED"}, "not callable.*known: .*jcbb"),
     ],
 )
 def test_an_unknown_name_is_refused_with_the_known_ones(arguments, known) -> None:
@@ -129,8 +129,8 @@ def hypothesis(features: list[int]) -> Hypothesis:
     [
         lambda scan, prediction: hypothesis([10**6] * len(scan)),
         lambda scan, prediction: hypothesis([-7] * len(scan)),
-        lambda scan, prediction: hypothesis([NONE] * (len(scan) + 1)),
-        lambda scan, prediction: hypothesis([NONE]),
+        lambda scan, prediction: hypothesis([UNPAIRED] * (len(scan) + 1)),
+        lambda scan, prediction: hypothesis([UNPAIRED]),
     ],
     ids=["beyond the map", "below none", "too many", "too few"],
 )
@@ -146,7 +146,7 @@ def test_an_associator_that_answers_nonsense_is_refused_and_corrupts_nothing(ans
 
 
 def test_an_associator_that_pairs_nothing_leaves_an_empty_map() -> None:
-    env = explore(short(80), associator=lambda scan, prediction: hypothesis([NONE] * len(scan)))
+    env = explore(short(80), associator=lambda scan, prediction: hypothesis([UNPAIRED] * len(scan)))
     *_, (*_, info) = episode(env)
     assert info["map_error"] == 1.0 and info["map_quality"]["features"] == 0.0
 
@@ -156,7 +156,7 @@ def test_an_associator_that_pairs_at_random_does_not_break_the_filter() -> None:
     rng = np.random.default_rng(0)
 
     def reckless(scan: Scan, prediction) -> Hypothesis:
-        choices = np.append(prediction.features, NONE)
+        choices = np.append(prediction.features, UNPAIRED)
         return hypothesis(rng.choice(choices, len(scan)).tolist())
 
     env = explore(short(300), action="twist", associator=reckless)

@@ -18,7 +18,8 @@ from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.geometry import compose, relative, transform
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.relocation_problems import KNOWN, kidnap, map_world
-from slam_gym.types import NONE
+from slam_gym.simulation.right_answers import NOT_OFFERED
+from slam_gym.types import UNPAIRED
 from slam_gym.world.generators import OfficeGenerator
 from tests.rollouts import differences, explore, random_action, short
 
@@ -60,7 +61,7 @@ def refuse(observation, info):
 
 def by_truth(observation, info):
     action = info["truth"]["action"]
-    return refuse(observation, info) if action == NONE else action
+    return refuse(observation, info) if action == NOT_OFFERED else action
 
 
 # -- checkers ------------------------------------------------------------------------------------------------------
@@ -124,7 +125,7 @@ def test_the_truth_located_is_the_true_pose_and_the_truth_is_right(name):
     assert len(mapped.landmarks) > 15
     for _ in range(20):
         drawn = kidnap(mapped, scenario, True, rng)
-        paired = drawn.features != NONE
+        paired = drawn.features != UNPAIRED
         assert paired.sum() >= KNOWN
         near = transform(drawn.pose, drawn.scan.points)[paired] - mapped.landmarks.positions[drawn.features[paired]]
         assert np.median(np.hypot(*near.T)) < 0.15
@@ -145,7 +146,7 @@ def test_the_drift_of_the_map_is_no_error_of_the_pose():
 def test_outside_is_another_world_and_as_often_as_asked_for():
     mapped = map_world(SMALL, "test", 4, "jcbb")
     drawn = kidnap(mapped, SMALL, False, np.random.default_rng(0))
-    assert not drawn.inside and (drawn.features == NONE).all() and np.isnan(drawn.pose).all()
+    assert not drawn.inside and (drawn.features == UNPAIRED).all() and np.isnan(drawn.pose).all()
     assert len(drawn.scan) >= KNOWN and mapped.elsewhere.plan.walls.shape != mapped.site.plan.walls.shape
     env = relocate(outside=0.4, kidnappings_per_map=200)
     env.reset(seed=1)
