@@ -10,7 +10,7 @@ from slam_gym.geometry import compose, wrap_angle
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNPAIRED, Array, Odometry
 from tests.mapping.small_maps import FEJ, KEEP, START, START_COVARIANCE, h, landmarks, mapped, numerical
-from tests.oracles.map import SIGMA, KnownAssociation, Step, TextbookMap, make_scan, random_covariance, wander
+from tests.oracles.map import SIGMA, KnownAssociation, Step, TextbookMap, make_scan, random_covariances, wander
 
 # --- against the textbook ---------------------------------------------------------------------------------------------
 
@@ -40,7 +40,7 @@ def test_joint_update_with_one_feature_paired_twice(spec: MapSpec) -> None:
     rng = np.random.default_rng(1)
     features = np.array([4, UNPAIRED, 4, 1, UNPAIRED])
     points = h(m.mean, np.maximum(features, 0)).reshape(-1, 2) + rng.normal(0, 0.03, (5, 2))
-    scan = make_scan(points, np.array([random_covariance(rng, SIGMA) for _ in features]))
+    scan = make_scan(points, random_covariances(rng, SIGMA, len(features)))
     m.update(scan, features)
     textbook.update(scan, features)
     np.testing.assert_allclose(m.mean, textbook.x, rtol=0, atol=1e-10)
@@ -76,7 +76,7 @@ def test_odometry_is_propagated_to_first_order() -> None:
 def test_new_features_are_propagated_to_first_order() -> None:
     m, _, _ = mapped()
     rng = np.random.default_rng(5)
-    points, R = rng.uniform(-4, 4, (2, 2)), np.array([random_covariance(rng, SIGMA) for _ in range(2)])
+    points, R = rng.uniform(-4, 4, (2, 2)), random_covariances(rng, SIGMA, 2)
     before, P = m.mean, m.covariance
 
     def appended(xz: Array) -> Array:
@@ -121,7 +121,7 @@ def test_stays_symmetric_and_psd_over_thousands_of_random_steps(spec: MapSpec, n
         if m.n and not nonsense:
             expected = h(m.mean, np.maximum(features, 0)).reshape(-1, 2) + rng.normal(0, scale, points.shape)
             points = np.where(features[:, None] == UNPAIRED, points, expected)
-        scan = make_scan(points, np.array([random_covariance(rng, scale) for _ in features]).reshape(-1, 2, 2))
+        scan = make_scan(points, random_covariances(rng, scale, len(features)))
         m.update(scan, features)
         m.add(scan, np.flatnonzero(features == UNPAIRED)[: 40 - m.n])
         if rng.random() < 0.1 and m.n:

@@ -11,7 +11,7 @@ from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import anees_interval, nees
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Odometry, Scan
-from tests.oracles.map import SIGMA, KnownAssociation, Q, Step, make_scan, random_covariance, wander
+from tests.oracles.map import SIGMA, KnownAssociation, Q, Step, make_scan, random_covariances, wander
 
 KEEP = MapSpec(unconfirmed_age=None)
 
@@ -277,7 +277,7 @@ def test_equality_stays_psd_for_certainties_of_very_different_sizes() -> None:
         m = StochasticMap(KEEP)
         m.predict(Odometry(rng.normal(0, 1, 3), np.diag(10.0 ** rng.uniform(-6, 2, 3))))
         scale = 10.0 ** rng.uniform(-4, 0)
-        covariances = np.array([random_covariance(rng, scale) for _ in range(10)])
+        covariances = random_covariances(rng, scale, 10)
         m.add(make_scan(rng.uniform(-5, 5, (10, 2)), covariances), np.arange(10))
         after = equate(m, random_pairs(rng, 10))
         eigenvalues = np.linalg.eigvalsh(after.covariance)

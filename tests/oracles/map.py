@@ -110,18 +110,27 @@ def wander(
         pose = compose(pose, rng.multivariate_normal(motion, q, method="svd"))
         seen = observe(pose, landmarks)
         sources = np.flatnonzero(np.hypot(*seen.T) < reach)
-        covariances = np.array([random_covariance(rng, SIGMA) for _ in sources]).reshape(-1, 2, 2)
-        noise = [rng.multivariate_normal(np.zeros(2), c, method="cholesky") for c in covariances]
-        points = seen[sources] + np.array(noise).reshape(-1, 2)
+        covariances = random_covariances(rng, SIGMA, len(sources))
+        noise = np.linalg.cholesky(covariances) @ rng.standard_normal((len(sources), 2, 1))
+        points = seen[sources] + noise[:, :, 0]
         yield Step(Odometry(motion, q), make_scan(points, covariances), sources, pose)
 
 
 def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
     """(2, 2) with axes sigma and a random smaller one, in a random direction."""
-    angle = rng.uniform(0.0, np.pi)
-    C = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    covariance = C @ np.diag([sigma, sigma * rng.uniform(0.2, 1.0)]) ** 2 @ C.T
-    return (covariance + covariance.T) / 2
+    covariance: Array = random_covariances(rng, sigma, 1)[0]
+    return covariance
+
+
+def random_covariances(rng: np.random.Generator, sigma: float, count: int) -> Array:
+    """(count, 2, 2) such covariances."""
+    drawn = rng.random((count, 2))
+    angle, second = np.pi * drawn[:, 0], sigma * (0.2 + 0.8 * drawn[:, 1])
+    c, s = np.cos(angle), np.sin(angle)
+    C = np.array([[c, -s], [s, c]]).transpose(2, 0, 1)
+    axes = np.column_stack([np.full(count, sigma), second])
+    covariances = (C * axes[:, None, :] ** 2) @ C.transpose(0, 2, 1)
+    return (covariances + covariances.transpose(0, 2, 1)) / 2
 
 
 def make_scan(points: Array, covariances: Array, sizes: Array | None = None, variances: Array | None = None) -> Scan:

@@ -9,7 +9,7 @@ from slam_gym.geometry import relative
 from slam_gym.mapping.map_joining import join
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.duplicates import find_duplicates
-from slam_gym.types import IntArray, Odometry, Scan
+from slam_gym.types import Array, IntArray, Odometry, Scan
 from tests.oracles.association import gate
 
 
@@ -32,32 +32,32 @@ def two_maps(rng: np.random.Generator, shared: int, own: int, spread: float = 1.
     return join(maps[0], maps[1], renumber=True), pairs
 
 
-def pair_distance(m: StochasticMap, pairs: list[tuple[int, int]]) -> float:
-    """D² of F_i = F_j for all pairs (j, i), by the formula."""
-    H = np.zeros((2 * len(pairs), 3 + 2 * m.n))
-    for row, (j, i) in enumerate(pairs):
-        for axis in range(2):
-            H[2 * row + axis, 3 + 2 * i + axis], H[2 * row + axis, 3 + 2 * j + axis] = 1.0, -1.0
-    nu = H @ m.mean
-    return float(nu @ np.linalg.solve(H @ m.covariance @ H.T, nu))
+def pair_distance(x: Array, P: Array, pairs: list[tuple[int, int]]) -> float:
+    """D² of F_i = F_j for all pairs (j, i), by the formula: ν = H x, S = H P Hᵀ with H = [… I … −I …]."""
+    j, i = ((3 + 2 * np.array(column)[:, None] + np.arange(2)).ravel() for column in zip(*pairs))
+    HP = P[i] - P[j]
+    nu = x[i] - x[j]
+    return float(nu @ np.linalg.solve(HP[:, i] - HP[:, j], nu))
 
 
 def best_pairs(m: StochasticMap, older: int) -> tuple[int, float]:
     """Most pairs, then least D², over every one-to-one path of jointly compatible prefixes."""
-    best = (0, 0.0)
+    best, x, P = (0, 0.0), m.mean, m.covariance
     stack: list[tuple[int, list[tuple[int, int]]]] = [(older, [])]
-    options = {i: [j for j in range(older) if pair_distance(m, [(j, i)]) < gate(2, 0.9999)] for i in range(older, m.n)}
+    options = {
+        i: [j for j in range(older) if pair_distance(x, P, [(j, i)]) < gate(2, 0.9999)] for i in range(older, m.n)
+    }
     while stack:
         i, pairs = stack.pop()
         if i == m.n:
-            distance = pair_distance(m, pairs) if pairs else 0.0
+            distance = pair_distance(x, P, pairs) if pairs else 0.0
             if len(pairs) > best[0] or (len(pairs) == best[0] and distance < best[1]):
                 best = (len(pairs), distance)
             continue
         stack.append((i + 1, pairs))
         for j in options[i]:
             longer = [*pairs, (j, i)]
-            if all(j != used for used, _ in pairs) and pair_distance(m, longer) < gate(2 * len(longer), 0.99):
+            if all(j != used for used, _ in pairs) and pair_distance(x, P, longer) < gate(2 * len(longer), 0.99):
                 stack.append((i + 1, longer))
     return best
 
@@ -72,7 +72,7 @@ def test_duplicates_equal_the_best_of_all_paths() -> None:
         assert len({j for j, _ in pairs}) == len({i for _, i in pairs}) == len(pairs)
         assert found.dof == 2 * len(pairs)
         if pairs:
-            assert found.joint_distance == pytest.approx(pair_distance(m, pairs), rel=1e-6, abs=1e-9)
+            assert found.joint_distance == pytest.approx(pair_distance(m.mean, m.covariance, pairs), rel=1e-6, abs=1e-9)
             assert found.joint_distance < gate(found.dof, 0.99)
         count, distance = best_pairs(m, shared + own)
         largest = max(largest, count)
