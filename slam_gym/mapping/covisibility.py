@@ -7,6 +7,7 @@ to each other on two sides of a wall are never seen together (Neira, Tardós and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,13 @@ from slam_gym.mapping.linear_algebra import read_only
 from slam_gym.types import UNPAIRED, BoolArray, IntArray
 
 _ROOM, _WIDTH = 64, 16  # nodes and neighbours to make room for at first
+
+
+class Edges(NamedTuple):
+    """Pairs of features that were seen together."""
+
+    pairs: IntArray  # (e, 2) i < j
+    counts: IntArray  # (e,) scans that saw both
 
 
 class CovisibilityGraph:
@@ -95,13 +103,13 @@ class CovisibilityGraph:
         """`among` for rows of `features` (k,), from read-only arrays that go on with the graph: `Prediction.local`."""
         return LocalRows(read_only(self._neighbours), read_only(self._degrees), self.n, features)
 
-    def edges(self) -> tuple[IntArray, IntArray]:
-        """Edges (e, 2), i < j, in ascending order, and their counts (e,)."""
+    def edges(self) -> Edges:
+        """All edges, in ascending order."""
         filled = np.arange(self._neighbours.shape[1]) < self._degrees[: self.n, None]
         start = np.repeat(np.arange(self.n), self._degrees[: self.n])
         end, counts = self._neighbours[: self.n][filled], self._counts[: self.n][filled]
         once = start < end
-        return np.column_stack([start[once], end[once]]), counts[once]
+        return Edges(np.column_stack([start[once], end[once]]), counts[once])
 
 
 @dataclass(frozen=True, slots=True)

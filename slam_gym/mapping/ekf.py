@@ -28,7 +28,7 @@ from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 ACCEPTED = -1  # what `update` returns
 NO_SUCH_FEATURE = -2
 _STANDS_STILL = 1e-5  # [m], [rad] an iteration that moves nothing by more than this is the last
-_ROUNDING = 1e-13  # share of what cancels in S and in P that is given back to their diagonals: keeps both definite
+_ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
 @compiled
@@ -78,17 +78,13 @@ def symmetric(P: Array, d: int) -> Array:
 
 @compiled
 def _innovation(
-    x: Array,
-    at: Array,
-    P: Array,
-    d: int,
-    points: Array,
-    covariances: Array,
-    measured: IntArray,
-    paired: IntArray,
-    k: int,
+    x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, paired: IntArray
 ) -> tuple[Array, Array, Array]:
-    """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle) of k pairings, in axes parallel to B."""
+    """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle), in axes parallel to B.
+
+    Of the k pairings of `points` (k, 2) and `covariances` (k, 2, 2) with the features `paired` (k,).
+    """
+    k = len(paired)
     nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.zeros((2 * k, 2 * k))
     robot = np.empty((3, d))
     for i in range(3):
@@ -97,13 +93,13 @@ def _innovation(
     c, s = math.cos(x[2]), math.sin(x[2])
     ca, sa = math.cos(at[2]), math.sin(at[2])
     for i in range(k):
-        f, z, a, b = 3 + 2 * paired[i], measured[i], 2 * i, 2 * i + 1
+        f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
         # ν = z − h(x), turned by the heading at which H is taken
         hx, hy = x[f] - x[0], x[f + 1] - x[1]
-        ex, ey = points[z, 0] - (c * hx + s * hy), points[z, 1] - (-s * hx + c * hy)
+        ex, ey = points[i, 0] - (c * hx + s * hy), points[i, 1] - (-s * hx + c * hy)
         nu[a], nu[b] = ca * ex - sa * ey, sa * ex + ca * ey
         _rows_of_HP(at, P, d, f, robot, HP[a], HP[b])
-        S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[z, 0, 0], covariances[z, 0, 1], covariances[z, 1, 1])
+        S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1])
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
         dx, dy = at[f] - at[0], at[f + 1] - at[1]
@@ -132,9 +128,7 @@ def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array,
 
 
 @compiled
-def _optimum(
-    x: Array, P: Array, points: Array, covariances: Array, measured: IntArray, paired: IntArray, iterations: int
-) -> Array:
+def _optimum(x: Array, P: Array, points: Array, covariances: Array, paired: IntArray, iterations: int) -> Array:
     """The state (d,) at which the iterated update is linearised: Gauss–Newton from the prior x, which stays as it is.
 
     x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) minimises the cost of prior and measurements together (Bell and
@@ -154,7 +148,7 @@ def _optimum(
             part[i, j] = P[entries[i], entries[j]]
     slots, best, change = np.searchsorted(distinct, paired), prior.copy(), np.empty(c)
     for _ in range(iterations - 1):
-        nu, W, S = _innovation(best, best, part, c, points, covariances, measured, slots, k)
+        nu, W, S = _innovation(best, best, part, c, points, covariances, slots)
         _refer_to_prior(nu, prior, best, slots)
         if not cholesky(S):
             break
@@ -207,12 +201,13 @@ def update(
             return i
         measured[k], paired[k] = i, features[i]
         k += 1
+    z, R, paired = points[measured[:k]], covariances[measured[:k]], paired[:k]
     if iterations > 1 and k > 0:
-        at = _optimum(x, P, points, covariances, measured[:k], paired[:k], iterations)
-        nu, W, S = _innovation(at, at, P, d, points, covariances, measured, paired, k)
-        _refer_to_prior(nu, x, at, paired[:k])
+        at = _optimum(x, P, z, R, paired, iterations)
+        nu, W, S = _innovation(at, at, P, d, z, R, paired)
+        _refer_to_prior(nu, x, at, paired)
     else:
-        nu, W, S = _innovation(x, at, P, d, points, covariances, measured, paired, k)
+        nu, W, S = _innovation(x, at, P, d, z, R, paired)
     if not cholesky(S):
         return m
     whiten(S, W, nu)

@@ -20,7 +20,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 _LANES = 8  # doubles in a cache line
 _CAPSULE = type(np.from_dlpack(np.zeros(1)).base)
-_SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this share of its trace
+_SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this fraction of its trace
 
 
 @compiled

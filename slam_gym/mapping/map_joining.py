@@ -23,7 +23,7 @@ from slam_gym.mapping.map_state import MapState, map_of_state, state_of
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray
 
-_ROUNDING = 1e-13  # share of what cancels in S and in P that is given back to their diagonals: keeps both definite
+_ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
 def join(a: StochasticMap, b: StochasticMap, *, renumber: bool = False) -> StochasticMap:

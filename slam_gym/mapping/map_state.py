@@ -43,9 +43,9 @@ class Columns:
             out.kinds[a] = out.kinds[b] if out.kinds[a] == UNKNOWN_KIND else out.kinds[a]
             if np.isfinite(out.sizes[a]) and np.isfinite(out.sizes[b]):
                 total = out.size_variances[a] + out.size_variances[b]
-                share = out.size_variances[a] / total if total > 0.0 else 0.0
-                out.sizes[a] += share * (out.sizes[b] - out.sizes[a])
-                out.size_variances[a] *= 1.0 - share
+                gain = out.size_variances[a] / total if total > 0.0 else 0.0
+                out.sizes[a] += gain * (out.sizes[b] - out.sizes[a])
+                out.size_variances[a] *= 1.0 - gain
             elif np.isfinite(out.sizes[b]):
                 out.sizes[a], out.size_variances[a] = out.sizes[b], out.size_variances[b]
         return out

@@ -109,7 +109,7 @@ def scene_of_episode(episode: Episode, *, goals: Array | None = None, covisibili
         provisional=slam_map.provisional,
         path=transform(base, episode.path),
         goals=np.empty((0, 2)) if goals is None else transform(base, goals),
-        covisibility=episode.slam.covisibility.edges()[0] if covisibility else np.empty((0, 2), np.int64),
+        covisibility=episode.slam.covisibility.edges().pairs if covisibility else np.empty((0, 2), np.int64),
         grid=Grid(episode.grid.cells, corner, episode.grid.resolution),
     )
 

@@ -32,7 +32,7 @@ from slam_gym.types import Array, Odometry, Scan, Truth
 
 PREFIX = "recording:"
 LOOKS = 500
-_TRAINING = 0.7  # share of a log
+_TRAINING = 0.7  # fraction of a log
 _SET = "/MRCLAM_Dataset6/"
 
 

@@ -122,7 +122,7 @@ class LocalMapSlam:
         """
         seen = [np.empty((0, 2), np.int64)]
         for local, graph in zip(self.maps, self._graphs):
-            seen.append(self.maps.oldest(local.ids)[graph.edges()[0]].reshape(-1, 2))
+            seen.append(self.maps.oldest(local.ids)[graph.edges().pairs].reshape(-1, 2))
         ids = np.concatenate(seen)
         if not np.isin(ids, m.ids).all():
             raise ValueError("m: not the map that was joined last")

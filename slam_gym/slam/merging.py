@@ -28,7 +28,7 @@ from slam_gym.slam.duplicates import find_duplicates
 from slam_gym.types import UNPAIRED, Array, IntArray, Locality, Relocation, Relocator, Scan
 
 _SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a relation before it is found
-_FLOOR = 1e-12  # [m²] least variance of a measurement
+_FLOOR = 1e-12  # [m²] minimal variance of a measurement
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +43,29 @@ class Merge:
     found: Relocation | None  # the search's answer to the group that the relation comes from
 
 
+@dataclass(frozen=True)
+class MergeSpec:
+    """What is searched for, and when the answer is believed."""
+
+    group_size: int = 8  # features in a group, at most
+    min_pairs: int = 8  # without which a relation is not believed, whatever the search's own rule
+    min_fraction: float = 0.5  # of the features that should be paired, without which it is not believed either
+    mapped_within: float = 1.0  # [m] of a feature of A, a feature of B lies where A has been mapped
+    confidence: float = 0.99  # of the joint test of duplicates
+
+    def __post_init__(self) -> None:
+        if self.group_size < 3 or self.min_pairs < 0:
+            raise ValueError(
+                f"MergeSpec.group_size, min_pairs: {self.group_size}, {self.min_pairs}: expected ≥ 3 and ≥ 0"
+            )
+        if not 0.0 <= self.min_fraction <= 1.0:
+            raise ValueError(f"MergeSpec.min_fraction: {self.min_fraction} is not between 0 and 1")
+        if not 0.0 < self.mapped_within < math.inf:
+            raise ValueError(f"MergeSpec.mapped_within: {self.mapped_within} is no length > 0 [m]")
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"MergeSpec.confidence: {self.confidence} is not between 0 and 1")
+
+
 def merge(
     a: StochasticMap,
     b: StochasticMap,
@@ -50,11 +73,7 @@ def merge(
     *,
     locality: Locality | None = None,
     grouping: Locality | None = None,
-    group_size: int = 8,
-    least: int = 8,
-    share: float = 0.5,
-    near: float = 1.0,
-    confidence: float = 0.99,
+    spec: MergeSpec | None = None,
 ) -> Merge:
     """Merge map B into map A, or refuse to.
 
@@ -63,24 +82,18 @@ def merge(
         search: what finds a group of B's features in A, by name or itself.
         locality: of A, for the search; None: all features are local to all.
         grouping: of B: a group is a feature and the nearest of those local to it. None: the nearest of all.
-        group_size: features in a group, at most.
-        least: pairs without which the relation is not believed, whatever the search's own rule.
-        share: of the features that should be paired, without which it is not believed either.
-        near: [m] a feature of B lies where A has been mapped if a feature of A is no further away.
-        confidence: of the joint test of duplicates.
+        spec: settings.
 
     Of all relations that the search accepts, that with most pairs is taken. It is refused with too few of them, and
     where too little of what should have been paired was: a chance match of one group finds little to match around it.
-    Ids are those of A, and those of B raised by the number that A has given. Raises ValueError for settings out of
-    range, an unknown search and localities of other maps.
+    Ids are those of A, and those of B raised by the number that A has given. Raises ValueError for an unknown search
+    and localities of other maps.
     """
-    if not (0.0 < near < math.inf and 0.0 <= share <= 1.0 and least >= 0):
-        raise ValueError(
-            f"least, share, near: {least}, {share}, {near}: expected a count, a share and a length > 0 [m]"
-        )
-    _check(a, b, locality, grouping, group_size)
-    find, landmarks = resolve_relocator(search), a.landmarks()
-    groups = _groups(b, grouping, group_size)
+    for name, given, mapped in (("locality", locality, a), ("grouping", grouping, b)):
+        if given is not None and len(given) != mapped.n:
+            raise ValueError(f"{name}: of {len(given)} features, for a map of {mapped.n}")
+    settings, find, landmarks = spec or MergeSpec(), resolve_relocator(search), a.landmarks()
+    groups = _groups(b, grouping, settings.group_size)
     best = Merge(None, np.full(3, np.nan), np.empty((0, 2), np.int64), 0, len(groups), None)
     tried: list[Array] = []
     for group in groups:
@@ -88,9 +101,9 @@ def merge(
         if not found.accepted or any(_same_pose(found.pose, pose) for pose in tried):
             continue
         tried.append(found.pose)
-        merged, pairs = _merged(a, b, group, found, confidence)
-        expected = _expected(a, b, found.pose, near)
-        enough = len(pairs) >= max(least, found.min_pairings, share * expected)
+        merged, pairs = _merged(a, b, group, found, settings.confidence)
+        expected = _expected(a, b, found.pose, settings.mapped_within)
+        enough = len(pairs) >= max(settings.min_pairs, found.min_pairings, settings.min_fraction * expected)
         if len(pairs) > len(best.pairs):
             best = Merge(merged if enough else None, found.pose, pairs, expected, len(groups), found)
     return best
@@ -171,17 +184,3 @@ def _expected(a: StochasticMap, b: StochasticMap, relation: Array, near: float) 
     """Confirmed features of B with one of A within `near`."""
     distances, _ = cKDTree(a.confirmed).query(transform(relation, b.confirmed))
     return int((distances <= near).sum())
-
-
-def _check(
-    a: StochasticMap,
-    b: StochasticMap,
-    locality: Locality | None,
-    grouping: Locality | None,
-    group_size: int,
-) -> None:
-    for name, given, of in (("locality", locality, a), ("grouping", grouping, b)):
-        if given is not None and len(given) != of.n:
-            raise ValueError(f"{name}: of {len(given)} features, for a map of {of.n}")
-    if group_size < 3:
-        raise ValueError(f"group_size: {group_size} is less than 3")

@@ -18,7 +18,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.map_quality import map_error
 from slam_gym.scenarios import get_scenario
 from slam_gym.slam.local_maps import LocalMapSlam
-from slam_gym.slam.merging import Merge, as_scan, merge, shape_covariance
+from slam_gym.slam.merging import Merge, MergeSpec, as_scan, merge, shape_covariance
 from slam_gym.types import Array, IntArray, Odometry, Scan
 
 OFFICE = replace(get_scenario("office"), budget=500)
@@ -58,7 +58,8 @@ def robot(world: int, number: int) -> Robot:
 
 
 def merged(a: Robot, b: Robot, **settings: Any) -> Merge:
-    return merge(a.map, b.map, gcbb, locality=covisible(a.graph), grouping=covisible(b.graph), **settings)
+    spec = MergeSpec(**settings)
+    return merge(a.map, b.map, gcbb, locality=covisible(a.graph), grouping=covisible(b.graph), spec=spec)
 
 
 @pytest.mark.parametrize("world", [1, 3, 4])
@@ -115,8 +116,8 @@ def test_ids_of_both_maps_live_on() -> None:
 def test_maps_stay_as_they_were_and_demands_are_kept() -> None:
     a, b = robot(4, 0), robot(4, 1)
     before = a.map.mean, b.map.mean
-    assert merged(a, b, least=1000).map is None
-    assert merged(a, b, share=1.0).map is None
+    assert merged(a, b, min_pairs=1000).map is None
+    assert merged(a, b, min_fraction=1.0).map is None
     for old, new in zip(before, (a.map.mean, b.map.mean)):
         np.testing.assert_array_equal(old, new)
 
@@ -250,15 +251,13 @@ def test_maps_with_nothing_to_match_are_not_merged() -> None:
 
 def test_settings_that_make_no_sense_are_refused() -> None:
     m = robot(4, 0).map
-    for settings, match in (
-        ({"group_size": 2}, "group_size"),
-        ({"near": 0.0}, "near"),
-        ({"share": 1.5}, "share"),
-        ({"locality": same_local_map([0])}, "locality"),
-        ({"grouping": same_local_map([0])}, "grouping"),
-    ):
-        with pytest.raises(ValueError, match=match):
-            merge(m, m, gcbb, **settings)
+    bad = {"group_size": 2, "min_pairs": -1, "min_fraction": 1.5, "mapped_within": 0.0, "confidence": 1.0}
+    for name, value in bad.items():
+        with pytest.raises(ValueError, match=name):
+            MergeSpec(**{name: value})
+    for name in ("locality", "grouping"):
+        with pytest.raises(ValueError, match=name):
+            merge(m, m, gcbb, **{name: same_local_map([0])})
     with pytest.raises(ValueError, match="relocator"):
         merge(m, m, "no such search")
     for group in ([0, 1], [0, 1, m.n], [-1, 0, 1]):
