@@ -1,6 +1,6 @@
 """Compiled walks over grids of free, wall and unknown cells: casting beams into them and looking at them.
 
-Cells are addressed [row, column]; row 0 lies at the least y, column 0 at the least x of the grid's `origin`.
+Cells are addressed [row, column]; row 0 lies at the lowest y, column 0 at the lowest x, both at the grid's `origin`.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ import math
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.recordings.reading import Points, RecordingError, from_polar
 from slam_gym.recordings.recording import Recording, interpolate
-from slam_gym.types import SPURIOUS, Array, BoolArray, IntArray
+from slam_gym.types import SPURIOUS, Array, IntArray
 
 SOURCE = (
     "MR.CLAM, University of Toronto Institute for Aerospace Studies. Cite: Leung, Halpern, Barfoot and Liu, IJRR 30(8) "
@@ -62,28 +63,21 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     """The log of one robot of a set: one step for each instant at which its camera saw a barcode.
 
     Identities are subject numbers, 6 to 20. Barcodes of other robots, those that nobody wears, and those that were
-    misread (a handful a set, up to 6 m from where the Vicon has them) are spurious (SPURIOUS).
+    misread (a handful a set, up to 6 m from where the Vicon has them) are spurious.
     The poses of the reference are the Vicon's. Raises FileNotFoundError, or RecordingError that names file and line.
     """
     if robot not in ROBOTS:
         raise ValueError(f"robot: {robot} is none of 1 … 5")
     noise, folder = noise or Noise(), Path(folder)
-    odometry = _table(folder, f"Robot{robot}_Odometry.dat", 3, ascending=True)
-    measured = _table(folder, f"Robot{robot}_Measurement.dat", 4, ascending=True)
-    truth = _table(folder, f"Robot{robot}_Groundtruth.dat", 4, ascending=True)
-    barcodes = _table(folder, "Barcodes.dat", 2).astype(np.int64)
-    landmarks = _table(folder, "Landmark_Groundtruth.dat", 5)
-    measured = measured[(measured[:, 0] >= truth[0, 0]) & (measured[:, 0] <= truth[-1, 0])]
-    new = np.diff(measured[:, 0], prepend=-math.inf) > noise.together
-    first = np.flatnonzero(new)
+    told = _read(folder, robot)
+    times, start = told.measured[:, 0], told.truth[0, 0]
+    measured = told.measured[(times >= start) & (times <= told.truth[-1, 0])]
+    first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > noise.together)
     times = measured[first, 0]
-    driven = odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
+    driven = told.odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
     growth = (noise.forward, noise.lateral, noise.turn, noise.drift, noise.turn_drift)
     motions, covariances = _integrate(times, driven, growth)
     seen = noise.points(measured[:, 2], measured[:, 3])
-    sources = _subjects(measured[:, 1].astype(np.int64), barcodes, landmarks[:, 0].astype(np.int64))
-    poses = interpolate(truth[:, 0], truth[:, 1:], measured[:, 0])
-    sources[_misread(seen.points, sources, poses, landmarks, noise.misread)] = SPURIOUS
     return Recording(
         name=f"mrclam/{folder.name}/robot{robot}",
         source=SOURCE,
@@ -94,24 +88,50 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
         starts=np.append(first, len(measured)).astype(np.int64),
         points=seen.points,
         covariances=seen.covariances,
-        sources=sources,
-        reference_times=truth[:, 0] - times[0],
-        reference_poses=truth[:, 1:].copy(),
-        landmark_ids=landmarks[:, 0].astype(np.int64),
-        landmarks=landmarks[:, 1:3].copy(),
+        sources=_sources(told, measured, seen.points, noise.misread),
+        reference_times=told.truth[:, 0] - times[0],
+        reference_poses=told.truth[:, 1:].copy(),
+        landmark_ids=told.landmarks[:, 0].astype(np.int64),
+        landmarks=told.landmarks[:, 1:3].copy(),
         range=_RANGE,
         field_of_view=_FIELD_OF_VIEW,
     )
 
 
-def _misread(points: Array, sources: IntArray, poses: Array, landmarks: Array, limit: float) -> BoolArray:
-    """(M,) which barcodes are farther than `limit` [m] from where the Vicon has them, seen from poses (M, 3)."""
-    place = dict(zip(landmarks[:, 0].astype(int).tolist(), landmarks[:, 1:3].tolist()))
+class _Tables(NamedTuple):
+    """The files of one robot of a set."""
+
+    odometry: Array  # time [s], forward speed [m/s], turning speed [rad/s]
+    measured: Array  # time, barcode, range [m], bearing [rad]
+    truth: Array  # time, x, y, heading of the robot
+    barcodes: Array  # subject, barcode
+    landmarks: Array  # subject, x, y, and their standard deviations
+
+
+def _read(folder: Path, robot: int) -> _Tables:
+    return _Tables(
+        _table(folder, f"Robot{robot}_Odometry.dat", 3, ascending=True),
+        _table(folder, f"Robot{robot}_Measurement.dat", 4, ascending=True),
+        _table(folder, f"Robot{robot}_Groundtruth.dat", 4, ascending=True),
+        _table(folder, "Barcodes.dat", 2),
+        _table(folder, "Landmark_Groundtruth.dat", 5),
+    )
+
+
+def _sources(told: _Tables, measured: Array, points: Array, limit: float) -> IntArray:
+    """(M,) landmark behind each barcode; SPURIOUS where it is none, or farther than `limit` [m] from where it stands.
+
+    `points` (M, 2) in R are the measurements, looked at from the Vicon's poses.
+    """
+    place = {int(row[0]): row[1:3] for row in told.landmarks}
+    worn_by = {int(code): int(subject) for subject, code in told.barcodes if int(subject) in place}
+    sources = np.array([worn_by.get(int(code), SPURIOUS) for code in measured[:, 1]], dtype=np.int64)
     true = np.array([place.get(source, (math.nan, math.nan)) for source in sources.tolist()]).reshape(-1, 2)
+    poses = interpolate(told.truth[:, 0], told.truth[:, 1:], measured[:, 0])
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = poses[:, 0] + c * points[:, 0] - s * points[:, 1], poses[:, 1] + s * points[:, 0] + c * points[:, 1]
-    far: BoolArray = np.hypot(x - true[:, 0], y - true[:, 1]) > limit  # never for NaN
-    return far
+    sources[np.hypot(x - true[:, 0], y - true[:, 1]) > limit] = SPURIOUS  # never for NaN
+    return sources
 
 
 def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) -> Array:
@@ -168,9 +188,3 @@ def _integrate(times: Array, odometry: Array, growth: tuple[float, float, float,
         motions[k, 0], motions[k, 1], motions[k, 2] = x, y, wrap_angle(theta)
         covariances[k] = 0.5 * (C + C.T)
     return motions, covariances
-
-
-def _subjects(codes: IntArray, barcodes: IntArray, landmarks: IntArray) -> IntArray:
-    """(M,) subject that wears each barcode, SPURIOUS where it is no landmark."""
-    worn_by = {code: subject for subject, code in barcodes.tolist() if subject in set(landmarks.tolist())}
-    return np.array([worn_by.get(code, SPURIOUS) for code in codes.tolist()], dtype=np.int64)

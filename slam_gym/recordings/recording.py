@@ -127,9 +127,9 @@ class Recording:
     def merged(self, distance: float) -> Recording:
         """With landmarks that are no farther than `distance` [m] from each other taken for one, in their middle.
 
-        For marks that are closer than the sensor can tell apart. One has the least identity of those it stands for, and
-        every measurement becomes less certain by the mean variance of marks about their middle. Raises ValueError where
-        no landmark has a place.
+        For marks that are closer than the sensor can tell apart. The one has the lowest identity of those that it
+        stands for, and every measurement becomes less certain by the mean variance of marks about their middle. Raises
+        ValueError where no landmark has a place.
         """
         if len(self.landmarks) == 0:
             raise ValueError(f"recording {self.name!r}: no landmark has a place, so that none can be merged")

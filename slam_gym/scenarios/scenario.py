@@ -22,7 +22,7 @@ SPLITS = {"train": (0, 1_000_000), "test": (1_000_000, 10_000)}
 class KidnappingSpec:
     """Somebody carries the robot elsewhere; neither its wheels nor anything else tell it."""
 
-    at: float = 0.5  # share of the budget after which it happens
+    at: float = 0.5  # fraction of the budget after which it happens
     inside: bool = True  # to a place where it has been before; False: to one as far from all those as there is
     distance: float = 5.0  # [m] from where it was, if there is such a place
 

@@ -13,7 +13,7 @@ from slam_gym.types import Array, IntArray
 Mask = NDArray[np.uint8]  # (h, w), 0 or 1
 
 _EXTENT = 0.4  # [m] how far before and after a corner its walls are looked at
-_TURN = np.deg2rad(40.0)  # least change of direction at a corner
+_TURN = np.deg2rad(40.0)  # smallest change of direction at a corner
 _APART = 0.3  # [m] between two corners
 _PILLAR = (0.15, 1.0)  # [m] an island of this diameter is a pillar; a smaller one is noise, a larger one has corners
 

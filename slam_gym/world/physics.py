@@ -22,7 +22,7 @@ from slam_gym.world.people import People
 
 _GRAVITY = 9.81  # [m/s²]
 _OVERLAP = 1e-3  # [m] that touching bodies keep, so that contacts last
-_OVERLAP_LEFT = 0.5  # share of any more overlap that is left after a substep
+_OVERLAP_LEFT = 0.5  # fraction of any more overlap that is left after a substep
 _LEVER = 0.38  # mean distance from the centre of a square of side 1 to its points
 _ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the shape filter
 
@@ -129,7 +129,7 @@ class World:
         return self._people.discs.copy()
 
     def tick(self, forward: float, turn: float) -> Motion:
-        """Drive for one tick at these shares of the full speeds, clipped to [−1, 1]. Raises ValueError for NaN."""
+        """Drive for one tick at these fractions of the full speeds, clipped to [−1, 1]. Raises ValueError for NaN."""
         if math.isnan(forward) or math.isnan(turn):
             raise ValueError(f"action ({forward}, {turn}) is not a number")
         speed = self.robot.max_speed * min(max(forward, -1.0), 1.0)
@@ -172,9 +172,9 @@ class World:
         rim = _towards(self._rim[0], speed, robot.max_acceleration * step)
         spin = _towards(self._rim[1], turning, robot.max_angular_acceleration * step)
         now = body.angular_velocity
-        grip = robot.traction * _GRAVITY * step  # [m/s] most that the wheels change the speed in a substep
-        most = grip * robot.mass * robot.radius / body.moment
-        spin = now + min(max(spin - now, -most), most)
+        grip = robot.traction * _GRAVITY * step  # [m/s] by which the wheels change the speed at most in a substep
+        limit = grip * robot.mass * robot.radius / body.moment
+        spin = now + min(max(spin - now, -limit), limit)
         aim = body.angle + now * step + 0.5 * spin * step
         c, s = math.cos(aim), math.sin(aim)
         velocity = body.velocity
@@ -267,5 +267,6 @@ def _furniture_touched(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any)
     touch.furniture = True
 
 
-def _towards(value: float, target: float, most: float) -> float:
-    return value + min(max(target - value, -most), most)
+def _towards(value: float, target: float, limit: float) -> float:
+    """`value`, moved towards `target` by no more than `limit`."""
+    return value + min(max(target - value, -limit), limit)

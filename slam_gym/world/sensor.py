@@ -26,7 +26,7 @@ class SensorSpec:
     """The detector of point features."""
 
     range: float = 6.0  # [m] farthest feature that is seen
-    min_range: float = 0.1  # [m] nearest, and the least range ever measured
+    min_range: float = 0.1  # [m] nearest feature that is seen; no range is measured below it
     field_of_view: float = 1.5 * math.pi  # [rad] centred on the heading
     range_sigma: float = 0.03  # [m]
     range_sigma_ratio: float = 0.005  # [m/m] of the range, added in quadrature
@@ -44,7 +44,7 @@ class SensorSpec:
         return math.hypot(self.range_sigma, self.bearing_sigma * self.range / 2.0)
 
     def __post_init__(self) -> None:
-        _check(self, positive=("bearing_sigma", "size_sigma"), shares=("detection", "person_detection"))
+        _check(self, positive=("bearing_sigma", "size_sigma"), probabilities=("detection", "person_detection"))
         if not 0.0 < self.min_range < self.range:
             raise ValueError(f"SensorSpec.min_range must be in (0, range), not {self.min_range} m")
         if self.range_sigma == 0.0 and self.range_sigma_ratio == 0.0:
@@ -82,7 +82,7 @@ class OdometrySpec:
         _check(self, positive=("floor",))
 
 
-def _check(spec: object, positive: tuple[str, ...] = (), shares: tuple[str, ...] = ()) -> None:
+def _check(spec: object, positive: tuple[str, ...] = (), probabilities: tuple[str, ...] = ()) -> None:
     """ValueError naming the first field of a spec that is not finite, is negative, or is out of its range."""
     for field in fields(spec):  # type: ignore[arg-type]
         value, name = getattr(spec, field.name), f"{type(spec).__name__}.{field.name}"
@@ -90,7 +90,7 @@ def _check(spec: object, positive: tuple[str, ...] = (), shares: tuple[str, ...]
             raise ValueError(f"{name} must be finite and not negative, not {value}")
         if value == 0.0 and field.name in positive:
             raise ValueError(f"{name} must be positive")
-        if value > 1.0 and field.name in shares:
+        if value > 1.0 and field.name in probabilities:
             raise ValueError(f"{name} must be a probability, not {value}")
         if field.name == "field_of_view" and not 0.0 < value <= 2.0 * math.pi:
             raise ValueError(f"{name} must be in (0, 2π] rad, not {value}")
