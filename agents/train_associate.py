@@ -11,6 +11,7 @@ import argparse
 
 from agents.cli import add_associate_options, associate_arguments, command_line, run_main
 from agents.train import Length, add_training_options, train_as_asked
+from slam_gym.simulation.association_runs import LOGS
 
 
 def parser() -> argparse.ArgumentParser:
@@ -24,8 +25,9 @@ def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
     command = command_line("agents.train_associate", argv)
     model = train_as_asked(a, "branch", associate_arguments(a, "train"), command)
+    where = f" --scenarios {a.scenario}" if a.scenario not in LOGS else ""  # nobody can drive in a log
     print(f"wrote {model}; compare it with the classical associators by\n  python -m agents.evaluate_association"
-          f" --associators singles jcbb {model} --scenarios {a.scenario}")  # fmt: skip
+          f" --associators singles jcbb {model}{where}")  # fmt: skip
     return 0
 
 

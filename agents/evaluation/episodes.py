@@ -14,7 +14,6 @@ import slam_gym  # noqa: F401  (registers the environments)
 from agents.drivers.base import Agent, visible
 from agents.evaluation.records import Record
 from slam_gym.association.tracking.policy import Policy
-from slam_gym.scenarios import get_scenario, overridden
 from slam_gym.types import Associator
 
 EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
@@ -30,16 +29,8 @@ class _Arguments:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """The arguments as results name them."""
+        """The arguments as the environment takes them and results name them."""
         return asdict(self) | {"overrides": dict(self.overrides)}
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """The arguments as the environment takes them."""
-        arguments = self.plain
-        overrides = arguments.pop("overrides")
-        changed = {"scenario": overridden(get_scenario(self.scenario), overrides)} if overrides else {}
-        return arguments | changed
 
 
 @dataclass(frozen=True)
@@ -58,7 +49,7 @@ class ExploreArguments(_Arguments):
     ) -> gym.Env[Any, Any]:
         """The environment; a callable may stand in for the associator. ValueError, with the known names, for what it
         does not know."""
-        given = self.given if associator is None else self.given | {"associator": associator}
+        given = self.plain if associator is None else self.plain | {"associator": associator}
         return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **given)
 
     @property
@@ -82,7 +73,7 @@ class AssociateArguments(_Arguments):
 
     def make(self, action: str = "branch") -> gym.Env[Any, Any]:
         """The environment, which has one action only. ValueError, with the known names, for what it does not know."""
-        return gym.make(ASSOCIATE, disable_env_checker=True, **self.given)
+        return gym.make(ASSOCIATE, disable_env_checker=True, **self.plain)
 
 
 def reset_arguments(episode: int) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def _dots_with_interval(axis: Axes, row: int, found: Sample, colour: str, rng: n
     middle = found.estimate
     axis.scatter(found.values, row + jitter, s=9, color=colour, alpha=0.35, linewidths=0)
     axis.plot([middle.low, middle.high], [row, row], color=colour, linewidth=6, alpha=0.9, solid_capstyle="round")
-    axis.plot(middle.estimate, row, "o", color="white", markersize=4.5, zorder=4)
+    axis.plot(middle.estimate, row, "o", color="white", markeredgecolor=colour, markersize=4.5, zorder=4)
 
 
 def _scale(axis: Axes, panel: Panel, values: Array) -> None:

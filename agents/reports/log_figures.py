@@ -49,7 +49,7 @@ def _panels(names: Sequence[str], shape: float) -> list[Axes]:
     """One of height / width `shape` a name, in rows."""
     across = min(len(names), 2 if len(names) <= 4 and shape < 1.2 else 3 if shape < 1.2 else 4)
     down = math.ceil(len(names) / across)
-    figure = new_figure(0.6 + down * (0.3 + (WIDTH / across - 0.35) * shape))
+    figure = new_figure(0.9 + down * (0.3 + (WIDTH / across - 0.35) * shape))
     axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
     for axis in axes[len(names) :]:
         axis.set_visible(False)

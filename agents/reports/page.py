@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any, NamedTuple
@@ -99,11 +99,16 @@ def provenance(content: dict[str, Any]) -> str:
 
 def _facts(facts: dict[str, Any]) -> str:
     """Whatever was left at its default, None or empty, is not worth a word."""
-    return ", ".join(f"{name} {_plain(value)}" for name, value in facts.items() if value not in (None, {}, [], False))
+    return ", ".join(f"{name} {value}" for name, value in _flat(facts, "") if value not in (None, [], False))
 
 
-def _plain(value: Any) -> str:
-    return " ".join(f"{name}={item}" for name, item in value.items()) if isinstance(value, dict) else str(value)
+def _flat(facts: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Names and values; those of fields within fields are dotted."""
+    for name, value in facts.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def _training(model: dict[str, Any]) -> str:

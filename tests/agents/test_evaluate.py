@@ -27,7 +27,7 @@ def test_the_command_leaves_a_table_files_and_a_report(tmp_path, monkeypatch, ca
     page = Page((out / "report.html").read_text(encoding="utf-8"))
     told = f"{results['table']['random']['map_error']['estimate']:.3f}"
     assert told in page.text and told[:4] in capsys.readouterr().out
-    assert "sensor.range=4" in page.text and "--set budget=60" in page.text
+    assert "overrides.sensor.range 4" in page.text and "--set budget=60" in page.text
     with pytest.raises(ValueError, match=r"overrides .*sensor\.range.* not \{\}"):
         main([*LINE, "--jobs", "1", "--resume"])
 

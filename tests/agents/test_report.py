@@ -18,7 +18,7 @@ def test_the_report_is_made_again(tmp_path, capsys):
     carry_out(evaluation, tmp_path, Execution(console=Console(quiet=True)))
     assert main([str(tmp_path)]) == 0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert str(tmp_path / "report.html") in capsys.readouterr().out and "budget=40" in page
+    assert str(tmp_path / "report.html") in capsys.readouterr().out and "overrides.budget 40" in page
     (tmp_path / "report.html").unlink()
     assert main([str(tmp_path)]) == 0 and (tmp_path / "report.html").read_text(encoding="utf-8") == page
 

@@ -23,7 +23,14 @@ NAMES = ["random", "mine:Agent<b>"]
 def test_a_page_is_well_formed_and_says_how_it_was_made():
     read = Page(page(Report("A <title>", "about & more", [card(image(PNG, "a 'picture'"))]), CONTENT))
     assert read.pictures == [PNG]
-    for expected in ("A <title>", "about & more", "--x '<&>'", "sensor.range=4.0", "k = 0 … 7", "slam_gym 0.1.0"):
+    for expected in (
+        "A <title>",
+        "about & more",
+        "--x '<&>'",
+        "overrides.sensor.range 4.0",
+        "k = 0 … 7",
+        "slam_gym 0.1.0",
+    ):
         assert expected in read.text
     assert "b.pt: sha256 abc, 5 decisions on hall, seed 2" in provenance(CONTENT) and "None" not in provenance(CONTENT)
 
