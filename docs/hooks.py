@@ -26,6 +26,7 @@ from mkdocs.structure.pages import Page
 import slam_gym
 from slam_gym.bench.__main__ import BENCHMARKS
 from slam_gym.scenarios import SCENARIOS, Scenario
+from slam_gym.scenarios.suite import EXPERIMENTS
 
 ROOT = Path(__file__).parents[1]
 CACHE = ROOT / ".cache" / "notebooks"
@@ -72,7 +73,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Put the generated pages into the navigation."""
     notebooks = [f"tutorials/{path.name}" for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
     environments = ["environments/index.md", *(f"environments/{_file(spec.id)}.md" for spec in _environments())]
-    scenarios = ["scenarios/index.md", *(f"scenarios/{name}.md" for name in SCENARIOS)]
+    scenarios = ["scenarios/index.md", *(f"scenarios/{name}.md" for name in SCENARIOS), "scenarios/suite.md"]
     reference = ["reference/index.md", *(f"reference/{room}.md" for room in ROOMS)]
     generated = {"Tutorials": notebooks, "Environments": environments, "Scenarios": scenarios, "Reference": reference}
     for entry in config.nav or []:
@@ -114,6 +115,7 @@ def _pages() -> Iterator[tuple[str, str]]:
     yield "scenarios/index.md", _scenario_index()
     for scenario in SCENARIOS.values():
         yield f"scenarios/{scenario.name}.md", _scenario(scenario)
+    yield "scenarios/suite.md", _suite()
     yield "reference/index.md", _reference_index()
     for room, about in ROOMS.items():
         yield f"reference/{room}.md", _reference(room, about)
@@ -265,6 +267,27 @@ def _scenario(scenario: Scenario) -> str:
             "",
         ]
     )
+
+
+def _suite() -> str:
+    parts = [
+        "# Levels of the suite",
+        "",
+        "Seven experiments, each a sweep over one knob in five levels, from easy to hard. A level goes by its id",
+        "wherever the name of a scenario is taken: `closure/3`. Scores: [Associators](../results/associators.md).",
+        "",
+    ]
+    for experiment in EXPERIMENTS.values():
+        ids = [f"`{level.id}`" for level in experiment.levels]
+        knobs = [f"{level.knob:g}" for level in experiment.levels]
+        parts += [f"## {experiment.name}", "", f"**{experiment.question}** {experiment.why}", ""]
+        parts += [
+            f"| | {' | '.join(ids)} |",
+            "|---" * (1 + len(ids)) + "|",
+            f"| {experiment.axis} | {' | '.join(knobs)} |",
+            "",
+        ]
+    return "\n".join(parts)
 
 
 # -- reference -------------------------------------------------------------------------------------------------------

@@ -72,20 +72,16 @@ def driven(scenario: str, ticks: int, world: int = 0, **arguments: Any) -> Any:
 
 
 def associate() -> Any:
-    """The decision of an episode in which most is on offer."""
-    env = gym.make("slam_gym/Associate-v0", scenario="corridor", render_mode="rgb_array", split="test")
-    best, picture = (0, 0), None
-    _, info = env.reset(seed=4)
-    over = False
-    while not over:
-        if info["look"] >= 40:
-            walk: Any = env.unwrapped.walk  # type: ignore[attr-defined]
-            choice = (int(info["action_mask"].sum()), walk.pairings)
-            if choice > best and walk.pairings >= 2:
-                best, picture = choice, env.render()
-        action = info["truth"]["action"]
-        _, _, over, _, info = env.step(action if action >= 0 else env.action_space.n - 1)  # type: ignore[attr-defined]
-    return picture
+    """A decision among many branches, on the wheels of a bad robot."""
+    wheels = {"odometry.turn_per_metre": 0.3, "odometry.turn_per_radian": 0.3}
+    env: Any = gym.make(
+        "slam_gym/Associate-v0", scenario="office", overrides=wheels, split="test", render_mode="rgb_array"
+    ).unwrapped
+    _, info = env.reset(seed=1)
+    while info["action_mask"].sum() < 5 or env.walk.pairings < 3:
+        right = info["truth"]["action"]
+        _, _, _, _, info = env.step(right if right >= 0 else env.K)
+    return env.render()
 
 
 def relocate() -> Any:
@@ -189,6 +185,7 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "compatibility": compatibility,
     "locality": locality,
 } | {f"scenario_{name}": partial(driven, name, scenario.budget, world=1) for name, scenario in SCENARIOS.items()}
+PICTURES["scenario_kidnapped"] = partial(driven, "kidnapped", 800, world=1, relocation="gcbb")
 
 
 def main(names: list[str]) -> int:
