@@ -1,249 +1,136 @@
-"""Searches without a prior, counted: effort, hits and losses over scans of `locality_worlds`.
+"""Searches without a prior, counted: effort, hits and losses over scans of `fields`.
 
-A **pairing test** is a unary or a binary one; what is not local to the first pairing is not tested. A scan is **found**
+A **pairing test** is a unary or a binary one; what is not local to the first pairing is not tested. A scan is `right`
 when the located pose lies within 1 m and 5° of where its true pairings put the robot, whatever the number of pairings.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym.association.relocation.location import locate
-from slam_gym.bench.locality.bound import hypotheses
-from slam_gym.bench.locality.worlds import LOCALITIES, Field, Look, inside, mapped_field
-from slam_gym.geometry import wrap_angle
-from slam_gym.mapping.locality import locality_sizes
-from slam_gym.metrics.statistics import Interval
-from slam_gym.types import NONE, Array, Landmarks, Locality, Relocation, Relocator
+from slam_gym.bench.answers import Tolerance, attempt
+from slam_gym.bench.locality.fields import LOCALITIES, FieldScan, SurveyedField, inside, outside, surveyed_field
+from slam_gym.bench.locality.losses import locality_figures
+from slam_gym.bench.records import Record, column, grouped, means
+from slam_gym.types import UNPAIRED, Landmarks, Locality, Relocation, Relocator
 
-NEAR = (1.0, math.radians(5.0))  # [m, rad] of the pose that the true pairings give
-MEASURES = (
-    "hypotheses",  # located and tested jointly
-    "nodes",
-    "tests",  # unary and binary
-    "joint",
-    "ms",
-    "limit",  # 1: the search ended at its limit
-    "right",  # pairings
-    "wrong",  # pairings
-    "possible",  # true pairings
-    "found",
-    "pairings",
-    "rule",  # min_pairings of the acceptance rule
-    "ambiguous",
-    "accepted",
-)
+NEAR = Tolerance(1.0, math.radians(5.0))  # of the pose that the true pairings give
+MAPS = 10  # over which scans that are to be judged are spread
 
 
-@dataclass
-class Cell:
-    """One search under one locality, for maps of n features and scans of m measurements."""
-
-    search: str
-    locality: str
-    n: int
-    m: int
-    values: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in MEASURES})
-
-    def __len__(self) -> int:
-        return len(self.values["nodes"])
-
-    def array(self, name: str) -> Array:
-        return np.array(self.values[name], dtype=np.float64)
-
-    def mean(self, name: str) -> float:
-        return float(np.mean(self.values[name]))
-
-    @property
-    def recall(self) -> float:
-        """Share of the true pairings that the hypotheses hold."""
-        return float(np.sum(self.values["right"]) / max(np.sum(self.values["possible"]), 1.0))
-
-    @property
-    def whole(self) -> float:
-        """Share of scans with all their true pairings."""
-        return float(np.mean(self.array("right") == self.array("possible")))
-
-
-@dataclass
-class Reach:
-    """A locality on maps of n features: its sizes, what they bound, and what it loses. Means over maps."""
-
-    locality: str
-    n: int
-    m: int
-    mean_size: float  # of |L(j)|
-    largest_size: float
-    hypotheses: float  # N_h of the unpruned tree, by the sum over features
-    pairs: float  # lost, as in `out_of_reach`
-    pairings: float
-    scans: float
-    anyhow: float
-
-
-def as_it_came(look: Look) -> Look:
+def as_it_came(scan: FieldScan) -> FieldScan:
     """The scan with its measurements in the order in which they came."""
-    return look
+    return scan
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepSpec:
     """What to run at each point of a sweep."""
 
-    searches: dict[str, Relocator]
+    searches: Mapping[str, Relocator]
     localities: tuple[str, ...]
     scans: int
     seed: int
-    tests: float  # pairing tests per cell; where more are to be expected, it gets fewer scans
-    least: int = 3  # scans: where fewer can be afforded, the series ends
-    arrange: Callable[[Look], Look] = as_it_came  # what to do with the measurements of a scan
+    max_tests: float  # pairing tests of all scans together; where more are to be expected, fewer scans are taken
+    min_scans: int = 3  # where fewer can be afforded, the series ends
+    arrange: Callable[[FieldScan], FieldScan] = as_it_came  # what to do with the measurements of a scan
 
 
-Key = tuple[str, str]
-"""Search and locality."""
+class Sweep(NamedTuple):
+    """All that was counted at the points of a sweep."""
+
+    attempts: list[Record]  # one per scan and search: search, locality, n, m, …
+    localities: list[Record]  # one per locality and point
 
 
-def sweep(
-    plan: Plan, points: Sequence[tuple[int, int]], growth: Callable[[str, int, int], float]
-) -> tuple[list[Cell], list[Reach]]:
+ExpectedGrowth = Callable[[str, int, int], float]
+"""From a locality, a point and the next one, by number: the factor by which the tests are expected to grow."""
+
+Series = tuple[str, str]
+"""A search and a locality."""
+
+
+def sweep(spec: SweepSpec, points: Sequence[tuple[int, int]], growth: ExpectedGrowth | None = None) -> Sweep:
     """All searches under all localities at each (n, m).
 
-    A series ends where its cell would cost too much, foretold from the tests of the point before times
-    growth(locality, point before, point), or where half of the searches ended at their limit.
+    A series ends where its scans would cost too much, foretold from the tests of the point before times `growth`
+    (default: none), or where half of the searches ended at their limit.
     """
-    cells: list[Cell] = []
-    reaches: list[Reach] = []
-    took: dict[Key, float] = {(search, name): 0.0 for search in plan.searches for name in plan.localities}
+    whole = Sweep([], [])
+    spent = {
+        (search, locality): 0.0 for search in spec.searches for locality in spec.localities
+    }  # mean tests of a scan
     for at, (n, m) in enumerate(points):
-        scans = {}
-        for key, tests in took.items():
-            expected = tests * growth(key[1], max(at - 1, 0), at)
-            scans[key] = int(min(plan.scans, plan.tests / max(expected, 1.0)))
-        new, reach = point(plan, n, m, {key: count for key, count in scans.items() if count >= plan.least})
-        cells, reaches = cells + new, reaches + reach
-        took = {(cell.search, cell.locality): cell.mean("tests") for cell in new if cell.mean("limit") < 0.5}
-    return cells, reaches
+        scans: dict[Series, int] = {}
+        for series, tests in spent.items():
+            expected = tests * (growth(series[1], max(at - 1, 0), at) if growth else 1.0)
+            scans[series] = int(min(spec.scans, spec.max_tests / max(expected, 1.0)))
+        found = sweep_point(spec, n, m, {series: count for series, count in scans.items() if count >= spec.min_scans})
+        whole.attempts.extend(found.attempts)
+        whole.localities.extend(found.localities)
+        groups = [(tuple(key.values()), group) for key, group in grouped(found.attempts, "search", "locality")]
+        spent = {
+            k: means(g, "pairing tests")["pairing tests"] for k, g in groups if column(g, "limit hit").mean() < 0.5
+        }
+    return whole
 
 
-def point(plan: Plan, n: int, m: int, scans: dict[Key, int]) -> tuple[list[Cell], list[Reach]]:
-    """So many scans of m measurements for each search and locality, over several maps where n is small."""
-    maps = min(max(3200 // n, 1), 5, plan.scans)
-    cells = {key: Cell(*key, n, m) for key in scans}
-    reaches = []
+def sweep_point(spec: SweepSpec, n: int, m: int, scans: Mapping[Series, int]) -> Sweep:
+    """So many scans of m measurements for each series, over several maps where n is small."""
+    maps = min(max(3200 // n, 1), 5, spec.scans)
+    attempts: list[Record] = []
+    localities: list[Record] = []
     for number in range(maps):
-        rng = np.random.default_rng([plan.seed, n, m, number])
-        area = mapped_field(n, rng)
-        looks = [plan.arrange(inside(area, m, m // 4, rng)) for _ in range(number, plan.scans, maps)]
+        rng = np.random.default_rng([spec.seed, n, m, number])
+        area = surveyed_field(n, rng)
+        drawn = [spec.arrange(inside(area, m, m // 4, rng)) for _ in range(number, spec.scans, maps)]
         for name in LOCALITIES:
-            locality = area.locality(name)
-            reaches.append(_reach(name, n, m, locality, looks))
-            for search, relocate in plan.searches.items():
-                if (search, name) in cells:
-                    count = len(range(number, scans[search, name], maps))
-                    for look in looks[:count]:
-                        attempt(cells[search, name], relocate, area, look, locality)
-    return list(cells.values()), [_mean([r for r in reaches if r.locality == name]) for name in LOCALITIES]
+            locality, key = area.locality(name), {"locality": name, "n": n, "m": m}
+            localities.append(key | locality_figures(n, m, locality, [scan.truth for scan in drawn]))
+            for search, relocate in spec.searches.items():
+                count = len(range(number, scans.get((search, name), 0), maps))
+                tried = (relocate_in_field(relocate, area, scan, locality) for scan in drawn[:count])
+                attempts.extend({"search": search, **key, **record} for record in tried)
+    names = [name for name in localities[0] if name not in ("locality", "n", "m")]
+    of_maps = [key | means(group, *names) for key, group in grouped(localities, "locality", "n", "m")]
+    return Sweep(attempts, of_maps)
 
 
-def _reach(name: str, n: int, m: int, locality: Locality | None, looks: Sequence[Look]) -> Reach:
-    sizes = locality_sizes(locality, n)
-    lost = out_of_reach(looks, locality)
-    return Reach(name, n, m, float(sizes.mean()), float(sizes.max()), hypotheses(sizes, m), **lost)
-
-
-def _mean(rows: Sequence[Reach]) -> Reach:
-    names = [field.name for field in fields(Reach)][3:]
-    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in names}
-    return Reach(rows[0].locality, rows[0].n, rows[0].m, **means)
-
-
-def attempt(cell: Cell, search: Relocator, area: Field, look: Look, locality: Locality | None) -> Relocation:
-    """Relocate one scan and write down what it took and what came of it."""
-    start = time.perf_counter()
-    answer = search(look.scan, area.landmarks, locality)
-    seconds = time.perf_counter() - start
-    paired, true = answer.features != NONE, look.truth != NONE
-    right = int((paired & (answer.features == look.truth)).sum())
-    effort = answer.effort
-    row = {
-        "hypotheses": effort.leaves,
-        "nodes": effort.nodes,
-        "tests": effort.unary_tests + effort.binary_tests,
-        "joint": effort.joint_tests,
-        "ms": 1e3 * seconds,
-        "limit": effort.limit_hit,
-        "right": right,
-        "wrong": int(paired.sum()) - right,
-        "possible": int(true.sum()),
-        "found": same_place(answer, look, area.landmarks),
-        "pairings": answer.pairings,
-        "rule": answer.min_pairings,
-        "ambiguous": answer.ambiguous,
-        "accepted": answer.accepted,
+def relocate_in_field(search: Relocator, area: SurveyedField, drawn: FieldScan, locality: Locality | None) -> Record:
+    """Relocate one scan."""
+    answer, record = attempt(search, drawn.scan, area.landmarks, locality)
+    paired, true = answer.features != UNPAIRED, drawn.truth != UNPAIRED
+    right = int((paired & (answer.features == drawn.truth)).sum())
+    return record | {
+        "inside": bool(np.isfinite(drawn.pose).all()),
+        "right": same_place(answer, drawn, area.landmarks),
+        "right pairings": right,
+        "true pairings": int(true.sum()),
+        "all right": right == true.sum(),
     }
-    for name, value in row.items():
-        cell.values[name].append(float(value))
-    return answer
 
 
-def same_place(answer: Relocation, look: Look, landmarks: Landmarks) -> bool:
+def same_place(answer: Relocation, drawn: FieldScan, landmarks: Landmarks) -> bool:
     """Whether the pose found is the one that the true pairings give, in the drifted map; never, outside of it."""
-    if (look.truth != NONE).sum() < 2 or not np.isfinite(answer.pose).all():
+    if (drawn.truth != UNPAIRED).sum() < 2 or not np.isfinite(answer.pose).all():
         return False
-    true = locate(look.scan, landmarks, look.truth).pose
-    away = math.hypot(answer.pose[0] - true[0], answer.pose[1] - true[1])
-    return away < NEAR[0] and abs(wrap_angle(answer.pose[2] - true[2])) < NEAR[1]
+    return NEAR.holds(answer.pose, locate(drawn.scan, landmarks, drawn.truth).pose)
 
 
-def out_of_reach(looks: Iterable[Look], locality: Locality | None) -> dict[str, float]:
-    """What a locality loses before any test: shares.
-
-    `pairs`: of two features seen in one scan, that are not local to each other. `pairings`: of the true pairings, that
-    no hypothesis holds which takes the measurements in the order of the scan, so that its first one decides; `scans`:
-    that have no such hypothesis with all of them; `anyhow`: nor if any of them may come first, as in random sampling.
-    """
-    pairs = lost = true = reached = whole = anyhow = count = 0
-    for look in looks:
-        T = look.truth[look.truth != NONE]
-        local = (
-            np.ones((len(T), len(T)), bool) if locality is None else np.array([np.isin(T, locality.of(j)) for j in T])
-        )
-        pairs, lost = pairs + len(T) * (len(T) - 1), lost + int((~local).sum())
-        true, reached = true + len(T), reached + int(np.triu(local).sum(axis=1).max())
-        whole, anyhow, count = whole + bool(local[0].all()), anyhow + bool(local.all(axis=1).any()), count + 1
-    return {
-        "pairs": lost / pairs,
-        "pairings": 1.0 - reached / true,
-        "scans": 1.0 - whole / count,
-        "anyhow": 1.0 - anyhow / count,
-    }
-
-
-def power(cells: Sequence[Cell], axis: Callable[[Cell], float], name: str, rng: np.random.Generator) -> Interval:
-    """Exponent p of the means ∝ axis^p, by least squares on logarithms; 95 % by resampling the scans of each cell."""
-    x = np.log([axis(cell) for cell in cells])
-    return _slope(x, cells, name, rng)
-
-
-def growth(cells: Sequence[Cell], name: str, rng: np.random.Generator) -> Interval:
-    """Factor by which the means grow with each further measurement, likewise."""
-    slope = _slope(np.array([float(cell.m) for cell in cells]), cells, name, rng)
-    return Interval(math.exp(slope.estimate), math.exp(slope.low), math.exp(slope.high))
-
-
-def _slope(x: Array, cells: Sequence[Cell], name: str, rng: np.random.Generator, resamples: int = 2000) -> Interval:
-    if len(cells) < 2:
-        return Interval(math.nan, math.nan, math.nan)
-    values = [cell.array(name) for cell in cells]
-    means = [v[rng.integers(0, len(v), (resamples, len(v)))].mean(axis=1) for v in values]
-    centred = x - x.mean()
-    weights = centred / (centred @ centred)
-    drawn = weights @ np.log(np.maximum(means, 1e-12))
-    estimate = weights @ np.log([max(v.mean(), 1e-12) for v in values])
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return Interval(float(estimate), float(low), float(high))
+def inside_and_outside(search: Relocator, locality: str, size: tuple[int, int], scans: int, seed: int) -> list[Record]:
+    """Attempts at `scans` scans from inside the map and as many from outside, for `size` (n, m), over several maps."""
+    (n, m), records = size, []
+    for number in range(MAPS):
+        rng = np.random.default_rng([seed, n, m, number])
+        area = surveyed_field(n, rng)
+        local = area.locality(locality)
+        for _ in range(number, scans, MAPS):
+            records.append(relocate_in_field(search, area, inside(area, m, m // 4, rng), local))
+            records.append(relocate_in_field(search, area, outside(area, m, rng), local))
+    return records

@@ -8,90 +8,62 @@ prior on the pose has already gated the candidates, so the saving is in pairing 
 
 from __future__ import annotations
 
-import argparse
-import time
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
-import gymnasium as gym
-import numpy as np
-
-import slam_gym  # noqa: F401  (registers the environments)
 from slam_gym.association import jcbb
-from slam_gym.bench.speed.step import Pilot
+from slam_gym.bench.exploration import explore, explorer
+from slam_gym.bench.records import Record, column, means
+from slam_gym.bench.report import Report
+from slam_gym.bench.timing import timed
 from slam_gym.scenarios import get_scenario
 from slam_gym.types import Hypothesis, Prediction, Scan
 
-SCENARIOS = ("office", "aliased", "hall", "crowd")
-
 
 @dataclass(eq=False)
-class Effort:
-    """What the associator spent over a run."""
+class RecordedJcbb:
+    """JCBB, and what its calls took."""
 
-    calls: int = 0
-    seconds: float = 0.0
-    pairing_tests: int = 0
-    nodes: int = 0
-    joint_tests: int = 0
-    limits: int = 0
+    calls: list[Record] = field(default_factory=list)
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        start = time.perf_counter()
-        hypothesis = jcbb(scan, prediction)
-        self.seconds += time.perf_counter() - start
-        self.calls += 1
-        self.pairing_tests += hypothesis.effort.individual_tests
-        self.nodes += hypothesis.effort.nodes
-        self.joint_tests += hypothesis.effort.joint_tests
-        self.limits += hypothesis.effort.limit_hit
+        hypothesis, microseconds = timed(jcbb, scan, prediction)
+        effort = hypothesis.effort
+        self.calls.append({
+            "pairing tests": effort.individual_tests,
+            "nodes": effort.nodes,
+            "joint tests": effort.joint_tests,
+            "µs a scan": microseconds,
+            "limits hit": effort.limit_hit,
+        })  # fmt: skip
         return hypothesis
 
 
-def run(scenario: str, locality: str | None, episodes: int, budget: int | None) -> dict[str, float]:
+def track(scenario: str, locality: str | None, episodes: int, budget: int | None) -> Record:
     """Effort a scan and quality of the map, means over the episodes."""
-    effort, rows = Effort(), []
-    settings = get_scenario(scenario)
+    associator, settings = RecordedJcbb(), get_scenario(scenario)
     if budget:
         settings = replace(settings, budget=budget)
-    env: Any = gym.make(
-        "slam_gym/Explore-v0", scenario=settings, split="test", action="twist", associator=effort, locality=locality
-    ).unwrapped
-    for number in range(episodes):
-        env.reset(seed=number, options={"world": number})
-        pilot, over, step = Pilot(number), False, 0
-        while not over:
-            _, _, over, _, info = env.step(pilot.action(env, step))
-            step += 1
-        rows.append(info["map_quality"])
-    return {
-        "tests": effort.pairing_tests / effort.calls,
-        "nodes": effort.nodes / effort.calls,
-        "joint": effort.joint_tests / effort.calls,
-        "us": 1e6 * effort.seconds / effort.calls,
-        "limits": effort.limits,
-        **{
-            name: float(np.mean([row[name] for row in rows]))
-            for name in ("precision", "recall", "map_error", "duplicates")
-        },
-    }
+    env = explorer(settings, split="test", associator=associator, locality=locality)
+    ends = [list(explore(env, number, world=number))[-1].info["map_quality"] for number in range(episodes)]
+    row = {"scenario": scenario, "locality": locality or "everything"}
+    row |= means(associator.calls, "pairing tests", "nodes", "joint tests", "µs a scan")
+    row |= means(ends, "precision", "recall", "map_error", "duplicates")
+    return row | {"limits hit": int(column(associator.calls, "limits hit").sum())}
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Print the comparison."""
-    parser = argparse.ArgumentParser(prog="python -m slam_gym.bench locality --tracking", description=__doc__)
-    parser.add_argument("--episodes", type=int, default=6, help="test worlds 0 … N−1 a scenario (default 6)")
-    parser.add_argument("--budget", type=int, help="[ticks] an episode lasts, instead of the scenario's")
-    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
-    arguments = parser.parse_args(argv)
-    print(
-        "scenario  locality       pairing tests   nodes  joint tests  µs a scan   precision  recall  map error  dupl."
-    )
-    for scenario in arguments.scenarios:
-        for locality in ("covisibility", None):
-            row = run(scenario, locality, arguments.episodes, arguments.budget)
-            print(
-                f"{scenario:9s} {locality or 'everything':12s}   {row['tests']:12.1f}  {row['nodes']:6.1f} "
-                f"{row['joint']:12.1f}  {row['us']:9.1f}   {row['precision']:9.4f} {row['recall']:7.4f}  "
-                f"{row['map_error']:9.3f}  {row['duplicates']:5.2f}" + ("  node limit hit" if row["limits"] else "")
-            )
+def run(
+    report: Report,
+    *,
+    episodes: int = 6,
+    budget: int | None = None,
+    scenarios: tuple[str, ...] = ("office", "aliased", "hall", "crowd"),
+) -> None:
+    """One row for each scenario, with and without locality.
+
+    Arguments:
+        episodes: test worlds 0 … N−1 of a scenario
+        budget: [ticks] an episode lasts, instead of the scenario's
+        scenarios: by name
+    """
+    rows = [track(name, locality, episodes, budget) for name in scenarios for locality in ("covisibility", None)]
+    report.table("JCBB while tracking", rows, "tracking")

@@ -6,12 +6,14 @@ Both floors are square rooms of 5 m with a door of .9 m to each neighbour: 5 × 
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Callable
 
 import numpy as np
 
+from slam_gym.bench.records import Record
+from slam_gym.bench.report import Report
+from slam_gym.bench.sensing import features_in_view
+from slam_gym.bench.timing import medians_in_turns
 from slam_gym.types import Array
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind
 from slam_gym.world.generators import OfficeGenerator
@@ -27,7 +29,7 @@ BEAMS = 40
 RANGE = 6.0  # [m]
 
 Call = Callable[[int], object]
-"""Does its work at place i."""
+"""Does its work at place k modulo PLACES."""
 
 
 def floor(rows: int, columns: int) -> FloorPlan:
@@ -54,46 +56,37 @@ def interior_poses(rows: int, columns: int, rng: np.random.Generator) -> Array:
     return np.column_stack([rooms * ROOM + within, rng.uniform(-np.pi, np.pi, PLACES)])
 
 
-def medians(timed: dict[str, Call], calls: int, repeats: int) -> dict[str, float]:
-    """Median time [µs] of call(0), …, call(calls − 1), `repeats` times over, in turns with the other calls."""
-    times = {name: np.empty((repeats + 1, calls)) for name in timed}
-    for repeat in range(repeats + 1):
-        for i in range(calls):
-            for name, call in timed.items():
-                start = time.perf_counter()
-                call(i)
-                times[name][repeat, i] = time.perf_counter() - start
-    return {name: 1e6 * float(np.median(t[1:])) for name, t in times.items()}  # the first round compiles
-
-
 def sight_calls(plan: FloorPlan, poses: Array, rng: np.random.Generator) -> dict[str, Call]:
-    """Beams, lines of sight to the features in range, and whole scans and sweeps, from each of `poses` (q, 3)."""
+    """Beams, lines of sight to the features in range, and whole scans and sweeps, from each of `poses` (PLACES, 3)."""
     index, angles = WallIndex(plan.walls), np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
     sensor, positions = Sensor(plan, index), plan.features.positions
-    targets = [positions[np.hypot(*(positions - pose[:2]).T) < RANGE] for pose in poses]
-    seen = float(np.mean([len(near) for near in targets]))
-    print(f"{len(plan.walls):5d} segments, {len(positions):5d} features, {seen:.0f} of them in range")
+    targets = [positions[features_in_view(positions, pose, RANGE)] for pose in poses]
     short = np.full(len(positions), 1e-3)
+
+    def visible(k: int) -> object:
+        near = targets[k % PLACES]
+        return index.visible(poses[k % PLACES], near, short[: len(near)])
+
     return {
-        f"{BEAMS} beams": lambda i: index.cast(poses[i], angles, RANGE),
-        "features in range": lambda i: index.visible(poses[i], targets[i], short[: len(targets[i])]),
-        "Sensor.scan": lambda i: sensor.scan(poses[i], rng),
-        "Sensor.beams": lambda i: sensor.beams(poses[i], rng),
+        f"{BEAMS} beams": lambda k: index.cast(poses[k % PLACES], angles, RANGE),
+        "features in range": visible,
+        "Sensor.scan": lambda k: sensor.scan(poses[k % PLACES], rng),
+        "Sensor.beams": lambda k: sensor.beams(poses[k % PLACES], rng),
     }
 
 
-def line_of_sight(repeats: int, rng: np.random.Generator) -> None:
-    """Print what seeing costs on the two floors, and the ratio."""
-    small = sight_calls(floor(5, 5), interior_poses(5, 5, rng), rng)
-    large = sight_calls(floor(25, 50), interior_poses(25, 50, rng), rng)
-    timed = {
-        f"{name} {size}": call for size, calls in (("small", small), ("large", large)) for name, call in calls.items()
-    }
-    cost = medians(timed, PLACES, repeats)
-    print(f"{'':20s}{'100 segments':>14s}{'5 000 segments':>16s}{'ratio':>8s}   (median µs)")
-    for name in small:
-        a, b = cost[f"{name} small"], cost[f"{name} large"]
-        print(f"{name:20s}{a:14.1f}{b:16.1f}{b / a:8.2f}")
+def line_of_sight(repeats: int, rng: np.random.Generator) -> list[Record]:
+    """What seeing costs on the two floors, and the ratio."""
+    calls: dict[str, Call] = {}
+    for rows, columns in ((5, 5), (25, 50)):
+        of_floor = sight_calls(floor(rows, columns), interior_poses(rows, columns, rng), rng)
+        calls |= {f"{name}, {rows} rows": call for name, call in of_floor.items()}
+    cost = medians_in_turns(calls, repeats * PLACES, PLACES)  # the first round compiles
+    pairs = {name: (cost[f"{name}, 5 rows"], cost[f"{name}, 25 rows"]) for name in of_floor}
+    return [
+        {"": name, "100 segments": small, "5 000 segments": large, "ratio": large / small}
+        for name, (small, large) in pairs.items()
+    ]
 
 
 def tick_calls(plan: FloorPlan, people: int, rng: np.random.Generator) -> dict[str, Call]:
@@ -103,34 +96,30 @@ def tick_calls(plan: FloorPlan, people: int, rng: np.random.Generator) -> dict[s
     sensor = Sensor(plan, WallIndex(plan.walls))
     actions, motion = rng.uniform([0.0, -1.0], 1.0, (PLACES, 2)).tolist(), world.tick(1.0, 0.0)
     return {
-        "World.tick": lambda i: world.tick(*actions[i]),
-        "Sensor.scan": lambda i: sensor.scan(world.pose, rng, world.people, world.furniture_segments),
-        "Sensor.beams": lambda i: sensor.beams(world.pose, rng, world.people, world.furniture_segments),
-        "Sensor.odometry": lambda i: sensor.odometry(motion, rng),
+        "World.tick": lambda k: world.tick(*actions[k % PLACES]),
+        "Sensor.scan": lambda _: sensor.scan(world.pose, rng, world.people, world.furniture_segments),
+        "Sensor.beams": lambda _: sensor.beams(world.pose, rng, world.people, world.furniture_segments),
+        "Sensor.odometry": lambda _: sensor.odometry(motion, rng),
     }
 
 
-def per_tick(repeats: int, rng: np.random.Generator) -> None:
-    """Print what physics and senses cost per tick in an office, without and with people."""
+def per_tick(plan: FloorPlan, repeats: int, rng: np.random.Generator) -> list[Record]:
+    """What physics and senses cost per tick, without and with people."""
+    return [
+        {"people": people, **medians_in_turns(tick_calls(plan, people, rng), repeats * PLACES, PLACES)}
+        for people in (0, 6)
+    ]
+
+
+def run(report: Report, *, repeats: int = 21, seed: int = 0) -> None:
+    """Two tables.
+
+    Arguments:
+        repeats: rounds over all places
+        seed: of everything random
+    """
+    rng = np.random.default_rng(seed)
+    report.table("Line of sight on two floors: median µs", line_of_sight(repeats, rng), "sight")
     plan = OfficeGenerator()(rng)
-    boxes = f"{len(plan.furniture)} pieces of furniture"
-    print(f"\noffice: {len(plan.walls)} segments, {len(plan.features)} features, {boxes}")
-    for people in (0, 6):
-        cost = medians(tick_calls(plan, people, rng), PLACES, repeats)
-        print(
-            f"{people} people: " + ", ".join(f"{name} {value:.1f}" for name, value in cost.items()) + "   (median µs)"
-        )
-
-
-def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="slam_gym.bench sight", description=__doc__.split("\n", 1)[0])
-    parser.add_argument("--repeats", type=int, default=21)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(argv)
-    rng = np.random.default_rng(options.seed)
-    line_of_sight(options.repeats, rng)
-    per_tick(options.repeats, rng)
-
-
-if __name__ == "__main__":
-    main()
+    size = f"{len(plan.walls)} segments, {len(plan.features)} features, {len(plan.furniture)} pieces of furniture"
+    report.table(f"A tick in an office of {size}: median µs", per_tick(plan, repeats, rng), "tick")

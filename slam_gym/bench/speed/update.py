@@ -6,22 +6,20 @@ Both are timed in turns within one run, so that whatever else the machine does f
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Callable
-
 import numpy as np
 from scipy.linalg.blas import dsyrk
-from threadpoolctl import threadpool_limits
 
+from slam_gym.bench.records import Record
+from slam_gym.bench.report import Report
+from slam_gym.bench.runner import UsageError
+from slam_gym.bench.timing import medians_in_turns
 from slam_gym.geometry import observe
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, Odometry, Scan
 
 PAIRINGS = 10
-SIZES = (10, 30, 100, 300, 1000, 2000)
 REACH = 6.0  # [m] of the sensor
-STILL = Odometry(np.zeros(3), np.diag([1e-3, 1e-3, 1e-3]) ** 2)
+STILL = Odometry.from_motion(np.zeros(3), 1e-3)
 
 
 def mapped(features: int, rng: np.random.Generator) -> StochasticMap:
@@ -34,66 +32,47 @@ def mapped(features: int, rng: np.random.Generator) -> StochasticMap:
 
 
 def _scan(points: Array) -> Scan:
-    m = len(points)
-    return Scan(points, np.tile(0.03**2 * np.eye(2), (m, 1, 1)), np.full(m, 0.5), np.full(m, 0.05**2))
+    return Scan.from_points(points, sigma=0.03, sizes=np.full(len(points), 0.5), size_sigma=0.05)
 
 
-def _medians(timed: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median time [µs] of each function, called in turns."""
-    times: dict[str, list[float]] = {name: [] for name in timed}
-    for _ in range(repeats + 2):
-        for name, function in timed.items():
-            start = time.perf_counter()
-            function()
-            times[name].append(time.perf_counter() - start)
-    return {name: 1e6 * float(np.median(t[2:])) for name, t in times.items()}
-
-
-def measure(features: int, repeats: int, rng: np.random.Generator) -> dict[str, float]:
-    """Median times [µs] at one map size: predict, prediction, update, end of step, and `dsyrk`."""
+def measure(features: int, repeats: int, rng: np.random.Generator) -> Record:
+    """Median times [µs] at one map size."""
     stochastic_map = mapped(features, rng)
     pairing = np.sort(rng.choice(features, PAIRINGS, replace=False))
     scan = _scan(observe(stochastic_map.pose, stochastic_map.positions[pairing]))
     d = 3 + 2 * features
     product, factor = np.zeros((d, d), order="F"), rng.normal(size=(2 * PAIRINGS, d)).T
 
-    def end() -> None:
+    def end(_: int) -> None:
         stochastic_map.unconfirmed()
         stochastic_map.end_of_step()
 
-    return _medians(
-        {
-            "predict": lambda: stochastic_map.predict(STILL),
-            "prediction": lambda: stochastic_map.prediction(REACH),
-            "update": lambda: stochastic_map.update(scan, pairing),
-            "end": end,
-            "dsyrk": lambda: dsyrk(-1.0, factor, beta=1.0, c=product, overwrite_c=True),
-        },
-        repeats,
-    )
+    calls = {
+        "predict": lambda _: stochastic_map.predict(STILL),
+        "prediction": lambda _: stochastic_map.prediction(REACH),
+        "update": lambda _: stochastic_map.update(scan, pairing),
+        "end of step": end,
+        "dsyrk": lambda _: dsyrk(-1.0, factor, beta=1.0, c=product, overwrite_c=True),
+    }
+    times = medians_in_turns(calls, repeats, warm_up=2)
+    return {"features": features, **times, "update / dsyrk": times["update"] / times["dsyrk"]}
 
 
-def main(argv: list[str] | None = None) -> None:
-    """`python -m slam_gym.bench update`: print the table."""
-    parser = argparse.ArgumentParser(prog="python -m slam_gym.bench update", description=__doc__)
-    parser.add_argument("--features", type=int, nargs="+", default=SIZES, metavar="N", help="map sizes")
-    parser.add_argument("--repeats", type=int, default=51, help="timed calls of each function")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args(argv)
-    if min(arguments.features) < PAIRINGS or arguments.repeats < 1:
-        parser.error(f"at least {PAIRINGS} features and 1 repeat")
-    print(f"Joint update of {PAIRINGS} pairings; medians of {arguments.repeats} calls in turns [µs], one thread;")
-    print("dsyrk: one symmetric rank-20 product of the covariance's size; ratio: update / dsyrk")
-    print(f"{'features':>8} {'predict':>9} {'prediction':>11} {'update':>9} {'end':>6} {'dsyrk':>9} {'ratio':>6}")
-    with threadpool_limits(1):
-        for features in arguments.features:
-            t = measure(features, arguments.repeats, np.random.default_rng(arguments.seed))
-            print(
-                f"{features:8d} {t['predict']:9.1f} {t['prediction']:11.1f} {t['update']:9.1f} {t['end']:6.1f} "
-                f"{t['dsyrk']:9.1f} {t['update'] / t['dsyrk']:6.2f}",
-                flush=True,
-            )
+def run(
+    report: Report,
+    *,
+    features: tuple[int, ...] = (10, 30, 100, 300, 1000, 2000),
+    repeats: int = 51,
+    seed: int = 0,
+) -> None:
+    """One row for each size of the map.
 
-
-if __name__ == "__main__":
-    main()
+    Arguments:
+        features: map sizes
+        repeats: timed calls of each function
+        seed: of everything random
+    """
+    if min(features) < PAIRINGS or repeats < 1:
+        raise UsageError(f"at least {PAIRINGS} features and 1 repeat")
+    rows = [measure(n, repeats, np.random.default_rng(seed)) for n in features]
+    report.table(f"Joint update of {PAIRINGS} pairings: medians of {repeats} calls in turns [µs]", rows, "update")
