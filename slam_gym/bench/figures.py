@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 INK, GREY = "#2f3640", "#b8bec6"
 BLUE, GREEN, YELLOW, PURPLE, BROWN, RED = "#2b6ca3", "#3a8a5c", "#e0a030", "#7d5ba6", "#9c755f", "#c8553d"
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 10,
     "axes.titleweight": "bold",

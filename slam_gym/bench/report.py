@@ -63,16 +63,18 @@ def as_text(rows: Sequence[Record]) -> str:
 
 
 def as_cell(value: object) -> str:
-    """One value as text: numbers to four digits, an interval as `estimate [low, high]`, a flag as yes or no."""
+    """One value as text: numbers to four digits at least, an interval as `estimate [low, high]`, a flag as yes or no."""
     if value is None:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, Interval):
-        return f"{value.estimate:.3g} [{value.low:.3g}, {value.high:.3g}]"
-    if isinstance(value, float):
-        return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
-    return str(value)
+        return "{} [{}, {}]".format(*(_number(v, 3) for v in (value.estimate, value.low, value.high)))
+    return _number(value, 4) if isinstance(value, float) else str(value)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.0f}" if 10.0**digits <= abs(value) < 1e7 else f"{value:.{digits}g}"
 
 
 def write_csv(path: Path, rows: Sequence[Record]) -> None:

@@ -18,7 +18,7 @@ from slam_gym.bench.answers import proportion
 from slam_gym.bench.consistency import pictures
 from slam_gym.bench.consistency.estimators import ASSOCIATORS, METHODS, DrivenLog, estimate
 from slam_gym.bench.consistency.logs import LoopSpec, floor, hall, loop, park
-from slam_gym.bench.recordings.park import gps_at
+from slam_gym.bench.recordings.places import gps_at
 from slam_gym.bench.records import Record, column, grouped, means, medians
 from slam_gym.bench.report import Report
 from slam_gym.bench.runner import UsageError, data_folder
@@ -28,11 +28,11 @@ from slam_gym.types import Array
 
 CLOSED = 5  # duplicates
 WORLDS = ("loop", "hall", "floor", "park")
-_MEDIANS = ("error", "final", "final degrees", "claimed", "map error", "gps")
+_MEDIANS = ("error [m]", "final [m]", "final [°]", "heading σ [°]", "map RMSE [m]", "GPS [m]")
 _COMPARED: dict[str, Callable[[Array], Array]] = {
-    "anees": np.log10,
-    "error": np.asarray,
-    "final": np.asarray,
+    "ANEES": np.log10,
+    "error [m]": np.asarray,
+    "final [m]": np.asarray,
     "duplicates": np.asarray,
     "seconds": np.log10,
 }
@@ -58,7 +58,7 @@ QUICK = Workload(6, 2, 300, 1, 300, 1500, (LoopSpec(2.0),))
 def estimates(logs: Iterable[DrivenLog]) -> list[Record]:
     """Every method with every associator on every log."""
     return [
-        estimate(log, method, a).record | {"gps": math.nan} for log in logs for a in ASSOCIATORS for method in METHODS
+        estimate(log, method, a).record | {"GPS [m]": math.nan} for log in logs for a in ASSOCIATORS for method in METHODS
     ]
 
 
@@ -71,7 +71,7 @@ def park_estimates(folder: Path, steps: int | None) -> list[Record]:
     for associator in ASSOCIATORS:
         for method in METHODS:
             record, poses = estimate(log, method, associator)
-            records.append(record | {"gps": ate(poses[known, :2], fixes[known], aligned=True)})
+            records.append(record | {"GPS [m]": ate(poses[known, :2], fixes[known], aligned=True)})
     return records
 
 
@@ -79,7 +79,7 @@ def runs_table(records: Sequence[Record]) -> list[Record]:
     """World by world, associator by associator, the methods beneath each other: medians, of ANEES with quartiles."""
     rows = []
     for key, group in grouped(records, "world", "associator", "method"):
-        anees = Interval(*np.percentile(column(group, "anees"), [50, 25, 75]).tolist())
+        anees = Interval(*np.percentile(column(group, "ANEES"), [50, 25, 75]).tolist())
         row = {**key, "runs": len(group), "ANEES": anees, **means(group, "optimistic"), **medians(group, *_MEDIANS)}
         row |= means(group, "duplicates", "features")
         closed = sum(record["duplicates"] < CLOSED for record in group)

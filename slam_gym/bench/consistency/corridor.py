@@ -54,7 +54,9 @@ def run_corridor(
     """One loop through the corridor."""
     slam = Slam(SlamSpec(MapSpec(confidence=confidence), reach=RANGE, locality=locality))
     judged = JudgedSlam(slam, associator)
-    poses, estimates, nees = [], [], []
+    poses: list[Array] = []
+    estimates: list[Array] = []
+    nees: list[float] = []
     for odometry, scan, truth in walk_round(np.random.default_rng(seed), q):
         judged.step(odometry, scan, truth)
         nees.append(pose_nees(slam.map.pose, slam.map.pose_covariance, truth.pose) if poses else 0.0)

@@ -68,10 +68,10 @@ class Estimate(NamedTuple):
 def estimate(log: DrivenLog, method: str, associator: str) -> Estimate:
     """Run one of METHODS with one of ASSOCIATORS over a log; the record says what came of it:
 
-    * `anees` of the pose, mean over checkpoints, per degree of freedom: 1 where consistent; `optimistic`: fraction of
-      checkpoints at which NEES exceeds χ²_3 at 99 %; `claimed` [°]: largest σ of the heading at a checkpoint;
-    * `error`, `final` [m], `final degrees`: of the position (RMS over checkpoints), of position and heading at the end;
-    * `map error` [m]: RMSE of the features at the end, aligned; `duplicates`: those beyond the first of each source;
+    * `ANEES` of the pose, mean over checkpoints, per degree of freedom: 1 where consistent; `optimistic`: fraction of
+      checkpoints at which NEES exceeds χ²_3 at 99 %; `heading σ`: the largest at a checkpoint;
+    * `error`: RMS of the position over checkpoints; `final`: error of position and heading at the end;
+    * `map RMSE`: of the features at the end, aligned; `duplicates`: those beyond the first of each source;
     * `seconds`: steps and joins together.
     """
     slam, judged = _judged(log, method, associator)
@@ -91,10 +91,9 @@ def estimate(log: DrivenLog, method: str, associator: str) -> Estimate:
 
 def _judged(log: DrivenLog, method: str, associator: str) -> tuple[Slam | LocalMapSlam, JudgedSlam]:
     spec = replace(log.slam, map=replace(log.slam.map, first_estimate_jacobians=method == "first estimates"))
-    slam, identities = Slam(spec), Identities()
-    if method == "local maps":
-        find = functools.partial(true_duplicates, identities=identities) if associator == CEILING else None
-        slam = LocalMapSlam(spec, log.features_per_map, find)
+    identities = Identities()
+    find = functools.partial(true_duplicates, identities=identities) if associator == CEILING else None
+    slam = LocalMapSlam(spec, log.features_per_map, find) if method == "local maps" else Slam(spec)
     return slam, JudgedSlam(slam, associator, identities=identities)
 
 
@@ -115,12 +114,12 @@ def pose_figures(estimates: Sequence[PoseEstimate], truths: Sequence[Array]) -> 
     off = np.array([estimate.pose - truth for estimate, truth in zip(estimates, truths)])
     metres = np.hypot(off[:, 0], off[:, 1])
     return {
-        "anees": float(nees.mean()) / _DOF,
+        "ANEES": float(nees.mean()) / _DOF,
         "optimistic": float(np.mean(nees > chi2_gate(_DOF, 0.99))),
-        "error": float(np.sqrt((metres**2).mean())),
-        "final": float(metres[-1]),
-        "final degrees": abs(math.degrees(wrap_angle(float(off[-1, 2])))),
-        "claimed": max(math.degrees(math.sqrt(max(estimate.covariance[2, 2], 0.0))) for estimate in estimates),
+        "error [m]": float(np.sqrt((metres**2).mean())),
+        "final [m]": float(metres[-1]),
+        "final [°]": abs(math.degrees(wrap_angle(float(off[-1, 2])))),
+        "heading σ [°]": max(math.degrees(math.sqrt(max(estimate.covariance[2, 2], 0.0))) for estimate in estimates),
     }
 
 
@@ -136,7 +135,7 @@ def map_figures(whole: StochasticMap, identities: Identities, places: Mapping[in
     if len(common) >= 2:
         positions = whole.positions[[oldest[source] for source in common]]
         error = landmark_rmse(positions, np.array([places[source] for source in common]), aligned=True)
-    return {"map error": error, "duplicates": duplicates, "features": whole.n}
+    return {"map RMSE [m]": error, "duplicates": duplicates, "features": whole.n}
 
 
 def true_duplicates(m: StochasticMap, older: IntArray, newer: IntArray, *, identities: Identities) -> Duplicates:

@@ -18,7 +18,7 @@ import numpy as np
 
 from slam_gym.association import jcbb
 from slam_gym.bench.consistency.estimators import DrivenLog, LogStep
-from slam_gym.bench.recordings.park import reference
+from slam_gym.bench.recordings.places import reference
 from slam_gym.bench.sensing import features_in_view
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
@@ -94,9 +94,9 @@ def explored(world: str, seed: int, scenario: Scenario, ticks: int) -> DrivenLog
     driven = DrivenRun(scenario, site, nearest_frontier, np.random.default_rng(seed))
     steps: list[LogStep] = [(driven.episode.odometry, driven.scan, driven.truth)]
     while not driven.over:
-        driven.look()
+        driven.next_scan()
         steps.append((driven.episode.odometry, driven.scan, driven.truth))
-        driven.learn(jcbb(driven.scan, driven.prediction))
+        driven.associate(jcbb(driven.scan, driven.prediction))
     features = dict(enumerate(site.plan.features.positions))
     return DrivenLog(world, seed, steps, features, replace(scenario.slam, reach=scenario.sensor.range), 30)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = dict(zip(METHODS, (RED, BLUE, GREEN)))
-_TITLES = {"anees": "ANEES of the pose", "final": "final error [m]", "duplicates": "duplicates"}
+_TITLES = {"ANEES": "ANEES of the pose", "final [m]": "final error [m]", "duplicates": "duplicates"}
 
 
 def comparison(records: Sequence[Record]) -> Figure:

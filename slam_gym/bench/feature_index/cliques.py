@@ -18,9 +18,9 @@ from scipy.special import chdtri
 from slam_gym.association.relocation.location import locate
 from slam_gym.association.triangles.index import FeatureIndex
 from slam_gym.bench.feature_index.problems import NEAR, SIGMA, Query, QueryKind, point_map, query
-from slam_gym.bench.records import Record
+from slam_gym.bench.records import Record, means, medians
 from slam_gym.bench.timing import PROCESS, THREAD, Timed, fastest, timed
-from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Relocation, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Scan
 
 _KINDS = [QueryKind(m, s, half) for m in (10, 20) for s in (0.0, 0.3, 0.5) for half in (False, True)]
 
@@ -77,29 +77,6 @@ def installed() -> list[str]:
     return [name for name in PEERS if find_spec(name) is not None]
 
 
-class Graphs:
-    """Consistency graphs of some queries, each built when it is first asked for."""
-
-    def __init__(self, landmarks: Landmarks, asked: list[Query]) -> None:
-        self._n, self._asked, self._built = len(landmarks), asked, dict[int, Timed[IntArray]]()
-        self._pairs = pairs_by_length(landmarks)
-
-    def __getitem__(self, q: int) -> Timed[IntArray]:
-        """Edges of query number q."""
-        if q not in self._built:
-            self._built[q] = timed(consistency_edges, self._asked[q].scan, self._pairs, self._n, clock=PROCESS)
-        return self._built[q]
-
-
-class Asked(NamedTuple):
-    """Queries in one map, and what the index made of them."""
-
-    landmarks: Landmarks
-    queries: list[Query]
-    answers: list[Relocation]
-    microseconds: float  # of the index, median
-
-
 def agreement(
     sizes: Iterable[int], queries: int, peers: Sequence[str], limit: float, rng: np.random.Generator
 ) -> list[Record]:
@@ -110,55 +87,53 @@ def agreement(
     rows = []
     for n in sizes:
         truth, landmarks = point_map(n, rng)
-        index = FeatureIndex(landmarks)
+        index, pairs = FeatureIndex(landmarks), pairs_by_length(landmarks)
         for kind in _KINDS:
             drawn = [query(truth, kind, rng) for _ in range(queries)]
-            times = [fastest(index.relocate, one.scan, repeats=3, clock=THREAD) for one in drawn]
-            asked = Asked(landmarks, drawn, [index.relocate(one.scan) for one in drawn], float(np.median(times)))
-            row, graphs = {"n": n, **kind.row, **index_figures(asked)}, Graphs(landmarks, drawn)
-            for name in peers:
-                row |= beside(name, asked, graphs, limit)
+            found = [by_index(index, one) for one in drawn]
+            row = {
+                "n": n,
+                **kind.row,
+                **means(found, "index", "accepted", "wrong", "ambiguous"),
+                **medians(found, "ms"),
+            }
+            for name, clique in ((name, PEERS[name]) for name in peers):
+                row |= beside(name, by_cliques(clique, drawn, landmarks, pairs, limit), found)
             rows.append(row)
     return rows
 
 
-def index_figures(asked: Asked) -> Record:
-    """Of the index, over all queries."""
-    right = [NEAR.holds(a.pose, one.pose) for a, one in zip(asked.answers, asked.queries)]
-    return {
-        "index": float(np.mean(right)),
-        "accepted": float(np.mean([a.accepted for a in asked.answers])),
-        "wrong": float(np.mean([a.accepted and not r for a, r in zip(asked.answers, right)])),
-        "ambiguous": float(np.mean([a.ambiguous for a in asked.answers])),
-        "index ms": 1e-3 * asked.microseconds,
-    }
+def by_index(index: FeatureIndex, one: Query) -> Record:
+    """What the index makes of a scan."""
+    answer, ms = index.relocate(one.scan), 1e-3 * fastest(index.relocate, one.scan, repeats=3, clock=THREAD)
+    right = NEAR.holds(answer.pose, one.pose)
+    verdict = {"accepted": answer.accepted, "wrong": answer.accepted and not right, "ambiguous": answer.ambiguous}
+    return {"index": right, **verdict, "ms": ms}
 
 
-def beside(name: str, asked: Asked, graphs: Graphs, limit: float) -> Record:
-    """Of a peer, over the queries that it had the time for."""
-    spent, right, times, graph_times = 0.0, [], [], []
-    for q, one in enumerate(asked.queries):
-        if spent > limit:
+def by_cliques(
+    clique: Clique, asked: Sequence[Query], landmarks: Landmarks, pairs: PairsByLength, limit: float
+) -> list[Record]:
+    """What a peer makes of the scans that it has the time for."""
+    records: list[Record] = []
+    for one in asked:
+        if sum(record["ms"] for record in records) > 1e3 * limit:
             break
-        clique, microseconds = PEERS[name](graphs[q].answer, len(one.scan) * len(asked.landmarks))
-        spent += 1e-6 * microseconds
-        pose = locate(one.scan, asked.landmarks, _decisions(clique, one.scan, asked.landmarks)).pose
-        right.append(NEAR.holds(pose, one.pose))
-        times.append(microseconds)
-        graph_times.append(graphs[q].microseconds)
-    ours = [NEAR.holds(a.pose, one.pose) for a, one in zip(asked.answers, asked.queries)][: len(right)]
+        edges, building = timed(consistency_edges, one.scan, pairs, len(landmarks), clock=PROCESS)
+        vertices, microseconds = clique(edges, len(one.scan) * len(landmarks))
+        decisions = np.full(len(one.scan), UNPAIRED)
+        for vertex in vertices:
+            decisions[vertex // len(landmarks)] = vertex % len(landmarks)
+        right = NEAR.holds(locate(one.scan, landmarks, decisions).pose, one.pose)
+        records.append({"right": right, "ms": 1e-3 * microseconds, "graph ms": 1e-3 * building})
+    return records
+
+
+def beside(name: str, records: Sequence[Record], of_index: Sequence[Record]) -> Record:
+    """Figures of a peer, and of the index on the same scans."""
+    clique, index = medians(records, "ms")["ms"], medians(of_index, "ms")["ms"]
     return {
-        name: float(np.mean(right)),
-        f"{name}: scans": len(right),
-        f"{name}: index on those": float(np.mean(ours)),
-        f"{name}: ms": 1e-3 * float(np.median(times)),
-        "graph ms": 1e-3 * float(np.median(graph_times)),
-        f"{name}: ratio": float(np.median(times)) / asked.microseconds,
+        **{name: means(records, "right")["right"], f"{name}: scans": len(records)},
+        f"{name}: index on those": means(of_index[: len(records)], "index")["index"],
+        **{f"{name}: ms": clique, **medians(records, "graph ms"), f"{name}: ratio": clique / index},
     }
-
-
-def _decisions(clique: list[int], scan: Scan, landmarks: Landmarks) -> IntArray:
-    decisions = np.full(len(scan), UNPAIRED)
-    for vertex in clique:
-        decisions[vertex // len(landmarks)] = vertex % len(landmarks)
-    return decisions

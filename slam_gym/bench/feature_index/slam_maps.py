@@ -56,10 +56,9 @@ def relocate_all(maps: Sequence[SlamMap], make: Callable[[Landmarks], FeatureInd
             needed = min_pairings(scan, landmarks)
             answer = index.relocate(scan, landmarks, min_pairings=needed)
             right = mostly_right(answer, truth)
-            records.append({"right": answer.accepted and right, "wrong": answer.accepted and not right})
             again = partial(index.relocate, scan, min_pairings=needed)
-            took = 1e-3 * fastest(again, repeats=3, clock=THREAD)
-            records[-1] |= {"ambiguous": answer.ambiguous, "ms": took}
+            took = {"ambiguous": answer.ambiguous, "ms": 1e-3 * fastest(again, repeats=3, clock=THREAD)}
+            records.append(took | {"right": answer.accepted and right, "wrong": answer.accepted and not right})
     return {"scans": len(records), **means(records, "right", "wrong", "ambiguous"), **medians(records, "ms")}
 
 

@@ -1,6 +1,6 @@
 """Relocation on real data: right, wrong and no answer, by the number of pairings that is asked for.
 
-Victoria Park and the stationary groups of MR.CLAM, as `park` and `room` make maps and scans of them. Each scan is
+Victoria Park and the stationary groups of MR.CLAM, as `places` makes maps and scans of them. Each scan is
 searched for by GCBB, by random sampling (RS) and by the feature index, under each locality, with and without the
 trunk diameters that the laser measured. An answer with at least k pairings counts as given; under *rule* the search's
 own acceptance decides. Inside the map an answer is right within 1 m and 3° (room: 15°) of the reference; outside, every
@@ -24,9 +24,7 @@ from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.association.triangles.index import FeatureIndex
 from slam_gym.bench.answers import ACCEPTED, attempt, count_answers, without_sizes
 from slam_gym.bench.recordings import pictures
-from slam_gym.bench.recordings.park import park
-from slam_gym.bench.recordings.places import Place, PlacedScan
-from slam_gym.bench.recordings.room import room
+from slam_gym.bench.recordings.places import Place, PlacedScan, park, room
 from slam_gym.bench.records import Record, column, grouped, medians
 from slam_gym.bench.report import Report
 from slam_gym.bench.runner import UsageError, data_folder
