@@ -63,7 +63,7 @@ def as_text(rows: Sequence[Record]) -> str:
 
 
 def as_cell(value: object) -> str:
-    """One value as text: numbers to four digits at least, an interval as `estimate [low, high]`, a flag as yes or no."""
+    """One value as text: numbers to four digits, an interval as `estimate [low, high]`, a flag as yes or no."""
     if value is None:
         return ""
     if isinstance(value, bool):

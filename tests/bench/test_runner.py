@@ -75,7 +75,9 @@ def test_a_run_says_where_its_figures_come_from_and_misuse_how_it_is_used(capsys
     argv = ["update", "--features", "10", "12", "--repeats", "1"]
     assert main(argv) == 0
     first, *_, last = capsys.readouterr().out.splitlines()
-    assert first.startswith(f"python -m slam_gym.bench {' '.join(argv)}") and "numpy" in first and last.split()[0] == "12"
+    assert (
+        first.startswith(f"python -m slam_gym.bench {' '.join(argv)}") and "numpy" in first and last.split()[0] == "12"
+    )
     with pytest.raises(SystemExit):
         main(["update", "--features", "3"])
     assert "at least 10 features" in capsys.readouterr().err

@@ -10,7 +10,7 @@ import pytest
 
 import slam_gym  # noqa: F401  (registers the environments)
 from slam_gym.association.relocation.gcbb import gcbb
-from slam_gym.bench.speed.step import Pilot
+from slam_gym.bench.exploration import Pilot
 from slam_gym.geometry import relative, transform, wrap_angle
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, same_local_map
@@ -48,7 +48,7 @@ def robot(world: int, number: int) -> Robot:
     pilot, over, step = Pilot(seed), False, 0
     log = [(env.episode.odometry, env.episode.scan)]
     while not over:
-        _, _, over, _, _ = env.step(pilot.action(env, step))
+        _, _, over, _, _ = env.step(pilot.action(env.episode, step))
         log.append((env.episode.odometry, env.episode.scan))
         step += 1
     e = env.episode

@@ -58,7 +58,10 @@ QUICK = Workload(6, 2, 300, 1, 300, 1500, (LoopSpec(2.0),))
 def estimates(logs: Iterable[DrivenLog]) -> list[Record]:
     """Every method with every associator on every log."""
     return [
-        estimate(log, method, a).record | {"GPS [m]": math.nan} for log in logs for a in ASSOCIATORS for method in METHODS
+        estimate(log, method, a).record | {"GPS [m]": math.nan}
+        for log in logs
+        for a in ASSOCIATORS
+        for method in METHODS
     ]
 
 

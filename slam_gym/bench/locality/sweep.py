@@ -22,7 +22,6 @@ from slam_gym.mapping.locality import locality_sizes
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Relocator
 
 NEAR = Tolerance(1.0, math.radians(5.0))  # of the pose that the true pairings give
-MAPS = 10  # over which scans that are to be judged are spread
 
 
 def as_it_came(scan: FieldScan) -> FieldScan:
@@ -124,14 +123,16 @@ def same_place(answer: Relocation, drawn: FieldScan, landmarks: Landmarks) -> bo
     return NEAR.holds(answer.pose, locate(drawn.scan, landmarks, drawn.truth).pose)
 
 
-def inside_and_outside(search: Relocator, locality: str, size: tuple[int, int], scans: int, seed: int) -> list[Record]:
+def inside_and_outside(
+    search: Relocator, locality: str, size: tuple[int, int], scans: int, seed: int, maps: int = 10
+) -> list[Record]:
     """Attempts at `scans` scans from inside the map and as many from outside, for `size` (n, m), over several maps."""
     (n, m), records = size, []
-    for number in range(MAPS):
+    for number in range(maps):
         rng = np.random.default_rng([seed, n, m, number])
         area = surveyed_field(n, rng)
         local = area.locality(locality)
-        for _ in range(number, scans, MAPS):
+        for _ in range(number, scans, maps):
             records.append(relocate_in_field(search, area, inside(area, m, m // 4, rng), local))
             records.append(relocate_in_field(search, area, outside(area, m, rng), local))
     return records

@@ -70,6 +70,13 @@ def test_figures_of_poses():
     truths = [np.array([1.0, 0.0, 3.1]), np.array([0.0, 0.0, -3.1])]
     estimates = [PoseEstimate(truth + off, covariance) for truth, off in zip(truths, ((0.3, 0.4, 0.0), (0, 0.2, 0.1)))]
     figures = pose_figures(estimates, truths)
-    assert figures["error [m]"] == pytest.approx(np.sqrt((0.25 + 0.04) / 2)) and figures["final [m]"] == pytest.approx(0.2)
-    assert figures["final [°]"] == pytest.approx(np.degrees(0.1)) and figures["heading σ [°]"] == pytest.approx(5.7296, abs=1e-3)
-    assert figures["ANEES"] == pytest.approx(((0.25 / 0.04) + (0.04 / 0.04 + 1.0)) / 2 / 3) and figures["optimistic"] == 0.0
+    assert figures["error [m]"] == pytest.approx(np.sqrt((0.25 + 0.04) / 2)) and figures["final [m]"] == pytest.approx(
+        0.2
+    )
+    assert figures["final [°]"] == pytest.approx(np.degrees(0.1)) and figures["heading σ [°]"] == pytest.approx(
+        5.7296, abs=1e-3
+    )
+    assert (
+        figures["ANEES"] == pytest.approx(((0.25 / 0.04) + (0.04 / 0.04 + 1.0)) / 2 / 3)
+        and figures["optimistic"] == 0.0
+    )

@@ -5,7 +5,7 @@ import pytest
 from slam_gym.bench.consistency.estimators import ASSOCIATORS, METHODS
 
 pytest.importorskip("matplotlib")
-from slam_gym.bench.consistency.pictures import comparison  # noqa: E402
+from slam_gym.bench.consistency.pictures import comparison
 
 
 def test_every_run_is_a_dot_and_every_method_a_bar():

@@ -8,8 +8,8 @@ import pytest
 from slam_gym.bench.locality import effort
 from slam_gym.bench.locality.effort import Workload, searches
 from slam_gym.bench.locality.effort_tables import power
-from slam_gym.bench.locality.sweep import SweepSpec, sweep
 from slam_gym.bench.locality.hypothesis_count import hypotheses
+from slam_gym.bench.locality.sweep import SweepSpec, sweep
 from slam_gym.bench.records import column, grouped
 from slam_gym.bench.runner import main
 

@@ -22,24 +22,32 @@ def attempts(n, m, **figures):
     """Made-up attempts of one search under one locality."""
     count = len(next(iter(figures.values())))
     zero = ("hypotheses", "nodes", "pairing tests", "ms", "right pairings", "true pairings", "all right", "right")
-    row = {"search": "GCBB", "locality": "two hops", "n": n, "m": m, **dict.fromkeys((*zero, "accepted", "limit hit"), 0)}
+    row = {
+        "search": "GCBB",
+        "locality": "two hops",
+        "n": n,
+        "m": m,
+        **dict.fromkeys((*zero, "accepted", "limit hit"), 0),
+    }
     return [row | {name: float(values[i]) for name, values in figures.items()} for i in range(count)]
 
 
 def test_fits_recover_the_exponents_that_counts_were_made_with():
     rng = np.random.default_rng(0)
-    made = [attempts(n, 8, tests=3.0 * n**1.5 * rng.lognormal(0.0, 0.2, 40)) for n in (800, 1600, 3200)]
-    fit = power(sum(made, []), "n", "tests", rng)
+    made = [a for n in (800, 1600, 3200) for a in attempts(n, 8, tests=3.0 * n**1.5 * rng.lognormal(0.0, 0.2, 40))]
+    fit = power(made, "n", "tests", rng)
     assert fit.low < 1.5 < fit.high and fit.high - fit.low < 0.2
-    made = [attempts(400, m, nodes=7.0 * 1.8**m * np.ones(3)) for m in (4, 6, 8)]
-    found = growth(sum(made, []), "m", "nodes", rng)
+    made = [a for m in (4, 6, 8) for a in attempts(400, m, nodes=7.0 * 1.8**m * np.ones(3))]
+    found = growth(made, "m", "nodes", rng)
     assert found.estimate == pytest.approx(1.8) and found.low == pytest.approx(1.8)
-    assert np.isnan(growth(made[0], "m", "nodes", rng).estimate)
+    assert np.isnan(growth(made[:3], "m", "nodes", rng).estimate)
     assert exponent([1.0, 2.0, 4.0], [3.0, 12.0, 48.0]) == pytest.approx(2.0)
 
 
 def test_effort_is_of_all_pairings_and_of_scans():
-    found = effort(attempts(50, 8, nodes=[1, 3], **{"right pairings": [6, 2], "true pairings": [6, 6], "all right": [1, 0]}))
+    found = effort(
+        attempts(50, 8, nodes=[1, 3], **{"right pairings": [6, 2], "true pairings": [6, 6], "all right": [1, 0]})
+    )
     assert (found["scans"], found["nodes"]) == (2, 2.0)
     assert (found["pairings found"], found["all found"]) == (pytest.approx(8 / 12), 0.5)
 

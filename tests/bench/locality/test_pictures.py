@@ -8,7 +8,7 @@ from slam_gym.bench.locality.fields import LOCALITIES
 from slam_gym.bench.locality.sweep import SweepSpec, sweep
 
 pytest.importorskip("matplotlib")
-from slam_gym.bench.locality import pictures  # noqa: E402
+from slam_gym.bench.locality import pictures
 
 
 @pytest.fixture(scope="module")

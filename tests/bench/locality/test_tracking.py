@@ -13,6 +13,6 @@ def test_locality_tests_no_more_pairings_and_maps_as_well():
 
 
 def test_the_command_is_a_variant_of_locality(capsys):
-    main("locality --tracking --episodes 1 --budget 20 --scenarios hall".split())
+    main(["locality", "--tracking", "--episodes", "1", "--budget", "20", "--scenarios", "hall"])
     *_, first, second = capsys.readouterr().out.splitlines()
     assert first.split()[:2] == ["hall", "covisibility"] and second.split()[:2] == ["hall", "everything"]

@@ -5,7 +5,7 @@ import pytest
 from slam_gym.bench.answers import count_answers
 
 pytest.importorskip("matplotlib")
-from slam_gym.bench.recordings.pictures import answers  # noqa: E402
+from slam_gym.bench.recordings.pictures import answers
 
 
 def test_every_place_has_a_line_of_three_panels():

@@ -43,7 +43,7 @@ def test_figures_are_of_the_answers(scans):
 
 
 def test_the_command_ends_with_a_tracking_scan(capsys):
-    main("jcbb --features 60 --problems 2 --measurements 8".split())
+    main(["jcbb", "--features", "60", "--problems", "2", "--measurements", "8"])
     *_, head, closure, sparse, tracking = capsys.readouterr().out.splitlines()
     assert head.startswith("workload") and closure.startswith("loop closure") and sparse.startswith("sparse")
     assert tracking.split()[:3] == ["tracking", "30", "12"]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slam_gym.bench.runner import UsageError
 from slam_gym.bench.report import Report
+from slam_gym.bench.runner import UsageError
 from slam_gym.bench.speed.update import mapped, measure, run
 
 
