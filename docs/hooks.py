@@ -24,7 +24,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import slam_gym
-from slam_gym.bench.__main__ import BENCHMARKS
+from slam_gym.bench.runner import BENCHMARKS
 from slam_gym.scenarios import SCENARIOS, Scenario
 from slam_gym.scenarios.suite import EXPERIMENTS
 
@@ -100,7 +100,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Fill in the table of the benchmarks."""
-    rows = [f"| `python -m slam_gym.bench {name}` | {text} |" for name, text in BENCHMARKS.items()]
+    rows = [f"| `python -m slam_gym.bench {name}` | {benchmark.about} |" for name, benchmark in BENCHMARKS.items()]
     return markdown.replace("<!-- benchmarks -->", "\n".join(["| Benchmark | What it measures |", "|---|---|", *rows]))
 
 

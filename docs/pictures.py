@@ -154,9 +154,9 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
 
 def locality() -> None:
     """Four localities of one feature in a map that was made in one pass."""
-    from slam_gym.bench.locality.worlds import mapped_field
+    from slam_gym.bench.locality.fields import surveyed_field
 
-    area = mapped_field(200, np.random.default_rng(5))
+    area = surveyed_field(200, np.random.default_rng(5))
     first = int(np.argmin(np.hypot(*(area.landmarks.positions - [45.0, 50.0]).T)))
     titles = {
         "covisibility": "covisibility",
