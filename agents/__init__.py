@@ -1,4 +1,6 @@
-"""Agents that drive slam_gym/Explore-v0, and the commands that train, evaluate and show them.
+"""Agents that drive and associate, and the commands that train, evaluate and show them.
 
-Run from the checkout: `python -m agents.evaluate`, `python -m agents.train`, `python -m agents.play`.
+Run from the checkout: `python -m agents.evaluate`, `evaluate_association`, `report`, `train`, `train_associate`,
+`export_decisions` and `play`. Below them: `drivers` (the classical ones), `learning` (networks and their training),
+`evaluation` (one pipeline for all), `suite` (problems that every associator is asked about) and `reports`.
 """
