@@ -80,6 +80,8 @@ def test_the_order_of_changes_does_not_matter() -> None:
         ({"sensor.range": False}, r"'sensor.range': expected a finite number, got False"),
         ({"sensor.range": math.nan}, r"'sensor.range': expected a finite number, got nan"),
         ({"slam.map.confidence": math.inf}, r"'slam.map.confidence': expected a finite number"),
+        ({"sensor.range": 10**400}, r"'sensor.range': expected a finite number"),
+        ({"sensor.max_features": 10**30}, r"'sensor.max_features': expected a whole number"),
         ({"sensor.kinds": 1}, r"'sensor.kinds': expected true or false, got 1"),
         ({"name": 3}, r"'name': expected a string, got 3"),
         ({"budget": None}, r"'budget': expected a whole number, got None"),
