@@ -29,7 +29,7 @@ _KEY: tuple[KeyEntry, ...] = (
     (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
     (symbols.PAPER, symbols.INK, "not decided yet"),
     (symbols.CHOICE, symbols.INK, "to decide now"),
-    (symbols.PAPER, symbols.PLAN, "legal, 95 % gate"),
+    (symbols.PAPER, symbols.PLAN, "legal, 95 % ellipse"),
     (symbols.PAPER, symbols.LINE, "compatible alone"),
     (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
     (None, symbols.TRUTH, "the truth"),
