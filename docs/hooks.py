@@ -25,7 +25,7 @@ from mkdocs.structure.pages import Page
 
 import slam_gym
 from slam_gym.bench.runner import BENCHMARKS
-from slam_gym.scenarios import SCENARIOS, Scenario
+from slam_gym.scenarios import SCENARIOS, Scenario, registry
 from slam_gym.scenarios.suite import EXPERIMENTS
 
 ROOT = Path(__file__).parents[1]
@@ -199,10 +199,7 @@ def _environment(spec: Any) -> str:
 
 
 def _scenario_index() -> str:
-    rows = [
-        f"| [`{s.name}`]({s.name}.md) | {type(s.generator).__name__} | {s.budget} | {_summary(s)} |"
-        for s in SCENARIOS.values()
-    ]
+    rows = [f"| [`{s.name}`]({s.name}.md) | {s.budget} | {_worlds(s)} | {_about(s)} |" for s in SCENARIOS.values()]
     return "\n".join(
         [
             "# Scenarios",
@@ -210,17 +207,24 @@ def _scenario_index() -> str:
             "A scenario is everything that defines an episode but its seed: a generator of worlds, a robot with its",
             "sensors, noise and filter, and a budget. [Your own scenario](../own/scenario.md) says how to change one.",
             "",
-            "| Scenario | Worlds | Ticks (.1 s) | What differs from the defaults |",
+            "| Scenario | Ticks (.1 s) | Worlds | |",
             "|---|---|---|---|",
             *rows,
+            "| [`closure/0` …](suite.md) | 600 | of the suite, one for each of its 35 levels | |",
             "",
         ]
     )
 
 
-def _summary(scenario: Scenario) -> str:
-    parts = dict.fromkeys(path.split(".")[0] for path, _, _ in _differences(scenario))
-    return ", ".join(parts) or "nothing"
+def _worlds(scenario: Scenario) -> str:
+    return (inspect.getdoc(type(scenario.generator)) or "").partition("\n")[0]
+
+
+def _about(scenario: Scenario) -> str:
+    """What its entry in the registry says behind its name; else nothing."""
+    source = inspect.getsource(registry)
+    found = re.search(rf'"{scenario.name}",  # (.+)', source)
+    return found[1] if found else ""
 
 
 def _differences(scenario: Scenario) -> list[tuple[str, Any, Any]]:
@@ -249,6 +253,7 @@ def _scenario(scenario: Scenario) -> str:
             "",
             f"![A world of {scenario.name}](../pictures/scenario_{scenario.name}.png){{ .picture }}",
             "",
+            *([f"**{_about(scenario)}**", ""] if _about(scenario) else []),
             f"*Test world 1, driven by `information_gain` for all of its {scenario.budget} ticks of .1 s.*",
             "",
             f"`{type(generator).__name__}`: {inspect.getdoc(type(generator))}",

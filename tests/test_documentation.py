@@ -1,0 +1,253 @@
+"""What the pages say is so: their Python runs, their commands parse, the files and names they mention are there."""
+
+import argparse
+import importlib
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import gymnasium as gym
+import nbformat
+import pytest
+
+from slam_gym.bench.runner import BENCHMARKS
+from slam_gym.scenarios import SCENARIOS
+from slam_gym.world.floor_plan_file import load_floor_plan
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(
+    path
+    for pattern in ("*.md", "docs/**/*.md", "slam_gym/**/FORMAT.md", "notebooks/*.ipynb")
+    for path in ROOT.glob(pattern)
+)
+IN_THE_REPOSITORY = [path for path in PAGES if path.suffix == ".md" and ROOT / "docs" not in path.parents]
+LARGEST_PICTURE = 150_000  # [bytes]
+NEEDS_DATA = "# with SLAM_GYM_DATA"  # first line of blocks that read public logs
+ENVIRONMENT = re.compile(r"\w+=")
+INLINE_COMMAND = re.compile(r"(time )?(python -[mc]|pip|pytest|mkdocs) ")
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    language: str
+    code: str
+    line: int  # of its first line, counted from 1
+
+
+def text_of(page: Path) -> str:
+    """The text of a page; of a notebook, that of its Markdown cells."""
+    if page.suffix == ".md":
+        return page.read_text(encoding="utf-8")
+    return "\n\n".join(cell.source for cell in nbformat.read(page, as_version=4).cells if cell.cell_type == "markdown")
+
+
+def blocks(text: str) -> Iterator[Block]:
+    for found in re.finditer(r"^```(\w*)[^\n]*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        yield Block(found[1], found[2], text[: found.start()].count("\n") + 2)
+
+
+def outside_blocks(text: str) -> str:
+    return re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def inline_code(text: str) -> list[str]:
+    return re.findall(r"`([^`\n]+)`", outside_blocks(text))
+
+
+def of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+# -- commands --------------------------------------------------------------------------------------------------------
+
+
+def commands(script: str) -> Iterator[list[str]]:
+    """The simple commands of a shell script, as words: comments, loops, `time` and variables taken away."""
+    values = dict(re.findall(r"for (\w+) in (\S+)", script))
+    for line in script.replace("\\\n", " ").splitlines():
+        lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
+        lexer.wordchars += "[],:$…"
+        command: list[str] = []
+        for word in [*lexer, ";"]:
+            if word in (";", "&&", "||", "|"):
+                if command and command[0] != "for":
+                    yield command
+                command = []
+            elif not (not command and (word in ("do", "done", "time", "export") or ENVIRONMENT.match(word))):
+                command.append(re.sub(r"\$(\w+)", lambda name: values.get(name[1], name[0]), word))
+
+
+def check_command(command: list[str], complete: bool = True) -> None:
+    """Hold a command's arguments against its own parser. AssertionError or SystemExit where they do not fit.
+
+    A command that is merely mentioned, not `complete`, may leave out all of its arguments.
+    """
+    match command:
+        case ["python", "-m", "slam_gym.bench", *arguments]:
+            check_benchmark(arguments)
+        case ["python", "-m", module, *arguments]:
+            parser = importlib.import_module(module).parser()
+            if arguments or complete:
+                parser.parse_args(arguments)
+        case ["python", "-c", code]:
+            compile(code, "the command", "exec")
+        case ["python", file, *_]:
+            assert (ROOT / file).is_file(), file
+        case ["pip", "install", *arguments]:
+            known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+            for extra in re.findall(r"\[([\w,]+)\]", " ".join(arguments)):
+                assert set(extra.split(",")) <= set(known), f"no extra {extra}"
+        case ["pytest", *arguments]:
+            assert all((ROOT / path).exists() for path in arguments if path.startswith("tests")), arguments
+        case ["jupyter", "nbconvert", *arguments]:
+            assert all((ROOT / path).is_file() for path in arguments if path.endswith(".ipynb")), arguments
+        case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:
+            pass
+        case _:
+            raise AssertionError(f"a command that this test does not know: {command}")
+
+
+def check_benchmark(arguments: list[str]) -> None:
+    if arguments:
+        name, *options = arguments
+        parser = argparse.ArgumentParser(prog=name)
+        importlib.import_module(f"slam_gym.bench.{BENCHMARKS[name].module}").add_options(parser)
+        parser.add_argument("--out")
+        parser.parse_args(options)
+
+
+# -- the pages -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def scenarios_as_before() -> Iterator[None]:
+    """Pages show how to register a scenario; other tests shall not see it."""
+    before = dict(SCENARIOS)
+    yield
+    SCENARIOS.clear()
+    SCENARIOS.update(before)
+
+
+def with_python(page: Path) -> bool:
+    return page.suffix == ".md" and any(block.language == "python" for block in blocks(text_of(page)))
+
+
+@pytest.mark.usefixtures("scenarios_as_before")
+@pytest.mark.parametrize("page", [page for page in PAGES if with_python(page)], ids=of)
+def test_python_runs(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names: dict[str, object] = {"__name__": "__main__"}
+    code = [block for block in blocks(text_of(page)) if block.language == "python"]
+    logs = [block for block in code if block.code.startswith(NEEDS_DATA)]
+    for block in code:
+        if block in logs:
+            monkeypatch.setenv("SLAM_GYM_DATA", str(request.getfixturevalue("data_dir")))  # skips without the data
+        program = "\n" * (block.line - 1) + block.code  # so that a traceback has the line of the page
+        exec(compile(program, of(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=of)
+def test_commands_parse(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = text_of(page)
+    scripts = [(block.code, True) for block in blocks(text) if block.language in ("bash", "sh")]
+    scripts += [(code, False) for code in inline_code(text) if re.match(INLINE_COMMAND, code)]
+    for script, complete in scripts:
+        for command in commands(script):
+            try:
+                check_command(command, complete)
+            except (AssertionError, ImportError, KeyError, SystemExit) as error:
+                pytest.fail(f"{of(page)}: {shlex.join(command)}: {error} {capsys.readouterr().err}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=of)
+def test_files_and_names_exist(page: Path) -> None:
+    for code in inline_code(text_of(page)):
+        if re.fullmatch(r"(slam_gym|agents|tests|docs|notebooks)/[\w./-]*(?<!-v\d)", code):
+            assert (ROOT / code).exists(), f"{of(page)}: no file {code}"
+        elif re.fullmatch(r"slam_gym(\.\w+)+", code):
+            assert resolves(code), f"{of(page)}: no {code}"
+
+
+def resolves(dotted: str) -> bool:
+    """Whether a dotted name is that of a module or of something in one."""
+    parts = dotted.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[cut:]:
+            if not hasattr(found, name):
+                return False
+            found = getattr(found, name)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("page", IN_THE_REPOSITORY, ids=of)
+def test_links_of_the_repository_lead_somewhere(page: Path) -> None:
+    """Those between pages of the site are checked by `mkdocs build --strict`."""
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", outside_blocks(text_of(page))):
+        assert "://" in target or (page.parent / target).exists(), f"{of(page)}: no {target}"
+
+
+def test_the_format_page_of_floor_plans_shows_one(tmp_path: Path) -> None:
+    (example,) = (b for b in blocks(text_of(ROOT / "slam_gym/world/FORMAT.md")) if b.language == "json")
+    (tmp_path / "plan.json").write_text(example.code)
+    assert load_floor_plan(tmp_path / "plan.json").name == "two rooms"
+
+
+def test_readme_is_short() -> None:
+    assert len(text_of(ROOT / "README.md").splitlines()) <= 130
+
+
+def test_pictures_are_small_and_shown() -> None:
+    pages = "\n".join(text_of(page) for page in PAGES) + (ROOT / "docs" / "hooks.py").read_text()
+    for picture in (ROOT / "docs" / "pictures").glob("*.png"):
+        assert picture.stat().st_size < LARGEST_PICTURE, picture.name
+        assert picture.name in pages or picture.name.startswith(("scenario_", "suite_")) or picture.stem in pages
+
+
+def test_every_environment_and_scenario_has_its_picture() -> None:
+    names = [spec.name.lower() for spec in gym.registry.values() if spec.namespace == "slam_gym"]
+    for name in [*names, *(f"scenario_{scenario}" for scenario in SCENARIOS)]:
+        assert (ROOT / "docs" / "pictures" / f"{name}.png").is_file(), f"python docs/pictures.py draws {name}.png"
+
+
+# -- these checks can fail -------------------------------------------------------------------------------------------
+
+
+def test_blocks_are_found_with_their_lines() -> None:
+    text = "# A\n\n```python\nx = 1\n```\n`slam_gym.no.such`\n```text\n`y`\n```\n"
+    assert list(blocks(text)) == [Block("python", "x = 1\n", 4), Block("text", "`y`\n", 8)]
+    assert (
+        inline_code(text) == ["slam_gym.no.such"]
+        and not resolves("slam_gym.no.such")
+        and not resolves("slam_gym.types.No")
+    )
+
+
+def test_commands_are_found_in_scripts() -> None:
+    script = (
+        'for s in 0 1; do python -m a --seed $s --out r/s$s; done  # twice\nA=b time pip install -e ".[x]" && pytest'
+    )
+    found = [["python", "-m", "a", "--seed", "0", "--out", "r/s0"], ["pip", "install", "-e", ".[x]"], ["pytest"]]
+    assert list(commands(script)) == found
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["python -m slam_gym.bench corridor --no-such-option", "python -m agents.evaluate --episodes many", "rm -r results",
+     "pip install -e .[nothing]", "pytest tests/no_such_test.py", "python -m slam_gym.bench nothing"],
+)  # fmt: skip
+def test_wrong_commands_are_refused(command: str) -> None:
+    with pytest.raises((AssertionError, KeyError, SystemExit)):
+        check_command(shlex.split(command))
