@@ -1,6 +1,5 @@
 """What the pages say is so: their Python runs, their commands parse, the files and names they mention are there."""
 
-import argparse
 import importlib
 import re
 import shlex
@@ -13,7 +12,7 @@ import gymnasium as gym
 import nbformat
 import pytest
 
-from slam_gym.bench.runner import BENCHMARKS
+from slam_gym.bench.runner import BENCHMARKS, parser_for
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.world.floor_plan_file import load_floor_plan
 
@@ -113,11 +112,9 @@ def check_command(command: list[str], complete: bool = True) -> None:
 
 def check_benchmark(arguments: list[str]) -> None:
     if arguments:
-        name, *options = arguments
-        parser = argparse.ArgumentParser(prog=name)
-        importlib.import_module(f"slam_gym.bench.{BENCHMARKS[name].module}").add_options(parser)
-        parser.add_argument("--out")
-        parser.parse_args(options)
+        name = " ".join(arguments[:2]) if " ".join(arguments[:2]) in BENCHMARKS else arguments[0]
+        run = importlib.import_module(f"slam_gym.bench.{BENCHMARKS[name].module}").run
+        parser_for(run, name, "").parse_args(arguments[len(name.split()) :])
 
 
 # -- the pages -------------------------------------------------------------------------------------------------------
