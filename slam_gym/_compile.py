@@ -104,12 +104,26 @@ def _forget_old_versions() -> None:
 
 def compiled(function: F) -> F:
     """njit into the cache described above. IEEE arithmetic (no fastmath), so results do not depend on optimisation."""
+    return _compiled(function, inline=False)
+
+
+def inlined(function: F) -> F:
+    """The same for a small function that the innermost loops of others call: it is compiled into its callers.
+
+    A call with a few arrays pushes some forty numbers onto the stack: left to itself, the step that conditions a
+    candidate of the interpretation tree takes two to four times as long.
+    """
+    return _compiled(function, inline=True)
+
+
+def _compiled(function: F, inline: bool) -> F:
     folder = _folder(Path(function.__code__.co_filename))
     _folders.add(folder)
     config: Any = numba.config
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder) if folder else before
     try:
-        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
+        options: Any = {"cache": folder is not None, "nogil": True, "error_model": "numpy", "forceinline": inline}
+        return cast(F, numba.njit(**options)(function))
     finally:
         config.CACHE_DIR = before

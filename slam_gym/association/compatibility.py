@@ -79,7 +79,13 @@ class _Gated(NamedTuple):
 
     fault: int  # index into _FAULTS
     where: int  # entry at fault
-    candidates: Candidates
+    starts: IntArray  # from here on as in `Candidates`
+    measured: IntArray
+    slots: IntArray
+    distances: Array
+    innovations: Array
+    rows: IntArray
+    tests: int
 
 
 def plain(array: NDArray[Entry]) -> NDArray[Entry]:
@@ -123,7 +129,7 @@ def individual(
     )
     if gated.fault:
         raise ValueError(_FAULTS[gated.fault].format(gated.where))
-    return gated.candidates
+    return Candidates(measurements, *gated[2:])
 
 
 def has_compatible(
@@ -214,10 +220,9 @@ def _individual(
         starts[level + 1] = count
     rows = _number_distinct(slots[:count], len(positions))
     tests = len(measurements) * len(offered)
-    found = Candidates(
-        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, tests
+    return _Gated(
+        fault, where, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, tests
     )
-    return _Gated(fault, where, found)
 
 
 @compiled

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._compile import compiled, inlined
 from slam_gym.association.compatibility import Candidates, joint_gates, plain
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
@@ -182,7 +182,7 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
 def decided(tree: Tree, node: Node) -> IntArray:
     """Row of the prediction paired with each measurement of the scan, (m,); UNPAIRED for `*` and what is undecided."""
     rows = np.full(len(tree.given), UNPAIRED)
-    rows[tree.pairings.measured[node.path]] = tree.rows[tree.pairings.slots[node.path]]
+    write_rows(tree.pairings, node.path, tree.rows, rows)
     return rows
 
 
@@ -205,7 +205,7 @@ def as_hypothesis(
     return Hypothesis(features, distance, 2 * pairings, effort, new=new, exclusive=exclusive)
 
 
-@compiled
+@inlined
 def innovation_of(pairings: Pairings, c: int) -> Innovation:
     """ν and S of a pairing, given nothing."""
     i, s, P = pairings.measured[c], 2 * pairings.slots[c], pairings.covariance
@@ -215,7 +215,7 @@ def innovation_of(pairings: Pairings, c: int) -> Innovation:
     )
 
 
-@compiled
+@inlined
 def squared(e: Innovation) -> float:
     """D² = eᵀS⁻¹e; inf where S is not positive definite."""
     determinant = e.xx * e.yy - e.xy * e.xy
@@ -224,7 +224,7 @@ def squared(e: Innovation) -> float:
     return (e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y) / determinant
 
 
-@compiled
+@inlined
 def pivot_of(slot: int, e: Innovation) -> Pivot:
     """The pivot of a pairing with innovation e given all pairings before it."""
     xx = math.sqrt(e.xx)
@@ -234,7 +234,7 @@ def pivot_of(slot: int, e: Innovation) -> Pivot:
     return Pivot(slot, 1.0 / xx, yx, 1.0 / yy, u, (e.y - yx * u) / yy)
 
 
-@compiled
+@inlined
 def condition(
     covariance: Array, w: Array, pivot: Pivot, d: int, p: int, c: int, slot: int, e: Innovation
 ) -> Innovation:
@@ -262,20 +262,21 @@ def condition(
     )
 
 
-@compiled
+@inlined
 def is_local(local: BoolArray, anchor: int, slot: int) -> bool:
     """The locality rule: `anchor` is the feature of the first pairing below the root; an empty `local` allows all."""
     return bool(local.size == 0 or local[anchor, slot])
 
 
-@compiled
+@inlined
 def may_follow(pairings: Pairings, path: IntArray, p: int, c: int) -> bool:
     """Whether pairing c takes a feature that the p pairings of a path left free, and that is local to the first one."""
-    slots = pairings.slots
     for q in range(p):
-        if slots[path[q]] == slots[c]:
+        if pairings.slots[path[q]] == pairings.slots[c]:
             return False
-    return p <= pairings.given or is_local(pairings.local, slots[path[pairings.given]], slots[c])
+    if p > pairings.given:
+        return is_local(pairings.local, pairings.slots[path[pairings.given]], pairings.slots[c])
+    return True
 
 
 @compiled
@@ -293,18 +294,17 @@ def root_of(pairings: Pairings) -> Node:
     return Node(0, node.path, node.distance, node.innovations, node.added, node.w)
 
 
-@compiled
+@inlined
 def store(innovations: Array, c: int, e: Innovation) -> None:
     """Enter an innovation in row c of (c, 5)."""
     innovations[c, 0], innovations[c, 1] = e.x, e.y
     innovations[c, 2], innovations[c, 3], innovations[c, 4] = e.xx, e.xy, e.yy
 
 
-@compiled
+@inlined
 def read(innovations: Array, c: int) -> Innovation:
     """The innovation in row c."""
-    i = innovations
-    return Innovation(i[c, 0], i[c, 1], i[c, 2], i[c, 3], i[c, 4])
+    return Innovation(innovations[c, 0], innovations[c, 1], innovations[c, 2], innovations[c, 3], innovations[c, 4])
 
 
 @compiled
@@ -331,6 +331,13 @@ def added_by(pairings: Pairings, path: IntArray, added: Array, first: int, last:
     for c in range(first, last):
         out[c - first] = added[c] if may_follow(pairings, path, len(path), c) else math.inf
     return out
+
+
+@compiled
+def write_rows(pairings: Pairings, path: IntArray, rows: IntArray, out: IntArray) -> None:
+    """Enter the pairings of a path in `out` (m,), as rows (u,) of their slots."""
+    for c in path:
+        out[pairings.measured[c]] = rows[pairings.slots[c]]
 
 
 class _Decisions(NamedTuple):

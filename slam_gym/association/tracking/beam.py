@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._compile import compiled, inlined
 from slam_gym.association.tracking.path import Path, after, append, follow
 from slam_gym.association.tree import Innovation, Pairings, may_follow, squared
 from slam_gym.types import UNPAIRED, Array, IntArray
@@ -127,7 +127,7 @@ def _empty(width: int, depth: int, room: int) -> Beam:
     return Beam(np.empty((width, depth), np.int64), np.zeros(width, np.int64), np.zeros(width), paths)
 
 
-@compiled
+@inlined
 def _path(beam: Beam, b: int) -> Path:
     return Path(beam.paths.pairings[b], beam.paths.pivots[b], beam.paths.w[b])
 
@@ -143,7 +143,7 @@ def _begin(pairings: Pairings, beam: Beam) -> None:
     beam.pairings[0] = pairings.given
 
 
-@compiled
+@inlined
 def _log_density(e: Innovation) -> float:
     """log N(e; 0, S); −inf where S is singular."""
     distance = squared(e)
@@ -152,7 +152,7 @@ def _log_density(e: Innovation) -> float:
     return -0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
 
 
-@compiled
+@inlined
 def _inherit(beam: Beam, other: Beam, b: int, to: int, level: int) -> None:
     """Hypothesis `to` of the other beam becomes a copy of hypothesis b."""
     p, path, copy = beam.pairings[b], _path(beam, b), _path(other, to)

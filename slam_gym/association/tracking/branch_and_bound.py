@@ -25,9 +25,11 @@ from slam_gym.association.tree import (
     read,
     root_of,
     store,
+    write_rows,
 )
-from slam_gym.types import UNPAIRED, Array, Effort, IntArray
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray
 
+_Arrays = tuple[IntArray, IntArray, Array, Array, Array, BoolArray, int]  # of `Pairings`
 _UNDECIDED = -1  # in place of a level
 
 
@@ -39,10 +41,9 @@ class Completion(NamedTuple):
     effort: Effort
 
 
-class _Best(NamedTuple):
-    """The best hypothesis of a search, and what it took."""
+class _Spent(NamedTuple):
+    """D² of the best hypothesis of a search, and what it took."""
 
-    path: IntArray  # (p,) pairings, first to last
     distance: float  # D²_H
     nodes: int
     tests: int  # joint tests
@@ -77,28 +78,39 @@ def complete(
     never shrinks along a path, so a candidate is out of the whole subtree once D² of H and itself exceeds the gate of
     the largest hypothesis that it could complete.
     """
-    pairings, gates = tree.pairings, tree.gates
+    pairings, gates, rows = tree.pairings, tree.gates, np.full(len(tree.given), UNPAIRED)
     if node is None:
-        best = _search_from_root(pairings, gates, node_limit, turning)
+        best = _search_from_root(tuple(pairings), gates, node_limit, turning, tree.rows, rows)
     else:
         first = pairings.given + int(tree.candidates.starts[node.level])
-        best = _search(pairings, node, first, gates, node_limit, turning)
-    rows = np.full(len(tree.given), UNPAIRED)
-    rows[pairings.measured[best.path]] = tree.rows[pairings.slots[best.path]]
-    effort = Effort(best.nodes, tree.candidates.tests, best.tests, best.limit_hit)
-    return Completion(rows, best.distance, effort)
+        best = _search(pairings, node, first, gates, node_limit, turning, tree.rows, rows)
+    return Completion(rows, best.distance, Effort(best.nodes, tree.candidates.tests, best.tests, best.limit_hit))
 
 
 @compiled
-def _search_from_root(pairings: Pairings, gates: Array, node_limit: int, turning: Turning | None) -> _Best:
-    return _search(pairings, root_of(pairings), pairings.given, gates, node_limit, turning)
+def _search_from_root(
+    arrays: _Arrays, gates: Array, node_limit: int, turning: Turning | None, rows: IntArray, out: IntArray
+) -> _Spent:
+    """The best below the root, entered in `out` (m,) as `rows` (u,) of its slots.
+
+    One call from Python for it all, and with a plain tuple: calls cost as much as the search of a plain scan.
+    """
+    pairings = Pairings(*arrays)
+    return _search(pairings, root_of(pairings), pairings.given, gates, node_limit, turning, rows, out)
 
 
 @compiled
 def _search(
-    pairings: Pairings, node: Node, first: int, gates: Array, node_limit: int, turning: Turning | None
-) -> _Best:
-    """The best below `node`, whose candidates begin with `first`.
+    pairings: Pairings,
+    node: Node,
+    first: int,
+    gates: Array,
+    node_limit: int,
+    turning: Turning | None,
+    rows: IntArray,
+    out: IntArray,
+) -> _Spent:
+    """The best below `node`, whose candidates begin with `first`, entered in `out` (m,) as `rows` (u,) of its slots.
 
     By p: path[p] the pairing that comes next, position[p] in alive[p] of the candidate to try next, level[p] its level.
     """
@@ -136,7 +148,8 @@ def _search(
             best, best_distance = p, stack.distance[p]
             for q in range(p):
                 best_path[q] = path[q]
-    return _Best(best_path[:best], best_distance, nodes, tests, limit_hit)
+    write_rows(pairings, best_path[:best], rows, out)
+    return _Spent(best_distance, nodes, tests, limit_hit)
 
 
 @compiled
@@ -165,7 +178,9 @@ def _stack_at(pairings: Pairings, node: Node, first: int, depth: int, turning: T
         np.zeros(depth),
         np.zeros(features + 1, np.int64),
     )
-    stack.w[:, : 2 * held] = node.w[:, : 2 * held]
+    for c in range(count):
+        for r in range(2 * held):
+            stack.w[c, r, 0], stack.w[c, r, 1] = node.w[c, r, 0], node.w[c, r, 1]
     distance, kept, last = node.distance, 0, _UNDECIDED
     if turning is not None:
         for p in range(held):
@@ -203,11 +218,8 @@ def _pair(
     level before its own that still has a candidate. Gives up, with none alive, once the bound must end below `best`.
     """
     measured, slots, alive, w, restricted = pairings.measured, pairings.slots, stack.alive, stack.w, p == pairings.given
-    before, after, pivot = (
-        stack.innovations[p],
-        stack.innovations[p + 1],
-        pivot_of(slots[d], read(stack.innovations[p], d)),
-    )
+    before, after = stack.innovations[p], stack.innovations[p + 1]
+    pivot = pivot_of(slots[d], read(before, d))
     q, distance, left, kept, tests = p + 1, stack.total[p, d], stack.levels[p] - 1, 0, 0
     levels, level, least, floor = 0, measured[d], math.inf, distance
     stack.end[q], stack.levels[q], stack.distance[q] = 0, 0, distance
@@ -229,10 +241,8 @@ def _pair(
         e = condition(pairings.covariance, w, pivot, d, p, c, slots[c], read(before, c))
         if turning is None:
             # eᵀ S⁻¹ e < gate − D²_H, without the division: most candidates end here
-            numerator, determinant = (
-                e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y,
-                e.xx * e.yy - e.xy * e.xy,
-            )
+            numerator = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y
+            determinant = e.xx * e.yy - e.xy * e.xy
             if not (e.xx > 0.0 and numerator < (gates[q + levels + 1] - distance) * determinant):
                 continue
             total = distance + numerator / determinant

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._compile import compiled, inlined
 from slam_gym.association.tree import Innovation, Pivot, pivot_of
 from slam_gym.types import Array
 
@@ -66,7 +66,7 @@ def join(turning: Turning, p: int, d: int, pivot: Pivot) -> None:
     turning.headings[p + 1] = turning.candidate_headings[p, d]
 
 
-@compiled
+@inlined
 def condition_errors(turning: Turning, w: Array, p: int, c: int) -> None:
     """The errors of candidate c given the p-th pairing as well, once rows 2p and 2p + 1 of w[c] are there."""
     for r in range(2):
@@ -75,7 +75,7 @@ def condition_errors(turning: Turning, w: Array, p: int, c: int) -> None:
             turning.errors[p + 1, c, r, v] = turning.errors[p, c, r, v] - explained
 
 
-@compiled
+@inlined
 def _products(turning: Turning, p: int, c: int, pivot: Pivot, out: Array, whitened: Array) -> None:
     """G of H and candidate c, with its `pivot`, to `out`; its errors times l⁻¹ to `whitened`."""
     error, G = turning.errors[p, c], turning.products[p]
@@ -90,7 +90,7 @@ def _products(turning: Turning, p: int, c: int, pivot: Pivot, out: Array, whiten
             out[i, j] = G[i, j] + u[i] * u[j] + v[i] * v[j]
 
 
-@compiled
+@inlined
 def least_distance(G: Array, variance: float, phi: float) -> BestHeading:
     """min over φ of φ²/σ² + qᵀ G q, and φ there: Gauss-Newton from `phi`."""
     value = _value(G, variance, phi)
@@ -112,7 +112,7 @@ def least_distance(G: Array, variance: float, phi: float) -> BestHeading:
     return BestHeading(value, phi)
 
 
-@compiled
+@inlined
 def _value(G: Array, variance: float, phi: float) -> float:
     x, y = math.cos(phi) - 1.0, math.sin(phi)
     total = phi * phi / variance + G[0, 0] + x * x * G[1, 1] + y * y * G[2, 2] + phi * phi * G[3, 3]

@@ -35,8 +35,10 @@ def near_first(
     near = None if prediction.local is None else prediction.near
     candidates = individual(scan, prediction, confidence, eligible=near)
     first = search(interpretation_tree(scan, prediction, candidates))
+    if near is None or near.all():
+        return first
     left = np.flatnonzero(first.rows == UNPAIRED)
-    if near is None or not len(left) or near.all():
+    if not len(left):
         return first
     candidates = individual(scan, prediction, confidence, measurements=left, eligible=~near)
     if not len(candidates.slots):

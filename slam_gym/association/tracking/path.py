@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._compile import compiled, inlined
 from slam_gym.association.tree import (
     Innovation,
     Pairings,
@@ -45,13 +45,13 @@ def path_of(pairings: Pairings, room: int) -> Path:
     return path
 
 
-@compiled
+@inlined
 def follow(pairings: Pairings, path: Path, p: int, c: int) -> Innovation:
     """Innovation of pairing c after the first p pairings of a path; the w after theirs is overwritten with its own."""
     return after(pairings, path, p, pairings.slots[c], innovation_of(pairings, c))
 
 
-@compiled
+@inlined
 def after(pairings: Pairings, path: Path, p: int, slot: int, e: Innovation) -> Innovation:
     """The same of whatever depends on a feature and has innovation e given nothing."""
     for q in range(p):
@@ -61,7 +61,7 @@ def after(pairings: Pairings, path: Path, p: int, slot: int, e: Innovation) -> I
     return e
 
 
-@compiled
+@inlined
 def append(path: Path, p: int, c: int, e: Innovation) -> None:
     """Pairing c, just looked at with innovation e, joins the p pairings of a path."""
     pivot, v = pivot_of(0, e), path.pivots[p]
