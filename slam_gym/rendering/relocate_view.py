@@ -84,8 +84,8 @@ def _draw_map(
     spread = rotate_covariances(mapped.base[2], mapped.landmarks.covariances)
     symbols.uncertainties(canvas, landmarks, spread, np.zeros(len(landmarks), np.bool_))
     symbols.landmarks(canvas, landmarks, np.zeros(len(landmarks), np.bool_), 2.3)
-    if walk.node.features.size:
-        first = int(walk.node.features[0])
+    if walk.node.path.features.size:
+        first = int(walk.node.path.features[0])
         local = mapped.landmarks.positions[:0] if walk.tree.locality is None else walk.tree.locality.of(first)
         canvas.discs(landmarks[local.astype(np.int64).ravel()], 4.6, None, symbols.PROVISIONAL, 0.9)
     if kidnapped.inside:
@@ -151,7 +151,7 @@ def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figu
         return TreePanel(figures, levels, walk.level, _KEY, remarks=_remarks(walk))
     headings = (f"z{walk.measurement} is …", "feature", "pairings, at most", "worst distance D²")
     note = f"and {walk.hidden} more that K = {walk.spec.star} hides" if walk.hidden else ""
-    columns = tuple(zip(_COLUMNS, headings if len(walk.node.features) else headings[:3]))
+    columns = tuple(zip(_COLUMNS, headings if walk.node.pairings else headings[:3]))
     return TreePanel(figures, levels, walk.level, _KEY, columns, _choices(walk, right), note)
 
 
@@ -178,7 +178,7 @@ def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
     """What may be chosen: action, feature, what it could come to, D² of its distances to the pairings of the path."""
     offer, i, star = walk.offer, walk.measurement, walk.spec.star
     assert offer is not None and i is not None
-    m, gate, k = len(walk.order), walk.tree.chi2[0], len(walk.node.features)
+    m, gate, k = len(walk.order), walk.tree.problem.gates.one, walk.node.pairings
     choices = []
     for action, feature in enumerate(offer.features[:star].tolist()):
         bound, worst = k + 1 + int(offer.support[action]), float(offer.worst[action])

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
 import numpy as np
 from scipy.stats import chi2
 
-from slam_gym.types import UNPAIRED, Array, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, Hypothesis, Prediction, Scan
 
 
 def problem(
@@ -175,3 +176,52 @@ def greedy(scan: Scan, prediction: Prediction, confidence: float) -> list[int]:
     for i, j in pairs:
         rows[i] = j
     return rows
+
+
+def small_problem(seed: int, **options: bool) -> tuple[Scan, Prediction, float]:
+    """A problem that brute force can still enumerate, and its confidence."""
+    rng, confidence = np.random.default_rng(seed), (0.9, 0.95, 0.99)[seed % 3]
+    spread = float(rng.choice([1.0, 1.5, 2.0, 3.0]))
+    m, n = int(rng.integers(0, 7)), int(rng.integers(0, 9))
+    return *problem(rng, m, n, spread=spread, confidence=confidence, **options), confidence
+
+
+def smaller_problem(seed: int, **options: bool) -> tuple[Scan, Prediction, float]:
+    """The same for what takes longer to enumerate."""
+    rng = np.random.default_rng(seed)
+    spread = float(rng.choice([1.0, 1.5, 2.0]))
+    m, n = int(rng.integers(0, 6)), int(rng.integers(0, 7))
+    return *problem(rng, m, n, spread=spread, confidence=0.95, **options), 0.95
+
+
+def as_features(prediction: Prediction, rows: list[int]) -> list[int]:
+    return [UNPAIRED if row == UNPAIRED else int(prediction.features[row]) for row in rows]
+
+
+def check(answer: Hypothesis, scan: Scan, prediction: Prediction, rows: list[int]) -> None:
+    """`answer` pairs these rows, and its distance is theirs."""
+    assert answer.features.tolist() == as_features(prediction, rows)
+    pairs = [(i, row) for i, row in enumerate(rows) if row != UNPAIRED]
+    assert np.isclose(answer.joint_distance, distance(scan, prediction, pairs), rtol=1e-7, atol=1e-9)
+    assert answer.dof == 2 * len(pairs)
+
+
+def near_first(prediction: Prediction, m: int, search: Callable[..., list[int]]) -> list[int]:
+    """`search(allowed rows, given row per measurement, relation or None)` once, or near first and then elsewhere."""
+    n = len(prediction)
+    if prediction.local is None:
+        return search(np.ones(n, bool), [UNPAIRED] * m, None)
+    first = search(prediction.near, [UNPAIRED] * m, None)
+    return search(~prediction.near, first, prediction.local(np.arange(n))) if UNPAIRED in first else first
+
+
+def conditioned(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]], candidate: tuple[int, int]) -> float:
+    """D² of a candidate after an EKF update with `pairs`, by the formula."""
+    rows = np.array([j for _, j in [*pairs, candidate]])
+    S, d = prediction.joint(rows).copy(), 2 * len(pairs)
+    for k, (i, _) in enumerate([*pairs, candidate]):
+        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
+    nu = np.concatenate([scan.points[i] - prediction.positions[j] for i, j in [*pairs, candidate]])
+    gain = S[d:, :d] @ np.linalg.inv(S[:d, :d]) if d else np.zeros((2, 0))
+    e, left = nu[d:] - gain @ nu[:d], S[d:, d:] - gain @ S[:d, d:]
+    return float(e @ np.linalg.solve(left, e))

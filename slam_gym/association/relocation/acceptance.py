@@ -13,7 +13,7 @@ det S = Π a_i² and 1/√det Σ_pose = k √(Σ|z − z̄|²) / σ³. Summed ov
 
     E_k = 2π · Σ_j λ_j^{k−1} · e_k(a_1 q_1, …, a_m q_m) · k √((k − 1) s²) / σ³ · V_{2k−3} γ^{(2k−3)/2},
 
-e_k being the elementary symmetric polynomial, q_i the share of landmarks that pass the unary constraints of
+e_k being the elementary symmetric polynomial, q_i the fraction of landmarks that pass the unary constraints of
 measurement i, s² the variance of the scan's points, σ² the mean of a_i, and λ_j the density around landmark j within
 what a scan covers, so that crowded corners count as such. With c_j other landmarks in that area A, λ_j^{k−1} is
 estimated by c_j (c_j − 1) … (c_j − k + 2) / A^{k−1}, which is unbiased for a Poisson process, where a power of c_j / A
@@ -34,11 +34,12 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import Mapped, difference_covariance, unary_test
-from slam_gym.types import NONE, Array, IntArray, Landmarks, Scan
+from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of, unary_table
+from slam_gym.types import Array, IntArray, Landmarks, Scan
 
 _SAMPLE = 1000  # landmarks looked at for their errors and for what passes the unary constraints
 _NARROWEST = 1e-3  # [m] least extent of a scan
+_ALONE = -1  # in place of a neighbour
 _FLOOR = 1e-12  # [m²] least variance, as in `located`
 
 
@@ -82,14 +83,14 @@ def expected_by_chance(
 ) -> Array:
     """E_k for k = 0 … m, (m + 1,); inf for k < 2, which any pose explains. Raises ValueError as `min_pairings` does."""
     points, noise, m = scan.points, scan.covariances, len(scan)
-    shares = _shares(scan, landmarks, confidence)
+    fractions = _fractions(scan, landmarks, confidence)
     expected = np.full(m + 1, np.inf)
     if m < 2:
         return expected
     if crowding is None:
         crowding = crowding_of(landmarks, extent(scan))
     areas = _areas(noise, crowding.variance)
-    subsets, sigma = _elementary_symmetric(areas * shares), math.sqrt(float(areas.mean()))
+    subsets, sigma = _elementary_symmetric(areas * fractions), math.sqrt(float(areas.mean()))
     spread = math.sqrt(float(((points - points.mean(0)) ** 2).sum()) / (m - 1))
     for k in range(2, m + 1):
         pose = k * math.sqrt(k - 1) * spread / sigma**3
@@ -110,10 +111,9 @@ def crowding_of(landmarks: Landmarks, width: float) -> Crowding:
 
     O(n). Raises ValueError as `map_arrays` does.
     """
-    positions, covariances, _, _, _, joint, starts, columns, blocks = map_arrays(landmarks)
-    others, neighbours = _neighbourhoods(positions, width / 3.0)
-    step = max(len(positions) // _SAMPLE, 1)
-    variance = _relative_variance(neighbours, step, positions, covariances, joint, starts, columns, blocks)
+    mapped = mapped_of(map_arrays(landmarks))
+    others, neighbours = _neighbourhoods(mapped.positions, width / 3.0)
+    variance = _relative_variance(mapped, neighbours, max(len(landmarks) // _SAMPLE, 1))
     return Crowding(np.bincount(others, minlength=1), width * width, variance)
 
 
@@ -130,35 +130,15 @@ def _areas(noise: Array, variance: float) -> Array:
     return areas
 
 
-def _shares(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
+def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
     """q_i (m,)."""
     _, _, sizes, variances, kinds = scan_arrays(scan)
     _, _, of_sizes, of_variances, of_kinds, *_ = map_arrays(landmarks)
     step, gate = max(len(landmarks) // _SAMPLE, 1), chi2_gate(1, confidence)
-    return _passing(sizes, variances, kinds, of_sizes, of_variances, of_kinds, step, gate)
-
-
-@compiled
-def _passing(
-    sizes: Array,
-    variances: Array,
-    kinds: IntArray,
-    of_sizes: Array,
-    of_variances: Array,
-    of_kinds: IntArray,
-    step: int,
-    gate: float,
-) -> Array:
-    """q_i (m,): share of every `step`-th landmark that measurement i may be by what it is."""
-    shares = np.zeros(len(sizes))
-    for i in range(len(sizes)):
-        passed, looked = 0, 0
-        for j in range(0, len(of_sizes), step):
-            looked += 1
-            if unary_test(sizes[i], variances[i], kinds[i], of_sizes[j], of_variances[j], of_kinds[j], gate):
-                passed += 1
-        shares[i] = passed / max(looked, 1)
-    return shares
+    of_sizes, of_variances, of_kinds = of_sizes[::step].copy(), of_variances[::step].copy(), of_kinds[::step].copy()
+    passed = unary_table(sizes, variances, kinds, of_sizes, of_variances, of_kinds, gate)
+    fractions: Array = passed.sum(axis=1) / max(passed.shape[1], 1)
+    return fractions
 
 
 @compiled
@@ -174,14 +154,14 @@ def _elementary_symmetric(values: Array) -> Array:
 
 @compiled
 def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
-    """Number of others in the 3 × 3 cells of `side` around each point (n,); one in its own cell (n,), or NONE.
+    """Number of others in the 3 × 3 cells of `side` around each point (n,); one in its own cell (n,), or _ALONE.
 
     Cells are hashed into a table, where different ones may meet: that can only make the map look more crowded.
     """
     n, size = len(positions), 64
     while size < 8 * n:
         size *= 2
-    counts, last = np.zeros(size, np.int64), np.full(size, NONE)
+    counts, last = np.zeros(size, np.int64), np.full(size, _ALONE)
     others, neighbours = np.empty(n, np.int64), np.empty(n, np.int64)
     for j in range(n):
         cell = _cell(math.floor(positions[j, 0] / side), math.floor(positions[j, 1] / side), size)
@@ -203,24 +183,15 @@ def _cell(x: float, y: float, size: int) -> int:
 
 
 @compiled
-def _relative_variance(
-    neighbours: IntArray,
-    step: int,
-    positions: Array,
-    covariances: Array,
-    covariance: Array,
-    starts: IntArray,
-    columns: IntArray,
-    blocks: Array,
-) -> float:
+def _relative_variance(mapped: Mapped, neighbours: IntArray, step: int) -> float:
     """[m²] per axis: half that of the difference to a neighbour, the mean over every `step`-th landmark with one.
 
     Where none has one, the mean of the marginals.
     """
-    mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
+    positions, covariances = mapped.positions, mapped.covariances
     total, count = 0.0, 0
     for j in range(0, len(positions), step):
-        if neighbours[j] != NONE:
+        if neighbours[j] != _ALONE:
             xx, _, yy = difference_covariance(mapped, j, neighbours[j])
             total, count = total + 0.25 * max(xx + yy, 0.0), count + 1
     if count == 0:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
+from slam_gym.association.compatibility import plain
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import check_scan
 
@@ -23,29 +23,6 @@ _FAULTS = (
 
 ScanArrays = tuple[Array, Array, Array, Array, IntArray]
 MapArrays = tuple[Array, Array, Array, Array, IntArray, Array, IntArray, IntArray, Array]
-GeometryArrays = tuple[Array, Array, Array, IntArray, IntArray, Array]
-
-
-class Problem(NamedTuple):
-    """A scan, a map and a locality, as the compiled searches take them."""
-
-    seen: tuple[Array, Array]  # points (m, 2) [m] in R, noise (m, 2, 2) [m²]
-    intrinsic: tuple[Array, Array, IntArray]  # sizes (m,) [m], their variances (m,) [m²], kinds (m,)
-    of_map: GeometryArrays  # fields of `constraints.Mapped`, in B
-    of_intrinsic: tuple[Array, Array, IntArray]  # sizes (n,) [m], their variances (n,) [m²], kinds (n,)
-    local: tuple[IntArray, IntArray]  # starts and members, both empty without locality
-
-
-def problem_arrays(scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Problem:
-    """What a search without a prior is given. Raises ValueError as the three functions below."""
-    seen = scan_arrays(scan)
-    arrays, local = map_arrays(landmarks), locality_arrays(locality, len(landmarks))
-    return Problem(seen[:2], seen[2:], geometry_arrays(arrays), arrays[2:5], local)
-
-
-def geometry_arrays(arrays: MapArrays) -> GeometryArrays:
-    """Positions, covariances, covariance and the three of the blocks: what `constraints.Mapped` holds."""
-    return arrays[0], arrays[1], arrays[5], arrays[6], arrays[7], arrays[8]
 
 
 def scan_arrays(scan: Scan) -> ScanArrays:
@@ -118,17 +95,13 @@ def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArr
 
 
 def floats(array: Array) -> Array:
-    """As the kernels were compiled for: float64, C-contiguous, writeable."""
-    if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.writeable:
-        return array
-    return np.array(array, np.float64, order="C")
+    """As the kernels were compiled for: float64, C-contiguous, not marked read-only."""
+    return plain(np.ascontiguousarray(array, np.float64))
 
 
 def integers(array: IntArray) -> IntArray:
     """The same for int64."""
-    if array.dtype == np.int64 and array.flags.c_contiguous and array.flags.writeable:
-        return array
-    return np.array(array, np.int64, order="C")
+    return plain(np.ascontiguousarray(array, np.int64))
 
 
 @compiled

@@ -21,31 +21,16 @@ from scipy.sparse.linalg import eigsh
 
 from slam_gym._compile import compiled
 from slam_gym.association.relocation.answer import (
-    BINARY,
-    JOINT,
-    LEAVES,
-    LIMIT,
-    NODES,
-    UNARY,
-    allowed_pairings,
+    Found,
+    decide,
     location_gates,
     nothing_found,
     offer,
-    outcome,
     relocation,
 )
-from slam_gym.association.relocation.arrays import Problem, problem_arrays
-from slam_gym.association.relocation.constraints import (
-    Gates,
-    Mapped,
-    Measured,
-    binary_test,
-    difference_covariance,
-    far_apart,
-    gates,
-    measured,
-)
+from slam_gym.association.relocation.constraints import Path, binary_test, difference_covariance, far_apart
 from slam_gym.association.relocation.location import locate_pairings
+from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, UNARY, Problem, problem_of
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at
@@ -79,15 +64,15 @@ def max_clique(
     """
     if library not in ("cliquematch", "igraph"):
         raise ValueError(f"library: {library!r} is neither 'cliquematch' nor 'igraph'")
-    solver, start, counters = _import(library), time.perf_counter(), np.zeros(8, np.int64)
-    problem = problem_arrays(scan, landmarks, locality)
-    graph = _Graph(*_consistent(*problem, gates(confidence), node_limit, counters))
+    solver, start = _import(library), time.perf_counter()
+    problem = problem_of(scan, landmarks, locality, confidence)
+    graph = _consistent(problem, node_limit)
     cliques = list(itertools.islice(_largest_cliques(solver, library, graph), _CLIQUES + 1))
     if len(cliques) > _CLIQUES:
-        counters[LIMIT] = 1
-    found = _decide(problem, graph, cliques[:_CLIQUES], confidence, counters)
+        problem.effort[LIMIT] = 1
+    found = _decide(problem, graph, cliques[:_CLIQUES], confidence)
     seconds = time.perf_counter() - start
-    return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
+    return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
 
 def spectral(
@@ -106,12 +91,11 @@ def spectral(
     others. Pairings are taken from its largest entry down as long as they agree with all taken before. One hypothesis
     is found, so nothing is known of ties. Limits and errors as in `max_clique`.
     """
-    start, counters = time.perf_counter(), np.zeros(8, np.int64)
-    problem = problem_arrays(scan, landmarks, locality)
-    graph = _Graph(*_consistent(*problem, gates(confidence), node_limit, counters))
-    found = _decide(problem, graph, _leading_cluster(graph), confidence, counters)
+    start, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
+    graph = _consistent(problem, node_limit)
+    found = _decide(problem, graph, _leading_cluster(graph), confidence)
     seconds = time.perf_counter() - start
-    return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
+    return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
 
 def _import(library: str) -> Any:
@@ -151,46 +135,32 @@ def _leading_cluster(graph: _Graph) -> list[list[int]]:
     return [cluster]
 
 
-def _decide(
-    problem: Problem, graph: _Graph, cliques: list[list[int]], confidence: float, counters: IntArray
-) -> tuple[IntArray, Array, Array, float, int]:
+def _decide(problem: Problem, graph: _Graph, cliques: list[list[int]], confidence: float) -> Found:
     """The best of the cliques that are jointly compatible, or of what is left of them."""
     members = np.array([node for clique in cliques for node in sorted(clique)], np.int64)
     ends = np.cumsum([0, *map(len, cliques)]).astype(np.int64)
-    joint = location_gates(len(problem.seen[0]), confidence)
-    measurements, features = graph.measurements[members], graph.features[members]
-    return _best_of(problem.seen, problem.of_map, measurements, features, ends, joint, counters)
+    pairings = Path(graph.measurements[members], graph.features[members])
+    return _best_of(problem, pairings, ends, location_gates(len(problem.allowed), confidence))
 
 
 @compiled
-def _consistent(
-    seen: tuple[Array, Array],
-    intrinsic: tuple[Array, Array, IntArray],
-    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array],
-    of_intrinsic: tuple[Array, Array, IntArray],
-    local: tuple[IntArray, IntArray],
-    chi2: tuple[float, float],
-    node_limit: int,
-    counters: IntArray,
-) -> tuple[IntArray, IntArray, IntArray, Array]:
-    """The arrays of `_Graph`; without edges where there would be too many nodes."""
-    scan, m, n = measured(seen[0], seen[1]), len(seen[0]), len(of_map[0])
-    mapped, gate = Mapped(of_map[0], of_map[1], of_map[2], of_map[3], of_map[4], of_map[5]), Gates(chi2[0], chi2[1])
-    allowed, number = allowed_pairings(intrinsic, of_intrinsic, gate.one), np.full((m, n), -1)
-    counters[UNARY] += m * n
+def _consistent(problem: Problem, node_limit: int) -> _Graph:
+    """The graph; without edges where there would be too many nodes."""
+    scan, mapped, allowed, effort = problem.scan, problem.mapped, problem.allowed, problem.effort
+    (m, n), number = allowed.shape, np.full(allowed.shape, -1)
+    effort[UNARY] += m * n
     measurements, features, nodes = np.empty(m * n, np.int64), np.empty(m * n, np.int64), 0
     for i in range(m):
         for j in range(n):
             if allowed[i, j]:
                 measurements[nodes], features[nodes], number[i, j] = i, j, nodes
                 nodes += 1
-    counters[NODES] = nodes
+    effort[NODES] = nodes
     edges, weights, count = np.empty((1024, 2), np.int64), np.empty(1024), 0
     if nodes > node_limit:
-        counters[LIMIT] = 1
+        effort[LIMIT] = 1
         nodes = 0
-    positions, traces = mapped.positions, mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1]
-    starts, members = local
+    positions, traces, starts, members = mapped.positions, problem.traces, problem.starts, problem.members
     for a in range(nodes):
         i, j = measurements[a], features[a]
         begin, end = (starts[j], starts[j + 1]) if len(starts) > 0 else (0, n)
@@ -200,12 +170,12 @@ def _consistent(
                 l = members[position] if len(starts) > 0 else position
                 if l == j or number[k, l] < 0:
                     continue
-                counters[BINARY] += 1
+                effort[BINARY] += 1
                 x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
                 error = distance - math.sqrt(x * x + y * y)
-                if far_apart(error, spread, traces[j], traces[l], gate.two):
+                if far_apart(error, spread, traces[j], traces[l], problem.gates.two):
                     continue
-                if not binary_test(scan, mapped, gate, i, j, k, l):
+                if not binary_test(scan, mapped, problem.gates, i, j, k, l):
                     continue
                 if count == len(weights):
                     edges, weights = np.concatenate((edges, edges)), np.concatenate((weights, weights))
@@ -215,46 +185,40 @@ def _consistent(
                 variance = scan.variances[i, k] + max(along, 0.0) + 1e-12
                 weights[count] = math.exp(-0.5 * error * error / variance)
                 count += 1
-    return measurements[:nodes], features[:nodes], edges[:count], weights[:count]
+    return _Graph(measurements[:nodes], features[:nodes], edges[:count], weights[:count])
 
 
 @compiled
-def _best_of(
-    seen: tuple[Array, Array],
-    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array],
-    measurements: IntArray,
-    features: IntArray,
-    ends: IntArray,
-    joint: Array,
-    counters: IntArray,
-) -> tuple[IntArray, Array, Array, float, int]:
-    """`outcome` over the hypotheses ends[c] … ends[c + 1] of the pairings; where none holds, of what they shrink to."""
-    scan, best = measured(seen[0], seen[1]), nothing_found(len(seen[0]))
-    mapped = Mapped(of_map[0], of_map[1], of_map[2], of_map[3], of_map[4], of_map[5])
-    holds = False
+def _best_of(problem: Problem, pairings: Path, ends: IntArray, gates: Array) -> Found:
+    """The best of the hypotheses ends[c] … ends[c + 1] of `pairings`; where none holds, of what they shrink to."""
+    best, holds = nothing_found(len(problem.allowed)), False
     for c in range(len(ends) - 1):
-        counters[LEAVES] += 1
-        i, j = measurements[ends[c] : ends[c + 1]], features[ends[c] : ends[c + 1]]
-        holds = offer(best, scan, mapped, i, j, len(i), joint, counters) or holds
+        problem.effort[LEAVES] += 1
+        path = _part(pairings, ends[c], ends[c + 1])
+        holds = offer(best, problem, path, len(path.features), gates) or holds
     for c in range(len(ends) - 1 if not holds else 0):
-        i, j = measurements[ends[c] : ends[c + 1]].copy(), features[ends[c] : ends[c + 1]].copy()
-        while len(i) > 2 and not offer(best, scan, mapped, i, j, len(i), joint, counters):
-            i, j = _without_the_worst(scan, mapped, i, j, counters)
-        if len(i) == 2:
-            offer(best, scan, mapped, i, j, 2, joint, counters)
-    return outcome(best, joint[len(joint) - 1])
+        path = _part(pairings, ends[c], ends[c + 1])
+        while len(path.features) > 2 and not offer(best, problem, path, len(path.features), gates):
+            path = _without_the_worst(problem, path)
+        if len(path.features) == 2:
+            offer(best, problem, path, 2, gates)
+    return decide(best, gates[len(gates) - 1])
 
 
 @compiled
-def _without_the_worst(
-    scan: Measured, mapped: Mapped, i: IntArray, j: IntArray, counters: IntArray
-) -> tuple[IntArray, IntArray]:
+def _part(pairings: Path, begin: int, end: int) -> Path:
+    return Path(pairings.measurements[begin:end].copy(), pairings.features[begin:end].copy())
+
+
+@compiled
+def _without_the_worst(problem: Problem, path: Path) -> Path:
     """The pairings without the one whose absence leaves the least D²."""
-    pose, covariance, least, worst = np.empty(3), np.empty((3, 3)), math.inf, 0
-    for a in range(len(i)):
-        counters[JOINT] += 1
-        rest, of = np.delete(i, a), np.delete(j, a)
-        distance = locate_pairings(scan.points, scan.noise, mapped, rest, of, len(rest), pose, covariance)
-        if distance < least:
-            least, worst = distance, a
-    return np.delete(i, worst), np.delete(j, worst)
+    scan, pose, covariance, least = problem.scan, np.empty(3), np.empty((3, 3)), math.inf
+    kept = path
+    for a in range(len(path.features)):
+        problem.effort[JOINT] += 1
+        rest, k = Path(np.delete(path.measurements, a), np.delete(path.features, a)), len(path.features) - 1
+        distance = locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, pose, covariance)
+        if distance < least or a == 0:
+            least, kept = min(distance, least), rest
+    return kept

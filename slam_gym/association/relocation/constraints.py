@@ -16,14 +16,14 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import geometry_arrays, map_arrays, scan_arrays
+from slam_gym.association.relocation.arrays import MapArrays, map_arrays, scan_arrays
 from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Scan
 
 _CLOSE = 16.0  # points are close when nearer than √16 = 4 σ to each other
 
 
 class Measured(NamedTuple):
-    """A scan as the compiled constraints take it: `measured` makes it within a kernel."""
+    """A scan as the compiled constraints take it."""
 
     points: Array  # (m, 2) [m] in R
     noise: Array  # (m, 2, 2) [m²]
@@ -33,7 +33,7 @@ class Measured(NamedTuple):
 
 
 class Mapped(NamedTuple):
-    """A map as the compiled constraints take it, made within a kernel from some of `map_arrays`."""
+    """A map as the compiled constraints take it."""
 
     positions: Array  # (n, 2) [m] in B
     covariances: Array  # (n, 2, 2) [m²]
@@ -41,6 +41,13 @@ class Mapped(NamedTuple):
     block_starts: IntArray  # (n + 1,) or (0,)
     block_columns: IntArray  # (e,)
     blocks: Array  # (e, 2, 2) [m²]
+
+
+class Path(NamedTuple):
+    """Pairings made, with room for more: of a path with p pairings, the first p entries count."""
+
+    measurements: IntArray  # in the order of pairing
+    features: IntArray  # theirs
 
 
 class Gates(NamedTuple):
@@ -64,7 +71,7 @@ def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArr
     Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j); kinds, when they are equal. A size that is NaN and a kind
     that is UNKNOWN say nothing and agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
     """
-    return _unary_table(*scan_arrays(scan)[2:], *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
+    return unary_table(*scan_arrays(scan)[2:], *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
 
 
 def binary(scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, confidence: float = 0.99) -> bool:
@@ -77,7 +84,7 @@ def binary(scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, co
     `map_arrays` do, and where a measurement or a feature does not exist.
     """
     rows = _checked(scan, landmarks, (first, second))
-    return bool(_binary(scan_arrays(scan)[:2], rows, gates(confidence), *geometry_arrays(map_arrays(landmarks))))
+    return bool(_binary(*scan_arrays(scan)[:2], rows, mapped_of(map_arrays(landmarks)), gates(confidence)))
 
 
 def orientation(
@@ -90,12 +97,17 @@ def orientation(
     as `binary` does.
     """
     rows = _checked(scan, landmarks, (first, second, third))
-    return bool(_orientation(scan_arrays(scan)[:2], rows, gates(confidence), *geometry_arrays(map_arrays(landmarks))))
+    return bool(_orientation(*scan_arrays(scan)[:2], rows, mapped_of(map_arrays(landmarks)), gates(confidence)))
 
 
-def gates(confidence: float) -> tuple[float, float]:
-    """χ²_1 and χ²_2 at `confidence`, as `Gates` holds them. Raises ValueError unless 0 < confidence < 1."""
-    return chi2_gate(1, confidence), chi2_gate(2, confidence)
+def gates(confidence: float) -> Gates:
+    """Raises ValueError unless 0 < confidence < 1."""
+    return Gates(chi2_gate(1, confidence), chi2_gate(2, confidence))
+
+
+def mapped_of(arrays: MapArrays) -> Mapped:
+    """What the constraints look at of a map."""
+    return Mapped(arrays[0], arrays[1], *arrays[5:])
 
 
 def _checked(scan: Scan, landmarks: Landmarks, pairings: tuple[Pairing, ...]) -> IntArray:
@@ -233,7 +245,7 @@ def _twice_area(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
 
 
 @compiled
-def _unary_table(
+def unary_table(
     sizes: Array,
     variances: Array,
     kinds: IntArray,
@@ -250,34 +262,12 @@ def _unary_table(
 
 
 @compiled
-def _binary(
-    seen: tuple[Array, Array],
-    pairings: IntArray,
-    chi2: tuple[float, float],
-    positions: Array,
-    covariances: Array,
-    covariance: Array,
-    starts: IntArray,
-    columns: IntArray,
-    blocks: Array,
-) -> bool:
+def _binary(points: Array, noise: Array, pairings: IntArray, mapped: Mapped, gates: Gates) -> bool:
     (i, j), (k, l) = pairings[0], pairings[1]
-    mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
-    return binary_test(measured(seen[0], seen[1]), mapped, Gates(chi2[0], chi2[1]), i, j, k, l)
+    return binary_test(measured(points, noise), mapped, gates, i, j, k, l)
 
 
 @compiled
-def _orientation(
-    seen: tuple[Array, Array],
-    pairings: IntArray,
-    chi2: tuple[float, float],
-    positions: Array,
-    covariances: Array,
-    covariance: Array,
-    starts: IntArray,
-    columns: IntArray,
-    blocks: Array,
-) -> bool:
+def _orientation(points: Array, noise: Array, pairings: IntArray, mapped: Mapped, gates: Gates) -> bool:
     (i, j), (k, l), (p, q) = pairings[0], pairings[1], pairings[2]
-    mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
-    return orientation_test(measured(seen[0], seen[1]), mapped, Gates(chi2[0], chi2[1]), i, j, k, l, p, q)
+    return orientation_test(measured(points, noise), mapped, gates, i, j, k, l, p, q)

@@ -8,21 +8,17 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.relocation.answer import (
-    LEAVES,
-    LIMIT,
-    NODES,
     Best,
-    allowed_pairings,
+    Found,
+    decide,
     location_gates,
-    next_branch,
     nothing_found,
     offer,
-    outcome,
     relocation,
 )
-from slam_gym.association.relocation.arrays import problem_arrays
-from slam_gym.association.relocation.constraints import Gates, Mapped, gates, measured
-from slam_gym.types import NONE, Array, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.association.relocation.constraints import Path
+from slam_gym.association.relocation.tree import LEAVES, LIMIT, NODES, Problem, next_branch, problem_of
+from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _STAR = -1  # in place of a candidate: `*` comes next, the candidates are done
 
@@ -59,17 +55,11 @@ def gcbb(
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
-    problem = problem_arrays(scan, landmarks, locality)
-    (points, noise), (sizes, variances, kinds) = problem.seen, problem.intrinsic
-    levels = _from_centre(points) if outwards else np.arange(len(points))
-    problem = problem._replace(
-        seen=(points[levels], noise[levels]), intrinsic=(sizes[levels], variances[levels], kinds[levels])
-    )
-    counters, start = np.zeros(8, np.int64), time.perf_counter()
-    found = _gcbb(*problem, gates(confidence), location_gates(len(scan), confidence), node_limit, rivals, counters)
+    levels, start = _from_centre(scan.points) if outwards else np.arange(len(scan)), time.perf_counter()
+    problem = problem_of(scan, landmarks, locality, confidence)
+    found = _gcbb(problem, levels, location_gates(len(scan), confidence), node_limit, rivals)
     seconds = time.perf_counter() - start
-    found[0][levels] = found[0].copy()
-    return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
+    return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
 
 def _from_centre(points: Array) -> IntArray:
@@ -81,54 +71,39 @@ def _from_centre(points: Array) -> IntArray:
 
 
 @compiled
-def _gcbb(
-    seen: tuple[Array, Array],
-    intrinsic: tuple[Array, Array, IntArray],
-    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array],
-    of_intrinsic: tuple[Array, Array, IntArray],
-    local: tuple[IntArray, IntArray],
-    chi2: tuple[float, float],
-    joint: Array,
-    node_limit: int,
-    rivals: bool,
-    counters: IntArray,
-) -> tuple[IntArray, Array, Array, float, int]:
-    """`outcome` of the search. By level: how many pairings there are above it, and which candidate comes next."""
-    scan, m = measured(seen[0], seen[1]), len(seen[0])
-    mapped, gate = Mapped(of_map[0], of_map[1], of_map[2], of_map[3], of_map[4], of_map[5]), Gates(chi2[0], chi2[1])
-    traces = mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1]
-    allowed = allowed_pairings(intrinsic, of_intrinsic, gate.one)
-    best = nothing_found(m)
-    paired, of = np.empty(m, np.int64), np.empty(m, np.int64)
-    above, following = np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
+def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, rivals: bool) -> Found:
+    """The search, level l deciding measurement levels[l].
+
+    By level: how many pairings there are above it, and how many candidates were tried.
+    """
+    m, effort, best = len(levels), problem.effort, nothing_found(len(levels))
+    path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
+    above, tried = np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     level = 0
     while level >= 0:
         p = above[level]
-        if following[level] == _STAR or not _promises(best, p + m - level, rivals):
+        if tried[level] == _STAR or not _promises(best, p + m - level, rivals):
             level -= 1
             continue
         if level == m:
-            counters[LEAVES] += 1
-            offer(best, scan, mapped, paired, of, p, joint, counters)
+            effort[LEAVES] += 1
+            offer(best, problem, path, p, gates)
             level -= 1
             continue
-        chosen, following[level] = next_branch(
-            scan, mapped, gate, allowed, traces, local, paired, of, p, level, following[level], counters
-        )
-        if chosen == NONE:
-            following[level] = _STAR
-        if chosen == NONE and not _promises(best, p + m - level - 1, rivals):
+        branch = next_branch(problem, path, p, levels[level], tried[level])
+        tried[level] = _STAR if branch.feature == UNPAIRED else branch.tried
+        if branch.feature == UNPAIRED and not _promises(best, p + m - level - 1, rivals):
             continue
-        if counters[NODES] == node_limit:
-            counters[LIMIT] = 1
+        if effort[NODES] == node_limit:
+            effort[LIMIT] = 1
             break
-        counters[NODES] += 1
-        if chosen != NONE:
-            paired[p], of[p] = level, chosen
+        effort[NODES] += 1
+        if branch.feature != UNPAIRED:
+            path.measurements[p], path.features[p] = levels[level], branch.feature
             p += 1
         level += 1
-        above[level], following[level] = p, 0
-    return outcome(best, joint[m + 1])
+        above[level], tried[level] = p, 0
+    return decide(best, gates[m + 1])
 
 
 @compiled

@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.relocation.arrays import floats, integers
-from slam_gym.association.relocation.constraints import Mapped, cross_covariance
+from slam_gym.association.relocation.constraints import Mapped, Path, cross_covariance
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import NONE, Array, IntArray, Landmarks, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Scan
 from slam_gym.validation import check_scan
 
 _ITERATIONS = 50
@@ -40,7 +41,7 @@ class Located:
 
 
 def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
-    """The pose of the robot in B under the hypothesis that pairs measurement i with features[i], (m,) or NONE.
+    """The pose of the robot in B under the hypothesis that pairs measurement i with features[i], (m,) or UNPAIRED.
 
     Two pairings at least are needed, of measurements at different points. Raises ValueError where the scan is bad (as
     `check_scan` does), where there is no such feature, and where the covariance of the pairings is none.
@@ -48,16 +49,16 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
     check_scan(scan)
     if len(features) != len(scan):
         raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
-    fault, pose, covariance, distance, pairings = _locate(
-        floats(scan.points),
-        floats(scan.covariances),
+    mapped = Mapped(
         floats(landmarks.positions),
         floats(landmarks.covariances),
         floats(landmarks.covariance),
         integers(landmarks.block_starts),
         integers(landmarks.block_columns),
         floats(landmarks.blocks),
-        integers(features),
+    )
+    fault, pose, covariance, distance, pairings = _locate(
+        floats(scan.points), floats(scan.covariances), mapped, integers(features)
     )
     if fault == _NO_FEATURE:
         raise ValueError(f"features: {features.tolist()} for a map of {len(landmarks)} features")
@@ -66,33 +67,29 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
     return Located(pose, covariance, distance, max(2 * pairings - 3, 0))
 
 
+class _Fit(NamedTuple):
+    fault: int
+    pose: Array  # (3,)
+    covariance: Array  # (3, 3)
+    distance: float  # D²
+    pairings: int
+
+
 @compiled
-def _locate(
-    points: Array,
-    noise: Array,
-    positions: Array,
-    covariances: Array,
-    covariance: Array,
-    starts: IntArray,
-    columns: IntArray,
-    blocks: Array,
-    features: IntArray,
-) -> tuple[int, Array, Array, float, int]:
-    """Fault, pose, covariance, D², number of pairings."""
-    paired, of, k = np.empty(len(features), np.int64), np.empty(len(features), np.int64), 0
+def _locate(points: Array, noise: Array, mapped: Mapped, features: IntArray) -> _Fit:
+    path, k = Path(np.empty(len(features), np.int64), np.empty(len(features), np.int64)), 0
     pose, pose_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
     for i in range(len(features)):
-        if features[i] == NONE:
+        if features[i] == UNPAIRED:
             continue
-        if not 0 <= features[i] < len(positions):
-            return _NO_FEATURE, pose, pose_covariance, 0.0, 0
-        paired[k], of[k] = i, features[i]
+        if not 0 <= features[i] < len(mapped.positions):
+            return _Fit(_NO_FEATURE, pose, pose_covariance, 0.0, 0)
+        path.measurements[k], path.features[k] = i, features[i]
         k += 1
     if k < 2:
-        return _DONE, pose, pose_covariance, 0.0, k
-    mapped = Mapped(positions, covariances, covariance, starts, columns, blocks)
-    distance = locate_pairings(points, noise, mapped, paired, of, k, pose, pose_covariance)
-    return (_NO_COVARIANCE if math.isnan(distance) else _DONE), pose, pose_covariance, distance, k
+        return _Fit(_DONE, pose, pose_covariance, 0.0, k)
+    distance = locate_pairings(points, noise, mapped, path, k, pose, pose_covariance)
+    return _Fit(_NO_COVARIANCE if math.isnan(distance) else _DONE, pose, pose_covariance, distance, k)
 
 
 @compiled
@@ -100,22 +97,21 @@ def locate_pairings(
     points: Array,
     noise: Array,
     mapped: Mapped,
-    paired: IntArray,
-    of: IntArray,
+    path: Path,
     k: int,
     pose: Array,
     pose_covariance: Array,
 ) -> float:
-    """D² of the k ≥ 2 pairings (paired[a], of[a]); `pose` (3,) and `pose_covariance` (3, 3) are written.
+    """D² of the first k ≥ 2 pairings of a path; `pose` (3,) and `pose_covariance` (3, 3) are written.
 
     NaN where S is not positive definite; inf where the pose is not determined. The pose is NaN with either.
     """
-    P = _joint_covariance(mapped, of, k)
-    _closed_form(points, noise, mapped, paired, of, k, pose)
+    P = _joint_covariance(mapped, path.features, k)
+    _closed_form(points, noise, mapped, path, k, pose)
     L, columns = np.empty((2 * k, 2 * k)), np.empty((2 * k, 4))
     distance, normal, step = math.nan, np.empty((3, 3)), np.empty(3)
     for _ in range(_ITERATIONS):
-        _linearise(points, noise, mapped, paired, of, k, pose, P, L, columns)
+        _linearise(points, noise, mapped, path, k, pose, P, L, columns)
         distance = math.nan
         if not _whiten(L, columns):
             break
@@ -133,36 +129,35 @@ def locate_pairings(
 
 
 @compiled
-def _joint_covariance(mapped: Mapped, of: IntArray, k: int) -> Array:
-    """P (2k, 2k) [m²] of the features `of[:k]`."""
+def _joint_covariance(mapped: Mapped, features: IntArray, k: int) -> Array:
+    """P (2k, 2k) [m²] of the features `features[:k]`."""
     P = np.empty((2 * k, 2 * k))
     for a in range(k):
-        own = mapped.covariances[of[a]]
+        own = mapped.covariances[features[a]]
         P[2 * a, 2 * a], P[2 * a + 1, 2 * a + 1] = own[0, 0] + _FLOOR, own[1, 1] + _FLOOR
         P[2 * a, 2 * a + 1] = P[2 * a + 1, 2 * a] = own[0, 1]
         for b in range(a):
-            xx, xy, yx, yy = cross_covariance(mapped, of[a], of[b])
+            xx, xy, yx, yy = cross_covariance(mapped, features[a], features[b])
             P[2 * a, 2 * b], P[2 * a, 2 * b + 1] = xx, xy
             P[2 * a + 1, 2 * b], P[2 * a + 1, 2 * b + 1] = yx, yy
     return P
 
 
 @compiled
-def _closed_form(
-    points: Array, noise: Array, mapped: Mapped, paired: IntArray, of: IntArray, k: int, pose: Array
-) -> None:
+def _closed_form(points: Array, noise: Array, mapped: Mapped, path: Path, k: int, pose: Array) -> None:
     """Weighted Umeyama without scale: θ from the weighted sums of products about the centroids, then t."""
     total, zx, zy, fx, fy = 0.0, 0.0, 0.0, 0.0, 0.0
     weights = np.empty(k)
     for a in range(k):
-        R, P, z, F = noise[paired[a]], mapped.covariances[of[a]], points[paired[a]], mapped.positions[of[a]]
+        i, j = path.measurements[a], path.features[a]
+        R, P, z, F = noise[i], mapped.covariances[j], points[i], mapped.positions[j]
         weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[0, 0] + P[1, 1] + _FLOOR)
         total += weights[a]
         zx, zy, fx, fy = zx + weights[a] * z[0], zy + weights[a] * z[1], fx + weights[a] * F[0], fy + weights[a] * F[1]
     zx, zy, fx, fy = zx / total, zy / total, fx / total, fy / total
     along, across = 0.0, 0.0
     for a in range(k):
-        z, F = points[paired[a]], mapped.positions[of[a]]
+        z, F = points[path.measurements[a]], mapped.positions[path.features[a]]
         x, y, u, v = z[0] - zx, z[1] - zy, F[0] - fx, F[1] - fy
         along += weights[a] * (x * u + y * v)
         across += weights[a] * (x * v - y * u)
@@ -176,8 +171,7 @@ def _linearise(
     points: Array,
     noise: Array,
     mapped: Mapped,
-    paired: IntArray,
-    of: IntArray,
+    path: Path,
     k: int,
     pose: Array,
     P: Array,
@@ -187,24 +181,25 @@ def _linearise(
     """The lower triangle of S, and in `columns` (2k, 4) A and e, all at `pose`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for a in range(k):
-        x, y = points[paired[a], 0], points[paired[a], 1]
+        x, y = points[path.measurements[a], 0], points[path.measurements[a], 1]
         u, v = c * x - s * y, s * x + c * y
         p, q = 2 * a, 2 * a + 1
         columns[p, 0], columns[p, 1], columns[p, 2], columns[p, 3] = (
             1.0,
             0.0,
             -v,
-            mapped.positions[of[a], 0] - pose[0] - u,
+            mapped.positions[path.features[a], 0] - pose[0] - u,
         )
         columns[q, 0], columns[q, 1], columns[q, 2], columns[q, 3] = (
             0.0,
             1.0,
             u,
-            mapped.positions[of[a], 1] - pose[1] - v,
+            mapped.positions[path.features[a], 1] - pose[1] - v,
         )
         for b in range(p):
             S[p, b], S[q, b] = P[p, b], P[q, b]
-        xx, xy, yy = noise[paired[a], 0, 0], noise[paired[a], 0, 1], noise[paired[a], 1, 1]
+        R = noise[path.measurements[a]]
+        xx, xy, yy = R[0, 0], R[0, 1], R[1, 1]
         S[p, p] = P[p, p] + c * c * xx - 2.0 * c * s * xy + s * s * yy
         S[q, p] = P[q, p] + c * s * (xx - yy) + (c * c - s * s) * xy
         S[q, q] = P[q, q] + s * s * xx + 2.0 * c * s * xy + c * c * yy

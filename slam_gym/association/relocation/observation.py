@@ -17,17 +17,17 @@ MEASUREMENT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", 
 """Of the measurement to decide, in R; how many candidates are legal, and how many of those are not shown."""
 
 CANDIDATE_FIELDS = ("legal", "support", "bound", "mean", "worst", "size_difference", "covisibility")
-"""Columns of `candidates`, best first. `support`: share of the undecided measurements that keep a legal partner after
-this pairing; `bound`: share of the scan that the hypothesis could then come to pair; `mean`, `worst`: D² of its
-distances to the pairings of the path; `size_difference` in σ; `covisibility`: share of the path's features that are
-local to it."""
+"""Columns of `candidates`, best first. `support`: fraction of the undecided measurements that keep a legal partner
+after this pairing; `bound`: fraction of the scan that the hypothesis could then come to pair; `mean`, `worst`: D² of
+its distances to the pairings of the path; `size_difference` in σ; `covisibility`: fraction of the path's features that
+are local to it."""
 
 SCAN_FIELDS = ("present", "x", "y", "size", "decided", "paired", "candidates")
 """Columns of `scan`, a row for each measurement in the order of the levels."""
 
 PATH_FIELDS = (
-    "level",  # share of the measurements decided
-    "pairings",  # share of the measurements paired
+    "level",  # fraction of the measurements decided
+    "pairings",  # fraction of the measurements paired
     "bound",  # share that no hypothesis below this node exceeds
     "without",  # the same below `*`
     "leaf",  # nothing is left to decide but to stop or to restart
@@ -36,11 +36,11 @@ PATH_FIELDS = (
 """`path`: the decisions of this try, and what is ahead."""
 
 SEARCH_FIELDS = (
-    "best",  # pairings of the best hypothesis so far, as a share
+    "best",  # pairings of the best hypothesis so far, as a fraction
     "best_distance",  # its D² over its degrees of freedom
     "accepted",  # it would be believed
-    "needed",  # pairings that it takes to be believed, as a share
-    "nodes_left",  # share of the node limit
+    "needed",  # pairings that it takes to be believed, as a fraction
+    "nodes_left",  # fraction of the node limit
     "tries",
 )
 """`search`: what all tries have come to."""
@@ -96,7 +96,7 @@ def _candidates(walk: RelocationWalk) -> Float32Array:
     rows, support = out[: len(shown)], offer.support[:k]
     rows[:, 0] = 1.0
     rows[:, 1] = support / max(m - walk.level - 1, 1)
-    rows[:, 2] = (len(walk.node.features) + 1 + support) / m
+    rows[:, 2] = (walk.node.pairings + 1 + support) / m
     rows[:, 3], rows[:, 4] = _squash(offer.mean[:k], DISTANCE_SCALE), _squash(offer.worst[:k], DISTANCE_SCALE)
     variances = np.maximum(scan.size_variances[i] + landmarks.size_variances[shown], 1e-12)
     difference = (scan.sizes[i] - landmarks.sizes[shown]) / np.sqrt(variances)
@@ -113,7 +113,7 @@ def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
     rows[:, 1:3] = _squash(scan.points[shown], POSITION_SCALE)
     rows[:, 3] = _squash(np.nan_to_num(scan.sizes[shown]), SIZE_SCALE)
     rows[:, 4] = walk.node.decided[shown]
-    rows[:, 5] = np.isin(shown, walk.node.measurements)
+    rows[:, 5] = np.isin(shown, walk.node.path.measurements)
     rows[:, 6] = _squash(walk.node.alive[shown].sum(axis=1), COUNT_SCALE)
     return out.ravel()
 
@@ -121,7 +121,7 @@ def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
 def _path(walk: RelocationWalk) -> Float32Array:
     m = max(len(walk.tree.scan), 1)
     leaf, compatible = walk.leaf is not None, walk.leaf is not None and walk.leaf.compatible
-    pairings, without = len(walk.node.features), walk.node.bound_without(walk.measurement)
+    pairings, without = walk.node.pairings, walk.node.bound_without(walk.measurement)
     return np.array(
         [walk.level / m, pairings / m, walk.node.bound / m, without / m, leaf, compatible],
         np.float32,

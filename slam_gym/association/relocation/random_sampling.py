@@ -10,26 +10,30 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.relocation.answer import (
+    Best,
+    Found,
+    decide,
+    keep,
+    location_gates,
+    nothing_found,
+    relocation,
+)
+from slam_gym.association.relocation.constraints import Mapped, Path
+from slam_gym.association.relocation.location import locate_pairings
+from slam_gym.association.relocation.tree import (
     JOINT,
     LEAVES,
     LIMIT,
     NODES,
     TRIES,
-    Best,
-    allowed_pairings,
-    keep,
-    location_gates,
+    Problem,
     next_branch,
-    nothing_found,
-    outcome,
-    relocation,
+    problem_of,
 )
-from slam_gym.association.relocation.arrays import problem_arrays
-from slam_gym.association.relocation.constraints import Gates, Mapped, Measured, gates, measured
-from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.types import NONE, Array, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _CANDIDATES = 64  # of a measurement, at one pose
+_STAR = -1  # in place of a candidate: `*` was tried, the candidates are done
 
 
 def random_sampling(
@@ -61,15 +65,13 @@ def random_sampling(
     if not (0.0 < p_fail < 1.0 and 0.0 < p_good <= 1.0 and sample >= 2 and node_limit >= 1):
         settings = f"p_fail {p_fail}, p_good {p_good}, sample {sample}, node_limit {node_limit}"
         raise ValueError(f"{settings}: one is out of range")
-    problem = problem_arrays(scan, landmarks, locality)
     rng, m = np.random.default_rng(seed), len(scan)
     drawn = tries(p_fail, p_good, sample) if m >= sample else 0
     samples = np.array([rng.permutation(m)[:sample] for _ in range(drawn)], np.int64).reshape(drawn, sample)
-    counters, start = np.zeros(8, np.int64), time.perf_counter()
-    joint = location_gates(m, confidence)
-    found = _random_sampling(*problem, gates(confidence), joint, samples, node_limit, counters)
+    start, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
+    found = _random_sampling(problem, location_gates(m, confidence), samples, node_limit)
     seconds = time.perf_counter() - start
-    return relocation(scan, landmarks, found, counters, seconds, confidence=confidence, min_pairings=min_pairings)
+    return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
 
 def tries(p_fail: float, p_good: float, sample: int) -> int:
@@ -79,205 +81,151 @@ def tries(p_fail: float, p_good: float, sample: int) -> int:
 
 
 @compiled
-def _random_sampling(
-    seen: tuple[Array, Array],
-    intrinsic: tuple[Array, Array, IntArray],
-    of_map: tuple[Array, Array, Array, IntArray, IntArray, Array],
-    of_intrinsic: tuple[Array, Array, IntArray],
-    local: tuple[IntArray, IntArray],
-    chi2: tuple[float, float],
-    joint: Array,
-    samples: IntArray,
-    node_limit: int,
-    counters: IntArray,
-) -> tuple[IntArray, Array, Array, float, int]:
-    """`outcome` of all tries."""
-    scan, m = measured(seen[0], seen[1]), len(seen[0])
-    mapped, gate = Mapped(of_map[0], of_map[1], of_map[2], of_map[3], of_map[4], of_map[5]), Gates(chi2[0], chi2[1])
-    allowed, best = allowed_pairings(intrinsic, of_intrinsic, gate.one), nothing_found(m)
-    traces = mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1]
-    for t in range(len(samples)):
-        if counters[LIMIT] > 0:
+def _random_sampling(problem: Problem, gates: Array, samples: IntArray, node_limit: int) -> Found:
+    """The best of all tries."""
+    best = nothing_found(len(problem.allowed))
+    for sample in samples:
+        if problem.effort[LIMIT] > 0:
             break
-        counters[TRIES] += 1
-        _try(best, scan, mapped, gate, allowed, traces, local, joint, samples[t], node_limit, counters)
-    return outcome(best, joint[m + 1])
+        problem.effort[TRIES] += 1
+        _try(best, problem, gates, sample, node_limit)
+    return decide(best, gates[len(problem.allowed) + 1])
 
 
 @compiled
-def _try(
-    best: Best,
-    scan: Measured,
-    mapped: Mapped,
-    gate: Gates,
-    allowed: BoolArray,
-    traces: Array,
-    local: tuple[IntArray, IntArray],
-    joint: Array,
-    sample: IntArray,
-    node_limit: int,
-    counters: IntArray,
-) -> None:
+def _try(best: Best, problem: Problem, gates: Array, sample: IntArray, node_limit: int) -> None:
     """All ways to pair every measurement of the sample, each extended."""
-    m, size = len(scan.points), len(sample)
-    paired, of = np.empty(m, np.int64), np.empty(m, np.int64)
-    following, p = np.zeros(size + 1, np.int64), 0
+    m, size, effort = len(problem.allowed), len(sample), problem.effort
+    path, tried, p = Path(np.empty(m, np.int64), np.empty(m, np.int64)), np.zeros(size + 1, np.int64), 0
     while p >= 0:
         if p == size:
-            counters[LEAVES] += 1
-            _extend(best, scan, mapped, gate.two, allowed, local, joint, paired, of, p, node_limit, counters)
+            effort[LEAVES] += 1
+            _extend(best, problem, gates, path, p, node_limit)
             p -= 1
             continue
-        i = sample[p]
-        chosen, following[p] = next_branch(
-            scan, mapped, gate, allowed, traces, local, paired, of, p, i, following[p], counters
-        )
-        if chosen == NONE:
+        branch = next_branch(problem, path, p, sample[p], tried[p])
+        tried[p] = branch.tried
+        if branch.feature == UNPAIRED:
             p -= 1
             continue
-        if counters[NODES] == node_limit:
-            counters[LIMIT] = 1
+        if effort[NODES] == node_limit:
+            effort[LIMIT] = 1
             return
-        counters[NODES] += 1
-        paired[p], of[p] = i, chosen
+        effort[NODES] += 1
+        path.measurements[p], path.features[p] = sample[p], branch.feature
         p += 1
-        following[p] = 0
+        tried[p] = 0
 
 
-class _Path(NamedTuple):
-    """The hypothesis being extended, by its number of pairings."""
+class _Poses(NamedTuple):
+    """Of the hypothesis being extended, by its number of pairings."""
 
     poses: Array  # (m + 1, 3)
     covariances: Array  # (m + 1, 3, 3)
     distances: Array  # (m + 1,) D²
 
 
+class _Candidates(NamedTuple):
+    """What the measurements left may be paired with, by ascending D²_ij."""
+
+    levels: IntArray  # (l,) measurements with a candidate
+    starts: IntArray  # (l + 1,) where theirs begin
+    features: IntArray  # (c,)
+
+
 @compiled
-def _extend(
-    best: Best,
-    scan: Measured,
-    mapped: Mapped,
-    gate: float,
-    allowed: BoolArray,
-    local: tuple[IntArray, IntArray],
-    joint: Array,
-    paired: IntArray,
-    of: IntArray,
-    p: int,
-    node_limit: int,
-    counters: IntArray,
-) -> None:
+def _extend(best: Best, problem: Problem, gates: Array, path: Path, p: int, node_limit: int) -> None:
     """JCBB from the pose of p pairings over the other measurements, every prefix located anew and jointly compatible.
 
     By level: how many pairings there are above it, and which candidate comes next.
     """
-    m = len(scan.points)
-    path = _Path(np.empty((m + 1, 3)), np.empty((m + 1, 3, 3)), np.empty(m + 1))
-    if not _locate(path, scan, mapped, paired, of, p, joint, counters):
+    m, effort = len(problem.allowed), problem.effort
+    poses = _Poses(np.empty((m + 1, 3)), np.empty((m + 1, 3, 3)), np.empty(m + 1))
+    if not _locate(poses, problem, path, p, gates):
         return
-    levels, starts, candidates = _compatible(scan, mapped, gate, allowed, local, paired, of, p, path, counters)
-    depth, level = len(levels), 0
+    candidates = _compatible(problem, path, p, poses)
+    depth, level = len(candidates.levels), 0
     above, following = np.full(depth + 1, p), np.zeros(depth + 1, np.int64)
     while level >= 0:
         q = above[level]
-        if following[level] == NONE or q + depth - level < best.state[0]:
+        if following[level] == _STAR or q + depth - level < best.state[0]:
             level -= 1
             continue
         if level == depth:
-            keep(best, paired, of, q, path.poses[q], path.covariances[q], path.distances[q])
+            keep(best, path, q, poses.poses[q], poses.covariances[q], poses.distances[q])
             level -= 1
             continue
-        position, chosen = starts[level] + following[level], NONE
-        while position < starts[level + 1] and chosen == NONE:
-            j, used = candidates[position], False
+        position, chosen = candidates.starts[level] + following[level], UNPAIRED
+        while position < candidates.starts[level + 1] and chosen == UNPAIRED:
+            j, used = candidates.features[position], False
             position += 1
             for a in range(q):
-                used = used or of[a] == j
+                used = used or path.features[a] == j
             if used:
                 continue
-            paired[q], of[q] = levels[level], j
-            if _locate(path, scan, mapped, paired, of, q + 1, joint, counters):
+            path.measurements[q], path.features[q] = candidates.levels[level], j
+            if _locate(poses, problem, path, q + 1, gates):
                 chosen = j
-        following[level] = position - starts[level] if chosen != NONE else NONE
-        if counters[NODES] == node_limit:
-            counters[LIMIT] = 1
+        following[level] = position - candidates.starts[level] if chosen != UNPAIRED else _STAR
+        if effort[NODES] == node_limit:
+            effort[LIMIT] = 1
             return
-        counters[NODES] += 1
+        effort[NODES] += 1
         level += 1
-        above[level], following[level] = q + (chosen != NONE), 0
+        above[level], following[level] = q + (chosen != UNPAIRED), 0
 
 
 @compiled
-def _locate(
-    path: _Path,
-    scan: Measured,
-    mapped: Mapped,
-    paired: IntArray,
-    of: IntArray,
-    k: int,
-    joint: Array,
-    counters: IntArray,
-) -> bool:
+def _locate(poses: _Poses, problem: Problem, path: Path, k: int, gates: Array) -> bool:
     """Enter pose, covariance and D² of the first k pairings; whether they are jointly compatible."""
-    counters[JOINT] += 1
-    pose, covariance = path.poses[k], path.covariances[k]
-    path.distances[k] = locate_pairings(scan.points, scan.noise, mapped, paired, of, k, pose, covariance)
-    return bool(path.distances[k] < joint[k])
+    problem.effort[JOINT] += 1
+    pose, covariance, scan = poses.poses[k], poses.covariances[k], problem.scan
+    poses.distances[k] = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
+    return bool(poses.distances[k] < gates[k])
 
 
 @compiled
-def _compatible(
-    scan: Measured,
-    mapped: Mapped,
-    gate: float,
-    allowed: BoolArray,
-    local: tuple[IntArray, IntArray],
-    paired: IntArray,
-    of: IntArray,
-    p: int,
-    path: _Path,
-    counters: IntArray,
-) -> tuple[IntArray, IntArray, IntArray]:
-    """What the measurements left may be paired with at the pose of p pairings, by ascending D²_ij.
+def _compatible(problem: Problem, path: Path, p: int, poses: _Poses) -> _Candidates:
+    """What is individually compatible at the pose of p pairings, and local to the first one.
 
-    Measurements with a candidate (l,), where theirs begin (l + 1,), features (c,). Pose and features are taken for
-    independent here: where a common drift correlates them the gate is too wide, and the joint test decides.
+    Pose and features are taken for independent here: where a common drift correlates them the gate is too wide, and the
+    joint test decides.
     """
-    m, starts, members = len(scan.points), local[0], local[1]
-    begin, end = 0, len(mapped.positions)
+    points, noise, starts, m = problem.scan.points, problem.scan.noise, problem.starts, len(problem.allowed)
+    begin, end, gate = 0, len(problem.traces), problem.gates.two
     if len(starts) > 0:
-        begin, end = starts[of[0]], starts[of[0] + 1]
+        begin, end = starts[path.features[0]], starts[path.features[0] + 1]
     free = np.ones(m, np.bool_)
     for a in range(p):
-        free[paired[a]] = False
+        free[path.measurements[a]] = False
     distances, found, counts = np.empty((m, _CANDIDATES)), np.empty((m, _CANDIDATES), np.int64), np.zeros(m, np.int64)
     for position in range(begin, end):
-        j = members[position] if len(starts) > 0 else position
-        hx, hy, xx, xy, yy = _predicted(path.poses[p], path.covariances[p], mapped, j)
+        j = problem.members[position] if len(starts) > 0 else position
+        hx, hy, xx, xy, yy = _predicted(poses.poses[p], poses.covariances[p], problem.mapped, j)
         for i in range(m):
-            x, y = scan.points[i, 0] - hx, scan.points[i, 1] - hy
-            sxx, syy = xx + scan.noise[i, 0, 0], yy + scan.noise[i, 1, 1]
-            if not free[i] or x * x >= gate * sxx or y * y >= gate * syy or not allowed[i, j]:
+            x, y = points[i, 0] - hx, points[i, 1] - hy
+            sxx, syy = xx + noise[i, 0, 0], yy + noise[i, 1, 1]
+            if not free[i] or x * x >= gate * sxx or y * y >= gate * syy or not problem.allowed[i, j]:
                 continue
-            sxy = xy + scan.noise[i, 0, 1]
+            sxy = xy + noise[i, 0, 1]
             distance = (syy * x * x - 2.0 * sxy * x * y + sxx * y * y) / (sxx * syy - sxy * sxy)
             if not distance < gate:
                 continue
-            counts[i] = _insert(distances[i], found[i], counts[i], distance, j, counters)
+            counts[i] = _insert(distances[i], found[i], counts[i], distance, j, problem.effort)
     levels = np.flatnonzero(counts)
     bounds, candidates = np.zeros(len(levels) + 1, np.int64), np.empty(counts.sum(), np.int64)
     for l in range(len(levels)):
         count = counts[levels[l]]
         bounds[l + 1] = bounds[l] + count
         candidates[bounds[l] : bounds[l + 1]] = found[levels[l], :count]
-    return levels, bounds, candidates
+    return _Candidates(levels, bounds, candidates)
 
 
 @compiled
-def _insert(distances: Array, found: IntArray, count: int, distance: float, j: int, counters: IntArray) -> int:
+def _insert(distances: Array, found: IntArray, count: int, distance: float, j: int, effort: IntArray) -> int:
     """Enter a candidate by its D²; where there is no room the last one is dropped, and the limit counted as hit."""
     if count == len(found):
-        counters[LIMIT] = 1
+        effort[LIMIT] = 1
         if distances[count - 1] <= distance:
             return count
         count -= 1

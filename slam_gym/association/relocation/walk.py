@@ -14,21 +14,15 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym.association.relocation.acceptance import min_pairings
-from slam_gym.association.relocation.answer import (
+from slam_gym.association.relocation.answer import decide, keep, location_gates, nothing_found, relocation
+from slam_gym.association.relocation.location import Located, locate
+from slam_gym.association.relocation.tree import (
     JOINT,
     LEAVES,
     LIMIT,
     NODES,
     TRIES,
     UNARY,
-    keep,
-    location_gates,
-    nothing_found,
-    outcome,
-    relocation,
-)
-from slam_gym.association.relocation.location import Located, locate
-from slam_gym.association.relocation.tree import (
     RelocationBranches,
     branches,
     extend,
@@ -36,7 +30,7 @@ from slam_gym.association.relocation.tree import (
     relocation_tree,
     root,
 )
-from slam_gym.types import NONE, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
 
 RelocationOrder = Literal["fewest_candidates", "nearest_first", "as_scanned", "random"]
 """In which order measurements are decided: those first that the unary constraints leave fewest features; by distance
@@ -105,13 +99,12 @@ class RelocationWalk:
         rng: np.random.Generator | None = None,
     ) -> None:
         if not spec.sizes:
-            unknown = np.full(len(scan), np.nan)
-            scan = Scan(scan.points, scan.covariances, unknown, unknown.copy(), scan.kinds)
+            scan = Scan.from_points(scan.points, scan.covariances, kinds=scan.kinds)
         self.spec = spec
         self.tree = relocation_tree(scan, landmarks, locality, spec.confidence)
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
-        self.counters = np.zeros(8, np.int64)  # effort, as `association.relocation.outcome` names it
-        self.counters[UNARY] = self.tree.unary.size
+        self.counters = self.tree.problem.effort
+        self.counters[UNARY] = self.tree.problem.allowed.size
         self.done = False
         self._rng = rng or np.random.default_rng(0)
         self._at_root: dict[int, RelocationBranches] = {}  # every try begins with the same offer
@@ -163,8 +156,8 @@ class RelocationWalk:
         return legal
 
     def action_of(self, feature: int) -> int | None:
-        """The action that pairs the current measurement with `feature` (NONE: `*`); None if that is not on offer."""
-        if feature == NONE:
+        """The action that pairs the current measurement with `feature` (UNPAIRED: `*`); None if it is not on offer."""
+        if feature == UNPAIRED:
             return self.spec.star
         shown = self._offer.features[: self.spec.candidates] if self._offer else self.order[:0]
         found = np.flatnonzero(shown == feature)
@@ -185,7 +178,7 @@ class RelocationWalk:
             self.done = True
         else:
             self._chosen += 1
-            self._decide(NONE if action == self.spec.star else int(self._offer.features[action]))
+            self._decide(UNPAIRED if action == self.spec.star else int(self._offer.features[action]))
             self._go_on()
         self.done |= self._spent
 
@@ -212,12 +205,13 @@ class RelocationWalk:
         if self.spec.order == "as_scanned":
             return np.arange(len(points))
         far = np.hypot(points[:, 0], points[:, 1])
-        return np.argsort(far if self.spec.order == "nearest_first" else self.tree.unary.sum(axis=1), kind="stable")
+        few = self.tree.problem.allowed.sum(axis=1)
+        return np.argsort(far if self.spec.order == "nearest_first" else few, kind="stable")
 
     def _decide(self, feature: int) -> None:
         shown = 0 if self._offer is None else min(len(self._offer.features), self.spec.candidates)
-        self.offered.append((shown, self.spec.star if feature == NONE else self.action_of(feature) or 0))
-        self.node = extend(self.tree, self.node, int(self.order[self.level]), feature, self.counters)
+        self.offered.append((shown, self.spec.star if feature == UNPAIRED else self.action_of(feature) or 0))
+        self.node = extend(self.tree, self.node, int(self.order[self.level]), feature)
         self.path.append(feature)
         self.counters[NODES] += 1
 
@@ -225,7 +219,7 @@ class RelocationWalk:
         """Pass by the levels that leave no choice; make the offer of the next, or judge the leaf."""
         self._offer, m = None, len(self.tree.scan)
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
-            self._decide(NONE)
+            self._decide(UNPAIRED)
         if self._spent or self.level == m:
             self.counters[LIMIT] = self._spent
             self.leaf = self._judge()
@@ -234,9 +228,9 @@ class RelocationWalk:
 
     def _branches(self, measurement: int) -> RelocationBranches:
         if self.level > 0:
-            return branches(self.tree, self.node, measurement, self.counters)
+            return branches(self.tree, self.node, measurement)
         if measurement not in self._at_root:
-            self._at_root[measurement] = branches(self.tree, self.node, measurement, self.counters)
+            self._at_root[measurement] = branches(self.tree, self.node, measurement)
         return self._at_root[measurement]
 
     @property
@@ -245,7 +239,7 @@ class RelocationWalk:
 
     def _judge(self) -> Leaf:
         """Locate and test the hypothesis of the path; keep it if none has more pairings."""
-        node, features, k = self.node, hypothesis(self.tree, self.node), len(self.node.features)
+        node, features, k = self.node, hypothesis(self.tree, self.node), self.node.pairings
         located = locate(self.tree.scan, self.tree.landmarks, features)
         self.counters[LEAVES] += 1
         compatible = False
@@ -254,12 +248,12 @@ class RelocationWalk:
             compatible = bool(located.joint_distance < self._gates[k])
         if compatible:
             distance = located.joint_distance
-            keep(self._kept, node.measurements, node.features, k, located.pose, located.covariance, distance)
+            keep(self._kept, node.path, k, located.pose, located.covariance, distance)
             self.best = self._answer()
         return Leaf(features, located, compatible)
 
     def _answer(self) -> Relocation:
-        found, spec = outcome(self._kept, float(self._gates[-1])), self.spec
+        found, spec = decide(self._kept, float(self._gates[-1])), self.spec
         return relocation(
             self.tree.scan,
             self.tree.landmarks,

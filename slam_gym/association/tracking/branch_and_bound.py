@@ -80,7 +80,7 @@ def complete(
     """
     pairings, gates, rows = tree.pairings, tree.gates, np.full(len(tree.given), UNPAIRED)
     if node is None:
-        best = _search_from_root(tuple(pairings), gates, node_limit, turning, tree.rows, rows)
+        best = _search_from_root(pairings[:], gates, node_limit, turning, tree.rows, rows)
     else:
         first = pairings.given + int(tree.candidates.starts[node.level])
         best = _search(pairings, node, first, gates, node_limit, turning, tree.rows, rows)

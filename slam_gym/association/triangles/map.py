@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import map_arrays
-from slam_gym.association.relocation.constraints import Mapped, difference_covariance
+from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of
 from slam_gym.types import Array, IntArray, Landmarks
 
 _WITHIN = 23  # features within reach of each
@@ -57,25 +57,15 @@ def relative_covariances(landmarks: Landmarks) -> Array:
     drops out. C_j is what makes D_jl ≈ C_j + C_l in the mean over near features l. Without cross-covariances it is
     P_jj. Raises ValueError as `map_arrays` does.
     """
-    positions, covariances, _, _, _, joint, starts, columns, blocks = map_arrays(landmarks)
-    n = len(positions)
-    if n < 2 or (len(joint) == 0 and len(blocks) == 0):
-        return covariances.copy()
-    near = cKDTree(positions).query(positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
-    return _relative(positions, covariances, joint, starts, columns, blocks, np.ascontiguousarray(near, np.int64))
+    mapped, n = mapped_of(map_arrays(landmarks)), len(landmarks)
+    if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
+        return mapped.covariances.copy()
+    near = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
+    return _relative(mapped, np.ascontiguousarray(near, np.int64))
 
 
 @compiled
-def _relative(
-    positions: Array,
-    covariances: Array,
-    joint: Array,
-    starts: IntArray,
-    columns: IntArray,
-    blocks: Array,
-    near: IntArray,
-) -> Array:
-    mapped = Mapped(positions, covariances, joint, starts, columns, blocks)
+def _relative(mapped: Mapped, near: IntArray) -> Array:
     n, count = near.shape
     half, out = np.zeros((n, 3)), np.empty((n, 2, 2))
     for j in range(n):
@@ -87,7 +77,8 @@ def _relative(
         xx, xy, yy = 2.0 * half[j, 0], 2.0 * half[j, 1], 2.0 * half[j, 2]
         for l in near[j]:
             xx, xy, yy = xx - half[l, 0] / count, xy - half[l, 1] / count, yy - half[l, 2] / count
-        # where neighbours are worse by far the difference is none: half the mean then stands
+        # Where the neighbours are known much worse, too little or nothing is left of C_j: half of the mean over D_jl is
+        # taken instead, as if j and its neighbours were known equally well.
         if not (xx > 0.5 * half[j, 0] and yy > 0.5 * half[j, 2] and xx * yy > xy * xy):
             xx, xy, yy = half[j, 0], half[j, 1], half[j, 2]
         out[j, 0, 0], out[j, 0, 1], out[j, 1, 0], out[j, 1, 1] = max(xx, 0.0), xy, xy, max(yy, 0.0)

@@ -30,7 +30,7 @@ def easy(seed, m=8, n=25):
 
 
 def pairs_of(walk):
-    return [(int(i), int(j)) for i, j in zip(walk.node.measurements, walk.node.features)]
+    return [(int(i), int(j)) for i, j in zip(walk.node.path.measurements, walk.node.path.features)]
 
 
 def walk_randomly(walk, rng):
@@ -117,7 +117,7 @@ def test_no_hypothesis_below_a_node_exceeds_its_bound(seed):
     walk = RelocationWalk(ALL, scan, landmarks, locality)
     assert walk.node.bound >= best
     bounds = [(walk.node.bound, len(walk.offer.features)) for _ in walk_randomly(walk, rng)]
-    assert all(b >= len(walk.node.features) for b, _ in bounds)
+    assert all(b >= walk.node.pairings for b, _ in bounds)
     assert [b for b, _ in bounds] == sorted((b for b, _ in bounds), reverse=True)
 
 
@@ -195,7 +195,7 @@ def test_levels_are_in_the_order_asked_for():
         assert sorted(orders[order]) == list(range(len(scan)))
     assert orders["as_scanned"] == list(range(len(scan)))
     assert np.all(np.diff(np.hypot(*scan.points[orders["nearest_first"]].T)) >= 0.0)
-    assert np.all(np.diff(walk.tree.unary.sum(axis=1)[orders["fewest_candidates"]]) >= 0)
+    assert np.all(np.diff(walk.tree.problem.allowed.sum(axis=1)[orders["fewest_candidates"]]) >= 0)
     first = walk.order.tolist()
     walk.take(0)
     walk.take(walk.spec.restart)
@@ -227,9 +227,9 @@ def test_a_restart_keeps_the_best_and_counts_as_a_node():
 def test_what_was_paired_before_a_restart_is_judged():
     scan, landmarks, *_ = easy(1)
     walk = RelocationWalk(WalkSpec(order="as_scanned"), scan, landmarks)
-    while len(walk.node.features) < 3:
+    while walk.node.pairings < 3:
         walk.take(0)
-    features = walk.node.features.copy()
+    features = walk.node.path.features.copy()
     walk.take(walk.spec.restart)
     assert walk.best.pairings == 3 and sorted(walk.best.features[walk.best.features != NONE]) == sorted(features)
 
@@ -249,7 +249,8 @@ def test_sizes_off_looks_at_no_sizes():
     scan, landmarks, *_ = easy(2)
     other = replace(scan, sizes=scan.sizes + 5.0)
     walks = [RelocationWalk(WalkSpec(sizes=False), s, landmarks) for s in (scan, other)]
-    assert walks[0].tree.unary.all() and not RelocationWalk(WalkSpec(), other, landmarks).tree.unary.all()
+    assert walks[0].tree.problem.allowed.all()
+    assert not RelocationWalk(WalkSpec(), other, landmarks).tree.problem.allowed.all()
     for a, b in zip(*(observe_walk(walk, 20).values() for walk in walks)):
         np.testing.assert_array_equal(a, b)
 

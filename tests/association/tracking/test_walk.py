@@ -1,13 +1,9 @@
-"""Walks of the tree by a learner: the mask by brute force, hypotheses, observations, and policies as associators."""
-
-import pickle
-from dataclasses import replace
+"""Walks of the tree by a learner: the mask by brute force, hypotheses, arguments."""
 
 import numpy as np
 import pytest
 
 from slam_gym.association import jcbb, nearest_neighbour, singles
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, PATH_FIELDS, lengths, nothing
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.association.tracking.walk import COMPATIBILITIES, ORDERS, Walk
 from slam_gym.association.tree import branches, extend, root
@@ -93,14 +89,6 @@ def test_walks_agree_with_the_nodes_of_the_tree():
             np.testing.assert_allclose(offer.joint[offer.legal], walk.joint_distances)
 
 
-def test_greedy_is_sequential_compatibility_nearest_neighbour():
-    associate = from_policy(greedy)
-    for scan, prediction in problems(60):
-        expected = oracles.greedy(scan, prediction, CONFIDENCE)
-        features = [UNPAIRED if row == UNPAIRED else prediction.features[row] for row in expected]
-        np.testing.assert_array_equal(associate(scan, prediction).features, features)
-
-
 def played(walk, hypothesis):
     """The walk by which a hypothesis decides; None where it leaves the tree."""
     while not walk.done:
@@ -124,86 +112,6 @@ def test_classical_hypotheses_are_walks(associate, compatibility):
         np.testing.assert_array_equal(through.features, direct.features)
         assert through.joint_distance == pytest.approx(direct.joint_distance)
         assert through.dof == direct.dof
-
-
-def test_refusing_everything_pairs_nothing():
-    refuse = from_policy(lambda observation, mask: len(mask) - 1)
-    for scan, prediction in problems(5):
-        answer = refuse(scan, prediction)
-        assert (answer.features == UNPAIRED).all()
-        assert (answer.joint_distance, answer.dof) == (0.0, 0)
-
-
-@pytest.mark.parametrize("locality", [False, True])
-def test_observations_are_finite_scaled_fresh_and_as_long_as_said(locality):
-    rng = np.random.default_rng(1)
-    for scan, prediction in problems(30, locality=locality):
-        k = len(prediction)
-        prediction = replace(prediction, sizes=rng.uniform(0.1, 1.0, k), size_variances=np.full(k, 0.01))
-        sizes = np.where(rng.random(len(scan)) < 0.5, np.nan, 0.3)
-        scan = replace(scan, sizes=sizes, size_variances=np.full(len(scan), 0.01))
-        for walk, _ in walked(scan, replace(prediction, ages=np.arange(k)), rng, candidates=4):
-            seen, again = walk.observation(), walk.observation()
-            assert {name: len(vector) for name, vector in seen.items()} == lengths(4)
-            for name, vector in seen.items():
-                assert vector.dtype == np.float32
-                assert np.abs(vector).max() <= 1.0
-                assert vector is not again[name]
-                np.testing.assert_array_equal(vector, again[name])
-        assert all(not vector.any() for vector in walk.observation().values())
-
-
-def test_candidates_show_what_they_say():
-    rng, checked = np.random.default_rng(2), 0
-    for scan, prediction in problems(40, locality=True):
-        prediction = replace(prediction, ages=rng.integers(0, 300, len(prediction)))
-        compatible = oracles.compatible(scan, prediction, CONFIDENCE)
-        related = prediction.local(np.arange(len(prediction)))
-        for walk, pairs in walked(scan, prediction, rng, candidates=9):
-            table = walk.observation()["candidates"].reshape(9, -1)
-            column = dict(zip(CANDIDATE_FIELDS, table.T.astype(float)))
-            path = dict(zip(PATH_FIELDS, walk.observation()["path"].astype(float)))
-            k, later = len(walk.rows), walk.candidates.measurements[walk.level + 1 :].tolist()
-            left = [i for i in later if compatible[i]]
-            assert column["legal"].tolist() == [1.0] * k + [0.0] * (9 - k)
-            np.testing.assert_allclose(_unsquash(path["left"], 10.0), len(left), atol=1e-4)
-            np.testing.assert_allclose(_unsquash(path["pairings"], 10.0), len(pairs), atol=1e-4)
-            assert path["support"] * max(len(left), 1) == pytest.approx(
-                sum(_follows(scan, prediction, compatible, pairs, i) for i in left), abs=1e-4
-            )
-            for c, row in enumerate(walk.rows.tolist()):
-                longer = [*pairs, (walk.measurement, row)]
-                gate = oracles.gate(2 * len(longer), CONFIDENCE)
-                distance = oracles.distance(scan, prediction, longer)
-                assert _unsquash(column["joint"][c], gate) == pytest.approx(distance, rel=1e-4)
-                assert _unsquash(column["age"][c], 50.0) == pytest.approx(prediction.ages[row], rel=1e-3)
-                assert column["near"][c] == prediction.near[row]
-                assert column["size"][c] == -1.0
-                covisible = np.mean([related[row, used] for _, used in pairs]) if pairs else 0.0
-                assert column["covisible"][c] == pytest.approx(covisible)
-                rivals = sum(any(j == row for _, j in compatible[i]) for i in later)
-                assert _unsquash(column["rivals"][c], 3.0) == pytest.approx(rivals, abs=1e-4)
-                support = sum(_follows(scan, prediction, compatible, longer, i) for i in left)
-                assert column["support"][c] * max(len(left), 1) == pytest.approx(support, abs=1e-4)
-                checked += 1
-    assert checked > 200
-
-
-def _unsquash(value, scale):
-    return scale * value / (1.0 - abs(value))
-
-
-def _follows(scan, prediction, compatible, pairs, i):
-    """Whether measurement i could be paired right after these pairs."""
-    gate = oracles.gate(2 * len(pairs) + 2, CONFIDENCE)
-    free = [j for _, j in compatible[i] if all(j != used for _, used in pairs)]
-    return any(oracles.distance(scan, prediction, [*pairs, (i, j)]) < gate for j in free)
-
-
-@pytest.mark.parametrize(("m", "n"), [(0, 5), (4, 0), (0, 0), (1, 1)])
-def test_small_problems(m, n):
-    scan, prediction = next(problems(1, m=m, n=n))
-    assert len(from_policy(greedy)(scan, prediction).features) == m
 
 
 def test_an_illegal_action_and_one_at_a_leaf_are_refused():
@@ -234,24 +142,3 @@ def test_bad_arguments_are_refused_by_name(options, message):
         Walk(*next(problems(1)), **options)
     with pytest.raises(ValueError, match=message):
         from_policy(greedy, **options)
-
-
-def test_bad_numbers_are_refused_by_name():
-    scan, prediction = next(problems(1))
-    points = scan.points.copy()
-    points[2, 1] = np.nan
-    with pytest.raises(ValueError, match=r"scan.points\[2\]"):
-        from_policy(greedy)(replace(scan, points=points), prediction)
-
-
-def test_a_policy_associator_pickles():
-    associate = pickle.loads(pickle.dumps(from_policy(greedy, candidates=2)))
-    scan, prediction = next(problems(1))
-    expected = from_policy(greedy, candidates=2)(scan, prediction).features
-    np.testing.assert_array_equal(associate(scan, prediction).features, expected)
-
-
-def test_nothing_is_an_observation_of_zeros():
-    assert {name: vector.tolist() for name, vector in nothing(2).items()} == {
-        name: [0.0] * length for name, length in lengths(2).items()
-    }

@@ -1,0 +1,156 @@
+"""What holds of every associator, on good input and bad; and how associators are named."""
+
+import dataclasses
+import inspect
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from slam_gym.association import (
+    ASSOCIATORS,
+    global_nearest_neighbour,
+    ipjc,
+    jcbb,
+    map_hypothesis,
+    nearest_neighbour,
+    one_point_ransac,
+    resolve_associator,
+    singles,
+)
+from slam_gym.types import UNPAIRED, Prediction, Scan
+from tests.oracles import association as oracles
+
+BLIND = [associator for name, associator in ASSOCIATORS.items() if name != "true_association"]
+SEARCHES = [global_nearest_neighbour, one_point_ransac, ipjc, map_hypothesis]
+
+
+@pytest.mark.parametrize("associator", BLIND)
+@pytest.mark.parametrize(("m", "n"), [(0, 0), (0, 4), (4, 0)])
+def test_nothing_to_associate(associator, m, n):
+    answer = associator(*oracles.problem(np.random.default_rng(0), m, n))
+    assert answer.features.tolist() == [UNPAIRED] * m
+    assert (answer.joint_distance, answer.dof) == (0.0, 0)
+
+
+@pytest.mark.parametrize("associator", BLIND)
+@pytest.mark.parametrize("seed", range(20))
+def test_what_holds_of_every_associator(associator, seed):
+    """Pairings are individually compatible, the distance is theirs, and the arguments are left as they were."""
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 12, spread=2.0, locality=seed % 2 == 0)
+    before = pickle.dumps((scan, prediction.positions, prediction.covariances, prediction.features))
+    answer = associator(scan, prediction)
+    assert pickle.dumps((scan, prediction.positions, prediction.covariances, prediction.features)) == before
+    assert answer.features.dtype == np.int64 and answer.features.shape == (8,)
+    row_of = {int(feature): row for row, feature in enumerate(prediction.features)} | {UNPAIRED: UNPAIRED}
+    rows = [row_of[int(feature)] for feature in answer.features]
+    oracles.check(answer, scan, prediction, rows)
+    gate = 0.999 if associator is map_hypothesis else 0.99
+    for row, found in zip(rows, oracles.compatible(scan, prediction, gate)):
+        assert row == UNPAIRED or row in [j for _, j in found]
+    again = associator(scan, prediction)
+    assert again.features.tolist() == answer.features.tolist() and again.effort == answer.effort
+
+
+def test_associators_are_found_by_name_by_module_or_as_themselves():
+    assert resolve_associator("jcbb") is jcbb
+    assert resolve_associator("slam_gym.association.tracking.nearest_neighbour:singles") is singles
+    assert resolve_associator(nearest_neighbour) is nearest_neighbour
+    for associator in ASSOCIATORS.values():
+        assert pickle.loads(pickle.dumps(associator)) is associator
+
+
+@pytest.mark.parametrize(
+    "name", ["icp", "", "no.such.module:function", "slam_gym.association:nothing", "slam_gym.association:__all__", ":x"]
+)
+def test_an_unknown_associator_lists_the_known_ones(name):
+    with pytest.raises(ValueError, match=r"known: .*jcbb, .*nearest_neighbour, .*singles, true_association"):
+        resolve_associator(name)
+
+
+def test_only_true_association_can_be_given_the_truth():
+    for name, associator in ASSOCIATORS.items():
+        assert ("sources" in inspect.signature(associator).parameters) == (name == "true_association")
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("where", ["points", "covariances"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_numbers_that_are_not_finite_are_named(search, where, value):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
+    spoilt = getattr(scan, where).copy()
+    spoilt[(2,) + (0,) * (spoilt.ndim - 1)] = value
+    with pytest.raises(ValueError, match=rf"scan.{where}\[2\]"):
+        search(dataclasses.replace(scan, **{where: spoilt}), prediction)
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("matrix", [-np.eye(2), [[1.0, 2.0], [2.0, 1.0]]])
+def test_covariances_that_are_none_are_named(search, matrix):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
+    noise = scan.covariances.copy()
+    noise[1] = matrix
+    with pytest.raises(ValueError, match=r"scan.covariances\[1\]"):
+        search(dataclasses.replace(scan, covariances=noise), prediction)
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_a_singular_innovation_covariance_is_named(search):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
+    certain = dataclasses.replace(
+        prediction,
+        positions=np.tile(scan.points[:1], (5, 1)),
+        covariances=np.tile([[1.0, 1.0], [1.0, 1.0]], (5, 1, 1)),
+    )
+    with pytest.raises(ValueError, match="singular"):
+        search(dataclasses.replace(scan, covariances=np.zeros((4, 2, 2))), certain)
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize(("m", "n"), [(1, 1), (1, 8), (12, 2), (9, 1)])
+@pytest.mark.parametrize("seed", range(5))
+def test_one_measurement_and_more_measurements_than_features(search, m, n, seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), m, n, spread=1.0)
+    answer = search(scan, prediction)
+    paired = answer.features[answer.features != UNPAIRED]
+    assert len(set(paired.tolist())) == len(paired) and set(paired.tolist()) <= set(prediction.features.tolist())
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_all_spurious_pairs_nothing(search):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 6, 8)
+    answer = search(dataclasses.replace(scan, points=scan.points + 100.0), prediction)
+    assert answer.features.tolist() == [UNPAIRED] * 6 and (answer.joint_distance, answer.dof) == (0.0, 0)
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_duplicate_features_and_features_on_a_line_are_paired_once_each(search):
+    rng = np.random.default_rng(1)
+    line = np.column_stack([np.arange(6.0), np.zeros(6)])
+    at = np.concatenate([line, line])  # every feature twice, at one place
+    prediction = Prediction.from_gaussian(at, 0.01 * np.ones((24, 24)) + 1e-4 * np.eye(24))
+    scan = Scan.from_points(line + 0.01 * rng.standard_normal((6, 2)), sigma=0.01)
+    answer = search(scan, prediction)
+    assert (answer.features % 6).tolist() == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("search", "options"),
+    [
+        (one_point_ransac, {"tries": 0}),
+        (one_point_ransac, {"success": 1.0}),
+        (ipjc, {"node_limit": 0}),
+    ],
+)
+def test_meaningless_options_are_refused(search, options):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
+    with pytest.raises(ValueError, match=next(iter(options))):
+        search(scan, prediction, **options)
+
+
+@pytest.mark.parametrize("confidence", [0.0, 1.0, 1.5, np.nan])
+def test_a_confidence_that_is_none_is_refused(confidence):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3, confidence=confidence)
+    with pytest.raises(ValueError, match="confidence"):
+        jcbb(scan, prediction)

@@ -1,0 +1,31 @@
+"""Branch and bound on problems too large to enumerate (on small ones: `test_jcbb`, `test_tree`)."""
+
+import numpy as np
+import pytest
+
+from slam_gym.association import jcbb
+from slam_gym.types import UNPAIRED
+from tests.oracles import association as oracles
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_jcbb_on_scans_of_full_size_is_legal_and_no_worse_than_a_greedy_path(seed):
+    rng = np.random.default_rng(seed)
+    scan, prediction = oracles.problem(rng, 14, 25, spread=3.0)
+    answer = jcbb(scan, prediction)
+    row_of = {int(feature): row for row, feature in enumerate(prediction.features)}
+    pairs = [(i, row_of[int(f)]) for i, f in enumerate(answer.features) if f != UNPAIRED]
+    assert len({row for _, row in pairs}) == len(pairs)
+    for k in range(1, len(pairs) + 1):
+        assert oracles.distance(scan, prediction, pairs[:k]) < oracles.gate(2 * k, 0.99)
+    greedy = oracles.greedy(scan, prediction, 0.99)
+    assert len(pairs) >= sum(row != UNPAIRED for row in greedy)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_bound_counts_features_that_are_left_not_only_levels(seed):
+    """Ten measurements of the same three features: a bound by levels would visit more than a thousand hypotheses."""
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 10, 3, spread=0.2, noise=0.3)
+    answer = jcbb(scan, prediction)
+    assert answer.dof == 6
+    assert answer.effort.nodes < 500

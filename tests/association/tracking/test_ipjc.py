@@ -1,0 +1,125 @@
+"""IPJC against scipy's nonlinear optimum over the whole state, and against JCBB where nothing turns."""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from slam_gym.association import ASSOCIATORS, ipjc, jcbb
+from slam_gym.types import UNPAIRED, Prediction, Scan
+from tests.oracles import association as oracles
+
+J = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def turning_problem(rng, m, n, heading_sigma, spread=3.0):
+    """A robot of uncertain heading, correlated with its map; the scan is taken from a pose drawn, by the true h."""
+    features = rng.uniform(-spread, spread, (n, 2))
+    mixing = np.zeros((3 + 2 * n, 3 + 2 * n))
+    mixing[:3, :3] = np.diag([0.2, 0.2, heading_sigma])
+    mixing[3:] = 0.03 * rng.standard_normal((2 * n, 3 + 2 * n))
+    P = mixing @ mixing.T + 1e-6 * np.eye(3 + 2 * n)
+    H = np.zeros((2 * n, 3 + 2 * n))
+    for j, p in enumerate(features):
+        H[2 * j : 2 * j + 2, :2], H[2 * j : 2 * j + 2, 2] = -np.eye(2), -J @ p
+        H[2 * j : 2 * j + 2, 3 + 2 * j : 5 + 2 * j] = np.eye(2)
+    S, across = H @ P @ H.T, (H @ P[:, 2]).reshape(n, 2)
+    state = np.concatenate([np.zeros(3), features.ravel()])
+    drawn = state + np.linalg.cholesky(P) @ rng.standard_normal(len(P))
+    sigma, points, truth = 0.05, rng.uniform(-spread, spread, (m, 2)), np.full(m, UNPAIRED)
+    for i, j in zip(range(round(0.7 * min(m, n))), rng.permutation(n)):
+        points[i], truth[i] = look(drawn[:3], drawn[3:].reshape(-1, 2)[j]) + sigma * rng.standard_normal(2), j
+    order = rng.permutation(m)
+    prediction = dataclasses.replace(
+        Prediction.from_gaussian(features, S), heading_variance=float(P[2, 2]), heading_covariances=across
+    )
+    scan = Scan.from_points(points[order], sigma=sigma)
+    return scan, prediction, state, P, truth[order]
+
+
+def look(pose, feature):
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.array([[c, s], [-s, c]]) @ (feature - pose[:2])
+
+
+def posterior_distance(scan, state, P, pairs):
+    """Least cost of prior and measurements over the whole state, nonlinear, by scipy."""
+    L = np.linalg.cholesky(P)
+
+    def residuals(whitened):
+        x = state + L @ whitened
+        seen = [
+            (scan.points[i] - look(x[:3], x[3 + 2 * j : 5 + 2 * j])) / math.sqrt(scan.covariances[i, 0, 0])
+            for i, j in pairs
+        ]
+        return np.concatenate([whitened, *seen])
+
+    return 2.0 * float(least_squares(residuals, np.zeros(len(P)), xtol=1e-12, ftol=1e-12, gtol=1e-12).cost)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_ipjc_is_the_best_path_by_the_nonlinear_optimum(seed):
+    rng = np.random.default_rng(seed)
+    scan, prediction, state, P, _ = turning_problem(
+        rng, int(rng.integers(1, 5)), int(rng.integers(1, 5)), 0.3, spread=1.5
+    )
+
+    @functools.cache
+    def distance(pairs):
+        return posterior_distance(scan, state, P, pairs) if pairs else 0.0
+
+    lists, best = oracles.compatible(scan, prediction, 0.99), (0, 0.0, ())
+    paths = [((), 0)]
+    while paths:
+        pairs, level = paths.pop()
+        best = min(best, (-len(pairs), distance(pairs), pairs))
+        if level == len(scan):
+            continue
+        paths.append((pairs, level + 1))
+        for _, j in lists[level]:
+            longer = (*pairs, (level, j))
+            if j not in dict(pairs).values() and distance(longer) < oracles.gate(2 * len(longer), 0.99):
+                paths.append((longer, level + 1))
+    rows = dict(best[2])
+    answer = ipjc(scan, prediction)
+    assert answer.features.tolist() == [rows.get(i, UNPAIRED) for i in range(len(scan))]
+    assert answer.joint_distance == pytest.approx(best[1], rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(150))
+def test_ipjc_is_jcbb_where_nothing_turns(seed):
+    scan, prediction, _ = oracles.smaller_problem(seed, locality=seed % 2 == 0)
+    expected = jcbb(scan, prediction)
+    for variance, close in ((0.0, 1e-8), (1e-12, 1e-4)):
+        answer = ipjc(scan, dataclasses.replace(prediction, heading_variance=variance))
+        assert answer.features.tolist() == expected.features.tolist()
+        assert answer.joint_distance == pytest.approx(expected.joint_distance, rel=close, abs=close)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_ipjc_tends_to_jcbb_as_the_heading_becomes_certain(seed):
+    scan, prediction, *_ = turning_problem(np.random.default_rng(seed), 6, 8, 1e-5)
+    expected, answer = jcbb(scan, prediction), ipjc(scan, prediction)
+    assert answer.features.tolist() == expected.features.tolist()
+    assert answer.joint_distance == pytest.approx(expected.joint_distance, rel=1e-3, abs=1e-3)
+
+
+def test_ipjc_misses_fewer_pairings_than_jcbb_when_the_heading_is_far_off():
+    missed = {"jcbb": 0, "ipjc": 0}
+    for seed in range(60):
+        scan, prediction, _, _, truth = turning_problem(np.random.default_rng(seed), 10, 10, 0.25, spread=8.0)
+        for name in missed:
+            features = ASSOCIATORS[name](scan, prediction).features
+            missed[name] += int(((features != truth) & (truth != UNPAIRED)).sum())
+    assert 0 < missed["ipjc"] < 0.7 * missed["jcbb"], missed
+
+
+def test_ipjc_reports_its_node_limit():
+    scan, prediction = oracles.problem(np.random.default_rng(2), 12, 14, spread=1.0)
+    free = ipjc(scan, prediction)
+    stopped = ipjc(scan, prediction, node_limit=10)
+    assert not free.effort.limit_hit and free.effort.nodes > 10
+    assert stopped.effort.limit_hit and stopped.effort.nodes == 10
