@@ -10,6 +10,7 @@ import pytest
 
 from slam_gym.association import (
     ASSOCIATORS,
+    gcbb,
     global_nearest_neighbour,
     ipjc,
     jcbb,
@@ -17,6 +18,7 @@ from slam_gym.association import (
     nearest_neighbour,
     one_point_ransac,
     resolve_associator,
+    resolve_relocator,
     singles,
 )
 from slam_gym.types import UNPAIRED, Prediction, Scan
@@ -154,3 +156,10 @@ def test_a_confidence_that_is_none_is_refused(confidence):
     scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3, confidence=confidence)
     with pytest.raises(ValueError, match="confidence"):
         jcbb(scan, prediction)
+
+
+def test_relocators_are_found_by_name_by_module_or_as_themselves():
+    assert resolve_relocator("gcbb") is gcbb and resolve_relocator(gcbb) is gcbb
+    assert resolve_relocator("slam_gym.association.relocation.gcbb:gcbb") is gcbb
+    with pytest.raises(ValueError, match="random_sampling"):
+        resolve_relocator("nothing")

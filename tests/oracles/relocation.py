@@ -12,7 +12,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Scan
+from slam_gym.geometry import wrap_angle
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Relocation, Scan
 
 Pairs = list[tuple[int, int]]
 
@@ -349,3 +350,53 @@ def decisions(pairs: Pairs, m: int) -> list[int]:
     for i, j in pairs:
         features[i] = int(j)
     return features
+
+
+def small_problem(seed: int, *, largest: int = 5) -> tuple[Scan, Landmarks, Array, dict[str, Locality | None]]:
+    """One that every hypothesis can be enumerated of, with its joint covariance and localities."""
+    rng = np.random.default_rng(seed)
+    m, n = int(rng.integers(3, largest + 1)), int(rng.integers(3, 9))
+    scan, landmarks, P = problem(rng, min(m, n), n, keep=("dense", "blocks", "none")[seed % 3])
+    return scan, landmarks, P, localities(rng, landmarks)
+
+
+def check_against(
+    found: Relocation, best: list[Pairs], scan: Scan, landmarks: Landmarks, P: Array, *, ties: bool = True
+) -> None:
+    """`found` is one of the best hypotheses, located as the oracle does, and ties are the others elsewhere."""
+    if not best:
+        assert found.pairings == 0 and np.isnan(found.pose).all() and not found.ambiguous
+        return
+    assert found.pairings == len(best[0])
+    if found.pairings == 2:  # with one degree of freedom and close points the optimum need not be the only one
+        return
+    distinct = {tuple(decisions(pairs, len(scan))): pairs for pairs in best}
+    fits = {key: quick_fit(scan, landmarks, P, pairs) for key, pairs in distinct.items()}
+    assert tuple(found.features) in distinct
+    pose, covariance, distance = fits[tuple(found.features)]
+    least = min(distance for _, _, distance in fits.values())
+    assert np.isclose(found.joint_distance, distance, rtol=1e-4, atol=1e-6)
+    assert np.isclose(found.joint_distance, least, rtol=1e-4, atol=1e-6)
+    assert found.dof == 2 * len(best[0]) - 3
+    np.testing.assert_allclose(found.pose[:2], pose[:2], atol=1e-4)
+    if not ties:
+        return
+    elsewhere = 0
+    for other, spread, _ in fits.values():
+        delta = other - pose
+        delta[2] = wrap_angle(delta[2])
+        elsewhere += delta @ np.linalg.solve(covariance + spread, delta) >= chi2.ppf(0.99, 3)
+    assert found.ties == elsewhere and found.ambiguous == (elsewhere > 0)
+
+
+def inside(seed: int, *, m: int = 10, true: int = 7, n: int = 60, keep: str = "dense") -> tuple[Array, Scan, Landmarks]:
+    """A scan from inside a large map, and where it was taken."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.0, 4.0 * np.sqrt(n), (n, 2))
+    P = correlated(rng, places, 0.03, 0.02)
+    mapped = places + (np.linalg.cholesky(P) @ rng.standard_normal(2 * n)).reshape(n, 2)
+    pose = np.array([*(places.mean(0) + rng.uniform(-2, 2, 2)), rng.uniform(-np.pi, np.pi)])
+    near = np.argsort(np.linalg.norm(places - pose[:2], axis=1))[: m + 2]
+    seen = np.vstack([places[rng.permutation(near)[:true]], pose[:2] + rng.uniform(-8.0, 8.0, (m - true, 2))])
+    points, noise = view(rng, pose, seen, 0.03)
+    return pose, scan_of(points, noise), landmarks_of(mapped, P, keep=keep)

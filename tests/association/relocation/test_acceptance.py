@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.association import gcbb
 from slam_gym.association.relocation.acceptance import crowding_of, expected_by_chance, extent, min_pairings
-from slam_gym.types import UNKNOWN
+from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
 
 
@@ -24,7 +24,7 @@ def world(seed, n, m, *, density=1 / 16, sigma=0.05, clusters=False):
         covariances=np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
         sizes=np.full(n, np.nan),
         size_variances=np.full(n, np.nan),
-        kinds=np.full(n, UNKNOWN),
+        kinds=np.full(n, UNKNOWN_KIND),
     )
     scan = oracles.scan_of(rng.uniform(-5.0, 5.0, (m, 2)), np.tile(sigma**2 * np.eye(2), (m, 1, 1)))
     return scan, landmarks

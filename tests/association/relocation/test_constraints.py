@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association.relocation.constraints import Pairing, binary, orientation, unary
-from slam_gym.types import UNKNOWN
+from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
 
 
@@ -95,14 +95,14 @@ def test_sizes_and_kinds_by_definition():
         np.tile(np.eye(2), (m, 1, 1)),
         sizes=nan_or(rng.uniform(0.1, 0.5, m)),
         size_variances=nan_or(rng.uniform(0.0, 0.01, m)),
-        kinds=rng.choice([UNKNOWN, 0, 1], m),
+        kinds=rng.choice([UNKNOWN_KIND, 0, 1], m),
     )
     landmarks = oracles.landmarks_of(
         rng.standard_normal((n, 2)),
         np.eye(2 * n),
         sizes=nan_or(rng.uniform(0.1, 0.5, n)),
         size_variances=nan_or(rng.uniform(0.0, 0.01, n)),
-        kinds=rng.choice([UNKNOWN, 0, 1], n),
+        kinds=rng.choice([UNKNOWN_KIND, 0, 1], n),
     )
     expected = [[oracles.agree_in_what_they_are(scan, landmarks, i, j, 0.95) for j in range(n)] for i in range(m)]
     np.testing.assert_array_equal(unary(scan, landmarks, 0.95), expected)

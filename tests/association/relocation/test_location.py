@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from slam_gym.association.relocation.location import locate
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import NONE
+from slam_gym.types import UNPAIRED
 from tests.oracles import relocation as oracles
 
 
@@ -20,7 +20,7 @@ def plant(rng, k, *, spurious=1, extra=3, sigma=0.05, drift=0.3, keep="dense"):
     seen = rng.permutation(n)[:k]
     points, noise = oracles.view(rng, pose, np.vstack([true[seen], rng.uniform(-5, 5, (spurious, 2))]), sigma)
     order = rng.permutation(m)
-    features = np.concatenate([seen, np.full(spurious, NONE)])[order]
+    features = np.concatenate([seen, np.full(spurious, UNPAIRED)])[order]
     return pose, oracles.scan_of(points[order], noise[order]), oracles.landmarks_of(mapped, P, keep=keep), P, features
 
 
@@ -33,7 +33,9 @@ def test_pose_covariance_and_distance_are_those_of_a_library_s_least_squares(see
     if keep == "none":
         P = P * np.kron(np.eye(len(landmarks)), np.ones((2, 2)))
     found = locate(scan, landmarks, features)
-    pose, covariance, distance = oracles.fit(scan, landmarks, P, [(i, j) for i, j in enumerate(features) if j != NONE])
+    pose, covariance, distance = oracles.fit(
+        scan, landmarks, P, [(i, j) for i, j in enumerate(features) if j != UNPAIRED]
+    )
     np.testing.assert_allclose(found.pose[:2], pose[:2], atol=1e-5)
     assert wrap_angle(found.pose[2] - pose[2]) == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(found.covariance, covariance, rtol=1e-3, atol=1e-8)
@@ -70,7 +72,7 @@ def test_a_map_turned_and_moved_takes_the_pose_with_it():
 @pytest.mark.parametrize("k", [0, 1])
 def test_fewer_than_two_pairings_have_no_pose(k):
     _, scan, landmarks, _, features = plant(np.random.default_rng(1), 4)
-    features[np.flatnonzero(features != NONE)[k:]] = NONE
+    features[np.flatnonzero(features != UNPAIRED)[k:]] = UNPAIRED
     found = locate(scan, landmarks, features)
     assert np.isnan(found.pose).all() and np.isnan(found.covariance).all()
     assert (found.joint_distance, found.dof) == (0.0, 0)
@@ -95,7 +97,7 @@ def test_bad_input_is_refused_by_name():
     with pytest.raises(ValueError, match="decisions for"):
         locate(scan, landmarks, features[:-1])
     with pytest.raises(ValueError, match="for a map of"):
-        locate(scan, landmarks, np.where(features == NONE, NONE, len(landmarks)))
+        locate(scan, landmarks, np.where(features == UNPAIRED, UNPAIRED, len(landmarks)))
     with pytest.raises(ValueError, match="joint covariance"):
         locate(scan, oracles.landmarks_of(landmarks.positions, -P), features)
     with pytest.raises(ValueError, match="joint covariance"):

@@ -1,0 +1,74 @@
+"""What every relocator answers: inside and outside the map, alike places, limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam_gym.association import RELOCATORS
+from slam_gym.geometry import wrap_angle
+from tests.oracles import relocation as oracles
+
+NAMES = ["gcbb", "max_clique", "random_sampling", "spectral"]
+
+
+@pytest.mark.parametrize("name", ["gcbb", "random_sampling", "max_clique"])
+def test_the_robot_is_found_inside_the_map_and_not_outside(name):
+    search, right = RELOCATORS[name], 0
+    for seed in range(25):
+        pose, scan, landmarks = oracles.inside(seed)
+        found = search(scan, landmarks, None)
+        error = found.pose - pose
+        right += found.accepted and np.hypot(*error[:2]) < 0.3 and abs(wrap_angle(error[2])) < np.radians(3.0)
+        assert not search(oracles.inside(seed + 100)[1], landmarks, None).accepted
+    assert right >= 22
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_mirrored_map_is_not_taken_for_the_map(name):
+    _, scan, landmarks = oracles.inside(1, m=9, true=9)
+    mirrored = replace(landmarks, positions=landmarks.positions * [1.0, -1.0], covariance=np.empty((0, 0)))
+    assert not RELOCATORS[name](scan, mirrored, None).accepted
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_two_equal_rooms_are_ambiguous(name):
+    _, scan, landmarks = oracles.inside(2, m=8, true=8, n=16, keep="none")
+    twice = oracles.landmarks_of(
+        np.vstack([landmarks.positions, landmarks.positions + np.array([80.0, 0.0])]), 0.002 * np.eye(64), keep="none"
+    )
+    found = RELOCATORS[name](scan, twice, None)
+    if name != "spectral":
+        assert found.pairings >= 7 and found.ambiguous and found.ties >= 1 and not found.accepted
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("m", [0, 1, 2, 6])
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_few_measurements_and_few_features_have_a_defined_answer(name, m, n):
+    rng = np.random.default_rng(m)
+    scan = oracles.scan_of(rng.uniform(-3, 3, (m, 2)), np.tile(0.01 * np.eye(2), (m, 1, 1)))
+    landmarks = oracles.landmarks_of(rng.uniform(-3, 3, (n, 2)), 0.01 * np.eye(2 * n), keep="none")
+    found = RELOCATORS[name](scan, landmarks, None)
+    assert found.features.shape == (m,) and found.pairings <= min(m, n) and not found.accepted
+    assert found.min_pairings >= 3 and (found.pairings >= 2 or np.isnan(found.pose).all())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_line_duplicates_and_exact_points_have_a_defined_answer(name):
+    line = np.column_stack([np.arange(5.0), np.zeros(5)])
+    doubled = np.vstack([line, line])
+    for points, places, variance in ((line, line, 0.01), (line, doubled, 0.01), (line * [1.3, 1.0], line, 0.0)):
+        scan = oracles.scan_of(points, np.tile(variance * np.eye(2), (5, 1, 1)))
+        found = RELOCATORS[name](scan, oracles.landmarks_of(places, variance * np.eye(2 * len(places))), None)
+        assert found.pairings != 1 and np.isfinite(found.joint_distance)
+        assert np.isfinite(found.pose).all() or found.pairings == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_are_reported(name):
+    _, scan, landmarks = oracles.inside(0)
+    found = RELOCATORS[name](scan, landmarks, None, node_limit=50)
+    assert found.effort.limit_hit
+    assert not RELOCATORS[name](scan, landmarks, None).effort.limit_hit
+    assert found.effort.unary_tests > 0 and found.effort.seconds > 0.0
