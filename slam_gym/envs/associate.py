@@ -65,9 +65,9 @@ class AssociateEnv(BaseEnv):
     The last scan is decided (`terminated`). An episode without any choice ends with its first step.
 
     ## Arguments
-    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, `"corridor"` (the reference experiment), a `Scenario`,
-      or a `slam_gym.simulation.association_runs.ScanLog`; for a real log `"recording:FILE"`,
-      `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps with `?looks=…&every=…` (see
+    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, `"corridor"`
+      (the reference experiment), a `Scenario`, or a `slam_gym.simulation.association_runs.ScanLog`; for a real log
+      `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps with `?looks=…&every=…` (see
       `slam_gym.simulation.recorded_logs`): sources that nobody knows count nowhere, what the labels leave out of a
       scan is spurious.
     - `split`: `"train"` or `"test"`, whose worlds never overlap, nor do the parts of a recording; on another log it
@@ -75,7 +75,7 @@ class AssociateEnv(BaseEnv):
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
       `slam_gym.association.tracking.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
-    - `wrong_cost`: what a wrong pairing costs, in right ones.
+    - `reward`: `"truth"` or `"map_error"`; `wrong_cost`: what a wrong pairing costs, in right ones.
     - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`; not for logs.
     - `render_mode`: `"rgb_array"` or `"human"`.
     """

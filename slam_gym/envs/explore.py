@@ -63,15 +63,15 @@ class ExploreEnv(BaseEnv):
 
     ## Starting state
     A world drawn from the seeds of the `split`, and a free place and heading in it; with `floor_plan` always that
-    floor. `reset(options={"world": i})`
-    takes the i-th world of the split. Same seed and options, same episode.
+    floor. `reset(options={"world": i})` takes the i-th world of the split. Same seed and options, same episode.
 
     ## Episode end
     The budget of ticks is spent (`terminated`); the observation tells how much is left.
 
     ## Arguments
-    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS` or a `Scenario`; `floor_plan` (a file) with `resolution`
-      [m per pixel] for occupancy images puts the scenario's robot on that floor instead.
+    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
+      `Scenario`; `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts the scenario's robot
+      on that floor instead.
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.

@@ -48,11 +48,11 @@ class RelocateEnv(BaseEnv):
     `slam_gym.association.relocation.observation` lists them.
 
     ## Rewards
-    −`node_cost` for every node; and at the end, of the best hypothesis: where it has the pairings that
-    `association.relocation.acceptance` asks for, and no other pose was found that explains as many measurements, it is
-    believed, and earns 1 if the pose is right, −`wrong_cost` if not. If it is not believed, that earns 1 outside the
-    map, and 0 inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose lies
-    in the map: carried there by the rigid motion that aligns the true features in reach with their mapped
+    −`node_cost` for every node; and at the end, what the best hypothesis earns. It is believed where it has as many
+    pairings as `slam_gym.association.relocation.acceptance` asks for, and no other pose was found that explains as
+    many measurements. Believed, it earns 1 if its pose is right, −`wrong_cost` if not; not believed, it earns 1 outside
+    the map and 0 inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose
+    lies in the map: carried there by the rigid motion that aligns the true features in reach with their mapped
     counterparts, so that the drift of the map is no error of the agent.
 
     ## Starting state
@@ -66,10 +66,14 @@ class RelocateEnv(BaseEnv):
     The agent stops, or the nodes are spent (`terminated`; the observation tells how many are left).
 
     ## Arguments
-    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS` or a `Scenario`; `split`: `"train"` or `"test"`.
+    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
+      `Scenario`.
+    - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `locality`: `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
     - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation.walk.WalkSpec`.
-    - `outside`: probability that the robot is not in the map.
+    - `outside`: probability that the robot is not in the map; `kidnappings_per_map`: episodes in a row in one world.
+    - `node_cost`, `wrong_cost`: what a node and a wrong answer cost, in right answers; `position_tolerance` [m] and
+      `heading_tolerance` [rad]: how far off a right pose may be.
     - `associator`: that of the robot that made the map.
     - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`.
     - `render_mode`: `"rgb_array"` or `"human"`.
