@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._compile import compiled, inlined
 from slam_gym.association.relocation.arrays import locality_arrays, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import (
     Gates,
@@ -173,7 +173,7 @@ def hypothesis(tree: RelocationTree, node: RelocationNode) -> IntArray:
     return features
 
 
-@compiled
+@inlined
 def follows(problem: Problem, path: Path, p: int, i: int, j: int, since: int) -> bool:
     """Whether pairing (i, j) may follow the p pairings of a path, given that it may follow the first `since` of them.
 
