@@ -92,7 +92,7 @@ class StochasticMap:
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self._next_id = 0
-        self._changes = np.zeros(1, np.int64)  # of the estimate so far, so that an outdated Prediction is noticed
+        self._estimate = _Estimate()  # as it stands now: what is predicted from it notices when it no longer does
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
         self._at = np.zeros(side) if self.spec.first_estimate_jacobians else self._x
@@ -183,7 +183,7 @@ class StochasticMap:
 
     def predict(self, odometry: Odometry) -> None:
         """x_R ← x_R ⊕ u and its covariance. Raises ValueError where the odometry is not finite or has no covariance."""
-        self._changes += 1
+        self._estimate_changes()
         if not ekf.predict(self._x, self._at, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
@@ -227,7 +227,7 @@ class StochasticMap:
         Raises ValueError, the map unchanged, where the pose is not finite or the covariance is none.
         """
         at, P = _checked_pose(pose, covariance)
-        self._changes += 1
+        self._estimate_changes()
         self._x[:3] = self._at[:3] = at
         self._P[:3, : self._d] = 0.0
         self._P[:3, :3] = P
@@ -241,7 +241,7 @@ class StochasticMap:
         features = np.ascontiguousarray(features, dtype=np.int64)
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
-        self._changes += 1
+        self._estimate_changes()
         refused = ekf.update(
             self._x, self._at, self._P, self.n, scan.points, scan.covariances, features, self.spec.iterations
         )
@@ -275,7 +275,7 @@ class StochasticMap:
             self._sizes[self.n], self._size_variances[self.n] = scan.sizes[i], scan.size_variances[i]
             self._kinds[self.n] = scan.kinds[i]
             self._next_id += 1
-            self._changes += 1
+            self._estimate_changes()
             self.n += 1
         return np.arange(first, self.n)
 
@@ -295,7 +295,7 @@ class StochasticMap:
             column = getattr(self, name)
             column[: len(kept)] = column[kept]
         self.n = len(kept)
-        self._changes += 1
+        self._estimate_changes()
         return kept
 
     def unconfirmed(self) -> IntArray:
@@ -321,8 +321,12 @@ class StochasticMap:
         return copy.deepcopy(self)
 
     def _joint_covariance(self, features: IntArray) -> _JointCovariance:
-        at, P, changes = read_only(self._at), read_only(self._P), read_only(self._changes)
-        return _JointCovariance(at, P, features, changes, int(changes[0]))
+        return _JointCovariance(read_only(self._at), read_only(self._P), features, self._estimate)
+
+    def _estimate_changes(self) -> None:
+        """What was predicted from the estimate until now is out of date, and says so when it is asked."""
+        self._estimate.stands = False
+        self._estimate = _Estimate()
 
     @property
     def _d(self) -> int:
@@ -340,6 +344,15 @@ class StochasticMap:
             setattr(self, name, np.concatenate([column, np.zeros_like(column)]))
 
 
+class _Estimate:
+    """Whether an estimate still stands: shared by the map and whatever was predicted from it."""
+
+    __slots__ = ("stands",)
+
+    def __init__(self) -> None:
+        self.stands = True
+
+
 @dataclass(frozen=True, slots=True)
 class _JointCovariance:
     """`Prediction.joint`: H P Hᵀ from read-only arrays of the map that predicted, as long as that has not changed."""
@@ -347,11 +360,10 @@ class _JointCovariance:
     at: Array  # (d,) state that Jacobians are evaluated at
     P: Array  # (d, d) upper triangle
     features: IntArray  # (k,) map index of each row
-    changes: IntArray  # (1,) of the map so far
-    made: int  # after so many changes
+    estimate: _Estimate
 
     def __call__(self, rows: IntArray) -> Array:
-        if self.changes[0] != self.made:
+        if not self.estimate.stands:
             raise RuntimeError("the map has changed since this prediction was made")
         return measurement.joint_covariance(self.at, self.P, self.features[rows])
 

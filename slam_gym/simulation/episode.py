@@ -103,6 +103,9 @@ class Episode:
         self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
+        self._explored = self.grid.explored  # goes on with the grid
+        sensor = scenario.sensor
+        self._field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
         self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
         self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
@@ -156,9 +159,7 @@ class Episode:
 
     def _view_from(self, pose: Array) -> Callable[[Array, Array], Array]:
         """`Prediction.view` from a pose (3,) in B, as far as walls are known."""
-        sensor = self.scenario.sensor
-        field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-        return _View(field, self.grid.explored, read_only(pose))
+        return _View(self._field, self._explored, read_only(pose))
 
     def _explore(self, beams: Beams) -> None:
         pose = self.slam.map.pose

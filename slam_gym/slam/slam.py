@@ -108,7 +108,7 @@ class Slam:
         self.map.update(scan, hypothesis.features)
         # add
         new = self.new_features(scan, prediction, hypothesis)
-        created = self.map.add(scan, new)
+        created = self._add(scan, new) if len(new) else _NO_FEATURES
         # maintain
         seen = _Seen(*_seen(hypothesis.features, new, created, self.map.ids))
         self._remember(seen.features, len(created))
@@ -120,7 +120,8 @@ class Slam:
         """What `scan` should show from the predicted pose, with the localities to search first."""
         recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
         graph = self.covisibility if self.spec.locality else None
-        self._note_reach(scan)
+        if self.spec.reach is None:
+            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances))
         view = None if self.view_from is None else self.view_from(self.map.pose)
         return self.map.prediction(self.reach, graph, recent, view)
 
@@ -159,17 +160,23 @@ class Slam:
         confidence = prediction.confidence if given is None else given
         return left[~has_compatible(scan, prediction, confidence, measurements=left)]
 
-    def _note_reach(self, scan: Scan) -> None:
-        """How far the sensor sees; once, a warning if that is beyond the reach that was specified."""
-        farthest, beyond = _how_far(scan.points, scan.covariances)
-        self._farthest, reach = max(self._farthest, farthest), self.spec.reach
-        if reach is not None and beyond > reach and not self._warned:
-            self._warned = True
-            warnings.warn(
-                f"SlamSpec.reach={reach} m, but a scan measures at {beyond:.1f} m and more: features so far away are "
-                "started anew with every scan and never found again; with reach=None it is taken from the scans",
-                stacklevel=4,
-            )
+    def _add(self, scan: Scan, new: IntArray) -> IntArray:
+        """Start a feature from each of the `new` measurements (a,); their indices in the map."""
+        if self.spec.reach is not None:
+            self._warn_of_reach(scan, new, self.spec.reach)
+        return self.map.add(scan, new)
+
+    def _warn_of_reach(self, scan: Scan, new: IntArray, reach: float) -> None:
+        """Once, where one of the `new` measurements (a,) starts a feature so far away that it is never found again."""
+        nearest = np.hypot(*scan.points[new].T) - 6.0 * np.sqrt(np.trace(scan.covariances[new], axis1=1, axis2=2))
+        if self._warned or nearest.max() <= reach:
+            return
+        self._warned = True
+        warnings.warn(
+            f"SlamSpec.reach={reach} m, but a scan measures at {nearest.max():.1f} m and more: features so far "
+            "away are started anew with every scan and never found again; with reach=None it is taken from the scans",
+            stacklevel=4,
+        )
 
     def _remember(self, features: IntArray, created: int) -> None:
         """What this scan saw together; the last of the `features` (s,) are `created`."""
@@ -231,11 +238,10 @@ def _seen(
 
 
 @compiled
-def _how_far(points: Array, covariances: Array) -> tuple[float, float]:
-    """[m] How far from the robot a measurement may lie at most, ‖z‖ + 3σ, and how far one must at least, ‖z‖ − 6σ."""
-    farthest, beyond = 0.0, 0.0
+def _farthest(points: Array, covariances: Array) -> float:
+    """[m] How far from the robot a measurement may lie at most: ‖z‖ + 3σ, σ² being the trace of its covariance."""
+    farthest = 0.0
     for i in range(len(points)):
-        distance = math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2)
         sigma = math.sqrt(covariances[i, 0, 0] + covariances[i, 1, 1])
-        farthest, beyond = max(farthest, distance + 3.0 * sigma), max(beyond, distance - 6.0 * sigma)
-    return farthest, beyond
+        farthest = max(farthest, math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2) + 3.0 * sigma)
+    return farthest
