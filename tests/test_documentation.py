@@ -88,10 +88,11 @@ def check_command(command: list[str], complete: bool = True) -> None:
     match command:
         case ["python", "-m", "slam_gym.bench", *arguments]:
             check_benchmark(arguments)
-        case ["python", "-m", module, *arguments]:
-            parser = importlib.import_module(module).parser()
+        case ["python", "-m", name, *arguments]:
+            module = importlib.import_module(name)
+            assert callable(module.main)
             if arguments or complete:
-                parser.parse_args(arguments)
+                module.parser().parse_args(arguments)
         case ["python", "-c", code]:
             compile(code, "the command", "exec")
         case ["python", file, *_]:
