@@ -98,12 +98,12 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     if not isinstance(hypothesis, Hypothesis):
         raise ValueError(f"hypothesis: {type(hypothesis).__name__}, expected a Hypothesis")
     given = hypothesis.features
-    if not isinstance(given, np.ndarray) or given.shape != (measurements,) or given.dtype.kind != "i":
+    plain = type(given) is np.ndarray and given.dtype is _INTEGERS and given.flags.carray
+    if (not plain and (not isinstance(given, np.ndarray) or given.dtype.kind != "i")) or given.shape != (measurements,):
         told = f"{given.dtype} of shape {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
         raise ValueError(f"hypothesis.features: {told}, expected ({measurements},) signed integers")
-    decisions = given
-    if type(given) is not np.ndarray or given.dtype != np.int64 or not given.flags.carray:
-        decisions = np.array(given, dtype=np.int64, subok=False)  # what follows is compiled for plain arrays alone
+    # what follows is compiled for plain arrays alone
+    decisions = given if plain else np.array(given, dtype=np.int64, subok=False)
     entry, fault = _first_bad_decision(decisions, features, hypothesis.exclusive)
     if fault == 1:
         raise ValueError(f"hypothesis.features[{entry}]: {decisions[entry]}, expected −1 … {features - 1}")

@@ -37,13 +37,18 @@ class CovisibilityGraph:
         self._neighbours = np.zeros((_ROOM, _WIDTH), np.int64)
         self._counts = np.zeros((_ROOM, _WIDTH), np.int64)
         self._degrees = np.zeros(_ROOM, np.int64)
+        self._shown: tuple[IntArray, IntArray] | None = None  # read-only neighbours and degrees, once asked for
+
+    def __getstate__(self) -> dict[str, object]:
+        """A copy shows its own arrays, not copies of those that are shown."""
+        return self.__dict__ | {"_shown": None}
 
     def add(self, count: int) -> None:
         """Append `count` nodes without edges."""
         if count < 0:
             raise ValueError(f"count: {count} is negative")
         while self.n + count > len(self._degrees):
-            more = len(self._degrees)
+            more, self._shown = len(self._degrees), None
             self._degrees = np.pad(self._degrees, (0, more))
             self._neighbours = np.pad(self._neighbours, ((0, more), (0, 0)))
             self._counts = np.pad(self._counts, ((0, more), (0, 0)))
@@ -59,7 +64,7 @@ class CovisibilityGraph:
         needed = _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
         if needed > self._neighbours.shape[1]:
             more = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
-            self._neighbours = np.pad(self._neighbours, ((0, 0), (0, more)))
+            self._neighbours, self._shown = np.pad(self._neighbours, ((0, 0), (0, more))), None
             self._counts = np.pad(self._counts, ((0, 0), (0, more)))
             _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
 
@@ -97,11 +102,13 @@ class CovisibilityGraph:
         Raises ValueError where a feature is not in the graph.
         """
         rows = np.ascontiguousarray(features, dtype=np.int64)
-        return _among(read_only(self._neighbours), read_only(self._degrees), self.n, rows)
+        return self.among_rows(rows)(np.arange(len(rows)))
 
     def among_rows(self, features: IntArray) -> LocalRows:
         """`among` for rows of `features` (k,), from read-only arrays that go on with the graph: `Prediction.local`."""
-        return LocalRows(read_only(self._neighbours), read_only(self._degrees), self.n, features)
+        if self._shown is None:
+            self._shown = read_only(self._neighbours), read_only(self._degrees)
+        return LocalRows(*self._shown, self.n, features)
 
     def edges(self) -> Edges:
         """All edges, in ascending order."""

@@ -92,6 +92,7 @@ class StochasticMap:
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self._next_id = 0
+        self._shown: tuple[Array, Array] | None = None  # read-only `_at` and `_P`, once they were asked for
         self._estimate = _Estimate()  # as it stands now: what is predicted from it notices when it no longer does
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
@@ -316,12 +317,18 @@ class StochasticMap:
         x, y, heading = self._x[:3]
         return f"StochasticMap of {self.n} features, robot at ({x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f}°)"
 
+    def __getstate__(self) -> dict[str, object]:
+        """A copy shows its own arrays, not copies of those that are shown."""
+        return self.__dict__ | {"_shown": None}
+
     def copy(self) -> StochasticMap:
         """An independent copy."""
         return copy.deepcopy(self)
 
     def _joint_covariance(self, features: IntArray) -> _JointCovariance:
-        return _JointCovariance(read_only(self._at), read_only(self._P), features, self._estimate)
+        if self._shown is None:
+            self._shown = read_only(self._at), read_only(self._P)
+        return _JointCovariance(*self._shown, features, self._estimate)
 
     def _estimate_changes(self) -> None:
         """What was predicted from the estimate until now is out of date, and says so when it is asked."""
@@ -338,7 +345,7 @@ class StochasticMap:
         side = padded(3 + 2 * room)
         x, at, P = np.zeros(side), np.zeros(side), aligned_zeros(side, side)
         x[:d], at[:d], P[:d, :d] = self._x[:d], self._at[:d], self._P[:d, :d]
-        self._x, self._at, self._P = x, at if self.spec.first_estimate_jacobians else x, P
+        self._x, self._at, self._P, self._shown = x, at if self.spec.first_estimate_jacobians else x, P, None
         for name in _COLUMNS:
             column = getattr(self, name)
             setattr(self, name, np.concatenate([column, np.zeros_like(column)]))

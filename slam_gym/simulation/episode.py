@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.geometry import compose, observe, relative, transform
-from slam_gym.mapping.linear_algebra import read_only
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
@@ -159,7 +158,7 @@ class Episode:
 
     def _view_from(self, pose: Array) -> Callable[[Array, Array], Array]:
         """`Prediction.view` from a pose (3,) in B, as far as walls are known."""
-        return _View(self._field, self._explored, read_only(pose))
+        return _View(self._field, self._explored, pose)
 
     def _explore(self, beams: Beams) -> None:
         pose = self.slam.map.pose
