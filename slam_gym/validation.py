@@ -98,7 +98,7 @@ def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -
     if not isinstance(hypothesis, Hypothesis):
         raise ValueError(f"hypothesis: {type(hypothesis).__name__}, expected a Hypothesis")
     given = hypothesis.features
-    plain = type(given) is np.ndarray and given.dtype is _INTEGERS and given.flags.carray
+    plain = type(given) is np.ndarray and given.dtype == _INTEGERS and given.flags.carray
     if (not plain and (not isinstance(given, np.ndarray) or given.dtype.kind != "i")) or given.shape != (measurements,):
         told = f"{given.dtype} of shape {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
         raise ValueError(f"hypothesis.features: {told}, expected ({measurements},) signed integers")
