@@ -140,13 +140,13 @@ def _decide(problem: Problem, graph: _Graph, cliques: list[list[int]], confidenc
     members = np.array([node for clique in cliques for node in sorted(clique)], np.int64)
     ends = np.cumsum([0, *map(len, cliques)]).astype(np.int64)
     pairings = Path(graph.measurements[members], graph.features[members])
-    return _best_of(problem, pairings, ends, location_gates(len(problem.allowed), confidence))
+    return _best_of(problem, pairings, ends, location_gates(len(problem.where.allowed), confidence))
 
 
 @compiled
 def _consistent(problem: Problem, node_limit: int) -> _Graph:
     """The graph; without edges where there would be too many nodes."""
-    scan, mapped, allowed, effort = problem.scan, problem.mapped, problem.allowed, problem.effort
+    scan, mapped, allowed, effort = problem.scan, problem.mapped, problem.where.allowed, problem.effort
     (m, n), number = allowed.shape, np.full(allowed.shape, -1)
     effort[UNARY] += m * n
     measurements, features, nodes = np.empty(m * n, np.int64), np.empty(m * n, np.int64), 0
@@ -160,7 +160,12 @@ def _consistent(problem: Problem, node_limit: int) -> _Graph:
     if nodes > node_limit:
         effort[LIMIT] = 1
         nodes = 0
-    positions, traces, starts, members = mapped.positions, problem.traces, problem.starts, problem.members
+    positions, traces, starts, members = (
+        mapped.positions,
+        problem.where.traces,
+        problem.where.starts,
+        problem.where.members,
+    )
     for a in range(nodes):
         i, j = measurements[a], features[a]
         begin, end = (starts[j], starts[j + 1]) if len(starts) > 0 else (0, n)
@@ -191,7 +196,7 @@ def _consistent(problem: Problem, node_limit: int) -> _Graph:
 @compiled
 def _best_of(problem: Problem, pairings: Path, ends: IntArray, gates: Array) -> Found:
     """The best of the hypotheses ends[c] … ends[c + 1] of `pairings`; where none holds, of what they shrink to."""
-    best, holds = nothing_found(len(problem.allowed)), False
+    best, holds = nothing_found(len(problem.where.allowed)), False
     for c in range(len(ends) - 1):
         problem.effort[LEAVES] += 1
         path = _part(pairings, ends[c], ends[c + 1])

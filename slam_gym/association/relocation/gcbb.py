@@ -76,7 +76,8 @@ def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, riv
 
     By level: how many pairings there are above it, and how many candidates were tried.
     """
-    m, effort, best = len(levels), problem.effort, nothing_found(len(levels))
+    m, best = len(levels), nothing_found(len(levels))
+    scan, mapped, chi2, where, effort = problem.scan, problem.mapped, problem.gates, problem.where, problem.effort
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     above, tried = np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     level = 0
@@ -90,7 +91,7 @@ def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, riv
             offer(best, problem, path, p, gates)
             level -= 1
             continue
-        branch = next_branch(problem, path, p, levels[level], tried[level])
+        branch = next_branch(scan, mapped, chi2, effort, where, path, p, levels[level], tried[level])
         tried[level] = _STAR if branch.feature == UNPAIRED else branch.tried
         if branch.feature == UNPAIRED and not _promises(best, p + m - level - 1, rivals):
             continue

@@ -83,19 +83,20 @@ def tries(p_fail: float, p_good: float, sample: int) -> int:
 @compiled
 def _random_sampling(problem: Problem, gates: Array, samples: IntArray, node_limit: int) -> Found:
     """The best of all tries."""
-    best = nothing_found(len(problem.allowed))
+    best = nothing_found(len(problem.where.allowed))
     for sample in samples:
         if problem.effort[LIMIT] > 0:
             break
         problem.effort[TRIES] += 1
         _try(best, problem, gates, sample, node_limit)
-    return decide(best, gates[len(problem.allowed) + 1])
+    return decide(best, gates[len(problem.where.allowed) + 1])
 
 
 @compiled
 def _try(best: Best, problem: Problem, gates: Array, sample: IntArray, node_limit: int) -> None:
     """All ways to pair every measurement of the sample, each extended."""
-    m, size, effort = len(problem.allowed), len(sample), problem.effort
+    m, size = len(problem.where.allowed), len(sample)
+    scan, mapped, chi2, where, effort = problem.scan, problem.mapped, problem.gates, problem.where, problem.effort
     path, tried, p = Path(np.empty(m, np.int64), np.empty(m, np.int64)), np.zeros(size + 1, np.int64), 0
     while p >= 0:
         if p == size:
@@ -103,7 +104,7 @@ def _try(best: Best, problem: Problem, gates: Array, sample: IntArray, node_limi
             _extend(best, problem, gates, path, p, node_limit)
             p -= 1
             continue
-        branch = next_branch(problem, path, p, sample[p], tried[p])
+        branch = next_branch(scan, mapped, chi2, effort, where, path, p, sample[p], tried[p])
         tried[p] = branch.tried
         if branch.feature == UNPAIRED:
             p -= 1
@@ -139,7 +140,7 @@ def _extend(best: Best, problem: Problem, gates: Array, path: Path, p: int, node
 
     By level: how many pairings there are above it, and which candidate comes next.
     """
-    m, effort = len(problem.allowed), problem.effort
+    m, effort = len(problem.where.allowed), problem.effort
     poses = _Poses(np.empty((m + 1, 3)), np.empty((m + 1, 3, 3)), np.empty(m + 1))
     if not _locate(poses, problem, path, p, gates):
         return
@@ -191,8 +192,8 @@ def _compatible(problem: Problem, path: Path, p: int, poses: _Poses) -> _Candida
     Pose and features are taken for independent here: where a common drift correlates them the gate is too wide, and the
     joint test decides.
     """
-    points, noise, starts, m = problem.scan.points, problem.scan.noise, problem.starts, len(problem.allowed)
-    begin, end, gate = 0, len(problem.traces), problem.gates.two
+    points, noise, starts, m = problem.scan.points, problem.scan.noise, problem.where.starts, len(problem.where.allowed)
+    begin, end, gate = 0, len(problem.where.traces), problem.gates.two
     if len(starts) > 0:
         begin, end = starts[path.features[0]], starts[path.features[0] + 1]
     free = np.ones(m, np.bool_)
@@ -200,12 +201,12 @@ def _compatible(problem: Problem, path: Path, p: int, poses: _Poses) -> _Candida
         free[path.measurements[a]] = False
     distances, found, counts = np.empty((m, _CANDIDATES)), np.empty((m, _CANDIDATES), np.int64), np.zeros(m, np.int64)
     for position in range(begin, end):
-        j = problem.members[position] if len(starts) > 0 else position
+        j = problem.where.members[position] if len(starts) > 0 else position
         hx, hy, xx, xy, yy = _predicted(poses.poses[p], poses.covariances[p], problem.mapped, j)
         for i in range(m):
             x, y = points[i, 0] - hx, points[i, 1] - hy
             sxx, syy = xx + noise[i, 0, 0], yy + noise[i, 1, 1]
-            if not free[i] or x * x >= gate * sxx or y * y >= gate * syy or not problem.allowed[i, j]:
+            if not free[i] or x * x >= gate * sxx or y * y >= gate * syy or not problem.where.allowed[i, j]:
                 continue
             sxy = xy + noise[i, 0, 1]
             distance = (syy * x * x - 2.0 * sxy * x * y + sxx * y * y) / (sxx * syy - sxy * sxy)

@@ -41,16 +41,22 @@ NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
 _NOTHING = np.empty(0, np.int64)
 
 
+class Where(NamedTuple):
+    """Where to look for the feature of a measurement."""
+
+    allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
+    traces: Array  # (n,) [m²] of the features' covariances
+    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
+    members: IntArray
+
+
 class Problem(NamedTuple):
     """A scan, a map and a locality, as the compiled searches take them, and what was spent on them."""
 
     scan: Measured
     mapped: Mapped
-    allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
-    traces: Array  # (n,) [m²] of the features' covariances
-    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
-    members: IntArray
     gates: Gates
+    where: Where
     effort: IntArray  # (8,)
 
 
@@ -124,7 +130,7 @@ def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, conf
     allowed = unary_table(*seen[2:], *arrays[2:5], chi2.one)
     traces = mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1]
     effort = np.zeros(8, np.int64)
-    return Problem(measured(*seen[:2]), mapped, allowed, traces, starts, members, chi2, effort)
+    return Problem(measured(*seen[:2]), mapped, chi2, Where(allowed, traces, starts, members), effort)
 
 
 def relocation_tree(
@@ -136,7 +142,7 @@ def relocation_tree(
 
 def root(tree: RelocationTree) -> RelocationNode:
     """The root: nothing decided."""
-    return RelocationNode(Path(_NOTHING, _NOTHING), np.zeros(len(tree.scan), np.bool_), tree.problem.allowed)
+    return RelocationNode(Path(_NOTHING, _NOTHING), np.zeros(len(tree.scan), np.bool_), tree.problem.where.allowed)
 
 
 def branches(tree: RelocationTree, node: RelocationNode, measurement: int) -> RelocationBranches:
@@ -174,53 +180,59 @@ def hypothesis(tree: RelocationTree, node: RelocationNode) -> IntArray:
 
 
 @inlined
-def follows(problem: Problem, path: Path, p: int, i: int, j: int, since: int) -> bool:
+def follows(
+    scan: Measured, mapped: Mapped, chi2: Gates, effort: IntArray, path: Path, p: int, i: int, j: int, since: int
+) -> bool:
     """Whether pairing (i, j) may follow the p pairings of a path, given that it may follow the first `since` of them.
 
-    The unary constraint and the locality of the first pairing are the caller's to see to: both say where to look.
+    The unary constraint and the locality of the first pairing are the caller's to see to: both say where to look. The
+    first four arguments are of a `Problem`; taken out of it here, at every call, they cost as much as the tests.
     """
-    scan, mapped, chi2 = problem.scan, problem.mapped, problem.gates
     for a in range(since, p):
         if path.features[a] == j:
             return False
-        problem.effort[BINARY] += 1
+        effort[BINARY] += 1
         if not binary_test(scan, mapped, chi2, path.measurements[a], path.features[a], i, j):
             return False
-    k, l = path.measurements[0], path.features[0]
     for a in range(max(since, 1), p):
-        problem.effort[ORIENTATION] += 1
-        if not orientation_test(scan, mapped, chi2, k, l, path.measurements[a], path.features[a], i, j):
+        effort[ORIENTATION] += 1
+        k, l = path.measurements[a], path.features[a]
+        if not orientation_test(scan, mapped, chi2, path.measurements[0], path.features[0], k, l, i, j):
             return False
     return True
 
 
 @compiled
-def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> Branch:
+def next_branch(
+    scan: Measured, mapped: Mapped, chi2: Gates, effort: IntArray, where: Where, path: Path, p: int, i: int, tried: int
+) -> Branch:
     """The next feature that measurement i may be paired with after the p pairings, or UNPAIRED.
 
-    Candidates are the features local to the first one paired, or all; the first `tried` of them are done with.
+    Candidates are the features local to the first one paired, or all; the first `tried` of them are done with. The
+    first five arguments are of a `Problem`, see `follows`.
     """
-    scan, positions, traces, effort = problem.scan, problem.mapped.positions, problem.traces, problem.effort
-    restricted = p > 0 and len(problem.starts) > 0
+    positions, traces, allowed, members, gate = mapped.positions, where.traces, where.allowed, where.members, chi2.two
+    restricted = p > 0 and len(where.starts) > 0
     begin, end = 0, len(traces)
     if restricted:
-        begin, end = problem.starts[path.features[0]], problem.starts[path.features[0] + 1]
+        begin, end = where.starts[path.features[0]], where.starts[path.features[0] + 1]
     first, x0, y0, trace, distance, spread = UNPAIRED, 0.0, 0.0, 0.0, 0.0, 0.0
     if p > 0:
         first = path.features[0]
         x0, y0, trace = positions[first, 0], positions[first, 1], traces[first]
-        distance, spread = scan.distances[i, path.measurements[0]], scan.spreads[i, path.measurements[0]]
+        k = path.measurements[0]
+        distance, spread = scan.distances[i, k], scan.spreads[i, k]
     for position in range(begin + tried, end):
-        j = problem.members[position] if restricted else position
+        j = members[position] if restricted else position
         effort[UNARY] += 1
-        if not problem.allowed[i, j]:
+        if not allowed[i, j]:
             continue
         if p > 0:  # what `follows` would do first, with all at hand: it settles most pairings
             x, y = positions[j, 0] - x0, positions[j, 1] - y0
-            if far_apart(distance - math.sqrt(x * x + y * y), spread, traces[j], trace, problem.gates.two):
+            if far_apart(distance - math.sqrt(x * x + y * y), spread, traces[j], trace, gate):
                 effort[BINARY] += first != j
                 continue
-        if follows(problem, path, p, i, j, 0):
+        if follows(scan, mapped, chi2, effort, path, p, i, j, 0):
             return Branch(j, position + 1 - begin)
     return Branch(UNPAIRED, end - begin)
 
@@ -228,30 +240,33 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> Bra
 @compiled
 def _local_to(problem: Problem, feature: int) -> BoolArray:
     """(n,) L(feature)."""
-    n = len(problem.traces)
-    if len(problem.starts) == 0:
+    n = len(problem.where.traces)
+    if len(problem.where.starts) == 0:
         return np.ones(n, np.bool_)
     local = np.zeros(n, np.bool_)
-    for at in range(problem.starts[feature], problem.starts[feature + 1]):
-        local[problem.members[at]] = True
+    for at in range(problem.where.starts[feature], problem.where.starts[feature + 1]):
+        local[problem.where.members[at]] = True
     return local
 
 
 @compiled
 def _keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
     """Strike from `alive` (m, n), in place, what the last pairing of the path rules out."""
-    p = len(path.features)
+    scan, mapped, chi2, effort, p = problem.scan, problem.mapped, problem.gates, problem.effort, len(path.features)
     local = _local_to(problem, path.features[p - 1])
     for k in range(alive.shape[0]):
         for l in range(alive.shape[1]):
-            if alive[k, l]:
-                alive[k, l] = (p > 1 or local[l]) and follows(problem, path, p, k, l, p - 1)
+            if not alive[k, l]:
+                continue
+            alive[k, l] = False
+            if p > 1 or local[l]:
+                alive[k, l] = follows(scan, mapped, chi2, effort, path, p, k, l, p - 1)
 
 
 @compiled
 def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidates: IntArray) -> _Outlook:
     """Beyond the pairings of measurement i with each of `candidates` (b,)."""
-    p = len(path.features)
+    scan, mapped, chi2, effort, p = problem.scan, problem.mapped, problem.gates, problem.effort, len(path.features)
     longer = Path(np.empty(p + 1, np.int64), np.empty(p + 1, np.int64))
     longer.measurements[:p], longer.features[:p], longer.measurements[p] = path.measurements, path.features, i
     support, figures = np.zeros(len(candidates), np.int64), np.zeros((len(candidates), 3))
@@ -264,7 +279,7 @@ def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidat
             for l in range(alive.shape[1]):
                 if not alive[k, l] or (p == 0 and not local[l]):
                     continue
-                if follows(problem, longer, p + 1, k, l, p):
+                if follows(scan, mapped, chi2, effort, longer, p + 1, k, l, p):
                     support[c] += 1
                     break
         _distances(problem, path, i, candidates[c], figures[c])

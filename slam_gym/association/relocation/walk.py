@@ -104,7 +104,7 @@ class RelocationWalk:
         self.tree = relocation_tree(scan, landmarks, locality, spec.confidence)
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
         self.counters = self.tree.problem.effort
-        self.counters[UNARY] = self.tree.problem.allowed.size
+        self.counters[UNARY] = self.tree.problem.where.allowed.size
         self.done = False
         self._rng = rng or np.random.default_rng(0)
         self._at_root: dict[int, RelocationBranches] = {}  # every try begins with the same offer
@@ -205,7 +205,7 @@ class RelocationWalk:
         if self.spec.order == "as_scanned":
             return np.arange(len(points))
         far = np.hypot(points[:, 0], points[:, 1])
-        few = self.tree.problem.allowed.sum(axis=1)
+        few = self.tree.problem.where.allowed.sum(axis=1)
         return np.argsort(far if self.spec.order == "nearest_first" else few, kind="stable")
 
     def _decide(self, feature: int) -> None:
