@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled, inlined
+from slam_gym._compile import compiled
 from slam_gym.association.relocation.arrays import locality_arrays, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import (
     Gates,
@@ -179,7 +179,7 @@ def hypothesis(tree: RelocationTree, node: RelocationNode) -> IntArray:
     return features
 
 
-@inlined
+@compiled
 def follows(
     scan: Measured, mapped: Mapped, chi2: Gates, effort: IntArray, path: Path, p: int, i: int, j: int, since: int
 ) -> bool:
