@@ -32,8 +32,6 @@ UNLABELLED = -2
 NO_ID = -1
 """In `SlamStep.ids`: the measurement was discarded."""
 
-NONE, UNKNOWN = UNPAIRED, UNLABELLED
-
 
 @dataclass(frozen=True, slots=True)
 class Odometry:

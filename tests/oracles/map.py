@@ -17,7 +17,7 @@ from slam_gym.geometry import (
     wrap_angle,
 )
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import NONE, Array, IntArray, Odometry, Scan
+from slam_gym.types import UNPAIRED, Array, IntArray, Odometry, Scan
 
 
 class TextbookMap:
@@ -58,7 +58,7 @@ class TextbookMap:
         return observe(self.x[:3], self.x[3:].reshape(-1, 2)[features])
 
     def update(self, scan: Scan, features: IntArray) -> None:
-        paired = np.flatnonzero(features != NONE)
+        paired = np.flatnonzero(features != UNPAIRED)
         H, R = self.H(features[paired]), np.zeros((2 * len(paired), 2 * len(paired)))
         for row, i in enumerate(paired):
             R[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = scan.covariances[i]
@@ -149,8 +149,8 @@ class KnownAssociation:
 
     def step(self, step: Step) -> None:
         index = {source: j for j, source in enumerate(self.sources)}
-        features = np.array([index.get(source, NONE) for source in step.sources.tolist()], dtype=np.int64)
-        new = np.flatnonzero(features == NONE)
+        features = np.array([index.get(source, UNPAIRED) for source in step.sources.tolist()], dtype=np.int64)
+        new = np.flatnonzero(features == UNPAIRED)
         for m in (self.map, self.textbook):
             if m is not None:
                 m.predict(step.odometry)

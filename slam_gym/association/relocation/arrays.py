@@ -26,7 +26,7 @@ MapArrays = tuple[Array, Array, Array, Array, IntArray, Array, IntArray, IntArra
 
 
 def scan_arrays(scan: Scan) -> ScanArrays:
-    """Points, noise, sizes, size variances and kinds (all UNKNOWN where there are none), fit for kernels.
+    """Points, noise, sizes, size variances and kinds (all UNKNOWN_KIND where there are none), fit for kernels.
 
     Raises ValueError naming the field and measurement that is not finite, or no covariance.
     """

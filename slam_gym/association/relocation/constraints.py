@@ -17,7 +17,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import MapArrays, map_arrays, scan_arrays
-from slam_gym.types import UNKNOWN, Array, BoolArray, IntArray, Landmarks, Scan
+from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Scan
 
 _CLOSE = 16.0  # points are close when nearer than √16 = 4 σ to each other
 
@@ -69,7 +69,7 @@ def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArr
     """Which measurement may be which feature by size and kind alone, (m, n).
 
     Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j); kinds, when they are equal. A size that is NaN and a kind
-    that is UNKNOWN say nothing and agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
+    that is UNKNOWN_KIND say nothing and agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
     """
     return unary_table(*scan_arrays(scan)[2:], *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
 
@@ -181,7 +181,7 @@ def unary_test(
     size: float, variance: float, kind: int, of_size: float, of_variance: float, of_kind: int, gate: float
 ) -> bool:
     """`unary` for one measurement and one feature; gate χ²_1."""
-    if kind != of_kind and kind != UNKNOWN and of_kind != UNKNOWN:
+    if kind != of_kind and kind != UNKNOWN_KIND and of_kind != UNKNOWN_KIND:
         return False
     difference = size - of_size
     return not difference * difference > gate * (variance + of_variance)  # NaN passes

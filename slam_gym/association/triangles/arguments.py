@@ -12,7 +12,7 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.triangles.map import first_bad_feature
 from slam_gym.association.triangles.verify import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import UNKNOWN, Array, Effort, IntArray
+from slam_gym.types import UNKNOWN_KIND, Array, Effort, IntArray
 
 
 def check_features(positions: Array, covariances: Array) -> None:
@@ -38,10 +38,10 @@ def effort_of(spent: IntArray, truncated: bool, seconds: float) -> Effort:
 
 
 def kinds_as_numbers(kinds: ArrayLike | None) -> Array | float:
-    """Kinds as numbers, NaN for UNKNOWN."""
+    """Kinds as numbers, NaN for UNKNOWN_KIND."""
     if kinds is None:
         return math.nan
-    return np.where(np.equal(kinds, UNKNOWN), math.nan, kinds)
+    return np.where(np.equal(kinds, UNKNOWN_KIND), math.nan, kinds)
 
 
 @functools.lru_cache(maxsize=1024)

@@ -46,9 +46,11 @@ from slam_gym.association.triangles.store import (
     share_painted,
     sigma_table,
 )
-from slam_gym.types import NONE, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_scan
 
+_GONE = -1  # new number of a feature that is dropped
+_EMPTY = -1  # head of a grid cell without features
 _FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
 _NO_LOCALITY = (np.empty(0, np.int64), np.empty(0, np.int64))
 
@@ -97,7 +99,7 @@ class FeatureIndex:
         self._pool = np.empty((4096, 4), np.int32)
         self._progress = np.zeros(5, np.int64)  # as in `enter_triangles`
         self._positions, self._details = np.empty((0, 2)), np.empty((0, 6))
-        self._starts, self._crowding_of = np.zeros(64), NONE
+        self._starts, self._crowding_of = np.zeros(64), -1
         self._painted = 0  # features when the shares painted were looked at
         self._make_room(64)
         if landmarks is not None:
@@ -161,7 +163,7 @@ class FeatureIndex:
         kept = np.asarray(kept, np.int64)
         if np.any(kept < 0) or np.any(kept >= self.n) or np.any(np.diff(kept) <= 0):
             raise ValueError(f"kept: not ascending numbers of {self.n} features")
-        renumbered = np.full(self.n, NONE)
+        renumbered = np.full(self.n, _GONE)
         renumbered[kept] = np.arange(len(kept))
         self._progress[2] = keep_triangles(self._cells, self._pool, renumbered)
         for array in (self._positions, self._details):
@@ -219,7 +221,7 @@ class FeatureIndex:
             node_limit,
         )
         best = int(np.argmin(squares)) if pairings else 0
-        decisions = features[best] if pairings else np.full(len(scan), NONE)
+        decisions = features[best] if pairings else np.full(len(scan), UNPAIRED)
         pose, covariance = pose_of(fits[best]) if pairings else (np.full(3, math.nan), np.full((3, 3), math.nan))
         distance = float(squares[best]) if pairings else 0.0
         if landmarks is not None and pairings:
@@ -277,7 +279,7 @@ class FeatureIndex:
     def _rebuild_tables(self, room: int) -> None:
         """Grid and bitmaps for so many features, with those there are."""
         power = max(math.ceil(0.5 * math.log2(room)), 3)
-        self._heads = np.full((1 << power, 1 << power), NONE, np.int32)
+        self._heads = np.full((1 << power, 1 << power), _EMPTY, np.int32)
         self._following = np.empty(room, np.int32)
         self._bits = np.zeros(5 << (2 * power + 3), np.uint8)
         self._settings[POWER] = power + 4

@@ -15,7 +15,7 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.triangles.store import SIDE, WIDEST, Bits, Small
-from slam_gym.types import NONE, Array, IntArray
+from slam_gym.types import UNPAIRED, Array, IntArray
 
 FIT = 12
 _ROUNDS = 6  # of fitting and pairing anew; pairings are as a rule settled after two
@@ -103,13 +103,13 @@ def _nearest(
     members: IntArray,
     anchor: int,
 ) -> tuple[int, float]:
-    """The feature of least D² within the gate of measurement i, and that D²; (NONE, gate) where there is none."""
+    """The feature of least D² within the gate of measurement i, and that D²; (UNPAIRED, gate) where there is none."""
     x, y, xx, xy, yy = place
     mask, reach = len(heads) - 1, math.sqrt(gate * (max(xx, yy) + abs(xy) + widest))
     bottom, left = math.floor((y - reach) / side), math.floor((x - reach) / side)
     rows = min(math.floor((y + reach) / side) - bottom, mask) + 1
     columns = min(math.floor((x + reach) / side) - left, mask) + 1
-    chosen, least = NONE, gate
+    chosen, least = UNPAIRED, gate
     for row in range(bottom, bottom + rows):
         for column in range(left, left + columns):
             j = int(heads[row & mask, column & mask])
@@ -144,10 +144,10 @@ def pair_around(
             place, positions, details, heads, following, side, widest, gates[1], attributes, i, gates[0], starts,
             members, anchor,
         )  # fmt: skip
-        misses += features[i] == NONE
-        for k in range(i if features[i] != NONE else 0):
+        misses += features[i] == UNPAIRED
+        for k in range(i if features[i] != UNPAIRED else 0):
             if features[k] == features[i]:
-                features[k if squares[k] > squares[i] else i] = NONE
+                features[k if squares[k] > squares[i] else i] = UNPAIRED
                 misses += 1
                 break
         if misses > m - needed:
@@ -176,7 +176,7 @@ def improve(look: Look, store: Store, features: IntArray, fit: Array) -> float:
     a = b = c = d = e = f = g = h = k = 0.0  # Σ JᵀWJ = [[a, b, d], [b, c, e], [d, e, f]], Σ JᵀWe = (g, h, k)
     for i in range(len(features)):
         j = features[i]
-        if j == NONE:
+        if j == UNPAIRED:
             continue
         u, v = points[i, 0] - fit[4], points[i, 1] - fit[5]
         lx, ly = fit[2] * u - fit[3] * v, fit[3] * u + fit[2] * v
@@ -204,10 +204,10 @@ def improve(look: Look, store: Store, features: IntArray, fit: Array) -> float:
 def distance_of(look: Look, store: Store, features: IntArray, fit: Array) -> tuple[float, int]:
     """D² = Σ eᵀWe of the pairings at a fit, and the measurement that adds most to it."""
     points, noise, positions, details = look.points, look.noise, store.positions, store.details
-    total, most, worst = 0.0, -1.0, NONE
+    total, most, worst = 0.0, -1.0, UNPAIRED
     for i in range(len(features)):
         j = features[i]
-        if j == NONE:
+        if j == UNPAIRED:
             continue
         u, v = points[i, 0] - fit[4], points[i, 1] - fit[5]
         ex = positions[j, 0] - fit[0] - fit[2] * u + fit[3] * v
@@ -249,5 +249,5 @@ def settle(
         spent[4] += 1
         if square < look.gates[pairings]:
             return pairings, square
-        features[worst], pairings = NONE, pairings - 1
+        features[worst], pairings = UNPAIRED, pairings - 1
     return 0, 0.0

@@ -17,7 +17,7 @@ from slam_gym.association.triangles.pose import FIT, Look, Store, StoreArrays
 from slam_gym.association.triangles.seeds import is_indexed, try_triple
 from slam_gym.association.triangles.store import largest_variance
 from slam_gym.association.triangles.verify import ALIKE, ALL, LIKELY, LIMIT, MODE, Found
-from slam_gym.types import NONE, Array, BoolArray, IntArray
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 _MANY = 5  # measurements that may be missed; where it is more, poses are first tried by likelihood
 _WIDE = 1e12  # [m] put on top of the radius of triples too wide for the index
@@ -43,7 +43,7 @@ def search(
     store, look = Store(*arrays), _look(scan, locality, gates)
     m = len(look.points)
     found = Found(
-        np.full((KEPT, m), NONE),
+        np.full((KEPT, m), UNPAIRED),
         np.full((KEPT, FIT), math.nan),
         np.zeros(KEPT),
         np.array([max(needed - 1, 3) - 1, 0, ALL]),
@@ -141,7 +141,7 @@ def _try_places_alike(look: Look, store: Store, found: Found, done: BoolArray) -
     pairings, found.state[MODE] = 0, ALIKE
     while pairings < found.state[0] and found.spent[LIMIT] == 0:
         pairings = found.state[0]
-        paired = np.flatnonzero(found.features[0] != NONE)
+        paired = np.flatnonzero(found.features[0] != UNPAIRED)
         order, starts = _groups(look.points[paired], pairings // 3)
         for g in range(pairings // 3):
             triple = paired[order[starts[g] : starts[g] + 3]]

@@ -14,7 +14,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.triangles.pose import FIT, Look, Store, alike, is_local, pair_around, settle
 from slam_gym.association.triangles.store import PAINTED, POWER, SIDE, SIZE, Bits, Small, is_painted
-from slam_gym.types import NONE, Array, IntArray
+from slam_gym.types import UNPAIRED, Array, IntArray
 
 NODES, BINARY, TRIES, LEAVES, JOINT, LIMIT = 0, 1, 2, 3, 4, 5  # of `spent`
 MODE = 2  # of `state`
@@ -41,7 +41,7 @@ class Seed(NamedTuple):
 class Found(NamedTuple):
     """The best hypotheses so far."""
 
-    features: IntArray  # (h, m) map feature paired with each measurement, NONE for `*`
+    features: IntArray  # (h, m) map feature paired with each measurement, UNPAIRED for `*`
     fits: Array  # (h, 12)
     squares: Array  # (h,) D²
     state: IntArray  # (3,) pairings of the best, or one less than what is worth recording; number of hypotheses; mode
@@ -62,7 +62,7 @@ def verify(
         return
     order, allowed = seed.order, len(look.points) - found.state[0] - (found.state[1] == 0)
     if found.state[MODE] == ALIKE:
-        order, allowed = order[found.features[0][order] != NONE], max(found.state[0] // 3 - 1, 0)
+        order, allowed = order[found.features[0][order] != UNPAIRED], max(found.state[0] // 3 - 1, 0)
     chosen, poses = _promising(
         store.positions,
         store.heads,
@@ -279,7 +279,7 @@ def _record(found: Found, decisions: IntArray, fit: Array, square: float, pairin
     for h in range(count):
         shared = 0
         for i in range(len(decisions)):
-            shared += decisions[i] != NONE and decisions[i] == found.features[h, i]
+            shared += decisions[i] != UNPAIRED and decisions[i] == found.features[h, i]
         if shared >= 2:
             if square >= found.squares[h]:
                 return

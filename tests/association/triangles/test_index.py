@@ -12,7 +12,7 @@ from slam_gym.association.triangles.index import FeatureIndex, indexed
 from slam_gym.association.triangles.map import relative_covariances
 from slam_gym.association.triangles.search import covers
 from slam_gym.geometry import observe
-from slam_gym.types import NONE, UNKNOWN, Array, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import SPURIOUS, UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Relocation, Scan
 from slam_gym.world import corridor
 
 SIGMA = 0.05
@@ -27,7 +27,7 @@ def landmarks_at(positions: Array, sigma: float = SIGMA, covariance: Array | Non
         marginals = np.array([covariance[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
         dense = covariance
     return Landmarks(
-        np.array(positions, float).reshape(n, 2), marginals, unknown, unknown.copy(), np.full(n, UNKNOWN), dense, none,
+        np.array(positions, float).reshape(n, 2), marginals, unknown, unknown.copy(), np.full(n, UNKNOWN_KIND), dense, none,
         none, np.empty((0, 2, 2)),
     )  # fmt: skip
 
@@ -50,7 +50,7 @@ def view(
     seen = m - spurious
     pose = np.array([*rng.uniform(0.2, 0.8, 2) * truth.max(0), rng.uniform(-np.pi, np.pi)])
     near = np.argsort(np.hypot(*(truth - pose[:2]).T))[: 2 * seen if half else seen]
-    sources = np.concatenate([rng.permutation(near)[:seen], np.full(spurious, NONE)])
+    sources = np.concatenate([rng.permutation(near)[:seen], np.full(spurious, SPURIOUS)])
     radius = np.hypot(*(truth[near[-1]] - pose[:2])) * np.sqrt(rng.random(spurious))
     angle = rng.uniform(-np.pi, np.pi, spurious)
     points = np.concatenate(
@@ -127,7 +127,7 @@ def test_as_many_pairings_as_brute_force(spurious: int) -> None:
         scan, pose, _ = view(rng, truth, 7, spurious, half=bool(rng.integers(2)))
         answer = FeatureIndex(landmarks).relocate(scan, min_pairings=4, exhaustive=True)
         most, hypotheses = brute_force(scan, landmarks)
-        decided = {(i, int(j)) for i, j in enumerate(answer.features) if j != NONE}
+        decided = {(i, int(j)) for i, j in enumerate(answer.features) if j != UNPAIRED}
         # Gates are taken at slightly different poses, which may cost either one pairing at their edge.
         assert abs(answer.pairings - most) <= 1
         if most >= 5 and len(hypotheses) == 1:
@@ -147,7 +147,9 @@ def test_recovers_the_pose_in_larger_maps(spurious: int, half: bool) -> None:
         answer = index.relocate(scan)
         assert not answer.accepted or is_near(answer, pose)
         right += answer.accepted
-        assert np.all((answer.features == sources) | (answer.features == NONE) | (sources == NONE) | ~answer.accepted)
+        assert np.all(
+            (answer.features == sources) | (answer.features == UNPAIRED) | (sources == SPURIOUS) | ~answer.accepted
+        )
     assert right >= 57
 
 
@@ -294,8 +296,8 @@ def test_drift_that_near_features_share_does_not_open_the_gates() -> None:
         answer = index.relocate(scan, landmarks)
         right += answer.accepted
         if answer.accepted:
-            paired = answer.features != NONE
-            assert np.all(answer.features[paired & (sources != NONE)] == sources[paired & (sources != NONE)])
+            paired = answer.features != UNPAIRED
+            assert np.all(answer.features[paired & (sources != SPURIOUS)] == sources[paired & (sources != SPURIOUS)])
             assert answer.dof == 2 * answer.pairings - 3
     assert right >= 36
 
@@ -309,7 +311,7 @@ def test_pairings_stay_in_the_locality_of_the_first() -> None:
     index = FeatureIndex(landmarks_at(truth))
     for _ in range(40):
         answer = index.relocate(view(rng, truth, 10, 1)[0], locality=locality, min_pairings=3)
-        sides = {bool(half[j]) for j in answer.features if j != NONE}
+        sides = {bool(half[j]) for j in answer.features if j != UNPAIRED}
         assert len(sides) <= 1
 
 
