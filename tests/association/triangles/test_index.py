@@ -12,30 +12,20 @@ from slam_gym.association.triangles.index import FeatureIndex, indexed
 from slam_gym.association.triangles.map import relative_covariances
 from slam_gym.association.triangles.search import covers
 from slam_gym.geometry import observe
-from slam_gym.types import SPURIOUS, UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import SPURIOUS, UNPAIRED, Array, Landmarks, Locality, Relocation, Scan
 from slam_gym.world import corridor
 
 SIGMA = 0.05
 
 
 def landmarks_at(positions: Array, sigma: float = SIGMA, covariance: Array | None = None) -> Landmarks:
-    n = len(positions)
-    unknown, none = np.full(n, np.nan), np.empty(0, np.int64)
     if covariance is None:
-        marginals, dense = np.tile(sigma**2 * np.eye(2), (n, 1, 1)), np.empty((0, 0))
-    else:
-        marginals = np.array([covariance[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-        dense = covariance
-    return Landmarks(
-        np.array(positions, float).reshape(n, 2), marginals, unknown, unknown.copy(), np.full(n, UNKNOWN_KIND), dense, none,
-        none, np.empty((0, 2, 2)),
-    )  # fmt: skip
+        return Landmarks.from_points(positions, sigma=sigma)
+    return Landmarks.from_points(positions, covariance=covariance)
 
 
 def scan_at(points: Array, sigma: float = SIGMA) -> Scan:
-    m = len(points)
-    unknown = np.full(m, np.nan)
-    return Scan(np.array(points, float).reshape(m, 2), np.tile(sigma**2 * np.eye(2), (m, 1, 1)), unknown, unknown)
+    return Scan.from_points(points, sigma=sigma)
 
 
 def field(rng: np.random.Generator, n: int) -> Array:
