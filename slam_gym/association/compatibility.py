@@ -118,14 +118,16 @@ def individual(
     """
     if measurements is None:
         measurements = np.arange(len(scan.points))
-    gated = _individual(
-        plain(scan.points),
-        plain(scan.covariances),
-        plain(prediction.positions),
-        plain(prediction.covariances),
-        measurements,
-        _EVERY_ROW if eligible is None else plain(eligible),
-        chi2_gate(2, prediction.confidence if confidence is None else confidence),
+    gated = _Gated(
+        *_individual(
+            plain(scan.points),
+            plain(scan.covariances),
+            plain(prediction.positions),
+            plain(prediction.covariances),
+            measurements,
+            _EVERY_ROW if eligible is None else plain(eligible),
+            chi2_gate(2, prediction.confidence if confidence is None else confidence),
+        )
     )
     if gated.fault:
         raise ValueError(_FAULTS[gated.fault].format(gated.where))
@@ -187,7 +189,8 @@ def _individual(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
-) -> _Gated:
+) -> tuple[int, int, IntArray, IntArray, IntArray, Array, Array, IntArray, int]:
+    """`_Gated`, as a plain tuple."""
     fault, where = _fault(points, noise, positions, covariances)
     offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
     count, room = 0, len(measurements) * len(offered)
@@ -220,9 +223,7 @@ def _individual(
         starts[level + 1] = count
     rows = _number_distinct(slots[:count], len(positions))
     tests = len(measurements) * len(offered)
-    return _Gated(
-        fault, where, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, tests
-    )
+    return fault, where, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, tests
 
 
 @compiled

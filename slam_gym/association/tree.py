@@ -340,17 +340,12 @@ def write_rows(pairings: Pairings, path: IntArray, rows: IntArray, out: IntArray
         out[pairings.measured[c]] = rows[pairings.slots[c]]
 
 
-class _Decisions(NamedTuple):
-    features: IntArray  # (m,) of the map, or UNPAIRED
-    pairings: int
-
-
 @compiled
-def _features(features: IntArray, rows: IntArray) -> _Decisions:
-    """`features` (k,) at `rows` (m,), UNPAIRED where there is no row."""
+def _features(features: IntArray, rows: IntArray) -> tuple[IntArray, int]:
+    """`features` (k,) at `rows` (m,), UNPAIRED where there is no row; and the number of rows."""
     out, count = np.full(len(rows), UNPAIRED), 0
     for i in range(len(rows)):
         if rows[i] != UNPAIRED:
             out[i] = features[rows[i]]
             count += 1
-    return _Decisions(out, count)
+    return out, count

@@ -59,11 +59,15 @@ class JudgedSlam:
 
     def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
         """One SLAM step, judged. Raises as `Slam.step`."""
-        return answered(self.asking_step(odometry, scan, truth), scan, self._associator(truth))
+        step = answered(self.slam.asking_step(odometry, scan), scan, self._associator(truth))
+        return self._judge(step, truth)
 
     def asking_step(self, odometry: Odometry, scan: Scan, truth: Truth) -> AskingStep:
         """The same where somebody outside associates: see `slam_gym.slam.slam.AskingStep`."""
         step = yield from self.slam.asking_step(odometry, scan)
+        return self._judge(step, truth)
+
+    def _judge(self, step: SlamStep, truth: Truth) -> SlamStep:
         self.last_tally = self.identities.update(step, truth)
         return step
 

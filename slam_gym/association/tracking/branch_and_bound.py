@@ -80,7 +80,7 @@ def complete(
     """
     pairings, gates, rows = tree.pairings, tree.gates, np.full(len(tree.given), UNPAIRED)
     if node is None:
-        best = _search_from_root(pairings[:], gates, node_limit, turning, tree.rows, rows)
+        best = _Spent(*_search_from_root(pairings[:], gates, node_limit, turning, tree.rows, rows))
     else:
         first = pairings.given + int(tree.candidates.starts[node.level])
         best = _search(pairings, node, first, gates, node_limit, turning, tree.rows, rows)
@@ -90,13 +90,14 @@ def complete(
 @compiled
 def _search_from_root(
     arrays: _Arrays, gates: Array, node_limit: int, turning: Turning | None, rows: IntArray, out: IntArray
-) -> _Spent:
+) -> tuple[float, int, int, bool]:
     """The best below the root, entered in `out` (m,) as `rows` (u,) of its slots.
 
-    One call from Python for it all, and with a plain tuple: calls cost as much as the search of a plain scan.
+    One call from Python for it all, with plain tuples to and fro: calls cost as much as the search of a plain scan.
     """
     pairings = Pairings(*arrays)
-    return _search(pairings, root_of(pairings), pairings.given, gates, node_limit, turning, rows, out)
+    best = _search(pairings, root_of(pairings), pairings.given, gates, node_limit, turning, rows, out)
+    return best.distance, best.nodes, best.tests, best.limit_hit
 
 
 @compiled
