@@ -27,13 +27,8 @@ _MEASUREMENT_FAULTS = (
 
 
 _DOUBLES, _INTEGERS = np.dtype(np.float64), np.dtype(np.int64)
-_SCAN_TYPES = (
-    ("points", _DOUBLES),
-    ("covariances", _DOUBLES),
-    ("sizes", _DOUBLES),
-    ("size_variances", _DOUBLES),
-    ("kinds", _INTEGERS),
-)
+_SCAN_FIELDS = ("points", "covariances", "sizes", "size_variances", "kinds")
+_SCAN_TYPES = (_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _INTEGERS)
 
 
 @compiled
@@ -58,11 +53,9 @@ def _first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]
 
 def check_scan(scan: Scan) -> None:
     """Raise ValueError naming the field and the first bad measurement of a scan."""
-    for name, dtype in _SCAN_TYPES:
-        given = getattr(scan, name)
-        if not isinstance(given, np.ndarray) or given.dtype != dtype:
-            told = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
-            raise ValueError(f"Scan.{name}: {told}, expected an array of {dtype} (Scan.from_points takes anything)")
+    parts = (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds)
+    if tuple([getattr(part, "dtype", object) for part in parts]) != _SCAN_TYPES:  # None would equal float64
+        _refuse_type(scan)
     m = len(scan.points)
     if scan.points.shape != (m, 2):
         raise ValueError(f"Scan.points: shape {scan.points.shape}, expected (m, 2)")
@@ -74,6 +67,14 @@ def check_scan(scan: Scan) -> None:
     entry, fault = _first_bad_measurement(scan.points, scan.covariances)
     if fault:
         raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
+
+
+def _refuse_type(scan: Scan) -> None:
+    for name, dtype in zip(_SCAN_FIELDS, _SCAN_TYPES):
+        given = getattr(scan, name)
+        if not isinstance(given, np.ndarray) or given.dtype != dtype:
+            told = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
+            raise ValueError(f"Scan.{name}: {told}, expected an array of {dtype} (Scan.from_points takes anything)")
 
 
 @compiled

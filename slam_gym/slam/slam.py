@@ -121,7 +121,7 @@ class Slam:
         recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
         graph = self.covisibility if self.spec.locality else None
         if self.spec.reach is None:
-            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances))
+            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
         view = None if self.view_from is None else self.view_from(self.map.pose)
         return self.map.prediction(self.reach, graph, recent, view)
 
@@ -168,12 +168,12 @@ class Slam:
 
     def _warn_of_reach(self, scan: Scan, new: IntArray, reach: float) -> None:
         """Once, where one of the `new` measurements (a,) starts a feature so far away that it is never found again."""
-        nearest = np.hypot(*scan.points[new].T) - 6.0 * np.sqrt(np.trace(scan.covariances[new], axis1=1, axis2=2))
-        if self._warned or nearest.max() <= reach:
+        beyond = 0.0 if self._warned else _farthest(scan.points[new], scan.covariances[new], -6.0)
+        if beyond <= reach:
             return
         self._warned = True
         warnings.warn(
-            f"SlamSpec.reach={reach} m, but a scan measures at {nearest.max():.1f} m and more: features so far "
+            f"SlamSpec.reach={reach} m, but a scan measures at {beyond:.1f} m and more: features so far "
             "away are started anew with every scan and never found again; with reach=None it is taken from the scans",
             stacklevel=4,
         )
@@ -238,10 +238,10 @@ def _seen(
 
 
 @compiled
-def _farthest(points: Array, covariances: Array) -> float:
-    """[m] How far from the robot a measurement may lie at most: ‖z‖ + 3σ, σ² being the trace of its covariance."""
+def _farthest(points: Array, covariances: Array, sigmas: float) -> float:
+    """[m] The greatest ‖z‖ + `sigmas` · σ of the measurements (m,), σ² being the trace of the covariance."""
     farthest = 0.0
     for i in range(len(points)):
         sigma = math.sqrt(covariances[i, 0, 0] + covariances[i, 1, 1])
-        farthest = max(farthest, math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2) + 3.0 * sigma)
+        farthest = max(farthest, math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2) + sigmas * sigma)
     return farthest
