@@ -1,0 +1,67 @@
+"""Poses held against the whole scan: a true one passes, one in the void or of wrong corners does not."""
+
+import numpy as np
+
+from slam_gym.association.triangles.index import FeatureIndex
+from slam_gym.association.triangles.pose import FIT
+from slam_gym.association.triangles.seeds import _arrange
+from slam_gym.association.triangles.verify import ALL, LIMIT, NODES, Found, verify
+from slam_gym.types import UNPAIRED, Array, Scan
+from tests.association.triangles.small_maps import SIGMA, field, landmarks_at, look_at, store_of, view
+
+
+def test_a_limit_is_reported() -> None:
+    rng = np.random.default_rng(21)
+    truth = field(rng, 300)
+    index = FeatureIndex(landmarks_at(truth))
+    assert index.relocate(view(rng, truth, 10, 3)[0], node_limit=3).effort.limit_hit
+    assert not index.relocate(view(rng, truth, 10, 3)[0]).effort.limit_hit
+
+
+def _verified(index: FeatureIndex, scan: Scan, corners: Array, triangles: Array, nodes: int = 1000) -> Found:
+    """What is found of at least 6 pairings by the poses that put three measurements on each of some triangles."""
+    m, look, store = len(scan), look_at(scan), store_of(index)
+    found = Found(
+        np.full((16, m), UNPAIRED),
+        np.full((16, FIT), np.nan),
+        np.zeros(16),
+        np.array([5, 0, ALL]),
+        np.zeros(6, np.int64),
+        np.array([6, nodes, m + 1]),
+    )
+    seed, variance, inertia = _arrange(look, store, corners)
+    seed.corners[:] = corners
+    verify(look, store, seed, triangles.astype(np.int32), variance, inertia, found)
+    return found
+
+
+def test_a_true_pose_passes_and_one_in_the_void_does_not() -> None:
+    rng, passed = np.random.default_rng(43), 0
+    for _ in range(30):
+        truth = field(rng, 100)
+        scan, _, sources = view(rng, truth, 9, 0)
+        corners = rng.permutation(9)[:3]
+        alone = truth[sources[corners]] + [500.0, 0.0]  # a triangle like the true one, and nothing around
+        index = FeatureIndex(landmarks_at(np.concatenate([truth, alone]) + SIGMA * rng.standard_normal((103, 2))))
+        void = _verified(index, scan, corners, np.array([[100, 101, 102]]))
+        assert void.state[1] == 0 and void.spent[NODES] == 1
+        true = _verified(index, scan, corners, np.array([[100, 101, 102], sources[corners]]))
+        assert true.spent[NODES] == 2
+        if true.state[1] > 0:
+            best = true.features[0]
+            assert true.state[1] == 1 and true.state[0] == np.sum(best != UNPAIRED) >= 6
+            assert np.sum(best == sources) >= 6 and np.array_equal(best[corners], sources[corners])
+            passed += 1
+    assert passed >= 27
+
+
+def test_nothing_is_verified_beyond_the_limit_of_nodes() -> None:
+    rng = np.random.default_rng(44)
+    truth = field(rng, 100)
+    scan, _, sources = view(rng, truth, 9, 0, sigma=0.01)
+    corners, triangles = np.array([0, 1, 2]), np.tile(sources[:3], (4, 1))
+    index = FeatureIndex(landmarks_at(truth))
+    assert _verified(index, scan, corners, triangles, 3).spent[LIMIT] == 1
+    assert _verified(index, scan, corners, triangles, 3).state[1] == 0
+    enough = _verified(index, scan, corners, triangles, 4)
+    assert enough.spent[LIMIT] == 0 and enough.state[1] == 1  # four times the same, recorded once
