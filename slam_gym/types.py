@@ -196,6 +196,7 @@ class Prediction:
     local: Callable[[IntArray], BoolArray] | None = None
     # rows (j,) -> (j, j) which are local to each other, symmetric, true on its diagonal; None: all are to all
     view: View | None = None
+    view_moves: bool = True  # `view` holds for other positions, too; False where the predicted pose is poorly known
 
     def __len__(self) -> int:
         return len(self.features)

@@ -128,7 +128,8 @@ def problems(laps: TwoLaps, count: int) -> Iterator[Problem]:
         lost.predict(Odometry(u.motion + noise, u.covariance + np.diag(blind**2)))
         field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
         view = functools.partial(field.in_view, explored=stop.grid.explored, pose=lost.pose)
-        yield Problem(stop.scan, replace(lost.prediction(sensor.range), view=view), stop.truth)
+        prediction = replace(lost.prediction(sensor.range), view=view, view_moves=False)
+        yield Problem(stop.scan, prediction, stop.truth)
 
 
 def ask(name: str, associate: Associator, problem: Problem) -> Hypothesis:

@@ -6,8 +6,8 @@ A hypothesis H over a scan has the density (up to a constant)
 
 with λ [1/m²] the density of what is not in the map, clutter and new features together, P_D the probability that the
 detector reports a feature in view, and v_j the probability that feature j is in view from where the hypothesis itself
-puts the robot (`Prediction.visibility`). Where nobody can tell, nothing is concluded from what was not seen: factors
-are P_D for paired and 1 for other features.
+puts the robot (`Prediction.visibility`), or from the predicted pose where the view does not move (`view_moves`). Where
+nobody can tell, nothing is concluded from what was not seen: factors are P_D for paired and 1 for other features.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ class _Model:
     unpaired: float  # log λ
     width: int
     margin: float
+    gains: Array  # (k,) what pairing each predicted feature adds
+    constant: float  # log density of pairing none of them
 
 
 def map_hypothesis(
@@ -75,7 +77,8 @@ def map_hypothesis(
     """
     _check(detection, unseen, clutter_density, new_density, width, margin)
     visibility, gate = _checked_visibility(prediction), candidate_gate(prediction.confidence)
-    model = _Model(detection, unseen, math.log(clutter_density + new_density), width, margin)
+    gains, constant = _gains(prediction, visibility, detection, unseen)
+    model = _Model(detection, unseen, math.log(clutter_density + new_density), width, margin, gains, constant)
 
     def search(tree: Tree) -> Found[_Ranking]:
         return _search(tree, model, chi2_gate(2, gate), visibility)
@@ -156,6 +159,17 @@ def _checked_visibility(prediction: Prediction) -> Array | None:
     return v
 
 
+def _gains(prediction: Prediction, visibility: Array | None, detection: float, unseen: float) -> tuple[Array, float]:
+    """What pairing each predicted feature adds to the log density (k,), and that of pairing none of them.
+
+    Where the view moves with the hypothesis, what is in view is weighed afterwards (`_in_view`).
+    """
+    if visibility is None or prediction.view_moves:
+        return np.full(len(prediction), math.log(detection)), 0.0
+    missed = np.log1p(-detection * visibility)
+    return np.log(detection * np.maximum(visibility, unseen)) - missed, float(missed.sum())
+
+
 def _search(tree: Tree, model: _Model, gate: float, visibility: Array | None) -> Found[_Ranking]:
     """The hypotheses of the beam. Levels without a candidate are `*` in all of them."""
     candidates, pairings, g = tree.candidates, tree.pairings, tree.pairings.given
@@ -164,12 +178,12 @@ def _search(tree: Tree, model: _Model, gate: float, visibility: Array | None) ->
         support = support_of(pairings, gate)[g:]
         order = some[np.argsort(-np.maximum.reduceat(support, candidates.starts[some]), kind="stable")]
     levels = g + np.column_stack([candidates.starts[order], candidates.starts[order + 1]])
-    gain = math.log(model.detection)
-    prices = Prices(np.full(len(tree.rows), gain), model.unpaired, model.width, model.margin)
+    gains = model.gains[tree.rows]
+    prices = Prices(gains, model.unpaired, model.width, model.margin)
     found = beam_search(pairings, levels, prices)
     beam = found.beam
-    scores = beam.score + g * gain + model.unpaired * (tree.levels - len(some))
-    if visibility is not None:
+    scores = beam.score + float(gains[:g].sum()) + model.constant + model.unpaired * (tree.levels - len(some))
+    if visibility is not None and tree.prediction.view_moves:
         scores += _in_view(tree, beam, visibility, model)
     ranking = np.argsort(-scores, kind="stable")
     best = [tree.given.copy(), np.full(len(tree.given), UNPAIRED)]

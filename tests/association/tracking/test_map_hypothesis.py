@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import MostProbable, jcbb, map_hypothesis
-from slam_gym.types import UNPAIRED
+from slam_gym.types import UNPAIRED, Prediction, Scan
 from tests.oracles import association as oracles
 
 WIDE = {"width": 3000, "margin": 1e9}
@@ -204,3 +204,13 @@ def test_a_visibility_that_is_no_probability_is_refused(v):
 def test_meaningless_settings_of_the_online_variant_are_refused(options):
     with pytest.raises(ValueError, match=next(iter(options))):
         MostProbable(**options)
+
+
+def test_a_view_that_does_not_move_weighs_what_is_missed_from_the_predicted_pose():
+    """Two features explain one measurement equally well: the one that should not be in view is not taken."""
+    at = np.array([[3.0, 0.1], [3.0, -0.1]])
+    scan, prediction = Scan.from_points([[3.0, 0.0]], sigma=0.05), Prediction.from_gaussian(at, 0.01 * np.eye(4))
+    for hidden in (0, 1):
+        seen = np.where(np.arange(2) == hidden, 0.01, 0.99)
+        still = dataclasses.replace(prediction, view=lambda positions, covariances, v=seen: v, view_moves=False)
+        assert map_hypothesis(scan, still).features.tolist() == [1 - hidden]
