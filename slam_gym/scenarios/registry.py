@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.scenarios.drift import CROWDED, DRIFTING
 from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
 from slam_gym.scenarios.suite import EXPERIMENTS, get_level
-from slam_gym.slam.slam import SlamSpec
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.floor_plan_file import load_floor_plan
 from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
-from slam_gym.world.physics import DynamicsSpec
 from slam_gym.world.sensor import OdometrySpec, SensorSpec
 
 SCENARIOS: dict[str, Scenario] = {
@@ -31,20 +29,14 @@ SCENARIOS: dict[str, Scenario] = {
             sensor=SensorSpec(range_sigma=0.04, bearing_sigma=0.015),
             odometry=OdometrySpec(forward=0.05, turn_per_radian=0.05, turn_per_metre=0.05),
         ),
-        Scenario(
-            "crowd",  # people hide features and are taken for some, so that it takes more sightings to believe in one
-            OfficeGenerator(),
-            budget=800,
-            dynamics=DynamicsSpec(people=6),
-            sensor=SensorSpec(person_detection=0.3),
-            slam=SlamSpec(MapSpec(confirmations=6, unconfirmed_age=12), new_confidence=1.0 - 1e-6),
-        ),
+        Scenario("crowd", OfficeGenerator(), budget=800, **CROWDED),
         Scenario(
             "kidnapped",  # carried away at half time, to where it has been: pass relocation="gcbb" to find back
             OfficeGenerator(),
             budget=800,
             kidnapping=KidnappingSpec(),
         ),
+        *DRIFTING,
     )
 }
 """The scenarios with a name of their own; the levels of the suite (`slam_gym.scenarios.suite`) go by their ids."""

@@ -1,4 +1,6 @@
-"""Seeded floor plans: `office`, `aliased`, `hall`. A generator is a frozen record of parameters, called with an rng.
+"""Seeded floor plans: `office`, `aliased`, `hall`, `loop`.
+
+A generator is a frozen record of parameters, called with an rng.
 
 Every plan is one connected floor for a robot of radius .2 m: rooms are joined by doors, walls have thickness (so that
 the two sides of a wall show different corners), and whatever stands in a room keeps its distance from the doors, from
@@ -176,6 +178,34 @@ class HallGenerator:
         draft.add_room("hall", Rectangle(0.0, 0.0, draw(rng, self.length), draw(rng, self.width)))
         draft.furnish(draft.floors[0])
         return draft.finish("hall")
+
+
+@dataclass(frozen=True)
+class LoopGenerator:
+    """A corridor round a block, with a few pilasters: who comes back to its start has seen nothing of it on the way."""
+
+    length: Limits = (18.0, 22.0)  # [m] outside
+    width: Limits = (13.0, 16.0)  # [m] outside
+    corridor_width: Limits = (1.8, 2.4)  # [m]
+    contents: Contents = field(default_factory=lambda: Contents(pilasters=0.1, pillars=0.0, furniture=0.0))
+
+    def __post_init__(self) -> None:
+        check_limits("LoopGenerator.corridor_width", self.corridor_width, 1.5, 20.0)
+        for name in ("length", "width"):  # a block as wide as a corridor is left in the middle
+            check_limits(f"LoopGenerator.{name}", getattr(self, name), 3.0 * self.corridor_width[1], 500.0)
+
+    def __call__(self, rng: np.random.Generator) -> FloorPlan:
+        draft = Draft(rng, self.contents)
+        x, y, wide = draw(rng, self.length), draw(rng, self.width), draw(rng, self.corridor_width)
+        low_x, low_y = round(x - wide, 3), round(y - wide, 3)
+        sides = ((0.0, 0.0, x, wide), (low_x, 0.0, x, y), (0.0, low_y, x, y), (0.0, 0.0, wide, y))
+        for name, side in zip(("south", "east", "north", "west"), sides):
+            draft.add_room(name, Rectangle(*side))
+        for u in (wide / 2, x - wide / 2):  # where corridors meet nothing stands, for each is open to the other there
+            draft.kept_free += [(u, v, 0.75 * wide) for v in (wide / 2, y - wide / 2)]
+        for floor in draft.floors:
+            draft.furnish(floor)
+        return draft.finish("loop")
 
 
 def _check_building(generator: OfficeGenerator | AliasedGenerator) -> None:

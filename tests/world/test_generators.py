@@ -8,7 +8,7 @@ import pytest
 from slam_gym.world import boxes
 from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import Kind
-from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
+from slam_gym.world.generators import AliasedGenerator, HallGenerator, LoopGenerator, OfficeGenerator
 from slam_gym.world.ray_casting import WallIndex
 from slam_gym.world.reachability import observable, reachable
 
@@ -22,6 +22,8 @@ GENERATORS = {
     "aliased": AliasedGenerator(),
     "aliased-crowded": AliasedGenerator(contents=CROWDED),
     "hall": HallGenerator(),
+    "loop": LoopGenerator(),
+    "loop-crowded": LoopGenerator(contents=CROWDED),
     "hall-crowded": HallGenerator(contents=Contents(pilasters=0.5, pillars=120.0, furniture=30.0)),
 }
 CASES = [
