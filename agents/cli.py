@@ -13,7 +13,7 @@ from typing import Any
 import joblib
 from rich.console import Console
 
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.episodes import RELOCATION, AssociateArguments, ExploreArguments
 from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.pipeline import Execution
 from slam_gym.scenarios import parse_override
@@ -40,7 +40,13 @@ def add_explore_options(parser: argparse.ArgumentParser, scenario: str) -> None:
     world.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
     world.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
     world.add_argument("--associator", default="jcbb", help="name or module:function (default: %(default)s)")
-    world.add_argument("--relocation", metavar="NAME", help="search that finds a lost robot: gcbb, module:function …")
+    world.add_argument("--relocation", type=search_or_none, default=RELOCATION, metavar="SEARCH", help="that finds a "
+                       "lost robot: gcbb, module:function …, or none (default: %(default)s)")  # fmt: skip
+
+
+def search_or_none(text: str) -> str | None:
+    """The name of a search; `none` is none."""
+    return None if text == "none" else text
 
 
 def explore_arguments(a: argparse.Namespace, **more: str) -> ExploreArguments:

@@ -19,11 +19,12 @@ from agents.cli import (
     require_positive,
     results_folder,
     run_main,
+    search_or_none,
 )
 from agents.drivers.base import AGENTS
 from agents.evaluation import associators, recordings
 from agents.evaluation.associators import SIMPLEST_FIRST, associator_evaluation, shipped
-from agents.evaluation.episodes import ExploreArguments
+from agents.evaluation.episodes import RELOCATION, ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Results, carry_out
 from agents.evaluation.recordings import Log, logs_of, recording_evaluation
 from agents.evaluation.tables import Table, print_table
@@ -35,7 +36,7 @@ from slam_gym.scenarios import SCENARIOS, SPLITS
 from slam_gym.scenarios.suite import EXPERIMENTS
 
 LOOPS = ("office-small", "hall", "crowd")
-EPISODES = 8
+EPISODES = 30
 SIZE, QUICK = SuiteSize(), SuiteSize(worlds=4, problems=8, quick=True)
 
 
@@ -60,10 +61,11 @@ def _add_loop_options(p: argparse.ArgumentParser) -> None:
                       "or levels of the suite such as clutter/2 (default: %(default)s)")  # fmt: skip
     add_override_option(loop)
     loop.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="a scenario (default: %(default)s)")
-    loop.add_argument("--driver", default="nearest_frontier", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
+    loop.add_argument("--driver", default="information_gain", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
                       "learned ones, or module:Class (default: %(default)s)")  # fmt: skip
-    loop.add_argument("--relocation", metavar="SEARCH", help=f"how a lost robot is found: {', '.join(RELOCATORS)}, or "
-                      "module:function (default: not at all)")  # fmt: skip
+    loop.add_argument("--relocation", nargs="+", type=search_or_none, default=[None, RELOCATION], metavar="SEARCH",
+                      help=f"how a lost robot is found: {', '.join(RELOCATORS)}, module:function, or none; several are "
+                      f"compared (default: none {RELOCATION})")  # fmt: skip
 
 
 def _add_suite_options(p: argparse.ArgumentParser) -> None:
@@ -102,9 +104,9 @@ class Plan(NamedTuple):
 
 def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
     """Drives through scenarios. ValueError for whatever nobody knows."""
-    common = {"split": a.split, "relocation": a.relocation}
-    loops = [ExploreArguments(name, tuple(a.overrides), **common) for name in dict.fromkeys(a.scenarios)]
-    return Plan(associator_evaluation(a.associators or shipped(), loops, a.driver, a.episodes), associators.tables)
+    loops = [ExploreArguments(name, tuple(a.overrides), split=a.split) for name in dict.fromkeys(a.scenarios)]
+    names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation))
+    return Plan(associator_evaluation(names, loops, a.driver, a.episodes, searches), associators.tables)
 
 
 def suite_plan(a: argparse.Namespace, out: Path) -> Plan:

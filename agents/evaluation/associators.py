@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ import numpy as np
 
 from agents.drivers.base import Agent, make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.headline import headline, subject
 from agents.evaluation.pipeline import ASSOCIATORS as KIND
 from agents.evaluation.pipeline import Evaluation, Results
 from agents.evaluation.records import Key, Record
@@ -111,10 +112,11 @@ class AssociatorTask:
     arguments: ExploreArguments
     driver: str
     episode: int
+    name: str  # of the associator, with its relocation where there are several
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        return (Key(self.associator, self.arguments.scenario, self.episode),)
+        return (Key(self.name, self.arguments.scenario, self.episode),)
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         env, meter = _loop(self.associator, self.arguments, self.driver)
@@ -122,7 +124,7 @@ class AssociatorTask:
         driven = run_episode(env, _driver(self.driver), self.episode)
         driven.pop("curve")
         tally: Any = env.unwrapped.tally  # type: ignore[attr-defined]
-        record = {"associator": self.associator, "setting": self.arguments.scenario} | driven
+        record = {"associator": self.name, "setting": self.arguments.scenario} | driven
         return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
 
 
@@ -143,17 +145,30 @@ def _driver(name: str) -> Agent:
 
 
 def associator_evaluation(
-    associators: Sequence[str], loops: Sequence[ExploreArguments], driver: str, episodes: int
+    associators: Sequence[str],
+    loops: Sequence[ExploreArguments],
+    driver: str,
+    episodes: int,
+    relocations: Sequence[str | None] | None = None,
 ) -> Evaluation:
-    """Every associator in every loop, checked. ValueError for an associator, scenario, driver or relocator that nobody
-    knows."""
+    """Every associator in every loop, with each of the `relocations` (default: that of each loop), checked.
+
+    ValueError for an associator, scenario, driver or relocator that nobody knows.
+    """
+    compared = relocations is not None and len(relocations) > 1
+    tasks = []
     for arguments in loops:
+        kinds = [arguments] if relocations is None else [replace(arguments, relocation=r) for r in relocations]
         for associator in associators:
-            _loop(associator, arguments, driver)
-    tasks = [AssociatorTask(name, arguments, driver, k)
-             for arguments in loops for k in range(episodes) for name in associators]  # fmt: skip
-    common = ("relocation", "split", "overrides")
-    conditions = {"driver": driver} | {name: value for name, value in loops[0].plain.items() if name in common}
+            for kind in kinds:
+                _loop(associator, kind, driver)
+        tasks += [
+            AssociatorTask(name, kind, driver, k, subject(name, kind.relocation) if compared else name)
+            for k in range(episodes) for name in associators for kind in kinds
+        ]  # fmt: skip
+    plain = loops[0].plain
+    found = {"relocation": plain["relocation"] if relocations is None else list(relocations)}
+    conditions = {"driver": driver} | found | {name: plain[name] for name in ("split", "overrides")}
     return Evaluation(KIND, tasks, conditions, lambda records: {"table": numbers(records)})
 
 
@@ -176,7 +191,12 @@ def numbers(records: Sequence[Record]) -> dict[str, Rows]:
 
 
 def tables(results: Results) -> list[Table]:
-    """One table a scenario, with the associators in the order in which they were asked for."""
+    """One table a scenario, with the associators in the order in which they were asked for; then the headline."""
+    return [*scenario_tables(results), *headline(results.records)]
+
+
+def scenario_tables(results: Results) -> list[Table]:
+    """One table a scenario."""
     driver, episodes = results.content["conditions"]["driver"], results.content["asked"]["episodes"]
     return [
         Table(f"{setting}, {episodes} episodes, driven by {driver}", "associator", columns_for(own), rows(own))

@@ -16,6 +16,7 @@ from agents.evaluation.records import Record
 from slam_gym.association.tracking.policy import Policy
 from slam_gym.types import Associator
 
+RELOCATION = "gcbb"  # the search that finds a lost robot, unless another is asked for, or none
 EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
 
 
@@ -42,7 +43,7 @@ class ExploreArguments(_Arguments):
     reward: str = "map_error"
     floor_plan: str | None = None  # a file that replaces the scenario's worlds
     resolution: float | None = None  # [m/pixel] of that file, where it is an image
-    relocation: str | None = None  # the search that finds a lost robot again
+    relocation: str | None = RELOCATION  # the search that finds a lost robot again
 
     def make(
         self, action: str, render_mode: str | None = None, associator: Associator | None = None

@@ -16,7 +16,7 @@ from rich.measure import Measurement
 from rich.table import Table as RichTable
 
 from agents.evaluation.records import Record
-from slam_gym.metrics.statistics import Interval, bootstrap_interval
+from slam_gym.metrics.statistics import Interval, Statistic, bootstrap_interval, interquartile_mean, mean
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import Array, IntArray
 
@@ -64,8 +64,10 @@ def by_setting(records: Sequence[Record]) -> dict[str, list[Record]]:
     return by_name(records, "setting")
 
 
-def estimate(values: Array, strata: IntArray | None = None, resamples: int = 5000) -> Interval:
-    """Interquartile mean of values (n,) and its 95 % bootstrap interval, resampled within each of the strata (n,).
+def estimate(
+    values: Array, strata: IntArray | None = None, resamples: int = 5000, statistic: Statistic = interquartile_mean
+) -> Interval:
+    """The statistic of values (n,) and its 95 % bootstrap interval, resampled within each of the strata (n,).
 
     Values that are not finite are left out; all NaN where none is left. The same values always give the same interval.
     """
@@ -73,7 +75,9 @@ def estimate(values: Array, strata: IntArray | None = None, resamples: int = 500
     if not finite.any():
         return Interval(math.nan, math.nan, math.nan)
     strata = None if strata is None else strata[finite]
-    return bootstrap_interval(values[finite], np.random.default_rng(0), strata=strata, resamples=resamples)
+    return bootstrap_interval(
+        values[finite], np.random.default_rng(0), strata=strata, resamples=resamples, statistic=statistic
+    )
 
 
 class Sample(NamedTuple):
@@ -84,7 +88,11 @@ class Sample(NamedTuple):
 
     @property
     def estimate(self) -> Interval:
-        return estimate(self.values, self.strata)
+        return self.summary(interquartile_mean)
+
+    def summary(self, statistic: Statistic) -> Interval:
+        """Some statistic of it, with its interval."""
+        return estimate(self.values, self.strata, statistic=statistic)
 
 
 def sample(records: Sequence[Record], key: str) -> Sample:
@@ -100,7 +108,9 @@ def estimates(records: Sequence[Record], columns: Sequence[Column]) -> dict[str,
     return {column.key: sample(records, column.key).estimate for column in columns}
 
 
-def difference(first: Sequence[Record], second: Sequence[Record], key: str) -> Interval:
+def difference(
+    first: Sequence[Record], second: Sequence[Record], key: str, statistic: Statistic = interquartile_mean
+) -> Interval:
     """First − second on the episodes that both have (means over models), with its interval: paired."""
     found: tuple[dict[tuple[str, int], list[float]], ...] = ({}, {})
     for side, records in zip(found, (first, second)):
@@ -109,7 +119,13 @@ def difference(first: Sequence[Record], second: Sequence[Record], key: str) -> I
     common = sorted(found[0].keys() & found[1].keys())
     settings = sorted({setting for setting, _ in common})
     differences = np.array([np.mean(found[0][k]) - np.mean(found[1][k]) for k in common], dtype=float)
-    return estimate(differences, np.array([settings.index(setting) for setting, _ in common], dtype=np.int64))
+    strata = np.array([settings.index(setting) for setting, _ in common], dtype=np.int64)
+    return estimate(differences, strata, statistic=statistic)
+
+
+def mean_difference(first: Sequence[Record], second: Sequence[Record], key: str) -> Interval:
+    """`difference` of means, in which catastrophes count."""
+    return difference(first, second, key, mean)
 
 
 def best_names(values: Mapping[str, Value], column: Column) -> set[str]:
@@ -117,7 +133,8 @@ def best_names(values: Mapping[str, Value], column: Column) -> set[str]:
 
     Numbers without an interval are compared as they are shown.
     """
-    found = {name: _as_interval(value, column.digits) for name, value in values.items() if name != CEILING}
+    known_best = tuple(name for name in values if name.startswith(CEILING))
+    found = {name: _as_interval(value, column.digits) for name, value in values.items() if name not in known_best}
     known = {name: value for name, value in found.items() if math.isfinite(value.estimate)}
     if not column.better or len(known) < 2:
         return set()

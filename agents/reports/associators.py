@@ -6,7 +6,8 @@ import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from agents.evaluation.associators import tables
+from agents.evaluation.associators import scenario_tables
+from agents.evaluation.headline import headline
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import Record
 from agents.evaluation.tables import Column, Table, by_name, by_setting, difference, display_name
@@ -38,15 +39,20 @@ _COMPARED = (Column("f1", "F1", 3), Column("exact", "exact", 3), Column("map_err
 
 def report(results: Results, folder: Path) -> Report:
     """What is told of an evaluation of associators in the loop."""
-    names, sections = results.names, []
-    for (setting, records), shown in zip(by_setting(results.records).items(), tables(results)):
+    names = results.names
+    sections = [
+        part for t in headline(results.records) for part in (heading(t.title), table(t, names), note(t.caption))
+    ]
+    for (setting, records), shown in zip(by_setting(results.records).items(), scenario_tables(results)):
         chart = dot_chart(by_name(records, "associator"), _PANELS)
         sections += [heading(setting), table(shown, names), _limits_met(records)]
         sections += [card(image(chart, f"precision, recall, map error and time in {setting}"))]
     carried = any(record.get("kidnapped") for record in results.records)
     sections += [_WORDS, _CARRIED if carried else "", *_comparison(by_name(results.records, "associator"))]
     conditions = results.content["conditions"]
-    relocation = f", relocation {conditions['relocation']}" if conditions["relocation"] else ""
+    searches = conditions["relocation"] or []
+    searches = searches if isinstance(searches, list) else [searches]
+    relocation = f", relocation {' and '.join(name or 'none' for name in searches)}" if searches else ""
     subtitle = (
         f"slam_gym/Explore-v0, driven by {conditions['driver']}{relocation}: {results.content['asked']['episodes']} "
         f"episodes a scenario, the same {conditions['split']} worlds and seeds for every associator"

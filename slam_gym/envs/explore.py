@@ -76,7 +76,7 @@ class ExploreEnv(BaseEnv):
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
     - `relocation`: the search that finds a lost robot again, by name (`slam_gym.association.RELOCATORS`),
-      `"module:function"` or a callable; None: a robot that was carried away never finds back. `relocation_locality`:
+      `"module:function"` or a callable; None: a robot that has lost itself never finds back. `relocation_locality`:
       `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
     - `overrides`: fields of the scenario to change, by dotted name:
       `{"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3}`.
@@ -95,7 +95,7 @@ class ExploreEnv(BaseEnv):
         floor_plan: str | Path | None = None,
         resolution: float | None = None,
         locality: Literal["covisibility"] | None = "covisibility",
-        relocation: str | Relocator | None = None,
+        relocation: str | Relocator | None = "gcbb",
         relocation_locality: LocalityName | None = "covisibility",
         overrides: Mapping[str, Plain] | None = None,
         render_mode: RenderMode | None = None,

@@ -18,7 +18,7 @@ from slam_gym.association import compatibility, jcbb, tree
 from slam_gym.envs import observation
 from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
-from slam_gym.navigation import grid
+from slam_gym.navigation import grid, visibility
 from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
@@ -29,7 +29,8 @@ from slam_gym.world import boxes, detection, ray_casting, reachability, wall_gri
 
 COMPILED = (
     geometry, slam, validation, compatibility, tree, observation, covisibility, ekf, grid, linear_algebra, measurement,
-    point_assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability, wall_grid,
+    point_assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability, visibility,
+    wall_grid,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 

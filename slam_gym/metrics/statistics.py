@@ -36,6 +36,12 @@ def interquartile_mean(values: Array) -> Array:
     return middle
 
 
+def mean(values: Array) -> Array:
+    """Mean (…,) of values (…, n), catastrophes and all."""
+    out: Array = np.asarray(values, np.float64).mean(axis=-1)
+    return out
+
+
 def bootstrap_interval(
     values: Array,
     rng: np.random.Generator,

@@ -31,7 +31,7 @@ SCENARIOS: dict[str, Scenario] = {
         ),
         Scenario("crowd", OfficeGenerator(), budget=800, **CROWDED),
         Scenario(
-            "kidnapped",  # carried away at half time, to where it has been: pass relocation="gcbb" to find back
+            "kidnapped",  # carried away at half time, to where it has been
             OfficeGenerator(),
             budget=800,
             kidnapping=KidnappingSpec(),

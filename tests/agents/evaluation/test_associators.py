@@ -92,7 +92,8 @@ def test_associators_are_found_by_name_and_only_the_name_is_told_the_truth():
 
 
 def test_the_table_is_that_of_the_records(finished):
-    (table,), told = tables(finished), finished.content["table"]["office-small"]
+    (table, *headline), told = tables(finished), finished.content["table"]["office-small"]
+    assert [shown.title.split()[0] for shown in headline] == ["Map", "Map"]
     for name in NAMES:
         own = [record for record in finished.records if record["associator"] == name]
         for key in ("precision", "f1", "duplicates", "map_error", "anees"):
@@ -100,6 +101,18 @@ def test_the_table_is_that_of_the_records(finished):
             assert told[name][key]["estimate"] == table.rows[name][key].estimate == pytest.approx(expected)
             assert told[name][key]["low"] <= told[name][key]["estimate"] <= told[name][key]["high"]
     assert told["true_association"]["nodes"]["estimate"] is None
+
+
+def test_relocations_are_compared_under_names_of_their_own():
+    evaluation = associator_evaluation(
+        ["jcbb", "true_association"], [ExploreArguments("office-small")], "random", 2, [None, "gcbb"]
+    )
+    names = ["jcbb", "jcbb + gcbb", "true_association", "true_association + gcbb"]
+    assert [task.keys[0].name for task in evaluation.tasks] == 2 * names
+    assert [task.arguments.relocation for task in evaluation.tasks[:4]] == [None, "gcbb"] * 2
+    assert evaluation.conditions["relocation"] == [None, "gcbb"]
+    one = associator_evaluation(["jcbb"], [ExploreArguments("office-small")], "random", 1, ["indexed"])
+    assert one.tasks[0].keys[0].name == "jcbb" and one.tasks[0].arguments.relocation == "indexed"
 
 
 def test_several_scenarios_are_pooled_and_kidnappings_have_columns_of_their_own(finished):
