@@ -18,6 +18,9 @@ from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.pipeline import Execution
 from slam_gym.scenarios import parse_override
 
+ON_A_FLOOR = "building"
+"""The scenario whose robot drives on a floor plan file."""
+
 
 def add_override_option(group: Any) -> None:
     """--set NAME=VALUE, as often as one likes."""
@@ -35,7 +38,8 @@ def _override(text: str) -> tuple[str, Any]:
 def add_explore_options(parser: argparse.ArgumentParser, scenario: str) -> None:
     """What chooses the world and its SLAM."""
     world = parser.add_argument_group("world")
-    world.add_argument("--scenario", default=scenario, help="name of a scenario (default: %(default)s)")
+    parser.set_defaults(default_scenario=scenario)
+    world.add_argument("--scenario", help=f"name of a scenario (default: {scenario}; of a floor plan {ON_A_FLOOR})")
     add_override_option(world)
     world.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
     world.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
@@ -52,8 +56,9 @@ def search_or_none(text: str) -> str | None:
 def explore_arguments(a: argparse.Namespace, **more: str) -> ExploreArguments:
     """What the options above choose."""
     plan = str(Path(a.floor_plan).resolve()) if a.floor_plan else None
+    scenario = a.scenario or (ON_A_FLOOR if plan else a.default_scenario)
     return ExploreArguments(
-        a.scenario, tuple(a.overrides), associator=a.associator, floor_plan=plan, resolution=a.resolution,
+        scenario, tuple(a.overrides), associator=a.associator, floor_plan=plan, resolution=a.resolution,
         relocation=a.relocation, **more,
     )  # fmt: skip
 

@@ -70,7 +70,7 @@ def main(argv: list[str]) -> int:
     arguments = explore_arguments(a, reward=a.reward, split="train")
     model = train_as_asked(a, a.action, arguments, command_line("agents.train", argv))
     print(f"wrote {model}; evaluate it beside the baselines with\n  python -m agents.evaluate --model {model}"
-          f" --scenario {a.scenario}")  # fmt: skip
+          f" --scenario {arguments.scenario}")  # fmt: skip
     return 0
 
 

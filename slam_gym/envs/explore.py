@@ -70,8 +70,8 @@ class ExploreEnv(BaseEnv):
 
     ## Arguments
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
-      `Scenario`; `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts the scenario's robot
-      on that floor instead.
+      `Scenario`; by default `"office"`. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts
+      the scenario's robot on that floor instead, by default that of `"building"`.
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
@@ -87,7 +87,7 @@ class ExploreEnv(BaseEnv):
 
     def __init__(
         self,
-        scenario: str | Scenario = "office",
+        scenario: str | Scenario | None = None,
         split: Split = "train",
         associator: str | Associator = "jcbb",
         action: Literal["goal", "twist"] = "goal",
@@ -106,6 +106,8 @@ class ExploreEnv(BaseEnv):
         one_of("locality", locality, ("covisibility", None))
         if resolution is not None and floor_plan is None:
             raise ValueError(f"resolution={resolution} goes with a floor_plan, and there is none")
+        if scenario is None:
+            scenario = "office" if floor_plan is None else "building"
         if floor_plan is not None:
             scenario = from_floor_plan(floor_plan, resolution, chosen_scenario(scenario))
         self.scenario = chosen_scenario(scenario, overrides)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam_gym.scenarios.buildings import BUILDINGS, floor_budget
 from slam_gym.scenarios.drift import CROWDED, DRIFTING
 from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
 from slam_gym.scenarios.suite import EXPERIMENTS, get_level
@@ -37,6 +38,7 @@ SCENARIOS: dict[str, Scenario] = {
             kidnapping=KidnappingSpec(),
         ),
         *DRIFTING,
+        *BUILDINGS,
     )
 }
 """The scenarios with a name of their own; the levels of the suite (`slam_gym.scenarios.suite`) go by their ids."""
@@ -67,13 +69,12 @@ def register(scenario: Scenario) -> None:
 def from_floor_plan(path: str | Path, resolution: float | None = None, like: Scenario | None = None) -> Scenario:
     """A scenario on a floor plan file: the package's JSON, or an occupancy image with its `resolution` [m per pixel].
 
-    Robot, people, sensors and filter are those of `like` (default: office). The plan is read once, here; faults in the
-    file are reported by `load_floor_plan`. Seeds vary the start and the noise. The budget grows with the floor.
+    Robot, people, sensors and filter are those of `like` (default: building). The plan is read once, here; faults in
+    the file are reported by `load_floor_plan`. Seeds vary the start and the noise. The budget grows with the area that
+    the robot can reach (see `slam_gym.scenarios.buildings.floor_budget`).
     """
-    plan = load_floor_plan(path, resolution)
-    x0, y0, x1, y1 = plan.bounds
-    budget = int(np.clip(3.0 * (x1 - x0) * (y1 - y0), 1_000, 20_000))
-    return replace(like or SCENARIOS["office"], name=plan.name, generator=partial(_given, plan), budget=budget)
+    plan, like = load_floor_plan(path, resolution), like or SCENARIOS["building"]
+    return replace(like, name=plan.name, generator=partial(_given, plan), budget=floor_budget(plan, like))
 
 
 def _given(plan: FloorPlan, _rng: np.random.Generator) -> FloorPlan:

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.observation import POINT_FIELDS
 from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import get_scenario, world_generator
@@ -241,6 +242,16 @@ def test_a_given_floor_plan_is_surveyed_once(tmp_path) -> None:
     env.reset(seed=1)
     assert env.episode.site is site and env.scenario.name == plan.name
     np.testing.assert_array_equal(site.plan.walls, plan.walls)
+
+
+def test_on_a_floor_plan_the_robot_is_that_of_the_building_elsewhere_that_of_the_office(
+    tmp_path,
+) -> None:
+    path = str(tmp_path / "two.json")
+    save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(1)), path)
+    assert ExploreEnv().scenario is get_scenario("office")
+    assert ExploreEnv(floor_plan=path).scenario.beams == get_scenario("building").beams
+    assert ExploreEnv("short-sighted", floor_plan=path).scenario.beams == get_scenario("short-sighted").beams
 
 
 def test_the_measurement_limit_shapes_the_space() -> None:

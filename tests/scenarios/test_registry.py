@@ -74,8 +74,11 @@ def test_a_floor_plan_file_becomes_a_scenario_with_a_budget_for_its_size(tmp_pat
         save_floor_plan(plan, tmp_path / f"{i}.json")
         scenarios.append(from_floor_plan(tmp_path / f"{i}.json"))
         np.testing.assert_array_equal(scenarios[-1].generator(np.random.default_rng(0)).walls, plan.walls)
+        assert (scenarios[-1].sensor.range, scenarios[-1].beams.range, scenarios[-1].beams.count) == (20.0, 20.0, 90)
     budgets = [scenario.budget for scenario in scenarios]
     assert budgets[0] == 1_000 <= budgets[1] < budgets[2] <= 20_000
+    near = from_floor_plan(tmp_path / "2.json", like=get_scenario("short-sighted"))
+    assert near.sensor == SCENARIOS["office"].sensor and near.budget > 1.5 * budgets[2]
     quality = drive(scenarios[0], 5)
     assert quality["map_error"] < 0.9 and quality["coverage"] > 0.3
 
