@@ -32,6 +32,7 @@ COLUMNS = (
     Column("nodes", "nodes", 0),
     Column("microseconds", "µs/scan", 0, "lower"),
     Column("map_error", "map error", 3, "lower"),
+    Column("local_error", "local error", 3, "lower", optional=True),
     Column("anees", "ANEES", 2),
 )
 RELOCATION_COLUMNS = (

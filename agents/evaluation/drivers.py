@@ -20,6 +20,7 @@ from agents.evaluation.tables import Column, Rows, Table, by_name, display_name,
 
 COLUMNS = (
     Column("map_error", "map error", 3, "lower"),
+    Column("local_error", "local error", 3, "lower"),
     Column("coverage", "coverage", 3, "higher"),
     Column("precision", "precision", 3, "higher"),
     Column("recall", "recall", 3, "higher"),

@@ -6,9 +6,10 @@ import numpy as np
 
 from slam_gym.geometry import transform
 from slam_gym.metrics.consistency import anees
-from slam_gym.metrics.map_quality import gospa, landmark_rmse
+from slam_gym.metrics.map_quality import gospa, landmark_rmse, local_error
 from slam_gym.metrics.trajectory import ate
 from slam_gym.simulation.episode import Episode
+from slam_gym.types import IntArray
 
 _CUTOFF = 1.0  # [m] of the GOSPA that is reported
 
@@ -17,9 +18,10 @@ def quality(episode: Episode) -> dict[str, float]:
     """Measures of the episode so far; provisional features (seen too seldom to be confirmed) count nowhere.
 
     `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
-    duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `ate` [m] is that of the positions,
-    without alignment, since both start from one known pose. `anees` is the pose NEES over its 3 degrees of freedom,
-    averaged over the ticks. `recovered`: after a kidnapping, the pose was right again; `ticks_astray` until then.
+    duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `local_error` [m] is by how much distances
+    between those of them that were seen together are wrong, on average. `ate` [m] is that of the positions, without
+    alignment, since both start from one known pose. `anees` is the pose NEES over its 3 degrees of freedom, averaged
+    over the ticks. `recovered`: after a kidnapping, the pose was right again; `ticks_astray` until then.
     """
     kidnapping = episode.kidnapping
     slam_map, tally = episode.slam.map, episode.identities.total
@@ -28,13 +30,14 @@ def quality(episode: Episode) -> dict[str, float]:
     real, first = np.unique(sources, return_index=True)
     first, real = first[real >= 0], real[real >= 0]
     landmarks = episode.landmarks
-    true = episode.site.plan.features.positions
+    mapped, true = landmarks[first], episode.site.plan.features.positions[real]
     parts = gospa(landmarks, episode.targets, p=2.0, cutoff=_CUTOFF)
     return {
         "map_error": episode.map_error(),
         "coverage": episode.coverage(),
-        "landmark_rmse_raw": landmark_rmse(landmarks[first], true[real]),
-        "landmark_rmse_aligned": landmark_rmse(landmarks[first], true[real], aligned=True),
+        "landmark_rmse_raw": landmark_rmse(mapped, true),
+        "landmark_rmse_aligned": landmark_rmse(mapped, true, aligned=True),
+        "local_error": local_error(mapped, true, _seen_together(episode, confirmed[first])),
         "gospa": parts.total,
         "gospa_localisation": parts.localisation,
         "gospa_missed": parts.missed,
@@ -52,6 +55,15 @@ def quality(episode: Episode) -> dict[str, float]:
         "relocations_right": float(kidnapping.right),
         "relocations_wrong": float(kidnapping.wrong),
     }
+
+
+def _seen_together(episode: Episode, features: IntArray) -> IntArray:
+    """Pairs (e, 2) of the map's `features` (k,) that share an edge of the covisibility graph, as indices into these."""
+    rows = np.full(episode.slam.map.n, -1)
+    rows[features] = np.arange(len(features))
+    pairs = rows[episode.slam.covisibility.edges().pairs]
+    chosen: IntArray = pairs[(pairs >= 0).all(axis=1)]
+    return chosen
 
 
 def _ticks_astray(episode: Episode) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import transform
-from slam_gym.metrics.map_quality import align_se2, cells_of, coverage, gospa, landmark_rmse, map_error
+from slam_gym.metrics.map_quality import align_se2, cells_of, coverage, gospa, landmark_rmse, local_error, map_error
 
 
 def test_map_error_runs_from_one_for_nothing_to_zero_for_the_truth():
@@ -77,6 +77,22 @@ def test_alignment_recovers_a_rigid_motion_and_beats_its_neighbours(seed):
     assert landmark_rmse(points, noisy, aligned=True) == pytest.approx(least)
     for nudge in rng.normal(0, 0.05, (20, 3)):
         assert landmark_rmse(transform(best + nudge, points), noisy) >= least
+
+
+def test_the_local_error_sees_the_shape_and_not_the_frame():
+    rng = np.random.default_rng(0)
+    points, pairs = rng.uniform(-50, 50, (10, 2)), np.array([[0, 1], [2, 5], [8, 9]])
+    assert local_error(transform(np.array([30.0, -4.0, 0.5]), points), points, pairs) == pytest.approx(0.0, abs=1e-12)
+    stretched = 1.01 * points
+    lengths = [math.dist(points[i], points[j]) for i, j in pairs]
+    assert local_error(stretched, points, pairs) == pytest.approx(0.01 * np.mean(lengths))
+    bent = points.copy()
+    bent[3] += 7.0  # in no pair
+    assert local_error(bent, points, pairs) == 0.0
+    assert math.isnan(local_error(points, points, np.empty((0, 2), np.int64)))
+    for wrong in (-1, 10):
+        with pytest.raises(ValueError, match=r"of 10 features"):
+            local_error(points, points, np.array([[0, wrong]]))
 
 
 def test_alignment_of_too_few_points():

@@ -19,8 +19,15 @@ def results():
     for rank, agent in enumerate(AGENTS):
         for k in range(8):
             error = 1.0 - (0.2 + 0.2 * rank) * ticks / 300 + rng.normal(0.0, 0.001)
-            record = {"agent": agent, "model": None, "episode": k, "map_error": error[-1], "coverage": 0.8}
-            record |= {"precision": np.nan, "recall": 0.9, "anees": 1.0, "ticks": 300, "ticks_per_second": 3e3}
+            record = {"agent": agent, "model": None, "episode": k, "map_error": error[-1], "local_error": 0.02}
+            record |= {
+                "coverage": 0.8,
+                "precision": np.nan,
+                "recall": 0.9,
+                "anees": 1.0,
+                "ticks": 300,
+                "ticks_per_second": 3e3,
+            }
             curve = {"ticks": ticks, "map_error": error, "coverage": ticks / 400}
             records.append(record | {"curve": curve})
     conditions = {"scenario": "office", "associator": "jcbb", "split": "test", "floor_plan": None}
@@ -42,7 +49,7 @@ def test_only_agents_that_can_be_told_apart_are_bold(results, tmp_path):
     rows = re.findall(r"<tr><td><span.*?</tr>", markup)[: len(AGENTS)]
     bold = [re.findall(r"<td( class=best)?>", row) for row in rows]
     assert [found[1] for found in bold] == ["", "", " class=best"]  # map error: the last agent alone
-    assert [found[2] for found in bold] == [""] * 3  # coverage: all the same
+    assert [found[2] for found in bold] == [found[3] for found in bold] == [""] * 3  # local error, coverage: all alike
 
 
 def test_films_are_linked_where_they_are_there(results, tmp_path):
