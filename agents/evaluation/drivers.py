@@ -14,6 +14,7 @@ import numpy as np
 
 from agents.drivers.base import Agent, is_learned, make_agent
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
+from agents.evaluation.headline import LOST
 from agents.evaluation.pipeline import DRIVERS, Evaluation, Results
 from agents.evaluation.records import Key, Record
 from agents.evaluation.tables import Column, Rows, Table, by_name, display_name, estimates
@@ -25,6 +26,7 @@ COLUMNS = (
     Column("precision", "precision", 3, "higher"),
     Column("recall", "recall", 3, "higher"),
     Column("anees", "ANEES", 2),
+    LOST,
     Column("ticks", "ticks", 0),
     Column("ticks_per_second", "ticks/s", 0),
 )

@@ -77,6 +77,15 @@ class AssociateArguments(_Arguments):
         return gym.make(ASSOCIATE, disable_env_checker=True, **self.plain)
 
 
+LOST_ERROR, LOST_DUPLICATES = 0.8, 10.0
+"""A map with a greater error, or with more features mapped twice, is lost: the building was drawn again beside it."""
+
+
+def map_lost(map_error: float, duplicates: float) -> float:
+    """1 where such a map is lost, else 0."""
+    return float(map_error > LOST_ERROR or duplicates > LOST_DUPLICATES)
+
+
 def reset_arguments(episode: int) -> dict[str, Any]:
     """Arguments of `env.reset` for the i-th episode of a split."""
     return {"seed": episode, "options": {"world": episode}}
@@ -92,7 +101,8 @@ def run_episode(
     """Drive one episode of Explore-v0 to its end. `watch(env)` is called after every tick.
 
     Returns a flat dict of JSON-able numbers: episode, return, decisions, ticks, seconds (of driving, without the
-    reset), all of `map_quality`; and `curve`, lists of equal length over the decisions: ticks, map_error, coverage.
+    reset), all of `map_quality`, map_lost; and `curve`, lists of equal length over the decisions: ticks, map_error,
+    coverage.
     """
     observation, info = env.reset(**reset_arguments(episode))
     agent.reset(episode)
@@ -111,7 +121,8 @@ def run_episode(
     seconds = time.perf_counter() - start
     quality = {key: float(np.asarray(value)) for key, value in info["map_quality"].items()}
     record = {"episode": episode, "return": total, "decisions": decisions, "seconds": seconds} | quality
-    return record | {"ticks": ticks, "ticks_per_second": ticks / seconds, "curve": curve}
+    lost = map_lost(record["map_error"], record["duplicates"])
+    return record | {"map_lost": lost, "ticks": ticks, "ticks_per_second": ticks / seconds, "curve": curve}
 
 
 def associate_episode(env: gym.Env[Any, Any], policy: Policy, episode: int) -> Record:

@@ -6,16 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agents.evaluation.episodes import LOST_DUPLICATES, LOST_ERROR
 from agents.evaluation.records import Record
 from agents.evaluation.tables import Column, Rows, Table, by_name, by_setting, mean_difference, sample
 from slam_gym.metrics.statistics import Interval, mean
 from slam_gym.simulation.judged import CEILING
 
-LOST_ERROR, LOST_DUPLICATES = 0.8, 10.0
-"""A map with a greater error, or with more features mapped twice, is a catastrophe: the building was drawn again."""
-
 JOIN = " + "
 """Between an associator and the search that finds a lost robot for it, in the name of what was evaluated."""
+
+
+LOST = Column("map_lost", "lost", 3, "lower", rare=True)
+LOST_MEANS = (
+    f"lost: share of episodes with a map error above {LOST_ERROR:g} "
+    f"or more than {LOST_DUPLICATES:g} features mapped twice"
+)
 
 
 def subject(associator: str, relocation: str | None) -> str:
@@ -23,26 +28,18 @@ def subject(associator: str, relocation: str | None) -> str:
     return associator if relocation is None else f"{associator}{JOIN}{relocation}"
 
 
-def catastrophe(record: Record) -> float:
-    """1 where the map of the episode is a catastrophe, else 0."""
-    return float(record["map_error"] > LOST_ERROR or record["duplicates"] > LOST_DUPLICATES)
-
-
 def headline(records: Sequence[Record]) -> list[Table]:
-    """Two tables: map errors and catastrophes, and paired differences to the truth with the same relocation."""
+    """Two tables: map errors and lost maps, and paired differences to the truth with the same relocation."""
     settings = list(by_setting(records))
     columns = [Column(setting, setting, 3, "lower") for setting in settings]
     overall = (
         Column("mean", "mean", 3, "lower"),
         Column("median", "median", 3, "lower"),
-        Column("catastrophes", "lost", 3, "lower"),
+        LOST,
     )
     groups = by_name(records, "associator")
     rows: Rows = {name: _errors(own) for name, own in groups.items()}
-    caption = (
-        "mean map error, 95 % bootstrap interval; lost: share of episodes with a map error above "
-        f"{LOST_ERROR:g} or more than {LOST_DUPLICATES:g} features mapped twice"
-    )
+    caption = f"mean map error, 95 % bootstrap interval; {LOST_MEANS}"
     found = [Table("Map error", "associator", [*columns, *overall], rows, caption)]
     gaps = {name: _gaps(own, groups[truth]) for name, own in groups.items() if (truth := _truth(name, groups))}
     if gaps:
@@ -53,12 +50,11 @@ def headline(records: Sequence[Record]) -> list[Table]:
 
 
 def _errors(records: Sequence[Record]) -> dict[str, Interval | float]:
-    """Scenario → mean map error; and of all scenarios the mean, the median and the share of catastrophes."""
+    """Scenario → mean map error; and of all scenarios the mean, the median and the share of lost maps."""
     by_scenario = {name: sample(own, "map_error").summary(mean) for name, own in by_setting(records).items()}
-    lost = sample([record | {"lost": catastrophe(record)} for record in records], "lost")
-    errors = sample(records, "map_error")
+    errors, lost = sample(records, "map_error"), sample(records, "map_lost")
     middle = float(np.median(errors.values))
-    return {**by_scenario, "mean": errors.summary(mean), "median": middle, "catastrophes": lost.summary(mean)}
+    return {**by_scenario, "mean": errors.summary(mean), "median": middle, "map_lost": lost.summary(mean)}
 
 
 def _truth(name: str, groups: dict[str, list[Record]]) -> str | None:

@@ -34,6 +34,7 @@ class Column:
     digits: int
     better: str = ""  # "lower", "higher", or neither
     optional: bool = False  # left out where the terminal is narrow
+    rare: bool = False  # happens so seldom that it takes the mean: an interquartile mean does not see it
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def sample(records: Sequence[Record], key: str) -> Sample:
 
 def estimates(records: Sequence[Record], columns: Sequence[Column]) -> dict[str, Value]:
     """Column key → estimate over the records."""
-    return {column.key: sample(records, column.key).estimate for column in columns}
+    return {c.key: sample(records, c.key).summary(mean if c.rare else interquartile_mean) for c in columns}
 
 
 def difference(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from agents.evaluation.drivers import kidnappings, tables
+from agents.evaluation.headline import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import Record
 from agents.evaluation.tables import Column, Table, by_name, difference, display_name
@@ -22,6 +23,7 @@ _WORDS = (
            "that was seen. <b>Precision</b> and <b>recall</b> judge data association, measurement by measurement. "
            "<b>ANEES</b> is 1 for a consistent filter, above 1 for an overconfident one. <b>Ticks/s</b> is the speed "
            "of one process, with physics, SLAM, planning and the agent itself.")
+    + note(html.escape(LOST_MEANS[0].upper() + LOST_MEANS[1:] + "; the mean, as it happens seldom."))
 )  # fmt: skip
 _PANELS = (Panel("map_error", "map error (lower is better)"), Panel("coverage", "coverage", "percent"))
 

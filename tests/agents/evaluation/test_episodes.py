@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.drivers.base import make_agent
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associate_episode, run_episode
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associate_episode, map_lost, run_episode
 from tests.agents.evaluation import timeless
 
 SMALL = ExploreArguments("office-small")
@@ -45,3 +45,7 @@ def test_an_episode_of_decisions_ends_with_its_score():
     env = AssociateArguments("corridor", split="test").make()
     record = associate_episode(env, lambda observation, mask: int(np.flatnonzero(mask)[0]), 0)
     assert record["decisions"] > 100 and np.isfinite([record["score"], record["map_error"], record["return"]]).all()
+
+
+def test_a_map_is_lost_by_its_error_or_by_its_duplicates():
+    assert map_lost(0.81, 0.0) == map_lost(0.1, 11.0) == 1.0 and map_lost(0.8, 10.0) == 0.0

@@ -19,7 +19,14 @@ def results():
     for rank, agent in enumerate(AGENTS):
         for k in range(8):
             error = 1.0 - (0.2 + 0.2 * rank) * ticks / 300 + rng.normal(0.0, 0.001)
-            record = {"agent": agent, "model": None, "episode": k, "map_error": error[-1], "local_error": 0.02}
+            record = {
+                "agent": agent,
+                "model": None,
+                "episode": k,
+                "map_error": error[-1],
+                "local_error": 0.02,
+                "map_lost": 0.0,
+            }
             record |= {
                 "coverage": 0.8,
                 "precision": np.nan,
