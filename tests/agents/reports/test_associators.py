@@ -12,8 +12,8 @@ NAMES = ["singles", "jcbb", "true_association"]
 def results(**more):
     """Three associators in two scenarios; each is a little better than the one before."""
     base = {"f1": 0.7, "exact": 0.5, "precision": 0.8, "recall": 0.6, "map_error": 0.4, "local_error": 0.02,
-            "map_lost": 0.1, "duplicates": 1.0, "nodes": 20.0, "microseconds": 50.0, "anees": 1.2, "limits": 0.0, "recovered": 1.0,
-            "relocations_wrong": 0.0, "ticks_astray": 9.0}  # fmt: skip
+            "map_lost": 0.1, "duplicates": 1.0, "nodes": 20.0, "microseconds": 50.0, "anees": 1.2, "limits": 0.0,
+            "recovered": 1.0, "relocations_wrong": 0.0, "ticks_astray": 9.0}  # fmt: skip
     records = [
         {"associator": name, "setting": setting, "episode": k}
         | {key: value * (1.0 + 0.05 * rank + 0.001 * k) for key, value in base.items()} | more
