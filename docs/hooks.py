@@ -210,7 +210,7 @@ def _scenario_index() -> str:
             "| Scenario | Ticks (.1 s) | Worlds | |",
             "|---|---|---|---|",
             *rows,
-            "| [`closure/0` …](suite.md) | 600 | of the suite, one for each of its 35 levels | |",
+            "| [`closure/0` …](suite.md) | 600 | of the suite, one for each of its 40 levels | |",
             "",
         ]
     )

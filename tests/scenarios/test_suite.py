@@ -26,13 +26,13 @@ def test_a_sweep_turns_one_knob_and_nothing_else():
         assert [level.number for level in experiment.levels] == list(range(len(knobs)))
         assert {level.experiment for level in experiment.levels} == {name}
     blind = {name: {level.blind for level in EXPERIMENTS[name].levels} for name in EXPERIMENTS}
-    assert all((len(found) > 1) == (name == "closure") for name, found in blind.items())
+    assert all((len(found) > 1) == (name in ("closure", "drift")) for name, found in blind.items())
 
 
 @pytest.mark.parametrize(
     ("id", "said"),
     [
-        ("closures/1", "unknown experiment 'closures'; known: closure, aliasing"),
+        ("closures/1", "unknown experiment 'closures'; known: closure, drift"),
         ("closure", "'closure': expected closure/0 … closure/4"),
         ("closure/5", "expected closure/0 … closure/4"),
         ("closure/-1", "expected closure/0"),
