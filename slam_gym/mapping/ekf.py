@@ -27,7 +27,6 @@ from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 
 ACCEPTED = -1  # what `update` returns
 NO_SUCH_FEATURE = -2
-_STANDS_STILL = 1e-5  # [m], [rad] an iteration that moves nothing by more than this is the last
 _ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
@@ -128,47 +127,6 @@ def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array,
 
 
 @compiled
-def _optimum(x: Array, P: Array, points: Array, covariances: Array, paired: IntArray, iterations: int) -> Array:
-    """The state (d,) at which the iterated update is linearised: Gauss–Newton from the prior x, which stays as it is.
-
-    x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) minimises the cost of prior and measurements together (Bell and
-    Cathey, IEEE TAC 38(2), 1993). Only the robot and the k paired features enter h: the iteration runs on them alone.
-    """
-    k = len(paired)
-    entries = np.empty(3 + 2 * k, np.int64)
-    entries[0], entries[1], entries[2] = 0, 1, 2
-    distinct = np.unique(paired)
-    c = 3 + 2 * len(distinct)
-    for j in range(len(distinct)):
-        entries[3 + 2 * j], entries[4 + 2 * j] = 3 + 2 * distinct[j], 4 + 2 * distinct[j]
-    prior, part = np.empty(c), np.zeros((c, padded(c)))
-    for i in range(c):
-        prior[i] = x[entries[i]]
-        for j in range(i, c):
-            part[i, j] = P[entries[i], entries[j]]
-    slots, best, change = np.searchsorted(distinct, paired), prior.copy(), np.empty(c)
-    for _ in range(iterations - 1):
-        nu, W, S = _innovation(best, best, part, c, points, covariances, slots)
-        _refer_to_prior(nu, prior, best, slots)
-        if not cholesky(S):
-            break
-        whiten(S, W, nu)
-        moved = 0.0
-        for j in range(c):
-            change[j] = prior[j] - best[j]
-            for i in range(2 * k):
-                change[j] += W[i, j] * nu[i]
-            moved = max(moved, abs(change[j]))
-        best += change
-        if moved < _STANDS_STILL:
-            break
-    out = x.copy()
-    for i in range(c):
-        out[entries[i]] = best[i]
-    return out
-
-
-@compiled
 def _refer_to_prior(nu: Array, prior: Array, at: Array, paired: IntArray) -> None:
     """ν ← ν − H (x − x_i) for H at x_i (`at`), in the axes of `_innovation`."""
     rx, ry, turn = prior[0] - at[0], prior[1] - at[1], prior[2] - at[2]
@@ -180,13 +138,48 @@ def _refer_to_prior(nu: Array, prior: Array, at: Array, paired: IntArray) -> Non
 
 
 @compiled
+def _left_over(x: Array, at: Array, change: Array, points: Array, covariances: Array, paired: IntArray) -> float:
+    """What the linearisation at `at` leaves out of the step to x + `change`, squared, in the measurements' σ.
+
+    r_i = h_i(x + change) − h_i(at) − H_i (x + change − at), and the sum of r_iᵀ R_i⁻¹ r_i over the pairings. Another
+    pass of Gauss–Newton moves the state by P⁺ Hᵀ R⁻¹ r, which is by no more than the root of this sum, in units of the
+    state's own σ after the update (Mahalanobis), for Hᵀ R⁻¹ H ≤ (P⁺)⁻¹. That H has changed, too, moves it much less.
+    """
+    rx, ry, turn = x[0] + change[0] - at[0], x[1] + change[1] - at[1], x[2] + change[2] - at[2]
+    c, s, ct, st = math.cos(at[2]), math.sin(at[2]), math.cos(turn), math.sin(turn)
+    total = 0.0
+    for i in range(len(paired)):
+        f = 3 + 2 * paired[i]
+        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        bx, by = x[f] + change[f] - at[f] - rx + dx, x[f + 1] + change[f + 1] - at[f + 1] - ry + dy
+        # in axes parallel to B, then in those of the robot
+        u, v = ct * bx + st * by - bx - dy * turn, ct * by - st * bx - by + dx * turn
+        u, v = c * u + s * v, c * v - s * u
+        xx, xy, yy = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1]
+        squared, determinant = yy * u * u - 2.0 * xy * u * v + xx * v * v, xx * yy - xy * xy
+        if squared > 0.0:
+            total += squared / determinant if determinant > 0.0 else math.inf
+    return total
+
+
+@compiled
 def update(
-    x: Array, at: Array, P: Array, n: int, points: Array, covariances: Array, features: IntArray, iterations: int
+    x: Array,
+    at: Array,
+    P: Array,
+    n: int,
+    points: Array,
+    covariances: Array,
+    features: IntArray,
+    iterations: int,
+    settled: float,
 ) -> int:
     """Joint EKF update with all pairings (measurement i, feature features[i] ≠ UNPAIRED), in place.
 
     ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
-    With more than one iteration, H and ν are those at the optimum (`_optimum`) instead of the prior.
+    With more than one iteration, H and ν are taken anew at x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) until another
+    pass would move the state by less than `settled` of its own σ: Gauss–Newton from the prior x, which minimises the
+    cost of prior and measurements together (Bell and Cathey, IEEE TAC 38(2), 1993).
     Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
     no covariance, or m where S is singular.
     """
@@ -202,26 +195,44 @@ def update(
         measured[k], paired[k] = i, features[i]
         k += 1
     z, R, paired = points[measured[:k]], covariances[measured[:k]], paired[:k]
-    if iterations > 1 and k > 0:
-        at = _optimum(x, P, z, R, paired, iterations)
-        nu, W, S = _innovation(at, at, P, d, z, R, paired)
-        _refer_to_prior(nu, x, at, paired)
-    else:
-        nu, W, S = _innovation(x, at, P, d, z, R, paired)
+    nu, W, S = _innovation(x, at, P, d, z, R, paired)
     if not cholesky(S):
         return m
     whiten(S, W, nu)
+    change, left = _correction(W, nu), iterations - 1
+    here = at
+    while left > 0 and _left_over(x, here, change, z, R, paired) > settled * settled:
+        here = x.copy()
+        here[:d] += change[:d]
+        nu, W, S = _innovation(here, here, P, d, z, R, paired)
+        _refer_to_prior(nu, x, here, paired)
+        if not cholesky(S):
+            return m
+        whiten(S, W, nu)
+        change, left = _correction(W, nu), left - 1
+    for j in range(d):
+        x[j] += change[j]
+    x[2] = wrap_angle(x[2])
     lost = np.zeros(d)  # variance that the update takes away
     for i in range(2 * k):
         row = W[i]
         for j in range(len(lost)):
-            x[j] += row[j] * nu[i]
             lost[j] += row[j] * row[j]
-    x[2] = wrap_angle(x[2])
     subtract_product(P, W)
     for j in range(d):
         P[j, j] += _ROUNDING * lost[j]
     return ACCEPTED
+
+
+@compiled
+def _correction(W: Array, nu: Array) -> Array:
+    """K ν = Wᵀ L⁻¹ ν, from W and ν as `whiten` leaves them."""
+    change = np.zeros(W.shape[1])
+    for i in range(len(nu)):
+        row = W[i]
+        for j in range(len(change)):
+            change[j] += row[j] * nu[i]
+    return change
 
 
 @compiled

@@ -7,6 +7,7 @@ are removed, and known by an id that is never given twice.
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,21 +36,31 @@ class MapSpec:
 
     confidence: float = 0.99  # of the χ² gates in data association: every prediction carries it
     first_estimate_jacobians: bool = False  # evaluate Jacobians at first estimates (Huang et al. 2010)
-    iterations: int = 1  # of an update: 1 linearises at the prior, more by Gauss–Newton at the optimum, at most so many
+    iterations: int | None = None  # of an update, at most: 1 linearises at the prior; None: 3, with first estimates 1
+    settled: float = 0.1  # [σ of the state] a pass that would move it by less than that is spared
     confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
     unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
 
     def __post_init__(self) -> None:
         if not 0.0 < self.confidence < 1.0:
             raise ValueError(f"MapSpec.confidence: {self.confidence} is not between 0 and 1")
-        if self.iterations < 1:
+        if self.iterations is not None and self.iterations < 1:
             raise ValueError(f"MapSpec.iterations: {self.iterations} is less than 1")
-        if self.iterations > 1 and self.first_estimate_jacobians:
+        if not 0.0 <= self.settled < math.inf:
+            raise ValueError(f"MapSpec.settled: {self.settled} is not finite or negative")
+        if self.passes > 1 and self.first_estimate_jacobians:
             raise ValueError("MapSpec.iterations: with Jacobians at first estimates there is nothing to iterate")
         if self.confirmations < 1:
             raise ValueError(f"MapSpec.confirmations: {self.confirmations} is less than 1")
         if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
             raise ValueError(f"MapSpec.unconfirmed_age: {self.unconfirmed_age} is negative")
+
+    @property
+    def passes(self) -> int:
+        """Iterations of an update, at most."""
+        if self.iterations is not None:
+            return self.iterations
+        return 1 if self.first_estimate_jacobians else 3
 
 
 _COLUMNS = (
@@ -89,6 +100,7 @@ class StochasticMap:
         if capacity < 1:
             raise ValueError(f"capacity: {capacity} is less than 1")
         self.spec = spec or MapSpec()
+        self._passes = self.spec.passes
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self._next_id = 0
@@ -243,9 +255,8 @@ class StochasticMap:
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
         self._estimate_changes()
-        refused = ekf.update(
-            self._x, self._at, self._P, self.n, scan.points, scan.covariances, features, self.spec.iterations
-        )
+        x, at, P, passes, settled = self._x, self._at, self._P, self._passes, self.spec.settled
+        refused = ekf.update(x, at, P, self.n, scan.points, scan.covariances, features, passes, settled)
         if refused == ekf.NO_SUCH_FEATURE:
             raise ValueError(f"features: {features.tolist()} for a map of {self.n} features")
         if refused == len(scan):

@@ -9,8 +9,9 @@ from scipy.stats import chi2
 
 from slam_gym.geometry import compose, observe, wrap_angle
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.metrics.consistency import anees_interval, pose_nees
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
-from tests.mapping.small_maps import FEJ, KEEP, START, START_COVARIANCE, h, landmarks, mapped, numerical
+from tests.mapping.small_maps import FEJ, KEEP, START, START_COVARIANCE, STILL, h, landmarks, mapped, numerical
 from tests.oracles.map import SIGMA, KnownAssociation, Step, TextbookMap, make_scan, random_covariances, wander
 
 # --- against the textbook ---------------------------------------------------------------------------------------------
@@ -223,10 +224,13 @@ def test_first_estimate_jacobians_gain_no_heading_from_looking_around() -> None:
 NOISE = 0.05  # [m]
 
 
-def poor_heading(seed: int, iterations: int, heading: float = 0.1) -> tuple[StochasticMap, Scan, np.ndarray]:
+def poor_heading(
+    seed: int, iterations: int, heading: float = 0.1, settled: float = 0.0
+) -> tuple[StochasticMap, Scan, np.ndarray]:
     """A map of eight features, its robot's heading poorly known, and a scan of four of them and a stranger."""
     rng = np.random.default_rng(seed)
-    m = StochasticMap(MapSpec(iterations=iterations), [1.0, 2.0, 0.5], np.diag([0.05, 0.05, 0.02]) ** 2)
+    spec = MapSpec(iterations=iterations, settled=settled)
+    m = StochasticMap(spec, [1.0, 2.0, 0.5], np.diag([0.05, 0.05, 0.02]) ** 2)
     bearing, distance = rng.uniform(-np.pi, np.pi, 8), rng.uniform(2.0, 6.0, 8)
     m.add(Scan.from_polar(distance, bearing, NOISE, 0.01), np.arange(8))
     m.predict(Odometry.from_motion([0.5, 0.0, 0.3], [0.1, 0.05, heading]))
@@ -286,6 +290,53 @@ def test_a_feature_paired_twice_is_measured_twice() -> None:
     before = m.covariances[0]
     m.update(scan, twice)
     assert np.trace(m.covariances[0]) < np.trace(before) and np.linalg.eigvalsh(m.covariance).min() > 0.0
+
+
+@pytest.mark.parametrize("settled", [0.1, 0.3, 1.0])
+def test_a_pass_is_spared_only_where_it_would_hardly_move_the_state(settled: float) -> None:
+    """In units of the σ of the state: Mahalanobis distance to the optimum, over headings known well and poorly."""
+    spared = 0
+    for seed in range(60):
+        heading = 10.0 ** np.random.default_rng(seed).uniform(-3.0, -0.5)
+        m, scan, features = poor_heading(seed, 30, heading, settled)
+        mean, covariance = optimum(m, scan, features)
+        once, _, _ = poor_heading(seed, 1, heading)
+        m.update(scan, features)
+        once.update(scan, features)
+        spared += np.array_equal(m.mean, once.mean)
+        off = m.mean - mean
+        assert np.sqrt(off @ np.linalg.solve(covariance, off)) < 1.3 * settled
+    assert 0 < spared < 60
+
+
+def test_with_wheels_that_turn_badly_the_iterated_filter_alone_is_consistent() -> None:
+    """σ of 8° of heading a step, in a map begun from a known pose: mean NEES of the pose at the end of 40 runs."""
+    runs, world, mean = 40, landmarks(np.random.default_rng(12), 12), {}
+    for name, spec in (("iterated", MapSpec(unconfirmed_age=None)), ("one pass", KEEP)):
+        total = 0.0
+        for seed in range(runs):
+            known, rng = KnownAssociation(StochasticMap(spec)), np.random.default_rng([31, seed])
+            noise = random_covariances(rng, SIGMA, len(world))
+            points = world + np.array([rng.multivariate_normal([0.0, 0.0], R) for R in noise])
+            known.step(Step(STILL, make_scan(points, noise), np.arange(len(world)), np.zeros(3)))
+            for step in wander(rng, 40, world, q=np.diag([0.05, 0.03, 0.14]) ** 2):
+                known.step(step)
+            total += pose_nees(known.map.pose, known.map.pose_covariance, step.pose) / 3.0
+        mean[name] = total / runs
+    low, high = anees_interval(runs, 3, 0.99)
+    assert low < mean["iterated"] < high
+    assert mean["one pass"] > 1.5 * high
+
+
+def test_first_estimate_jacobians_are_not_iterated_unless_asked_for() -> None:
+    assert MapSpec(first_estimate_jacobians=True).passes == 1
+    assert MapSpec().passes > 1
+
+
+@pytest.mark.parametrize("settled", [-0.1, np.nan, np.inf])
+def test_a_limit_that_is_none_is_refused(settled: float) -> None:
+    with pytest.raises(ValueError, match=r"MapSpec\.settled"):
+        MapSpec(settled=settled)
 
 
 @pytest.mark.parametrize("settings", [{"iterations": 0}, {"iterations": 2, "first_estimate_jacobians": True}])

@@ -62,7 +62,7 @@ def merged(a: Robot, b: Robot, **settings: Any) -> Merge:
     return merge(a.map, b.map, gcbb, locality=covisible(a.graph), grouping=covisible(b.graph), spec=spec)
 
 
-@pytest.mark.parametrize("world", [1, 3, 4])
+@pytest.mark.parametrize("world", [1, 2, 3])
 def test_two_robots_in_one_office_merge_their_maps(world: int) -> None:
     a, b = robot(world, 0), robot(world, 1)
     result = merged(a, b)
