@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         ipjc,
         jcbb,
         map_hypothesis,
+        marginal,
         max_clique,
         nearest_neighbour,
         one_point_ransac,
@@ -56,7 +57,7 @@ __version__ = "0.1.0"
 _WHERE = {
     "association": (
         "ASSOCIATORS", "RELOCATORS", "from_policy", "gcbb", "global_nearest_neighbour", "indexed", "ipjc", "jcbb",
-        "map_hypothesis", "max_clique", "nearest_neighbour", "one_point_ransac", "random_sampling",
+        "map_hypothesis", "marginal", "max_clique", "nearest_neighbour", "one_point_ransac", "random_sampling",
         "relocator_from_policy", "singles", "spectral", "true_association",
     ),
     "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
@@ -102,6 +103,7 @@ __all__ = [
     "ipjc",
     "jcbb",
     "map_hypothesis",
+    "marginal",
     "max_clique",
     "nearest_neighbour",
     "one_point_ransac",

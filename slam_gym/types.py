@@ -173,6 +173,16 @@ View = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, slots=True)
+class Experience:
+    """What an associator has learned of the scans of a run: it says so in its `Hypothesis`, and the next `Prediction`
+    reminds it. Associators stay functions, and what they learn goes with the run. Counts fade from scan to scan."""
+
+    unpaired: float  # measurements of what is not in the map
+    area: float  # [m²] that the scans showed
+    detections: Array  # (d,) log weights of the values that P_D may have
+
+
+@dataclass(frozen=True, slots=True)
 class Prediction:
     """What the stochastic map expects to measure from the predicted pose: the features in reach, one a row.
 
@@ -197,6 +207,7 @@ class Prediction:
     # rows (j,) -> (j, j) which are local to each other, symmetric, true on its diagonal; None: all are to all
     view: View | None = None
     view_moves: bool = True  # `view` holds for other positions, too; False where the predicted pose is poorly known
+    experience: Experience | None = None  # of the associator, from its last hypothesis of this run that had any
 
     def __len__(self) -> int:
         return len(self.features)
@@ -338,6 +349,8 @@ class Posterior:
     probability: float  # of the hypothesis
     runner_up: IntArray  # (m,) map features of the next most probable one, UNPAIRED for `*`
     runner_up_probability: float
+    marginals: Array | None = None  # (m,) probability of each decision by itself, over all hypotheses; None: not asked
+    unpaired: Array | None = None  # (m,) probability that each measurement is of nothing in the map; None: likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,6 +364,7 @@ class Hypothesis:
     posterior: Posterior | None = None
     new: BoolArray | None = None  # (m,) which measurements start a feature; None: by the rule of `Slam`
     exclusive: bool = True  # no feature is paired twice; False: decided one by one, as nearest neighbour does
+    experience: Experience | None = None  # for the next prediction
 
     @property
     def pairings(self) -> int:

@@ -30,6 +30,7 @@ ABOUT = {
     "jcbb": "searches for the largest set of pairings whose innovations agree with each other.",
     "ipjc": "searches as JCBB does, but tests a set after moving the pose to where it puts the robot.",
     "map_hypothesis": "searches for the most probable set, in which a pairing must be likelier than clutter.",
+    "marginal": "pairs only what is probable enough over all sets of pairings, by the cost of a mistake.",
     CEILING: "is told the truth: the ceiling.",
 }
 _WORDS = (

@@ -24,6 +24,7 @@ from slam_gym.association.tracking.global_nearest_neighbour import global_neares
 from slam_gym.association.tracking.ipjc import ipjc
 from slam_gym.association.tracking.jcbb import jcbb
 from slam_gym.association.tracking.map_hypothesis import MostProbable, map_hypothesis
+from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tracking.nearest_neighbour import nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
 from slam_gym.association.tracking.policy import Policy, from_policy, greedy
@@ -47,6 +48,7 @@ __all__ = [
     "ipjc",
     "jcbb",
     "map_hypothesis",
+    "marginal",
     "max_clique",
     "nearest_neighbour",
     "one_point_ransac",
@@ -64,6 +66,7 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
     "ipjc": ipjc,
     "jcbb": jcbb,
     "map_hypothesis": map_hypothesis,
+    "marginal": marginal,
     "nearest_neighbour": nearest_neighbour,
     "one_point_ransac": one_point_ransac,
     "singles": singles,

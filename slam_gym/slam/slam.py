@@ -6,7 +6,7 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from slam_gym.types import (
     Array,
     Associator,
     BoolArray,
+    Experience,
     Hypothesis,
     IntArray,
     Odometry,
@@ -79,6 +80,7 @@ class Slam:
         self.covisibility = CovisibilityGraph()
         self._recent: deque[IntArray] = deque(maxlen=self.spec.recent)  # features seen in each of the last scans
         self._farthest = 0.0  # [m] of any measurement so far
+        self._experience: Experience | None = None  # what the associator has learned so far
         self._warned = False
 
     def __repr__(self) -> str:
@@ -104,6 +106,7 @@ class Slam:
         prediction = self.predict_features(scan)
         # associate
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
+        self._experience = hypothesis.experience or self._experience
         # update
         self.map.update(scan, hypothesis.features)
         # add
@@ -123,7 +126,8 @@ class Slam:
         if self.spec.reach is None:
             self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
         view = None if self.view_from is None else self.view_from(self.map.pose)
-        return self.map.prediction(self.reach, graph, recent, view)
+        prediction = self.map.prediction(self.reach, graph, recent, view)
+        return prediction if self._experience is None else replace(prediction, experience=self._experience)
 
     @property
     def reach(self) -> float:

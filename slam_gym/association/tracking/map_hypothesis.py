@@ -1,13 +1,6 @@
 """The most probable hypothesis: where JCBB asks for the most pairings, this asks for the greatest density.
 
-A hypothesis H over a scan has the density (up to a constant)
-
-    N(ν_H; 0, S_H) · λ^unpaired · Π over paired j of P_D v_j · Π over the other predicted j of (1 − P_D v_j)
-
-with λ [1/m²] the density of what is not in the map, clutter and new features together, P_D the probability that the
-detector reports a feature in view, and v_j the probability that feature j is in view from where the hypothesis itself
-puts the robot (`Prediction.visibility`), or from the predicted pose where the view does not move (`view_moves`). Where
-nobody can tell, nothing is concluded from what was not seen: factors are P_D for paired and 1 for other features.
+What the density of a hypothesis is, `scan_hypotheses` says.
 """
 
 from __future__ import annotations
@@ -19,31 +12,27 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym.association.compatibility import chi2_gate, joint_distance
-from slam_gym.association.tracking.beam import Beam, Prices, updated
-from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.near_first import Found, near_first
-from slam_gym.association.tracking.path import support_of
+from slam_gym.association.tracking.scan_hypotheses import (
+    Kept,
+    Rates,
+    candidate_gate,
+    check_search,
+    checked_visibility,
+    log_densities,
+    rows_of,
+    views,
+)
+from slam_gym.association.tracking.scan_hypotheses import search as hypotheses_of
 from slam_gym.association.tree import Tree, as_hypothesis
-from slam_gym.types import UNPAIRED, Array, Effort, Hypothesis, IntArray, Posterior, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Posterior, Prediction, Scan
 
 _MIN_AREA = 1.0  # [m²]
-_HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
 
 
 class _Ranking(NamedTuple):
     scores: Array  # (b,) log densities, descending
     best: list[IntArray]  # rows (m,) of the best two hypotheses
-
-
-@dataclass(frozen=True, slots=True)
-class _Model:
-    detection: float
-    unseen: float
-    unpaired: float  # log λ
-    width: int
-    margin: float
-    gains: Array  # (k,) what pairing each predicted feature adds
-    constant: float  # log density of pairing none of them
 
 
 def map_hypothesis(
@@ -60,10 +49,9 @@ def map_hypothesis(
     """The most probable hypothesis that a beam search of the interpretation tree comes across.
 
     Candidates are the pairings within an individual gate ten times as sure as that of the prediction, .999 for .99: the
-    density itself turns down what is improbable, so no other test is made. Measurements whose candidates find most
-    support (the other measurements that still have a candidate once the pose is updated with that one pairing) are
-    decided first. `posterior` holds the density, its fraction of those of the final beam, and the runner-up;
-    `effort.limit_hit` says that the beam's width turned hypotheses away. A locality is used as in `jcbb`.
+    density itself turns down what is improbable, so no other test is made. `posterior` holds the density, its fraction
+    of those of the final beam, and the runner-up; `effort.limit_hit` says that the beam's width turned hypotheses away.
+    A locality is used as in `jcbb`.
 
     Arguments:
         detection: P_D.
@@ -75,13 +63,13 @@ def map_hypothesis(
     Raises ValueError as `individual` does; for probabilities not between 0 and 1, densities that are not positive, a
     width below 1, a margin that is not positive, and a visibility that is no probability.
     """
-    _check(detection, unseen, clutter_density, new_density, width, margin)
-    visibility, gate = _checked_visibility(prediction), candidate_gate(prediction.confidence)
-    gains, constant = _gains(prediction, visibility, detection, unseen)
-    model = _Model(detection, unseen, math.log(clutter_density + new_density), width, margin, gains, constant)
+    check_search(detection, unseen, width, margin)
+    _check_densities(clutter_density, new_density)
+    visibility, gate = checked_visibility(prediction), candidate_gate(prediction.confidence)
+    rates = Rates(detection, unseen, clutter_density + new_density)
 
     def search(tree: Tree) -> Found[_Ranking]:
-        return _search(tree, model, chi2_gate(2, gate), visibility)
+        return _ranked(hypotheses_of(tree, visibility, rates, chi2_gate(2, gate), width, margin), visibility, rates)
 
     found = near_first(scan, prediction, search, gate)
     scores, best = found.extra
@@ -92,11 +80,6 @@ def map_hypothesis(
     runner_up = float(fractions[1]) if len(fractions) > 1 else 0.0
     posterior = Posterior(float(scores[0]), float(fractions[0]), second, runner_up)
     return replace(as_hypothesis(prediction, found.rows, distance, found.effort), posterior=posterior)
-
-
-def candidate_gate(confidence: float) -> float:
-    """Confidence of the individual gate that `map_hypothesis` takes its candidates from."""
-    return 1.0 - 0.1 * (1.0 - confidence)
 
 
 @dataclass
@@ -138,76 +121,17 @@ class MostProbable:
         return max(float(np.prod(np.ptp(scan.points, axis=0))), _MIN_AREA) if len(scan) else 0.0
 
 
-def _check(detection: float, unseen: float, clutter: float, new: float, width: int, margin: float) -> None:
-    if not 0.0 < detection < 1.0:
-        raise ValueError(f"detection: {detection} is not between 0 and 1")
-    if not 0.0 < unseen <= 1.0:
-        raise ValueError(f"unseen: {unseen} is not in (0, 1]")
+def _check_densities(clutter: float, new: float) -> None:
     if not (clutter >= 0.0 and new >= 0.0 and 0.0 < clutter + new < math.inf):
         raise ValueError(f"clutter_density, new_density: {clutter} and {new} per m²: neither negative, not both 0")
-    if width < 1:
-        raise ValueError(f"width: {width} is less than 1")
-    if not margin > 0.0:
-        raise ValueError(f"margin: {margin} is not positive")
 
 
-def _checked_visibility(prediction: Prediction) -> Array | None:
-    """Visibility (k,) from the predicted pose."""
-    v = prediction.visibility()
-    if v is not None and (v.shape != (len(prediction),) or not ((v >= 0.0) & (v <= 1.0)).all()):
-        raise ValueError(f"prediction.visibility: {len(prediction)} probabilities expected, got {v.tolist()}")
-    return v
-
-
-def _gains(prediction: Prediction, visibility: Array | None, detection: float, unseen: float) -> tuple[Array, float]:
-    """What pairing each predicted feature adds to the log density (k,), and that of pairing none of them.
-
-    Where the view moves with the hypothesis, what is in view is weighed afterwards (`_in_view`).
-    """
-    if visibility is None or prediction.view_moves:
-        return np.full(len(prediction), math.log(detection)), 0.0
-    missed = np.log1p(-detection * visibility)
-    return np.log(detection * np.maximum(visibility, unseen)) - missed, float(missed.sum())
-
-
-def _search(tree: Tree, model: _Model, gate: float, visibility: Array | None) -> Found[_Ranking]:
-    """The hypotheses of the beam. Levels without a candidate are `*` in all of them."""
-    candidates, pairings, g = tree.candidates, tree.pairings, tree.pairings.given
-    order = some = np.flatnonzero(np.diff(candidates.starts))
-    if len(some):
-        support = support_of(pairings, gate)[g:]
-        order = some[np.argsort(-np.maximum.reduceat(support, candidates.starts[some]), kind="stable")]
-    levels = g + np.column_stack([candidates.starts[order], candidates.starts[order + 1]])
-    gains = model.gains[tree.rows]
-    prices = Prices(gains, model.unpaired, model.width, model.margin)
-    found = beam_search(pairings, levels, prices)
-    beam = found.beam
-    scores = beam.score + float(gains[:g].sum()) + model.constant + model.unpaired * (tree.levels - len(some))
-    if visibility is not None and tree.prediction.view_moves:
-        scores += _in_view(tree, beam, visibility, model)
+def _ranked(kept: Kept, visibility: Array | None, rates: Rates) -> Found[_Ranking]:
+    """The hypotheses by their density."""
+    tree, beam = kept.tree, kept.beam
+    seen = log_densities(tree.pairings, beam, views(kept, visibility), np.array([rates.detection]), rates.unseen)
+    scores = kept.fit + math.log(rates.density) * kept.unpaired + seen[:, 0]
     ranking = np.argsort(-scores, kind="stable")
-    best = [tree.given.copy(), np.full(len(tree.given), UNPAIRED)]
-    for rows, rank in zip(best, ranking):
-        rows[:] = tree.given
-        paired = beam.chosen[rank][beam.chosen[rank] != UNPAIRED]
-        rows[pairings.measured[paired]] = tree.rows[pairings.slots[paired]]
-    effort = Effort(found.nodes, candidates.tests, found.tests, found.cut)
-    return Found(best[0], effort, _Ranking(scores[ranking], best))
-
-
-def _in_view(tree: Tree, beam: Beam, visibility: Array, model: _Model) -> Array:
-    """What each hypothesis (b,) gains or loses by what should be in view from where it puts the robot."""
-    prediction, detection = tree.prediction, model.detection
-    possible = visibility > _HARDLY
-    possible[tree.rows] = False
-    rows = np.concatenate((tree.rows, np.flatnonzero(possible)))
-    positions = prediction.positions[rows]
-    covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
-    moved = updated(tree.pairings._replace(covariance=covariance), beam, positions)
-    out = np.empty(len(beam.score))
-    for b, p in enumerate(beam.pairings.tolist()):
-        v = prediction.visibility(moved.positions[b], moved.covariances[b])
-        assert v is not None
-        missed, slots = np.log1p(-detection * v), tree.pairings.slots[beam.paths.pairings[b, :p]]
-        out[b] = missed.sum() - missed[slots].sum() + np.log(np.maximum(v[slots], model.unseen)).sum()
-    return out
+    best = [rows_of(kept, int(b)) for b in ranking[:2]]
+    runner_up = best[1] if len(best) > 1 else np.full(len(tree.given), UNPAIRED)
+    return Found(best[0], kept.effort, _Ranking(scores[ranking], [best[0], runner_up]))

@@ -1,7 +1,6 @@
 """The most probable hypothesis against the density of every hypothesis there is."""
 
 import dataclasses
-import itertools
 import math
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from slam_gym.association import MostProbable, jcbb, map_hypothesis
 from slam_gym.types import UNPAIRED, Prediction, Scan
 from tests.oracles import association as oracles
+from tests.oracles import densities
 
 WIDE = {"width": 3000, "margin": 1e9}
 DETECTION, CLUTTER, NEW, UNSEEN = 0.8, 0.02, 0.05, 0.1
@@ -22,75 +22,20 @@ def small_problem(seed, **options):
     return oracles.problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
 
 
-def stacked(scan, prediction, pairs):
-    """ν and S of pairings (measurement, row)."""
-    S = prediction.joint(np.array([j for _, j in pairs])).copy()
-    for k, (i, _) in enumerate(pairs):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
-    return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
-
-
-def edge(positions, covariances):
-    """A sensor that sees to the right of a soft edge."""
-    return 1.0 / (1.0 + np.exp(-3.0 * positions[:, 0] + np.trace(covariances, axis1=1, axis2=2)))
-
-
-def everywhere(positions, covariances):
-    """A sensor that is as likely to miss one feature as another."""
-    return np.full(len(positions), 0.7)
-
-
-def visibilities(scan, prediction, pairs):
-    """v_j of every row, from where the hypothesis puts the robot; None where nobody knows."""
-    if prediction.view is None:
-        return None
-    n = len(prediction)
-    positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))
-    if pairs:
-        nu, S = stacked(scan, prediction, pairs)
-        entries = np.array([2 * j + a for _, j in pairs for a in range(2)])
-        gain = P[:, entries] @ np.linalg.inv(S)
-        positions, P = positions + gain @ nu, P - gain @ P[entries]
-    blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-    return prediction.view(positions.reshape(n, 2), blocks)
-
-
 def log_density(scan, prediction, rows):
-    """By the formula."""
-    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != UNPAIRED]
-    total = (len(rows) - len(pairs)) * math.log(CLUTTER + NEW)
-    if pairs:
-        nu, S = stacked(scan, prediction, pairs)
-        total -= 0.5 * nu @ np.linalg.solve(S, nu) + 0.5 * np.linalg.slogdet(2.0 * np.pi * S)[1]
-    v, paired = visibilities(scan, prediction, pairs), [j for _, j in pairs]
-    if v is None:
-        return total + len(pairs) * math.log(DETECTION)
-    for j in range(len(prediction)):
-        total += math.log(DETECTION * max(v[j], UNSEEN)) if j in paired else math.log(1.0 - DETECTION * v[j])
-    return total
+    rates = densities.Rates(DETECTION, UNSEEN, CLUTTER + NEW)
+    return densities.log_density(scan, prediction, rows, rates)
 
 
 def hypotheses(scan, prediction, allowed, given, related):
     """Every hypothesis that keeps `given`, most probable first: [(log density, rows)]."""
-    lists = oracles.compatible(scan, prediction, 0.999)
-    options = [
-        [given[i]] if given[i] != UNPAIRED else [UNPAIRED, *(j for _, j in found if allowed[j])]
-        for i, found in enumerate(lists)
-    ]
-    out = []
-    for rows in itertools.product(*options):
-        paired = [j for j in rows if j != UNPAIRED]
-        new = [j for i, j in enumerate(rows) if j != UNPAIRED and given[i] == UNPAIRED]
-        # which pairing is the first is up to the order of the search, so every one must be local to every other
-        local = related is None or all(related[a, b] for a in new for b in new)
-        if len(set(paired)) == len(paired) and local:
-            out.append((log_density(scan, prediction, rows), list(rows)))
-    return sorted(out, reverse=True)
+    every = densities.every_hypothesis(scan, prediction, allowed=allowed, given=given, related=related)
+    return sorted(((log_density(scan, prediction, rows), rows) for rows in every), reverse=True)
 
 
 def dressed(prediction, seed):
     """With one view or another, or none."""
-    return dataclasses.replace(prediction, view=(None, everywhere, edge, edge)[seed % 4])
+    return dataclasses.replace(prediction, view=densities.VIEWS[seed % len(densities.VIEWS)])
 
 
 def check(answer, prediction, ranking):
@@ -146,7 +91,7 @@ def test_the_problems_above_are_hard_enough():
         other += not np.array_equal(
             plain.features, jcbb(scan, dataclasses.replace(prediction, confidence=0.999)).features
         )
-        looking = map_hypothesis(scan, dataclasses.replace(prediction, view=edge), **MODEL)
+        looking = map_hypothesis(scan, dataclasses.replace(prediction, view=densities.edge), **MODEL)
         seen += not np.array_equal(plain.features, looking.features)
         close += plain.posterior.runner_up_probability > 0.1
     assert other > 30 and seen > 10 and close > 30, (other, seen, close)

@@ -1,0 +1,222 @@
+"""Marginals against the sum over every hypothesis there is, and what is decided by them."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.special import gammaln, logsumexp
+
+from slam_gym.association import jcbb, marginal
+from slam_gym.association.tracking.marginal import DETECTIONS, NOTHING_SEEN, marginals
+from slam_gym.slam.slam import Slam
+from slam_gym.types import UNPAIRED, Experience, Odometry, Prediction, Scan
+from tests.oracles import association as oracles
+from tests.oracles import densities
+
+WIDE = {"width": 3000, "margin": 1e9}
+RATES = densities.Rates(0.8, 0.1, 0.07)
+MODEL = {"detection": RATES.detection, "density": RATES.density, "unseen": RATES.unseen}
+
+
+def small_problem(seed, **options):
+    """Most have a view, and it does not move: hypotheses that agree in what they see may share a view that does."""
+    rng = np.random.default_rng(seed)
+    m, n = int(rng.integers(0, 5)), int(rng.integers(0, 6))
+    scan, prediction = oracles.problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
+    return scan, dataclasses.replace(prediction, view=densities.VIEWS[seed % 4], view_moves=False)
+
+
+def summed(m, n, every, log_densities):
+    """(m, n) marginals of every pairing."""
+    weights = np.exp(np.array(log_densities) - logsumexp(log_densities))
+    out = np.zeros((m, n))
+    for rows, weight in zip(every, weights):
+        for i, j in enumerate(rows):
+            if j != UNPAIRED:
+                out[i, j] += weight
+    return out
+
+
+def dense(found, m, n):
+    """(m, n) marginals of every pairing."""
+    out = np.zeros((m, n))
+    out[found.measured, found.rows] = found.pairings
+    return out
+
+
+@pytest.mark.parametrize("seed", range(120))
+def test_marginals_are_sums_over_every_hypothesis(seed):
+    scan, prediction = small_problem(seed, locality=seed % 2 == 0)  # of which nothing is left out
+    every = densities.every_hypothesis(scan, prediction)
+    expected = summed(
+        len(scan), len(prediction), every, [densities.log_density(scan, prediction, rows, RATES) for rows in every]
+    )
+    found = marginals(scan, prediction, **MODEL, **WIDE)
+    assert dense(found, len(scan), len(prediction)) == pytest.approx(expected, abs=1e-9)
+    assert found.unpaired == pytest.approx(1.0 - expected.sum(axis=1), abs=1e-9)
+    assert len(found.weights) == len(every)
+    near = marginals(scan, prediction, **MODEL)
+    assert dense(near, len(scan), len(prediction)) == pytest.approx(expected, abs=0.002)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_what_is_not_known_is_integrated_out(seed):
+    """λ by its Γ distribution, P_D over its values, both as the run has shown them so far."""
+    scan, prediction = small_problem(1000 + seed)
+    rng = np.random.default_rng(seed)
+    known = Experience(float(rng.uniform(0, 20)), float(rng.uniform(0, 200)), rng.normal(0.0, 2.0, len(DETECTIONS)))
+    every = densities.every_hypothesis(scan, prediction)
+    box = max(float(np.prod(np.ptp(scan.points, axis=0))), 1.0) if len(scan) else 0.0
+    a, b = 1.0 + known.unpaired, 50.0 + known.area + box
+    log_densities = []
+    for rows in every:
+        u = rows.count(UNPAIRED)
+        by_value = [
+            weight + densities.log_density(scan, prediction, rows, densities.Rates(value, 0.05, 1.0))
+            for weight, value in zip(known.detections, DETECTIONS)
+        ]
+        log_densities.append(logsumexp(by_value) + gammaln(a + u) - (a + u) * math.log(b))
+    expected = summed(len(scan), len(prediction), every, log_densities)
+    found = marginals(scan, dataclasses.replace(prediction, experience=known), **WIDE)
+    assert dense(found, len(scan), len(prediction)) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_decisions_follow_the_cost_of_a_wrong_pairing(seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
+    found, row_of = marginals(scan, prediction), {int(f): j for j, f in enumerate(prediction.features)}
+    p, paired = dense(found, 8, 10), []
+    assert (p.sum(axis=0) <= 1.0 + 1e-9).all() and (p.sum(axis=1) <= 1.0 + 1e-9).all()
+    for cost in (1.0, 3.0, 10.0, 1000.0):
+        answer = marginal(scan, prediction, cost=cost)
+        for i, feature in enumerate(answer.features):
+            best = p[i].max()
+            worth = best - cost * (1.0 - best) > 0.0
+            assert worth == (feature != UNPAIRED)
+            if worth:
+                assert p[i, row_of[int(feature)]] == best == answer.posterior.marginals[i]
+            else:
+                assert answer.posterior.marginals[i] == pytest.approx(1.0 - p[i].sum(), abs=1e-9)
+        features = answer.features[answer.features != UNPAIRED].tolist()
+        assert len(features) == len(set(features))
+        paired.append(set(enumerate(answer.features.tolist())) - {(i, UNPAIRED) for i in range(8)})
+    assert all(dearer <= cheaper for cheaper, dearer in itertools.pairwise(paired))
+
+
+def test_the_problems_above_are_hard_enough():
+    """Costs decide, and answers differ from those of JCBB."""
+    fewer = other = 0
+    for seed in range(40):
+        scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
+        cheap, dear = marginal(scan, prediction, cost=1.0), marginal(scan, prediction, cost=100.0)
+        fewer += dear.pairings < cheap.pairings
+        other += not np.array_equal(marginal(scan, prediction).features, jcbb(scan, prediction).features)
+    assert fewer > 15 and other > 15, (fewer, other)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_posterior_tells_of_all_decisions_together(seed):
+    scan, prediction = small_problem(seed)
+    every = densities.every_hypothesis(scan, prediction)
+    scores = np.array([densities.log_density(scan, prediction, rows, RATES) for rows in every])
+    answer = marginal(scan, prediction, cost=5.0, **MODEL, **WIDE)
+    row_of = {int(f): j for j, f in enumerate(prediction.features)} | {UNPAIRED: UNPAIRED}
+    decided = every.index([row_of[int(f)] for f in answer.features])
+    assert answer.posterior.log_density == pytest.approx(scores[decided])
+    assert answer.posterior.probability == pytest.approx(np.exp(scores[decided] - logsumexp(scores)))
+    others = np.delete(scores, decided)
+    second = np.exp(others.max() - logsumexp(scores)) if len(others) else 0.0
+    assert answer.posterior.runner_up_probability == pytest.approx(second)
+
+
+def drawn_from_the_model(rng, n, detection, density):
+    """A scan as the model has it: a map of n correlated features, detected with P_D, and clutter in a box."""
+    _, prediction = oracles.problem(rng, 0, n, spread=3.0)
+    S = np.linalg.cholesky(prediction.joint(np.arange(n)))
+    at = prediction.positions + (S @ rng.standard_normal(2 * n)).reshape(n, 2)
+    seen = np.flatnonzero(rng.random(n) < detection)
+    clutter = rng.uniform(-4.0, 4.0, (rng.poisson(density * 64.0), 2))
+    points = np.concatenate([at[seen] + 0.1 * rng.standard_normal((len(seen), 2)), clutter])
+    sources = np.concatenate([seen, np.full(len(clutter), UNPAIRED)])
+    order = rng.permutation(len(points))
+    view = dataclasses.replace(prediction, view=lambda p, c: np.ones(len(p)), view_moves=False)
+    return Scan.from_points(points[order], sigma=0.1), view, sources[order]
+
+
+def test_marginals_are_calibrated_where_the_model_holds():
+    rng, predicted, right = np.random.default_rng(3), [], []
+    for _ in range(500):
+        scan, prediction, sources = drawn_from_the_model(rng, 6, 0.85, 0.1)
+        found = marginals(scan, prediction, detection=0.85, density=0.1)
+        predicted.append(found.pairings)
+        right.append(sources[found.measured] == found.rows)
+    p, hit = np.concatenate(predicted), np.concatenate(right)
+    for low, high in ((0.02, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 0.995)):
+        own = (p > low) & (p <= high)
+        deviation = (hit[own].sum() - p[own].sum()) / math.sqrt((p[own] * (1.0 - p[own])).sum())
+        assert own.sum() > 50 and abs(deviation) < 4.0, (low, high, p[own].mean(), hit[own].mean())
+
+
+def test_rates_are_learned_from_the_scans_of_a_run():
+    rng, known = np.random.default_rng(5), NOTHING_SEEN
+    for _ in range(80):
+        scan, prediction, _ = drawn_from_the_model(rng, 8, 0.7, 0.3)
+        known = marginal(scan, dataclasses.replace(prediction, experience=known)).experience
+    assert known.unpaired / known.area == pytest.approx(0.3, rel=0.35)
+    assert DETECTIONS[np.argmax(known.detections)] == 0.7
+
+
+def test_experience_goes_with_the_run_and_is_nobody_elses():
+    """The next prediction brings what the last hypothesis has learned; another run begins with nothing."""
+    scan, odometry = (
+        Scan.from_points([[1.0, 0.5], [2.0, -0.5], [1.5, 1.0]], sigma=0.05),
+        Odometry.from_motion([0.1, 0, 0], 0.01),
+    )
+    slam, fresh = Slam(), Slam()
+    first = slam.step(odometry, scan, "marginal")
+    assert first.prediction.experience is None and first.hypothesis.experience.unpaired > 0.0
+    second = slam.step(odometry, scan, "marginal")
+    assert second.prediction.experience is first.hypothesis.experience
+    slam.step(odometry, scan, "jcbb")
+    assert slam.step(odometry, scan, "marginal").prediction.experience is second.hypothesis.experience
+    assert fresh.step(odometry, scan, "marginal").prediction.experience is None
+
+
+def test_a_measurement_between_two_features_is_refused():
+    """JCBB takes the nearer one."""
+    prediction = Prediction.from_gaussian([[0.0, 0.0], [1.0, 0.0]], 0.1 * np.eye(4))
+    scan = Scan.from_points([[0.45, 0.0]], sigma=0.05)
+    assert jcbb(scan, prediction).features.tolist() == [0]
+    answer = marginal(scan, prediction)
+    assert answer.features.tolist() == [UNPAIRED] and answer.posterior.unpaired[0] < 0.5
+    assert marginal(scan, prediction, cost=1.0).features.tolist() == [0]
+
+
+def test_of_two_features_at_one_place_none_is_paired():
+    """Which one it is, nothing tells."""
+    at = np.repeat(np.column_stack([np.arange(3.0), np.zeros(3)]), [2, 1, 1], axis=0)
+    prediction = Prediction.from_gaussian(at, 0.01 * np.ones((8, 8)) + 1e-4 * np.eye(8))
+    answer = marginal(Scan.from_points([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], sigma=0.01), prediction)
+    assert answer.features.tolist() == [UNPAIRED, 2, 3]
+    assert answer.posterior.unpaired[0] < 1e-3 and answer.posterior.probability < 1e-3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"cost": 0.9},
+        {"cost": math.inf},
+        {"detection": 1.0},
+        {"detection": math.nan},
+        {"density": 0.0},
+        {"density": math.inf},
+        {"unseen": 0.0},
+        {"width": 0},
+        {"margin": 0.0},
+    ],
+)
+def test_meaningless_options_are_refused(options):
+    with pytest.raises(ValueError, match=f"{next(iter(options))}: "):
+        marginal(*oracles.problem(np.random.default_rng(0), 3, 3), **options)

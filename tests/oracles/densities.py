@@ -1,0 +1,104 @@
+"""The density of every hypothesis over a scan, by the formula, in the dullest way."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym.types import UNPAIRED, Array, IntArray, Prediction, Scan
+from tests.oracles.association import compatible
+
+
+class Rates(NamedTuple):
+    """What a density is made of beside the innovations."""
+
+    detection: float  # P_D
+    unseen: float  # least visibility of a paired feature
+    density: float  # [1/m²] λ
+
+
+def edge(positions: Array, covariances: Array) -> Array:
+    """A sensor that sees to the right of a soft edge."""
+    out: Array = 1.0 / (1.0 + np.exp(-3.0 * positions[:, 0] + np.trace(covariances, axis1=1, axis2=2)))
+    return out
+
+
+def everywhere(positions: Array, covariances: Array) -> Array:
+    """A sensor that is as likely to miss one feature as another."""
+    return np.full(len(positions), 0.7)
+
+
+VIEWS = (None, everywhere, edge, edge)
+
+
+def log_density(scan: Scan, prediction: Prediction, rows: list[int], rates: Rates) -> float:
+    """Of the hypothesis that pairs measurement i with row rows[i], or UNPAIRED."""
+    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != UNPAIRED]
+    total = (len(rows) - len(pairs)) * math.log(rates.density) + fit(scan, prediction, pairs)
+    v, paired = visibilities(scan, prediction, pairs), [j for _, j in pairs]
+    if v is None:
+        return total + len(pairs) * math.log(rates.detection)
+    for j in range(len(prediction)):
+        seen = rates.detection * v[j]
+        total += math.log(rates.detection * max(v[j], rates.unseen)) if j in paired else math.log(1.0 - seen)
+    return total
+
+
+def fit(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> float:
+    """log N(ν_H; 0, S_H)."""
+    if not pairs:
+        return 0.0
+    nu, S = _stacked(scan, prediction, pairs)
+    return float(-0.5 * nu @ np.linalg.solve(S, nu) - 0.5 * np.linalg.slogdet(2.0 * np.pi * S)[1])
+
+
+def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> Array | None:
+    """v_j of every row, from where the hypothesis puts the robot; None where nobody knows."""
+    if prediction.view is None:
+        return None
+    n = len(prediction)
+    positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))
+    if pairs and prediction.view_moves:
+        nu, S = _stacked(scan, prediction, pairs)
+        entries = np.array([2 * j + a for _, j in pairs for a in range(2)])
+        gain = P[:, entries] @ np.linalg.inv(S)
+        positions, P = positions + gain @ nu, P - gain @ P[entries]
+    blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
+    return prediction.view(positions.reshape(n, 2), blocks)
+
+
+def every_hypothesis(
+    scan: Scan,
+    prediction: Prediction,
+    *,
+    allowed: Array | None = None,
+    given: list[int] | None = None,
+    related: Array | None = None,
+) -> list[list[int]]:
+    """Rows of every hypothesis over candidates within a gate of .999; arguments as in `association.best_path`."""
+    given = [UNPAIRED] * len(scan) if given is None else given
+    options = [
+        [given[i]] if given[i] != UNPAIRED else [UNPAIRED, *(j for _, j in found if allowed is None or allowed[j])]
+        for i, found in enumerate(compatible(scan, prediction, 0.999))
+    ]
+    out = []
+    for rows in itertools.product(*options):
+        paired = [j for j in rows if j != UNPAIRED]
+        new = [j for i, j in enumerate(rows) if j != UNPAIRED and given[i] == UNPAIRED]
+        # which pairing is the first is up to the order of the search, so every one must be local to every other
+        local = related is None or all(related[a, b] for a in new for b in new)
+        if len(set(paired)) == len(paired) and local:
+            out.append(list(rows))
+    return out
+
+
+def _stacked(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> tuple[Array, Array]:
+    """ν and S of pairings (measurement, row)."""
+    rows: IntArray = np.array([j for _, j in pairs])
+    S = prediction.joint(rows).copy()
+    for k, (i, _) in enumerate(pairs):
+        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
+    return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
