@@ -130,6 +130,13 @@ def run_main(main: Callable[[list[str]], int]) -> int:
         return 130
 
 
+def program(module: str) -> str:
+    """How a command was called: `slam-gym train`, or `python -m agents.train`."""
+    if Path(sys.argv[0]).stem in ("slam-gym", "__main__") and module.startswith("agents."):
+        return f"slam-gym {module.removeprefix('agents.').replace('_', '-')}"
+    return f"python -m {module}"
+
+
 def command_line(module: str, argv: list[str]) -> str:
     """The command as it would be typed."""
-    return " ".join(["python -m", module, *map(shlex.quote, argv)])
+    return " ".join([program(module), *map(shlex.quote, argv)])

@@ -14,6 +14,7 @@ from agents.cli import (
     command_line,
     execution,
     explore_arguments,
+    program,
     require_positive,
     results_folder,
     run_main,
@@ -27,9 +28,7 @@ EPISODES = 40
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog="python -m agents.evaluate", description="Evaluate agents on the same test worlds."
-    )
+    p = argparse.ArgumentParser(prog=program("agents.evaluate"), description="Evaluate agents on the same test worlds.")
     p.add_argument("--agents", nargs="+", default=list(BASELINES), metavar="NAME", help=f"of {', '.join(AGENTS)}, or "
                    f"module:Class (default: {' '.join(BASELINES)})")  # fmt: skip
     p.add_argument("--model", nargs="+", default=[], metavar="FILE", help="model of a learned agent; several files are "

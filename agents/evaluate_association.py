@@ -16,6 +16,7 @@ from agents.cli import (
     add_override_option,
     command_line,
     execution,
+    program,
     require_positive,
     results_folder,
     run_main,
@@ -42,7 +43,7 @@ SIZE, QUICK = SuiteSize(), SuiteSize(worlds=4, problems=8, quick=True)
 
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
-        prog="python -m agents.evaluate_association", description="Evaluate associators on the same test worlds."
+        prog=program("agents.evaluate_association"), description="Evaluate associators on the same test worlds."
     )
     p.add_argument("--associators", nargs="+", metavar="NAME", help=f"of {', '.join(SIMPLEST_FIRST)}, "
                    "true_association, module:function, or the file of a learned one (default: all that "

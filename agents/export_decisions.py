@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.cli import add_associate_options, associate_arguments, require_positive, run_main
+from agents.cli import add_associate_options, associate_arguments, program, require_positive, run_main
 from agents.evaluation.episodes import AssociateArguments, reset_arguments
 
 UNKNOWN_ACTION = -1  # the right action is not on offer, or nobody knows
@@ -69,7 +69,7 @@ def export(path: Path, arguments: AssociateArguments, *, first: int, episodes: i
 
 def parser() -> argparse.ArgumentParser:
     summary = "Write decisions of Associate-v0, with masks and right answers, for supervised learning."
-    p = argparse.ArgumentParser(prog="python -m agents.export_decisions", description=summary)
+    p = argparse.ArgumentParser(prog=program("agents.export_decisions"), description=summary)
     p.add_argument("file", type=Path, help="to write (.npz)")
     p.add_argument("--episodes", type=int, default=10, metavar="N", help="default: %(default)s")
     p.add_argument("--first", type=int, default=0, metavar="I", help="first world (default: %(default)s)")

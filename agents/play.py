@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.cli import add_explore_options, explore_arguments, run_main
+from agents.cli import add_explore_options, explore_arguments, program, run_main
 from agents.drivers.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
 from agents.evaluation.episodes import reset_arguments
 
@@ -97,7 +97,7 @@ def _verdict(world: int, info: Info) -> str:
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(prog="python -m agents.play", description="Drive the robot, or watch an agent drive.")
+    p = argparse.ArgumentParser(prog=program("agents.play"), description="Drive the robot, or watch an agent drive.")
     p.add_argument("--agent", metavar="NAME", help=f"watch one of {', '.join(AGENTS)}, or module:Class")
     p.add_argument("--model", metavar="FILE", help="model of a learned agent")
     p.add_argument("--world", type=int, default=0, metavar="K", help="of the training worlds (default: %(default)s)")

@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.cli import run_main
+from agents.cli import program, run_main
 from agents.evaluation.pipeline import Results, read_results
 from agents.reports import associators, drivers, recordings, suite
 from agents.reports.page import Report, page
@@ -35,7 +35,7 @@ def write_report(folder: Path) -> Path:
 
 
 def main(argv: list[str]) -> int:
-    p = argparse.ArgumentParser(prog="python -m agents.report", description="Make the report of an evaluation again.")
+    p = argparse.ArgumentParser(prog=program("agents.report"), description="Make the report of an evaluation again.")
     p.add_argument("folder", type=Path, metavar="DIR", help="what python -m agents.evaluate or "
                    "agents.evaluate_association wrote into")  # fmt: skip
     print(write_report(p.parse_args(argv).folder))

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.cli import add_explore_options, command_line, explore_arguments, require_positive, run_main
+from agents.cli import add_explore_options, command_line, explore_arguments, program, require_positive, run_main
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.learning.ppo import HYPERPARAMETERS, Decision, load_hyperparameters
 from agents.learning.training import TrainingPlan, train
@@ -56,7 +56,7 @@ def train_as_asked(
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(prog="python -m agents.train", description="Train an agent to drive.")
+    p = argparse.ArgumentParser(prog=program("agents.train"), description="Train an agent to drive.")
     p.add_argument("--agent", default="ppo", choices=["ppo"], help="what to train (default: %(default)s)")
     p.add_argument("--action", default="goal", choices=["goal", "twist"], help="what it decides (default: %(default)s)")
     p.add_argument("--reward", default="map_error", help="map_error, a_opt, d_opt or entropy (default: %(default)s)")
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
     arguments = explore_arguments(a, reward=a.reward, split="train")
     model = train_as_asked(a, a.action, arguments, command_line("agents.train", argv))
-    print(f"wrote {model}; evaluate it beside the baselines with\n  python -m agents.evaluate --model {model}"
+    print(f"wrote {model}; evaluate it beside the baselines with\n  {program('agents.evaluate')} --model {model}"
           f" --scenario {arguments.scenario}")  # fmt: skip
     return 0
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import argparse
 
-from agents.cli import add_associate_options, associate_arguments, command_line, run_main
+from agents.cli import add_associate_options, associate_arguments, command_line, program, run_main
 from agents.train import Length, add_training_options, train_as_asked
 from slam_gym.simulation.association_runs import LOGS
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(prog="python -m agents.train_associate", description="Train an agent to associate.")
+    p = argparse.ArgumentParser(prog=program("agents.train_associate"), description="Train an agent to associate.")
     add_training_options(p, Length(300_000, 50_000, 10), "runs/assoc")
     add_associate_options(p)
     return p
@@ -26,7 +26,7 @@ def main(argv: list[str]) -> int:
     command = command_line("agents.train_associate", argv)
     model = train_as_asked(a, "branch", associate_arguments(a, "train"), command)
     where = f" --scenarios {a.scenario}" if a.scenario not in LOGS else ""  # nobody can drive in a log
-    print(f"wrote {model}; compare it with the classical associators by\n  python -m agents.evaluate_association"
+    print(f"wrote {model}; compare it with the classical associators by\n  {program('agents.evaluate_association')}"
           f" --associators singles jcbb {model}{where}")  # fmt: skip
     return 0
 

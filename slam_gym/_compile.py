@@ -48,7 +48,8 @@ def _closure(path: Path) -> set[Path]:
     return found
 
 
-def _root() -> Path:
+def cache_folder() -> Path:
+    """Where compiled loops are kept, of all versions."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return Path(os.environ["NUMBA_CACHE_DIR"]) / "slam_gym"
     if os.name == "nt":
@@ -62,7 +63,7 @@ def _folder(path: Path) -> Path | None:
     digest = hashlib.sha256(numba.__version__.encode())
     for source in sorted(_closure(path)):
         digest.update(source.read_bytes())
-    folder = _root() / digest.hexdigest()[:20]
+    folder = cache_folder() / digest.hexdigest()[:20]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -94,7 +95,7 @@ def announce_compilation(modules: Iterable[ModuleType]) -> bool:
 
 
 def _forget_old_versions() -> None:
-    for folder in _root().glob("*"):
+    for folder in cache_folder().glob("*"):
         try:
             if folder not in _folders and time.time() - folder.stat().st_mtime > _STALE_AFTER:
                 shutil.rmtree(folder, ignore_errors=True)

@@ -29,6 +29,8 @@ ALLOWED = {
     "rendering": SIMULATION | {"simulation"},
     "envs": SIMULATION | {"simulation", "rendering"},
     "bench": SIMULATION | {"simulation", "rendering", "envs", "__init__"},
+    "commands": {"__init__", "_compile", "recordings"},
+    "__main__": {"commands"},
     "__init__": SIMULATION,
 }
 """The rooms that each room may import from, besides itself: always those below it."""

@@ -1,0 +1,8 @@
+"""`python -m slam_gym COMMAND …`: the same as `slam-gym COMMAND …`."""
+
+from __future__ import annotations
+
+from slam_gym.commands.run import main
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,77 @@
+"""`slam-gym doctor`: what is installed, compiled and cached, and where data are looked for."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+import slam_gym
+from slam_gym._compile import cache_folder
+from slam_gym.recordings.catalogue import DATA, PUBLISHED
+
+
+def main(argv: list[str]) -> int:
+    """Print it. Raises ValueError for arguments, of which there are none."""
+    if argv and argv[0] not in ("-h", "--help"):
+        raise ValueError(f"doctor takes no arguments, got {' '.join(argv)}")
+    print("\n".join(report()))
+    return 0
+
+
+def report() -> Iterator[str]:
+    """Its lines."""
+    yield f"slam_gym {slam_gym.__version__} in {Path(slam_gym.__file__).parent}"
+    yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+    yield f"threads of BLAS: OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')} (1 is fastest here)"
+    yield ""
+    yield from _packages()
+    yield ""
+    yield from _cache()
+    yield from _data()
+
+
+def _packages() -> Iterator[str]:
+    """Every package that the core or an extra asks for, its version or what installs it."""
+    seen: set[str] = set()
+    for line in requires("slam_gym") or []:
+        name, extra = _parsed(line)
+        if name in seen or name == "slam_gym":
+            continue
+        seen.add(name)
+        install = f"missing: pip install 'slam_gym[{extra}]'" if extra else "missing: pip install slam_gym"
+        try:
+            yield f"  {name:26} {version(name)}"
+        except PackageNotFoundError:
+            yield f"  {name:26} {install}"
+
+
+def _parsed(requirement: str) -> tuple[str, str]:
+    """Name of the package and of the extra that asks for it, empty for the core."""
+    name = requirement.partition(";")[0]
+    for mark in "<>=!~[ ":
+        name = name.partition(mark)[0]
+    _, found, extra = requirement.partition("extra ==")
+    return name.strip(), extra.strip(" \"')") if found else ""
+
+
+def _cache() -> Iterator[str]:
+    """Where compiled loops are kept, and how much of them."""
+    folder = cache_folder()
+    files = list(folder.rglob("*.nbc")) if folder.is_dir() else []
+    size = sum(file.stat().st_size for file in files) / 1e6
+    state = f"{len(files)} compiled functions, {size:.0f} MB" if files else "empty: the first step ever compiles"
+    writable = "" if os.access(folder if folder.is_dir() else folder.parent, os.W_OK) else ", not writable"
+    yield f"compiled loops: {folder} ({state}{writable})"
+
+
+def _data() -> Iterator[str]:
+    """Where recordings are looked for, and which are there."""
+    if DATA not in os.environ:
+        yield f"recordings: {DATA} is not set; {', '.join(PUBLISHED)} need it or --data"
+        return
+    folder = Path(os.environ[DATA])
+    found = [name for name in PUBLISHED if (folder / name).is_dir()]
+    yield f"recordings: {DATA}={folder} ({', '.join(found) or 'none of ' + ', '.join(PUBLISHED)})"
