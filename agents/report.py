@@ -11,6 +11,7 @@ from pathlib import Path
 
 from agents.cli import program, run_main
 from agents.evaluation.pipeline import Results, read_results
+from agents.evaluation.records import write_whole
 from agents.reports import associators, drivers, recordings, suite
 from agents.reports.page import Report, page
 
@@ -30,7 +31,7 @@ def write_report(folder: Path) -> Path:
     """
     results = read_results(folder)
     path = folder / "report.html"
-    path.write_text(page(REPORTS[results.kind.name](results, folder), results.content), encoding="utf-8")
+    write_whole(path, page(REPORTS[results.kind.name](results, folder), results.content))
     return path
 
 

@@ -15,11 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from filelock import FileLock, Timeout
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from agents.evaluation.parallel import connect, run_all
-from agents.evaluation.records import Journal, Key, Record, plain, versions, write_csv, write_json
+from agents.evaluation.records import Journal, Key, Record, plain, setting_of, versions, write_csv, write_json
 
 
 class Task(Protocol):
@@ -86,13 +87,24 @@ class Results(NamedTuple):
 def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Results:
     """Run what the journal in `out` does not have yet; write CSV and JSON of all that was asked for, and return it.
 
-    An interruption writes what there is and is passed on. Raises ValueError where `out` holds another evaluation.
+    An interruption writes what there is and is passed on. Raises ValueError where `out` holds another evaluation, or
+    another process is writing to it.
     """
+    _history(out, evaluation, execution.resume)  # refuses what is another's before a folder is made
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(out / ".lock", blocking=False):
+            return _carry_out(evaluation, out, execution)
+    except Timeout:
+        raise ValueError(f"another evaluation is being written to {out}: wait for it, or give another --out") from None
+
+
+def _carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Results:
     started = {"command": execution.command, "started": datetime.now().isoformat("T", "seconds")}
     commands: list[dict[str, Any]] = [*_history(out, evaluation, execution.resume), started]
     connect(execution.backend, execution.jobs)
-    out.mkdir(parents=True, exist_ok=True)
-    journal, subject = Journal(out / f"{evaluation.kind.stem}.jsonl"), evaluation.kind.subject
+    setting = setting_of(evaluation.kind.name, evaluation.conditions)
+    journal, subject = Journal(out / f"{evaluation.kind.stem}.jsonl", setting), evaluation.kind.subject
     done = {Key.of_record(record, subject) for record in journal.read()}
     _write(out, evaluation, commands, [])
     start = time.perf_counter()
@@ -113,7 +125,8 @@ def read_results(folder: Path) -> Results:
     if content.get("kind") not in KINDS:
         raise ValueError(f"{folder} holds no results.json of an evaluation")
     kind = KINDS[content["kind"]]
-    records = _asked_for(Journal(folder / f"{kind.stem}.jsonl").read(), kind.subject, content["asked"])
+    setting = setting_of(kind.name, content["conditions"])
+    records = _asked_for(Journal(folder / f"{kind.stem}.jsonl", setting).read(), kind.subject, content["asked"])
     if not records:
         raise ValueError(f"{folder} holds no finished episode yet")
     return Results(kind, content, records)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import io
 import json
 import math
 import os
@@ -37,30 +39,52 @@ class Key(NamedTuple):
         return cls(record[subject], record.get("setting"), record["episode"], record.get("model"))
 
 
-class Journal:
-    """One JSON line per finished episode, appended as it finishes. A line cut short is ignored."""
+PROTOCOL = 1
+"""Raised when episodes are run or judged in another way: records of another protocol are not mixed with these."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+
+def setting_of(kind: str, conditions: dict[str, Any]) -> str:
+    """What every record of an evaluation carries: a hash of what may not differ between them."""
+    about = {"kind": kind, "conditions": plain(conditions), "protocol": PROTOCOL, "slam_gym": slam_gym.__version__}
+    return _digest(json.dumps(about, sort_keys=True))
+
+
+class Journal:
+    """One JSON line per finished episode, appended as it finishes, with its setting and a checksum.
+
+    A line cut short is ignored: its episode is run again. `setting`, where it is given, is that of all records.
+    """
+
+    def __init__(self, path: Path, setting: str = "") -> None:
+        self._path, self._setting = path, setting
 
     def read(self) -> list[Record]:
-        """The episodes so far."""
+        """The episodes so far. ValueError names the line that was changed by hand, or belongs elsewhere."""
         if not self._path.exists():
             return []
-        records = []
-        for line in self._path.read_text(encoding="utf-8").splitlines():
-            try:
-                records.append(json.loads(line))
-            except json.JSONDecodeError:
-                continue
-        return records
+        lines = self._path.read_text(encoding="utf-8", errors="replace").splitlines()
+        found = (self._record(line, f"{self._path}, line {number}") for number, line in enumerate(lines, 1))
+        return [record for record in found if record is not None]
 
     def append(self, record: Record) -> None:
         """Write a record down. Whatever was cut short before stays a line of its own."""
         with self._path.open("a", encoding="utf-8") as file:
             if file.tell() and not self._ends_with_newline():
                 file.write("\n")
-            file.write(json.dumps(record) + "\n")
+            kept = record | {"setting_hash": self._setting}
+            file.write(json.dumps(kept | {"checksum": _digest(json.dumps(kept))}) + "\n")
+
+    def _record(self, line: str, where: str) -> Record | None:
+        """The record of a line; None where the line is not whole."""
+        try:
+            record = json.loads(line)
+        except (ValueError, RecursionError):
+            return None
+        if not isinstance(record, dict) or record.pop("checksum", None) != _digest(json.dumps(record)):
+            raise ValueError(f"{where}: was changed since it was written; delete the line to run its episode again")
+        if record.pop("setting_hash") != self._setting:
+            raise ValueError(f"{where}: a record of another setting, or of another version of this package")
+        return record
 
     def _ends_with_newline(self) -> bool:
         with self._path.open("rb") as file:
@@ -68,13 +92,29 @@ class Journal:
             return file.read(1) == b"\n"
 
 
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file beside its place, then put it there: on a full disk the old one stays whole."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_text(text, encoding="utf-8", newline="")
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+
+
 def write_csv(path: Path, records: Sequence[Record]) -> None:
     """One row per episode; curves and other lists are left out."""
     names = list(dict.fromkeys(key for record in records for key, value in record.items() if not _is_list(value)))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(records)
+    file = io.StringIO()
+    writer = csv.DictWriter(file, names, extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(records)
+    write_whole(path, file.getvalue())
 
 
 def _is_list(value: Any) -> bool:
@@ -83,9 +123,7 @@ def _is_list(value: Any) -> bool:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Standard JSON: what is not finite becomes null, a dataclass an object. Written in one piece."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(plain(content), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    write_whole(path, json.dumps(plain(content), indent=1, ensure_ascii=False) + "\n")
 
 
 def plain(value: Any) -> Any:

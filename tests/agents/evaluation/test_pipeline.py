@@ -4,6 +4,7 @@ import csv
 import json
 
 import pytest
+from filelock import FileLock
 from rich.console import Console
 
 from agents.evaluation import pipeline
@@ -11,7 +12,7 @@ from agents.evaluation.associators import associator_evaluation
 from agents.evaluation.drivers import Driver, driver_evaluation
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import SUITE, Evaluation, Execution, carry_out, read_results
-from agents.evaluation.records import Journal, Key
+from agents.evaluation.records import Key
 from agents.suite.worlds import SuiteSize, suite_evaluation
 from tests.agents.evaluation import timeless
 
@@ -74,7 +75,7 @@ def test_interrupted_and_resumed_is_the_same_as_uninterrupted(tmp_path, monkeypa
     monkeypatch.undo()
     journal = out / f"{evaluation.kind.stem}.jsonl"
     kept = json.loads((out / "results.json").read_text())
-    assert not kept["complete"] and 0 < len(Journal(journal).read()) < len(whole.records)
+    assert not kept["complete"] and 0 < len(read_results(out).records) < len(whole.records)
     with journal.open("a") as file:
         file.write('{"agent": "random", "epis')  # as a crash would leave it
     resumed = carry_out(evaluation, out, Execution(resume=True, console=QUIET))
@@ -114,6 +115,13 @@ def test_another_evaluation_is_not_overwritten(tmp_path):
     with pytest.raises(ValueError, match=r"elsewhere holds no evaluation to resume"):
         carry_out(counting(tasks), tmp_path / "elsewhere", Execution(resume=True, console=QUIET))
     assert (out / "records.jsonl").read_bytes() == before
+
+
+def test_one_evaluation_at_a_time_writes_to_a_folder(tmp_path):
+    with FileLock(tmp_path / ".lock"), pytest.raises(ValueError, match=r"another evaluation is being written to"):
+        carry_out(counting([Counting(0)]), tmp_path, Execution(console=QUIET))
+    assert not (tmp_path / "records.jsonl").exists()
+    assert carry_out(counting([Counting(0)]), tmp_path, Execution(console=QUIET)).content["complete"]
 
 
 def test_csv_and_json_say_what_was_run(tmp_path):
