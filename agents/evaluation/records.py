@@ -55,7 +55,7 @@ class Journal:
     A line cut short is ignored: its episode is run again. `setting`, where it is given, is that of all records.
     """
 
-    def __init__(self, path: Path, setting: str = "") -> None:
+    def __init__(self, path: Path, setting: str | None = None) -> None:
         self._path, self._setting = path, setting
 
     def read(self) -> list[Record]:
@@ -82,7 +82,8 @@ class Journal:
             return None
         if not isinstance(record, dict) or record.pop("checksum", None) != _digest(json.dumps(record)):
             raise ValueError(f"{where}: was changed since it was written; delete the line to run its episode again")
-        if record.pop("setting_hash") != self._setting:
+        setting = record.pop("setting_hash")
+        if self._setting is not None and setting != self._setting:
             raise ValueError(f"{where}: a record of another setting, or of another version of this package")
         return record
 
