@@ -18,19 +18,20 @@ from slam_gym.association import compatibility, jcbb, tree
 from slam_gym.envs import observation
 from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
-from slam_gym.navigation import grid, visibility
+from slam_gym.navigation import grid, key_poses, redrawing, visibility
 from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import follow
+from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.slam import slam
 from slam_gym.types import Array, Beams, Prediction, Scan
 from slam_gym.world import boxes, detection, ray_casting, reachability, wall_grid
 
 COMPILED = (
-    geometry, slam, validation, compatibility, tree, observation, covisibility, ekf, grid, linear_algebra, measurement,
-    point_assignment, association, consistency, map_quality, boxes, detection, ray_casting, reachability, visibility,
-    wall_grid,
+    geometry, slam, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, redrawing,
+    linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
+    ray_casting, reachability, visibility, wall_grid,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 
@@ -50,14 +51,20 @@ def main() -> None:
     _associate(points)
     map_quality.map_error(points, points, 0.5)
     pose, explored = np.zeros(3), ExploredGrid(np.array([-4.0, -4.0, 4.0, 4.0]))
-    bearings = np.linspace(-3.0, 3.0, 60)
-    explored.integrate(pose, Beams(bearings, np.full(60, 2.0), 6.0))
+    _sweep(explored, points)
     explored.egocentric(pose, points)
     field = distance_field(explored, pose[:2], 0.25)
     explored.expected_area(explored.frontiers(field.reachable).centres, 6.0)
     follow(pose, field.path(field.nearest(points[0])))
     mean, covariance = np.concatenate([pose, points.ravel()]), 0.01 * np.eye(7)
     expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full(3, 0.01))
+
+
+def _sweep(explored: ExploredGrid, points: Array) -> None:
+    """Two sweeps, the first moved by the second."""
+    sweeps, beams, ids = MovableSweeps(explored), Beams(np.linspace(-3.0, 3.0, 60), np.full(60, 2.0), 6.0), np.arange(2)
+    for shift in (0.0, 1.0):
+        sweeps.enter(np.array([shift, 0.0, 0.0]), np.zeros(3), beams, ids, ids, points + shift)
 
 
 def _associate(points: Array) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from slam_gym.mapping.linear_algebra import read_only
-from slam_gym.navigation import grid
+from slam_gym.navigation import grid, redrawing
 from slam_gym.navigation.frontiers import Frontiers, find_frontiers
 from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells, ExploredCells
 from slam_gym.types import Array, Beams, BoolArray
@@ -46,6 +46,8 @@ class ExploredGrid:
         self._blocks = np.zeros([-(-side // grid.BLOCK) for side in shape], dtype=np.int16)
         self._sweeps = np.zeros(shape, dtype=np.int32)
         self._sweep = 0
+        self._touched = np.empty(shape[0] * shape[1], dtype=np.int32)  # to work in
+        self._counts = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint16)
         self._free_cells = 0
 
     @property
@@ -63,17 +65,34 @@ class ExploredGrid:
         """Area known to be free [m²]."""
         return self._free_cells * self.resolution**2
 
-    def integrate(self, pose: Array, beams: Beams) -> None:
+    def integrate(self, pose: Array, beams: Beams, movable: bool = False) -> None:
         """Enter one sweep of the range finder, taken at the estimated `pose` (3,) in B.
 
         Beams at `max_range` had no echo. Readings that are negative or not a number are ignored, as is whatever falls
-        outside the bounds. Raises ValueError for a pose that is not finite.
+        outside the bounds. Only a sweep that is `movable` can be moved later: it is counted in each of its cells.
+        Raises ValueError for a pose that is not finite.
         """
         self._sweep += 1
-        layers = (self._cells, self._evidence, self._blocks, self._sweeps)
         self._free_cells += grid.integrate(
-            layers, self._sweep, self.origin, self.resolution, pose, beams.bearings, beams.ranges, beams.max_range
-        )
+            self._layers, self._sweep, self._touched, (*self._counts, movable), self.origin, self.resolution, pose,
+            beams.bearings, beams.ranges, beams.max_range,
+        )  # fmt: skip
+
+    def move(self, before: Array, after: Array, beams: Beams) -> None:
+        """Move movable sweeps, with `beams.ranges` (k, b), from the poses `before` (k, 3) to `after` (k, 3), both in B.
+
+        Not a number as a pose stands for "not in the grid": sweeps can so be taken out, and put in again. Where that
+        changes what a cell was seen to be, its class follows from all movable sweeps that it is in, in whatever order.
+        """
+        first, self._sweep = self._sweep + 1, self._sweep + 2 * len(before)
+        self._free_cells += redrawing.redraw(
+            self._layers, self._counts, first, self._touched, self.origin, self.resolution,
+            (before, after, beams.ranges), beams.bearings, beams.max_range,
+        )  # fmt: skip
+
+    @property
+    def _layers(self) -> tuple[grid.Cells, grid.Evidence, grid.Blocks, grid.Sweeps]:
+        return self._cells, self._evidence, self._blocks, self._sweeps
 
     def frontiers(self, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0) -> Frontiers:
         """Frontiers at least `min_length` [m] long: connected free cells with an unknown cell beside them.

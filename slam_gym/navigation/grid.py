@@ -19,6 +19,8 @@ UNKNOWN, FREE, WALL = 0, 1, 2
 Cells = NDArray[np.uint8]  # (h, w) class of each cell
 Evidence = NDArray[np.int8]  # (h, w) for a wall where > 0, for free space where < 0
 Sweeps = NDArray[np.int32]  # (h, w) the sweep that last touched each cell
+Counts = NDArray[np.uint16]  # (h, w) kept sweeps that had an echo in each cell, or that crossed it
+Indices = NDArray[np.int32]  # (h · w,) flat indices of cells
 Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
 
 HIT, MISS = np.int64(3), np.int64(-1)  # evidence of one sweep for the cell of an echo, and for one that a beam crossed
@@ -59,14 +61,62 @@ class Layers(NamedTuple):
 
 
 @compiled
-def _weigh(layers: Layers, row: int, column: int, change: np.int64) -> int:
-    """Add evidence to a cell and reclassify it; returns the change in the number of free cells."""
-    weight = min(SATURATION, max(-SATURATION, layers.evidence[row, column] + change))
-    layers.evidence[row, column] = weight
+def trace(
+    sweeps: Sweeps,
+    sweep: int,
+    touched: Indices,
+    origin: Array,
+    resolution: float,
+    pose: Array,
+    bearings: Array,
+    ranges: Array,
+    max_range: float,
+) -> tuple[int, int]:
+    """The cells of one sweep of beams, each once, as flat indices in `touched`; the number of echoes, and of all.
+
+    Echoes come first, so that no other beam grazing past them in the same sweep erases them. `touched` has room for
+    every cell of the grid; `sweep` is a number that no earlier sweep had.
+    """
+    h, w = sweeps.shape
+    x, y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
+    count, directions = 0, np.empty((bearings.shape[0], 2))
+    for b in range(bearings.shape[0]):
+        directions[b, 0], directions[b, 1] = math.cos(pose[2] + bearings[b]), math.sin(pose[2] + bearings[b])
+        if 0.0 <= ranges[b] < max_range:
+            column = math.floor(x + ranges[b] / resolution * directions[b, 0])
+            row = math.floor(y + ranges[b] / resolution * directions[b, 1])
+            if 0 <= row < h and 0 <= column < w and sweeps[row, column] != sweep:
+                sweeps[row, column] = sweep
+                touched[count] = row * w + column
+                count += 1
+    echoes = count
+    for b in range(bearings.shape[0]):
+        if not ranges[b] >= 0.0:
+            continue
+        reach = min(ranges[b], max_range) / resolution
+        step_x, next_x, stride_x = border_crossings(x, directions[b, 0])
+        step_y, next_y, stride_y = border_crossings(y, directions[b, 1])
+        column, row = math.floor(x), math.floor(y)
+        while 0 <= row < h and 0 <= column < w:
+            if sweeps[row, column] != sweep:
+                sweeps[row, column] = sweep
+                touched[count] = row * w + column
+                count += 1
+            if min(next_x, next_y) >= reach:
+                break
+            if next_x < next_y:
+                column, next_x = column + step_x, next_x + stride_x
+            else:
+                row, next_y = row + step_y, next_y + stride_y
+    return echoes, count
+
+
+@compiled
+def reclassify(layers: Layers, cell: int, after: int) -> int:
+    """Give the cell of that flat index another class; returns the change in the number of free cells."""
+    w = layers.cells.shape[1]
+    row, column = cell // w, cell % w
     before = layers.cells[row, column]
-    after = before if weight == 0 else (FREE if weight < 0 else WALL)
-    if after == before:
-        return 0
     layers.cells[row, column] = after
     freed = int(after == FREE) - int(before == FREE)
     walled = int(after == WALL) - int(before == WALL)
@@ -78,6 +128,8 @@ def _weigh(layers: Layers, row: int, column: int, change: np.int64) -> int:
 def integrate(
     packed: tuple[Cells, Evidence, Blocks, Sweeps],
     sweep: int,
+    touched: Indices,
+    counted: tuple[Counts, Counts, bool],
     origin: Array,
     resolution: float,
     pose: Array,
@@ -85,42 +137,30 @@ def integrate(
     ranges: Array,
     max_range: float,
 ) -> int:
-    """Enter one sweep of beams, each cell once: see `ExploredGrid.integrate`. Returns the change in free cells.
+    """Enter one sweep of beams: see `ExploredGrid.integrate`. Returns the change in free cells.
 
-    Echoes come first, so that no other beam grazing past them in the same sweep erases them. Cells that are free beyond
-    doubt are passed without a touch.
+    `counted` are the echoes and the crossings of each cell, and whether those of this sweep are to be added.
     """
     if not math.isfinite(pose[0] + pose[1] + pose[2]):
         raise ValueError("pose: expected finite numbers")
-    layers = Layers(*packed)
-    (h, w), evidence, sweeps = layers.cells.shape, layers.evidence, layers.sweeps
-    x, y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
-    freed, directions = 0, np.empty((bearings.shape[0], 2))
-    for b in range(bearings.shape[0]):
-        directions[b, 0], directions[b, 1] = math.cos(pose[2] + bearings[b]), math.sin(pose[2] + bearings[b])
-        if 0.0 <= ranges[b] < max_range:
-            column = math.floor(x + ranges[b] / resolution * directions[b, 0])
-            row = math.floor(y + ranges[b] / resolution * directions[b, 1])
-            if 0 <= row < h and 0 <= column < w and sweeps[row, column] != sweep:
-                sweeps[row, column] = sweep
-                freed += _weigh(layers, row, column, HIT)
-    for b in range(bearings.shape[0]):
-        if not ranges[b] >= 0.0:
+    layers, (hits, crossings, count) = Layers(*packed), counted
+    cells, evidence, freed = layers.cells.ravel(), layers.evidence.ravel(), 0
+    of_hits, of_crossings = hits.ravel(), crossings.ravel()
+    echoes, end = trace(layers.sweeps, sweep, touched, origin, resolution, pose, bearings, ranges, max_range)
+    if count:
+        for i in range(echoes):
+            of_hits[touched[i]] += 1
+        for i in range(echoes, end):
+            of_crossings[touched[i]] += 1
+    for i in range(end):
+        cell = touched[i]
+        if i >= echoes and evidence[cell] == -SATURATION:  # free beyond doubt
             continue
-        reach = min(ranges[b], max_range) / resolution
-        step_x, next_x, stride_x = border_crossings(x, directions[b, 0])
-        step_y, next_y, stride_y = border_crossings(y, directions[b, 1])
-        column, row = math.floor(x), math.floor(y)
-        while 0 <= row < h and 0 <= column < w:
-            if evidence[row, column] > -SATURATION and sweeps[row, column] != sweep:
-                sweeps[row, column] = sweep
-                freed += _weigh(layers, row, column, MISS)
-            if min(next_x, next_y) >= reach:
-                break
-            if next_x < next_y:
-                column, next_x = column + step_x, next_x + stride_x
-            else:
-                row, next_y = row + step_y, next_y + stride_y
+        weight = min(SATURATION, max(-SATURATION, evidence[cell] + (HIT if i < echoes else MISS)))
+        evidence[cell] = weight
+        after = FREE if weight < 0 else WALL
+        if weight != 0 and cells[cell] != after:
+            freed += reclassify(layers, cell, after)
     return freed
 
 

@@ -16,6 +16,7 @@ from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
+from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import Scenario
@@ -23,7 +24,7 @@ from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping
 from slam_gym.slam.relocation import Relocate, RelocatingSlam
 from slam_gym.slam.slam import Slam, SlamSpec, send
-from slam_gym.types import Array, Associator, Beams, BoolArray, Hypothesis, Prediction, SlamStep
+from slam_gym.types import Array, Associator, BoolArray, Hypothesis, IntArray, Prediction, SlamStep
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
 from slam_gym.world.ray_casting import WallIndex
@@ -103,6 +104,7 @@ class Episode:
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         self._explored = self.grid.explored  # goes on with the grid
+        self._sweeps = MovableSweeps(self.grid)
         sensor = scenario.sensor
         self._field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
@@ -151,7 +153,7 @@ class Episode:
         """What follows a SLAM step: explored space, and the judgement of it all."""
         self.last_step, self.tally = step, self._judged.last_tally
         if not self.slam.doubted:  # from a pose that cannot be right, walls would be drawn where none are
-            self._explore(self.beams)
+            self._explore(step.ids)
         self._log(self.truth.pose)
         estimate, slam = compose(self.base, self.estimates[-1]), self.slam
         self.kidnapping.judge(self.ticks, estimate, self.poses[-1], slam.relocations, slam.lost)
@@ -160,11 +162,13 @@ class Episode:
         """`Prediction.view` from a pose (3,) in B, as far as walls are known."""
         return _View(self._field, self._explored, pose)
 
-    def _explore(self, beams: Beams) -> None:
-        pose = self.slam.map.pose
-        self.grid.integrate(pose, beams)
+    def _explore(self, seen: IntArray) -> None:
+        """Draw the beams from where the robot believes to be, and anew what the features `seen` (m,) have moved."""
+        slam_map, beams = self.slam.map, self.beams
+        pose = slam_map.pose
+        self._sweeps.enter(pose, self.odometry.motion, beams, seen, slam_map.ids, slam_map.positions)
         if self.virtual_map is not None:
-            covariance = turned(self.base, self.slam.map.pose_covariance)
+            covariance = turned(self.base, slam_map.pose_covariance)
             sigma = self.scenario.sensor.sigma_halfway
             self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
 

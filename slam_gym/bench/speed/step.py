@@ -23,7 +23,7 @@ from slam_gym.envs import explore as explore_module
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
-from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.simulation.episode import Episode
 from slam_gym.world.physics import World
 from slam_gym.world.sensor import Sensor
@@ -39,7 +39,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "EKF update": ((StochasticMap, "update"),),
     "EKF add, remove": ((StochasticMap, "add"), (StochasticMap, "unconfirmed"), (StochasticMap, "remove")),
     "covisibility": tuple((CovisibilityGraph, name) for name in ("local_to", "add", "see_together", "keep")),
-    "explored grid": ((ExploredGrid, "integrate"),),
+    "explored grid": ((MovableSweeps, "enter"),),
     "decisions judged": ((Identities, "update"),),
     "map error, coverage": ((Episode, "map_error"), (Episode, "coverage")),
     "observation": tuple((explore_module, f"encode_{name}") for name in ("scan", "features", "uncertainty", "image")),

@@ -1,0 +1,86 @@
+"""Sweeps taken out of the explored grid and put in again elsewhere, as the poses they were taken from are corrected.
+
+Evidence saturates, so that it cannot be subtracted; the numbers of kept sweeps that had an echo in a cell, and that
+crossed it, can. Where these change, evidence and class are made anew from them, as if the sweeps had come in any order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.navigation.grid import (
+    FREE,
+    HIT,
+    MISS,
+    SATURATION,
+    UNKNOWN,
+    WALL,
+    Blocks,
+    Cells,
+    Counts,
+    Evidence,
+    Indices,
+    Layers,
+    Sweeps,
+    reclassify,
+    trace,
+)
+from slam_gym.types import Array
+
+
+@compiled
+def redraw(
+    packed: tuple[Cells, Evidence, Blocks, Sweeps],
+    counts: tuple[Counts, Counts],
+    first_sweep: int,
+    touched: Indices,
+    origin: Array,
+    resolution: float,
+    moved: tuple[Array, Array, Array],
+    bearings: Array,
+    max_range: float,
+) -> int:
+    """Move sweeps: `moved` are their poses so far (k, 3), their new poses (k, 3), and their ranges (k, b).
+
+    A pose that is NaN stands for a sweep that is not in the grid. The numbers of sweeps from `first_sweep` to
+    `first_sweep` + 2k − 1 are used up. Returns the change in free cells.
+    """
+    layers, (hits, crossings), (before, after, ranges) = Layers(*packed), counts, moved
+    size, sweep, changed = layers.cells.size, first_sweep, 0
+    of_hits, of_crossings = hits.ravel(), crossings.ravel()
+    marked, journal = np.zeros(size, np.bool_), np.empty(size, np.int32)
+    old_hits, old_crossings = np.empty(size, np.uint16), np.empty(size, np.uint16)
+    for k in range(len(ranges)):
+        for pose, change in ((before[k], -1), (after[k], 1)):
+            if math.isnan(pose[0]):
+                continue
+            echoes, end = trace(layers.sweeps, sweep, touched, origin, resolution, pose, bearings, ranges[k], max_range)
+            sweep += 1
+            for i in range(end):
+                cell = touched[i]
+                if not marked[cell]:
+                    marked[cell], journal[changed] = True, cell
+                    old_hits[changed], old_crossings[changed] = of_hits[cell], of_crossings[cell]
+                    changed += 1
+                if i < echoes:
+                    of_hits[cell] += change
+                else:
+                    of_crossings[cell] += change
+    freed = 0
+    for i in range(changed):
+        cell = journal[i]
+        if of_hits[cell] != old_hits[i] or of_crossings[cell] != old_crossings[i]:
+            freed += _made_anew(layers, cell, int(of_hits[cell]), int(of_crossings[cell]))
+    return freed
+
+
+@compiled
+def _made_anew(layers: Layers, cell: int, hits: int, crossings: int) -> int:
+    """Evidence and class of a cell from the sweeps in it alone; returns the change in the number of free cells."""
+    weight = int(HIT) * hits + int(MISS) * crossings
+    layers.evidence.ravel()[cell] = min(SATURATION, max(-SATURATION, weight))
+    after = UNKNOWN if hits + crossings == 0 else (WALL if weight > 0 else FREE)
+    return reclassify(layers, cell, after) if layers.cells.ravel()[cell] != after else 0

@@ -1,0 +1,201 @@
+"""Sweeps follow the map: a robot drives round a block, drifts, closes the loop, and no wall stands twice."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym.geometry import compose, observe, relative, transform
+from slam_gym.navigation import sweeps as module
+from slam_gym.navigation.explored_grid import UNKNOWN, WALL, ExploredGrid
+from slam_gym.navigation.sweeps import MovableSweeps
+from slam_gym.types import NO_ID, Beams
+
+OUTER, INNER = 13.9, 9.9  # [m] sides of the square corridor round a block
+BEARINGS = np.linspace(-np.pi, np.pi, 60, endpoint=False)
+REACH = 6.0
+BOUNDS = np.array([-11.0, -11.0, 11.0, 11.0])
+ROUND = 4 * (OUTER + INNER) / 2  # [m] the way once round, in the middle of the corridor
+
+
+def walls():
+    out = []
+    for side in (OUTER / 2, INNER / 2):
+        corners = side * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        out += [[*a, *b] for a, b in zip(corners, np.roll(corners, -1, axis=0))]
+    return np.array(out, dtype=float)
+
+
+WALLS = walls()
+FEATURES = np.concatenate([[[s[0] + t * (s[2] - s[0]), s[1] + t * (s[3] - s[1])] for t in (0.1, 0.35, 0.6, 0.9)]
+                           for s in WALLS])  # fmt: skip
+
+
+def beams_from(pose):
+    """Exact ranges to the walls."""
+    directions = np.column_stack([np.cos(pose[2] + BEARINGS), np.sin(pose[2] + BEARINGS)])
+    ranges = np.full(len(BEARINGS), REACH)
+    for x0, y0, x1, y1 in WALLS:
+        along, gap = np.array([x1 - x0, y1 - y0]), np.array([x0, y0]) - pose[:2]
+        cross = directions[:, 0] * along[1] - directions[:, 1] * along[0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (gap[0] * along[1] - gap[1] * along[0]) / cross
+            s = (gap[0] * directions[:, 1] - gap[1] * directions[:, 0]) / cross
+        ranges = np.where((t > 0) & (s >= 0) & (s <= 1) & (t < ranges), t, ranges)
+    return Beams(BEARINGS, ranges, REACH)
+
+
+def pose_at(way):
+    """The true pose after so many metres round the block."""
+    side, along = divmod(way % ROUND, ROUND / 4)
+    half = ROUND / 8
+    return compose(np.array([0.0, 0.0, side * math.pi / 2]), np.array([along - half, -half, 0.0]))
+
+
+class Drive:
+    """Dead reckoning that turns a little too far, features mapped where it has them, and the sweeps that it enters."""
+
+    def __init__(self, bend=0.006):
+        self.grid = ExploredGrid(BOUNDS)
+        self.sweeps, self.bend = MovableSweeps(self.grid), bend
+        self.way, self.estimate, self.known = 0.0, pose_at(0.0), {}
+        self.met = {}  # [m] of the way at which each feature was first seen
+
+    def features(self):
+        ids = np.array(sorted(self.known), np.int64)
+        return ids, np.array([self.known[i] for i in ids]).reshape(-1, 2)
+
+    def tick(self, step=0.1):
+        before = pose_at(self.way)
+        self.way += step
+        motion = relative(before, pose_at(self.way)) + np.array([0.0, 0.0, self.bend * step])
+        self.estimate = compose(self.estimate, motion)
+        self.look(motion)
+
+    def look(self, motion):
+        local = observe(pose_at(self.way), FEATURES)
+        seen = np.flatnonzero(np.hypot(*local.T) < 3.0)
+        for i in seen:
+            self.met.setdefault(i, self.way)
+        ids = np.array([i if self.way - self.met[i] < ROUND / 2 else 1000 + i for i in seen])  # not known again
+        for i, at in zip(ids, transform(self.estimate, local[seen])):
+            self.known.setdefault(i, at)
+        self.sweeps.enter(self.estimate, motion, beams_from(pose_at(self.way)), ids, *self.features())
+
+    def close_the_loop(self):
+        """Features come to lie where they are, and the pose; of those that are the same the younger disappear."""
+        self.known = {i % 1000: FEATURES[i % 1000] for i in self.known}
+        self.met = dict.fromkeys(self.met, self.way)
+        self.estimate = pose_at(self.way)
+        self.look(np.zeros(3))
+
+
+def astray(grid):
+    """[m] from each wall cell to the nearest true wall."""
+    rows, columns = np.nonzero(grid.cells == WALL)
+    points = grid.origin + (np.column_stack([columns, rows]) + 0.5) * grid.resolution
+    side = np.abs(points).max(axis=1)
+    return np.minimum(np.abs(side - OUTER / 2), np.abs(side - INNER / 2))
+
+
+def truly_drawn(drive):
+    """The same sweeps, each entered where it was truly taken."""
+    grid = ExploredGrid(BOUNDS)
+    for way in np.arange(1, round(drive.way / 0.1) + 1) * 0.1:
+        grid.integrate(pose_at(way), beams_from(pose_at(way)))
+    return grid
+
+
+def test_no_wall_stands_twice_after_a_loop_is_closed() -> None:
+    drive = Drive()
+    while drive.way < ROUND + 4.0:
+        drive.tick()
+    assert math.dist(drive.estimate[:2], pose_at(drive.way)[:2]) > 0.6
+    assert (astray(drive.grid) > 0.4).sum() > 50  # drawn twice, or askew
+    drive.close_the_loop()
+    assert astray(drive.grid).max() < 0.3
+    truth = truly_drawn(drive)
+    both = (drive.grid.cells != UNKNOWN) & (truth.cells != UNKNOWN)
+    assert both.sum() > 0.97 * (truth.cells != UNKNOWN).sum()
+    assert (drive.grid.cells == truth.cells)[both].mean() > 0.97
+
+
+def test_corrections_come_in_bit_by_bit_while_the_robot_goes_on() -> None:
+    drive = Drive()
+    while drive.way < ROUND:
+        drive.tick()
+    bent, strayed = dict(drive.known), drive.estimate - pose_at(drive.way)
+    strayed[2] = math.remainder(strayed[2], 2 * math.pi)
+    beams, nothing = beams_from(pose_at(drive.way)), np.array([NO_ID])
+    for share in np.linspace(1.0, 0.0, 60):  # too slow to surprise, so that only the regular looks find it
+        drive.known = {i: share * at + (1 - share) * FEATURES[i % 1000] for i, at in bent.items()}
+        drive.sweeps.enter(pose_at(drive.way) + share * strayed, np.zeros(3), beams, nothing, *drive.features())
+    assert astray(drive.grid).max() < 0.4
+
+
+def test_while_nothing_moves_the_grid_is_that_of_sweeps_entered_for_good() -> None:
+    drive, plain = Drive(bend=0.0), ExploredGrid(BOUNDS)
+    for _ in range(200):
+        drive.tick()
+        plain.integrate(drive.estimate, beams_from(pose_at(drive.way)))
+    np.testing.assert_array_equal(drive.grid.cells, plain.cells)
+    assert drive.grid.explored_area == plain.explored_area
+
+
+def test_space_seen_with_another_map_is_taken_out_and_comes_back_with_it() -> None:
+    drive = Drive(bend=0.0)
+    for _ in range(60):
+        drive.tick()
+    first, seen = dict(drive.known), drive.grid.cells.copy()
+    assert (seen == WALL).sum() > 30
+    drive.known = {}
+    elsewhere, far = np.array([-9.0, 9.0, 0.0]), np.array([999])
+    alone = Beams(BEARINGS, np.full(len(BEARINGS), 1.0), REACH)
+    for _ in range(5):
+        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, far, np.array([[-9.0, 8.0]]))
+    assert 0 < (drive.grid.cells != UNKNOWN).sum() < 120  # a disc of 1 m
+    joined = np.array([*first, 999]), np.array([*first.values(), [-9.0, 8.0]])
+    for _ in range(25):
+        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, *joined)
+    known = seen != UNKNOWN
+    assert (drive.grid.cells == seen)[known].mean() > 0.98
+
+
+def test_a_robot_at_rest_keeps_one_sweep_and_the_number_kept_is_bounded(monkeypatch) -> None:
+    drive = Drive(bend=0.0)
+    for _ in range(50):
+        drive.look(np.zeros(3))
+    assert drive.sweeps._count == 1
+    monkeypatch.setattr(module, "MOST", 64)
+    for _ in range(300):
+        drive.tick()
+        assert drive.sweeps._count <= 64
+    drive.known = {i: at + np.array([0.0, 1.0]) for i, at in drive.known.items()}
+    for _ in range(20):
+        drive.look(np.zeros(3))
+    moved = drive.grid.cells == WALL
+    assert moved.sum() > 50 and (astray(drive.grid) > 0.9).sum() > 20  # those that are left have moved along
+
+
+def test_copies_go_on_alike() -> None:
+    drive = Drive()
+    for _ in range(40):
+        drive.tick()
+    twin = copy.deepcopy(drive)
+    for each in (drive, twin):
+        each.known = {i: at + np.array([0.3, 0.0]) for i, at in each.known.items()}
+        for _ in range(20):
+            each.tick()
+    np.testing.assert_array_equal(drive.grid.cells, twin.grid.cells)
+
+
+def test_what_cannot_be_entered_is_refused() -> None:
+    drive = Drive()
+    drive.tick()
+    with pytest.raises(ValueError, match="pose"):
+        drive.sweeps.enter(np.array([0.0, math.nan, 0.0]), np.zeros(3), beams_from(np.zeros(3)), np.array([0]),
+                           *drive.features())  # fmt: skip
+    with pytest.raises(ValueError, match="beams: 2 of them, where sweeps so far had 60"):
+        drive.sweeps.enter(np.zeros(3), np.zeros(3), Beams(np.zeros(2), np.ones(2), REACH), np.array([0]),
+                           *drive.features())  # fmt: skip
