@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.cli import add_explore_options, explore_arguments, program, run_main
 from agents.drivers.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
-from agents.evaluation.episodes import reset_arguments
+from agents.evaluation.episodes import agent_seed, reset_arguments
 
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world
@@ -70,7 +70,7 @@ class Keyboard:
 def play(env: gym.Env[Any, Any], agent: Agent, keyboard: Keyboard, world: int, steps: int | None = None) -> str:
     """One world; the wish that ended it. At the end of the budget the picture stays until a key tells what is next."""
     observation, info = env.reset(**reset_arguments(world))
-    agent.reset(world)
+    agent.reset(agent_seed(world))
     if not keyboard.has_window():
         print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
     taken, ended = 0, False

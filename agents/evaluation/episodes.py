@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -91,6 +92,11 @@ def reset_arguments(episode: int) -> dict[str, Any]:
     return {"seed": episode, "options": {"world": episode}}
 
 
+def agent_seed(episode: int) -> int:
+    """What an agent is given to draw from: it does not tell which world it is in, and no two episodes share it."""
+    return int.from_bytes(hashlib.sha256(f"agent of episode {episode}".encode()).digest()[:4], "big")
+
+
 CURVE = ("ticks", "map_error", "coverage")
 CURVE_STEP = 10  # [ticks] between points of a curve: every step of a twist episode would be too many
 
@@ -105,7 +111,7 @@ def run_episode(
     coverage.
     """
     observation, info = env.reset(**reset_arguments(episode))
-    agent.reset(episode)
+    agent.reset(agent_seed(episode))
     if watch is not None:
         env.unwrapped.watch(watch)  # type: ignore[attr-defined]
     curve = {name: [float(info[name]) if name != "ticks" else 0] for name in CURVE}

@@ -62,6 +62,7 @@ class BaseEnv(gym.Env[Observation, Any]):
         self._arguments = {name: value for name, value in arguments.items() if name not in ("self", "__class__")}
         self._snapshot: Snapshot | None = None
         self._series: tuple[int, ...] = ()
+        self._failed = False  # half-way through a step
         self._site: Site | None = None
         self._watchers: list[Callable[[Any], None]] = []
         self._replaying = False
@@ -79,7 +80,7 @@ class BaseEnv(gym.Env[Observation, Any]):
         if seed is not None:
             self._series = ()
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
-        self._snapshot = Snapshot(state, self._series, options, [])
+        self._snapshot, self._failed = Snapshot(state, self._series, options, []), False
         compile_on_two_cores()
         return self._begin(self._draw_world(options)), self._info()
 
@@ -87,15 +88,21 @@ class BaseEnv(gym.Env[Observation, Any]):
         """Carry out one action.
 
         Raises RuntimeError before the first reset and once the episode is over, ValueError for an action outside the
-        space; nothing has changed then.
+        space; nothing has changed then. Where the step itself fails, as when an associator raises, the episode ends
+        with the error: every further step raises RuntimeError, and `snapshot` is that of before the step.
         """
         history = self._started(self._snapshot)
+        if self._failed:
+            raise RuntimeError("the last step failed half-way: call reset(), or restore(snapshot()) to go back")
         if self._over:
             raise RuntimeError("the episode is over: call reset()")
         action = self._checked(action)
-        history.actions.append(action)
+        self._failed = True
         reward = self._act(action)
-        return self._observe(), reward, self._over, False, self._info()
+        outcome = self._observe(), reward, self._over, False, self._info()
+        self._failed = False
+        history.actions.append(action)
+        return outcome
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""

@@ -12,7 +12,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
-from slam_gym.association import jcbb
+from slam_gym.association import jcbb, nearest_neighbour
+from slam_gym.envs.explore import ExploreEnv
 from slam_gym.scenarios import SPLITS, get_scenario, overridden
 from slam_gym.simulation.association_runs import CORRIDOR, nearest_frontier
 from slam_gym.world.floor_plan_file import save_floor_plan
@@ -398,3 +399,29 @@ def test_watchers_see_every_change_but_no_replay(name) -> None:
     env.restore(env.snapshot())
     copy.deepcopy(env).reset(seed=1)
     assert len(seen) == count
+
+
+def test_a_step_that_fails_is_not_done_and_the_way_back_is_open() -> None:
+    calls = []
+
+    def failing(scan, prediction):
+        calls.append(len(scan))
+        if len(calls) == 4:
+            raise ZeroDivisionError("an associator's own mistake")
+        return nearest_neighbour(scan, prediction)
+
+    env = ExploreEnv("office-small", associator=failing, action="twist")
+    ahead = np.array([0.5, 0.1], np.float32)
+    env.reset(seed=3)
+    for _ in range(2):
+        observation, *_ = env.step(ahead)
+    with pytest.raises(ZeroDivisionError, match="own mistake"):
+        env.step(ahead)
+    with pytest.raises(RuntimeError, match=r"failed half-way: call reset\(\), or restore\(snapshot\(\)\)"):
+        env.step(ahead)
+    assert len(env.snapshot().actions) == 2
+    again, _ = env.restore(env.snapshot())
+    assert all(np.array_equal(again[name], observation[name]) for name in observation)
+    env.step(ahead)
+    env.reset(seed=3)
+    env.step(ahead)
