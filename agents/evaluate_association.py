@@ -64,9 +64,9 @@ def _add_loop_options(p: argparse.ArgumentParser) -> None:
     loop.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="a scenario (default: %(default)s)")
     loop.add_argument("--driver", default="information_gain", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
                       "learned ones, or module:Class (default: %(default)s)")  # fmt: skip
-    loop.add_argument("--relocation", nargs="+", type=search_or_none, default=[None, RELOCATION], metavar="SEARCH",
+    loop.add_argument("--relocation", nargs="+", type=search_or_none, metavar="SEARCH",
                       help=f"how a lost robot is found: {', '.join(RELOCATORS)}, module:function, or none; several are "
-                      f"compared (default: none {RELOCATION})")  # fmt: skip
+                      f"compared (default: none {RELOCATION}; over a recording: {RELOCATION})")  # fmt: skip
 
 
 def _add_suite_options(p: argparse.ArgumentParser) -> None:
@@ -106,7 +106,7 @@ class Plan(NamedTuple):
 def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
     """Drives through scenarios. ValueError for whatever nobody knows."""
     loops = [ExploreArguments(name, tuple(a.overrides), split=a.split) for name in dict.fromkeys(a.scenarios)]
-    names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation))
+    names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation or [None, RELOCATION]))
     return Plan(associator_evaluation(names, loops, a.driver, a.episodes, searches), associators.tables)
 
 
@@ -125,7 +125,27 @@ def recording_plan(a: argparse.Namespace, out: Path) -> Plan:
     logs = logs_of(template, a.robots)
     for name, log in logs.items():
         print(f"{name}: {log.open().source} {log.open().terms}")
-    return Plan(recording_evaluation(a.associators or shipped(), logs, out), recordings.tables)
+    searches = list(dict.fromkeys(a.relocation or [RELOCATION]))
+    return Plan(recording_evaluation(a.associators or shipped(), logs, out, searches), recordings.tables)
+
+
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "association": ("scenarios", "overrides", "episodes", "driver", "relocation"),
+    "suite": ("quick", "experiments", "relocators", "worlds", "problems"),
+    "recording": ("data", "robots", "every", "merge", "clean", "reference", "relocation"),
+}
+"""The options that only some evaluations know what to do with."""
+
+
+def _refuse_what_does_not_apply(a: argparse.Namespace, kind: str) -> None:
+    """ValueError for an option that would be ignored, as `--experiments` without `--suite`."""
+    for other, names in OPTIONS.items():
+        for name in set(names) - set(OPTIONS[kind]):
+            if getattr(a, name) != parser().get_default(name):
+                option = {"overrides": "set"}.get(name, name)
+                meant = f"belongs to --{other}" if other != "association" else "is about drives through scenarios"
+                instead = f", not to --{kind}" if kind != "association" else ", which was not asked for"
+                raise ValueError(f"--{option} {meant}{instead}")
 
 
 def main(argv: list[str]) -> int:
@@ -136,8 +156,7 @@ def main(argv: list[str]) -> int:
     kind, planned = ("suite", suite_plan) if a.suite else ("association", loop_plan)
     if a.recording:
         kind, planned = "recording", recording_plan
-    if a.overrides and kind != "association":
-        raise ValueError(f"--set changes the scenarios of the loop; there are none in --{kind}")
+    _refuse_what_does_not_apply(a, kind)
     out, how = a.out or results_folder(kind, a.resume), execution(a, command_line("agents.evaluate_association", argv))
     try:
         plan = planned(a, out)

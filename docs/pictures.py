@@ -152,6 +152,74 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     return answers["JCBB"]
 
 
+DRIFT_WORLD = 5  # of the train split
+
+
+def one_drive(scenario: str, world: int) -> list[Any]:
+    """The speeds of a drive by information gain, whose robot knows every association."""
+    arguments = {"scenario": scenario, "disable_env_checker": True, "associator": "true_association"}
+    env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
+    agent = make_agent("information_gain")
+    agent.reset(world)
+    observation, info = env.reset(seed=world, options={"world": world})
+    speeds, tick, over = [], env.episode.tick, False
+
+    def kept(forward: float, turn: float) -> None:
+        speeds.append(np.array([forward, turn]))
+        tick(forward, turn)
+
+    env.episode.tick = kept
+    while not over:
+        observation, _, over, _, info = env.step(agent.act(observation, visible(info)))
+    return speeds
+
+
+def mapped(scenario: str, world: int, speeds: list[Any], **arguments: Any) -> Any:
+    """The episode of the same drive, wheels and scans, with another SLAM."""
+    env: Any = gym.make(
+        "slam_gym/Explore-v0", scenario=scenario, action="twist", disable_env_checker=True, **arguments
+    ).unwrapped
+    env.reset(seed=world, options={"world": world})
+    for speed in speeds:
+        env.step(speed)
+    return env.episode
+
+
+def drift() -> None:
+    """One drive on bad wheels, mapped four times: what was explored, and where features came to lie."""
+    scenario = "drift-3"
+    speeds = one_drive(scenario, DRIFT_WORLD)
+    kinds = {
+        "nearest neighbour": {"associator": "nearest_neighbour", "relocation": None},
+        "JCBB": {"associator": "jcbb", "relocation": None},
+        "by marginals, found again when lost": {"associator": "marginal"},
+        "true association": {"associator": "true_association", "relocation": None},
+    }
+    _, axes = plt.subplots(2, 2, figsize=(10.5, 6.8), layout="constrained", sharex=True, sharey=True)
+    for ax, (name, arguments) in zip(axes.flat, kinds.items()):
+        episode = mapped(scenario, DRIFT_WORLD, speeds, **arguments)
+        draw_map(ax, episode)
+        ax.set_title(f"{name}: map error {episode.map_error():.2f}")
+        ax.set(aspect="equal", xticks=[], yticks=[])
+        ax.spines[:].set_visible(False)
+
+
+def draw_map(ax: Any, episode: Any) -> None:
+    """Walls and features as they are, and on top what the robot makes of them, brought into the world's frame."""
+    from slam_gym.geometry import transform
+    from slam_gym.navigation.explored_grid import WALL
+
+    plan, grid = episode.site.plan, episode.grid
+    rows, columns = np.nonzero(grid.cells == WALL)
+    cells = grid.origin + grid.resolution * (np.column_stack([columns, rows]) + 0.5)
+    ax.plot(*transform(episode.base, cells).T, "s", ms=2.6, color="#c3ccd6", mew=0)
+    ax.plot(*plan.walls.reshape(-1, 2, 2).transpose(2, 1, 0), color=INK, lw=0.8)
+    ax.plot(*plan.features.positions[episode.site.observable].T, ".", ms=3, color=GREY)
+    ax.plot(*episode.landmarks.T, "o", ms=3.2, mfc="none", mec=BLUE, mew=0.9)
+    ax.plot(*np.array(episode.poses)[:, :2].T, color=GREY, lw=1.0)
+    ax.plot(*transform(episode.base, np.array(episode.estimates)[:, :2]).T, color=RED, lw=0.9)
+
+
 def locality() -> None:
     """Four localities of one feature in a map that was made in one pass."""
     from slam_gym.bench.locality.fields import surveyed_field
@@ -184,6 +252,7 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "relocate": relocate,
     "compatibility": compatibility,
     "locality": locality,
+    "drift": drift,
 } | {f"scenario_{name}": partial(driven, name, scenario.budget, world=1) for name, scenario in SCENARIOS.items()}
 PICTURES["scenario_kidnapped"] = partial(driven, "kidnapped", 800, world=1, relocation="gcbb")
 

@@ -13,6 +13,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.simulation.judged import CEILING, JudgedSlam
+from slam_gym.slam.relocation import RelocatingSlam, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, Truth
 
@@ -47,17 +48,17 @@ class MappedLog:
         return np.where(self.ids == NO_ID, UNPAIRED, self.identities.source_of(np.maximum(self.ids, 0)))
 
 
-def map_log(log: Recording, associator: str, spec: SlamSpec) -> MappedLog:
-    """Map a log with the associator of that name.
+def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
+    """Map a log with the associator of that name, and find the robot by that search where it is lost.
 
     `true_association` is told the identities, and so is its map: every labelled feature goes in when it is first seen,
     without having to be confirmed, and nothing else does. It is what is left of the error once no association is
-    wrong. Raises as `Slam.step`.
+    wrong, and never lost. Raises as `Slam.step`, and ValueError for a search that nobody knows.
     """
     informed = associator == CEILING
     if informed:
         spec = replace(spec, map=replace(spec.map, confirmations=1))
-    slam = Slam(spec)
+    slam = Slam(spec) if informed or relocation is None else RelocatingSlam(spec, relocate_by(relocation))
     if (start := start_of(log)) is not None:
         slam.map.place(start, np.zeros((3, 3)))
     meter, associate = metered(associator)

@@ -11,12 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from agents.evaluation.associators import find_associator
+from agents.evaluation.episodes import RELOCATION
+from agents.evaluation.headline import subject
 from agents.evaluation.log_files import write_mapped_log
 from agents.evaluation.log_measures import measure
 from agents.evaluation.mapped_log import map_log
 from agents.evaluation.pipeline import RECORDINGS, Evaluation, Results
 from agents.evaluation.records import Key, Record
 from agents.evaluation.tables import Column, Rows, Table, by_setting
+from slam_gym.association import resolve_relocator
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.recorded import slam_for
@@ -100,29 +103,45 @@ class LogTask:
     associator: str
     log: Log
     setting: str  # name of the log
+    relocation: str | None  # the search that finds a lost robot
+    name: str  # of the associator, with its relocation where there are several
     folder: Path | None = None  # for trajectory and map
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        return (Key(self.associator, self.setting, 0),)
+        return (Key(self.name, self.setting, 0),)
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         log = self.log.open()
-        mapped = map_log(log, self.associator, slam_for(log))
+        mapped = map_log(log, self.associator, slam_for(log), self.relocation)
         if self.folder is not None:
-            write_mapped_log(self.folder, log, self.associator, mapped)
-        record = {"associator": self.associator, "setting": self.setting, "episode": 0}
+            write_mapped_log(self.folder, log, self.name, mapped)
+        record = {"associator": self.name, "setting": self.setting, "episode": 0}
         return [record | {"source": log.source, "landmarks": log.landmarks.tolist()} | measure(log, mapped)]
 
 
-def recording_evaluation(associators: Sequence[str], logs: dict[str, Log], out: Path) -> Evaluation:
-    """Every associator on every log, checked; files go into a folder of `out`. ValueError for an associator that
-    nobody knows."""
+def recording_evaluation(
+    associators: Sequence[str],
+    logs: dict[str, Log],
+    out: Path,
+    relocations: Sequence[str | None] = (RELOCATION,),
+) -> Evaluation:
+    """Every associator with every relocation on every log, checked; files go into a folder of `out`.
+
+    ValueError for an associator or a relocator that nobody knows.
+    """
     for name in associators:
         find_associator(name)
-    tasks = [LogTask(name, log, setting, out / FOLDER) for setting, log in logs.items() for name in associators]
+    for name in filter(None, relocations):
+        resolve_relocator(name)
+    several = len(relocations) > 1
+    tasks = [
+        LogTask(name, log, setting, relocation, subject(name, relocation) if several else name, out / FOLDER)
+        for setting, log in logs.items() for name in associators for relocation in relocations
+    ]  # fmt: skip
     first = asdict(next(iter(logs.values())))
     conditions = {name: first[name] for name in ("recording", "every", "merge", "clean", "reference")}
+    conditions["relocation"] = list(relocations)
     conditions["settings"] = {setting: asdict(slam_for(log.open())) for setting, log in logs.items()}
     return Evaluation(RECORDINGS, tasks, conditions, lambda records: {"table": numbers(records)})
 

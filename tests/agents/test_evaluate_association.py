@@ -64,6 +64,9 @@ def test_the_command_of_the_suite(tmp_path, capsys):
         (["--resume", "--out", "nowhere"], r"nowhere.*resume"),
         (["--suite", "--set", "budget=9"], r"--set.*--suite"),
         (["--suite", "--recording", "mrclam"], r"give one of them"),
+        (["--experiments", "closure"], r"--experiments belongs to --suite, which was not asked for"),
+        (["--recording", "mrclam", "--worlds", "2"], r"--worlds belongs to --suite, not to --recording"),
+        (["--suite", "--relocation", "gcbb"], r"--relocation .* not to --suite"),
     ],
 )
 def test_bad_input_is_told_in_one_line_that_names_it(tmp_path, monkeypatch, line, said):

@@ -164,6 +164,6 @@ def test_names_of_public_logs_stand_for_their_files(data_dir) -> None:
     np.testing.assert_array_equal(again.points, found[1].points)
     logs = logs_of(Log("mrclam", str(data_dir / "mrclam"), every=10), [4])
     assert list(logs) == [found[1].name]
-    task = LogTask("jcbb", logs[found[1].name], found[1].name)
+    task = LogTask("jcbb", logs[found[1].name], found[1].name, None, "jcbb")
     record = task.run(task.keys)[0]
     assert record["steps"] == math.ceil(len(again) / 10) and record["setting"] == found[1].name
