@@ -151,16 +151,40 @@ def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> JointD
     dof = 2 * len(paired)
     if not dof:
         return JointDistance(0.0, 0)
-    innovation = (scan.points[paired] - prediction.positions[rows[paired]]).ravel()
-    covariance = prediction.joint(rows[paired]).copy()
-    for p, i in enumerate(paired):
-        covariance[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] += scan.covariances[i]
-    try:
-        factor = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
-        raise ValueError(f"innovation covariance of the pairings {rows.tolist()} is not positive definite") from None
-    whitened = np.linalg.solve(factor, innovation)
-    return JointDistance(float(whitened @ whitened), dof)
+    joint = prediction.joint(rows[paired])
+    squared = _joint_distance(
+        plain(scan.points), plain(scan.covariances), plain(prediction.positions), rows, plain(joint)
+    )
+    if math.isnan(squared):
+        raise ValueError(f"innovation covariance of the pairings {rows.tolist()} is not positive definite")
+    return JointDistance(squared, dof)
+
+
+@compiled
+def _joint_distance(points: Array, noise: Array, positions: Array, rows: IntArray, joint: Array) -> float:
+    """νᵀ S⁻¹ ν = yᵀy with y = L⁻¹ν, S = L Lᵀ; NaN where S is not positive definite."""
+    L, y, p = joint.copy(), np.empty(len(joint)), 0
+    for i in range(len(rows)):
+        if rows[i] >= 0:
+            for a in range(2):
+                y[2 * p + a] = points[i, a] - positions[rows[i], a]
+                for b in range(2):
+                    L[2 * p + a, 2 * p + b] += noise[i, a, b]
+            p += 1
+    squared = 0.0
+    for a in range(len(L)):
+        for b in range(a + 1):
+            for k in range(b):
+                L[a, b] -= L[a, k] * L[b, k]
+            if b < a:
+                L[a, b] /= L[b, b]
+                y[a] -= L[a, b] * y[b]
+        if not L[a, a] > 0.0:
+            return math.nan
+        L[a, a] = math.sqrt(L[a, a])
+        y[a] /= L[a, a]
+        squared += y[a] * y[a]
+    return squared
 
 
 @compiled

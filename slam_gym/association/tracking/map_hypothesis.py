@@ -16,11 +16,11 @@ from slam_gym.association.tracking.near_first import Found, near_first
 from slam_gym.association.tracking.scan_hypotheses import (
     Kept,
     Rates,
+    all_rows,
     candidate_gate,
     check_search,
     checked_visibility,
     log_densities,
-    rows_of,
     views,
 )
 from slam_gym.association.tracking.scan_hypotheses import search as hypotheses_of
@@ -132,6 +132,6 @@ def _ranked(kept: Kept, visibility: Array | None, rates: Rates) -> Found[_Rankin
     seen = log_densities(tree.pairings, beam, views(kept, visibility), np.array([rates.detection]), rates.unseen)
     scores = kept.fit + math.log(rates.density) * kept.unpaired + seen[:, 0]
     ranking = np.argsort(-scores, kind="stable")
-    best = [rows_of(kept, int(b)) for b in ranking[:2]]
+    best = all_rows(kept)[ranking[:2]]
     runner_up = best[1] if len(best) > 1 else np.full(len(tree.given), UNPAIRED)
     return Found(best[0], kept.effort, _Ranking(scores[ranking], [best[0], runner_up]))

@@ -15,10 +15,14 @@ weights of those values. Both are integrated out: a hypothesis that leaves u mea
 has the density
 
     N(ν_H; 0, S_H) · Γ(a + u) / (b + A)^(a + u) · Σ over P_D of weight · Π P_D v_j · Π (1 − P_D v_j).
+
+Nor is the heading, where the wheels are bad: a heading that is too uncertain for the linear prediction is split into
+narrow ones (`headings`), and the hypotheses are those in any of them.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -26,22 +30,22 @@ import numpy as np
 from scipy.special import gammaln
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import chi2_gate, individual, plain
-from slam_gym.association.tracking.beam import Beam
-from slam_gym.association.tracking.path import distance_of
+from slam_gym.association.compatibility import chi2_gate, individual, joint_distance, plain
+from slam_gym.association.tracking.headings import Heading, headings
+from slam_gym.association.tracking.near_first import together
 from slam_gym.association.tracking.scan_hypotheses import (
     Kept,
     Rates,
+    all_rows,
     candidate_gate,
     check_search,
     checked_visibility,
     log_densities,
-    rows_of,
     search,
     views,
 )
-from slam_gym.association.tree import Pairings, as_hypothesis, interpretation_tree
-from slam_gym.types import UNPAIRED, Array, Experience, Hypothesis, IntArray, Posterior, Prediction, Scan
+from slam_gym.association.tree import Tree, as_hypothesis, interpretation_tree
+from slam_gym.types import UNPAIRED, Array, Effort, Experience, Hypothesis, IntArray, Posterior, Prediction, Scan
 
 DETECTIONS = np.array([0.3, 0.5, 0.7, 0.85, 0.95])
 """Values of P_D that are weighed against each other."""
@@ -52,28 +56,21 @@ NOTHING_SEEN = Experience(0.0, 0.0, np.zeros(len(DETECTIONS)))
 _UNPAIRED, _AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is some .02 before anything was seen
 _MEMORY = 0.95  # what a scan counts in the next
 _MIN_AREA = 1.0  # [m²] of a scan
+_SURE, _SURELY = np.zeros(1), 1e9  # log weights where P_D is given; [m²] as good as seen where λ is
+_FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
 _TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
 
 
 class Marginals(NamedTuple):
     """The probability of every pairing, over all hypotheses that a search kept."""
 
-    kept: Kept
-    weights: Array  # (b,) of the hypotheses, in sum 1
-    log_densities: Array  # (b,) of the hypotheses
-    pairings: Array  # (c,) p_ij of each candidate pairing
+    hypotheses: IntArray  # (b, m) row of the prediction that each pairs with each measurement, or UNPAIRED
+    weights: Array  # (b,) in sum 1
+    log_densities: Array  # (b,) unnormalised
+    pairings: Array  # (m, k) p_ij
     unpaired: Array  # (m,) probability that each measurement is of nothing in the map
+    effort: Effort
     experience: Experience  # with this scan
-
-    @property
-    def rows(self) -> IntArray:
-        """(c,) row of the prediction of each candidate pairing."""
-        return self.kept.tree.rows[self.kept.tree.pairings.slots]
-
-    @property
-    def measured(self) -> IntArray:
-        """(c,) its measurement."""
-        return self.kept.tree.pairings.measured
 
 
 def marginal(
@@ -105,14 +102,15 @@ def marginal(
     if not 1.0 <= cost < math.inf:
         raise ValueError(f"cost: {cost} is not a finite number of at least 1")
     found = marginals(scan, prediction, detection=detection, density=density, unseen=unseen, width=width, margin=margin)
-    tree = found.kept.tree
-    chosen, probabilities = _decisions(tree.pairings.measured, found.pairings, found.unpaired, cost / (cost + 1.0))
-    rows = np.full(len(scan), UNPAIRED)
-    rows[tree.pairings.measured[chosen]] = tree.rows[tree.pairings.slots[chosen]]
-    answer = as_hypothesis(prediction, rows, distance_of(tree.pairings, chosen), found.kept.effort)
-    posterior = _posterior(found, chosen, probabilities, prediction)
+    rows, probabilities = _decided(found.pairings, found.unpaired, cost / (cost + 1.0))
+    answer = as_hypothesis(prediction, rows, joint_distance(scan, prediction, rows).squared, found.effort)
     return Hypothesis(
-        answer.features, answer.joint_distance, answer.dof, answer.effort, posterior, experience=found.experience
+        answer.features,
+        answer.joint_distance,
+        answer.dof,
+        answer.effort,
+        _posterior(found, rows, probabilities, prediction),
+        experience=found.experience,
     )
 
 
@@ -130,103 +128,174 @@ def marginals(
     check_search(0.5 if detection is None else detection, unseen, width, margin)
     if density is not None and not 0.0 < density < math.inf:
         raise ValueError(f"density: {density} per m² is not positive")
-    gate, known = candidate_gate(prediction.confidence), prediction.experience or NOTHING_SEEN
-    candidates = individual(scan, prediction, gate)
-    tree = interpretation_tree(scan, prediction, candidates)
-    area, visibility = _area(scan), checked_visibility(prediction)
-    # the search is told one λ and one P_D
-    a, b = _UNPAIRED + known.unpaired, _AREA + known.area
-    strange = int((candidates.starts[1:] == candidates.starts[:-1]).sum())
-    values, weights = (
-        (DETECTIONS, plain(known.detections)) if detection is None else (np.array([detection]), np.zeros(1))
-    )
-    mean = float(np.exp(weights - weights.max()) @ values / np.exp(weights - weights.max()).sum())
-    rates = Rates(mean, unseen, (a + strange) / (b + area) if density is None else density)
-    kept = search(tree, visibility, rates, chi2_gate(2, gate), width, margin)
-    u = np.arange(len(scan) + 1)
-    prices: Any = gammaln(a + u) - (a + u) * math.log(b + area) if density is None else u * math.log(density)
-    seen = log_densities(tree.pairings, kept.beam, views(kept, visibility, _TOGETHER), values, unseen)
-    scores, shares, posterior = _weighed(kept.fit, prices[kept.unpaired], seen, weights)
-    unpaired = float(shares @ kept.unpaired)
+    known, area = prediction.experience or NOTHING_SEEN, _area(plain(scan.points))
+    belief = _belief(detection, density, len(scan), known, area)
+    parts = [_Part.of(scan, heading, belief, unseen) for heading in headings(prediction)]
+    parts = _worth_searching(parts, margin)
+    kept = [part.search(width, margin) for part in parts]
+    fit = [part.log_weight + one.fit + belief.prices[one.unpaired] for part, one in zip(parts, kept)]
+    seen = [
+        log_densities(one.tree.pairings, one.beam, views(one, part.visibility, _TOGETHER), belief.values, unseen)
+        for part, one in zip(parts, kept)
+    ]
+    hypotheses = _joined([all_rows(one) for one in kept])
+    summed = _summed(hypotheses, _joined(fit), _joined(seen), belief.weights, len(prediction))
+    scores, shares, by_value, pairings, unpaired = summed
+    learned = detection is None and parts[0].visibility is not None
     experience = Experience(
-        _MEMORY * (known.unpaired + unpaired),
+        _MEMORY * (known.unpaired + float(unpaired.sum())),
         _MEMORY * (known.area + area),
-        known.detections if detection is not None or visibility is None else _MEMORY * posterior,
+        _MEMORY * by_value if learned else known.detections,
     )
-    paired = _paired(tree.pairings, kept.beam, shares)
-    left = np.maximum(1.0 - np.bincount(tree.pairings.measured, paired, len(scan)), 0.0)
-    return Marginals(kept, shares, scores, paired, left, experience)
+    effort = functools.reduce(together, [one.effort for one in kept])
+    return Marginals(hypotheses, shares, scores, pairings, unpaired, effort, experience)
 
 
-def _area(scan: Scan) -> float:
-    """[m²] of the box around the measurements."""
-    if not len(scan):
-        return 0.0
-    (left, bottom), (right, top) = scan.points.min(axis=0), scan.points.max(axis=0)
-    return max(float((right - left) * (top - bottom)), _MIN_AREA)
+class _Belief(NamedTuple):
+    """What is taken for true of λ and P_D before the scan."""
+
+    values: Array  # (d,) that P_D may have
+    weights: Array  # (d,) log weights of those
+    detection: float  # their mean
+    unpaired: float  # a, with nothing unpaired in this scan
+    area: float  # [m²] b + A
+    prices: Array  # (m + 1,) log density of leaving so many measurements unpaired
+
+    def density(self, strange: int) -> float:
+        """[1/m²] λ of a scan in which `strange` measurements have no candidate."""
+        return (self.unpaired + strange) / self.area
 
 
-def _posterior(found: Marginals, chosen: IntArray, probabilities: Array, prediction: Prediction) -> Posterior:
-    """Of the decisions that take the pairings `chosen` (p,)."""
-    beam, weights, densities = found.kept.beam, found.weights, found.log_densities
-    own, second = _placed(beam, weights, chosen)
-    rows = np.full(len(found.unpaired), UNPAIRED) if second < 0 else rows_of(found.kept, second)
-    runner_up = as_hypothesis(prediction, rows, 0.0, found.kept.effort).features
+def _belief(detection: float | None, density: float | None, m: int, known: Experience, area: float) -> _Belief:
+    """Of a scan of m measurements in `area` [m²]."""
+    values, weights = (DETECTIONS, plain(known.detections)) if detection is None else (np.array([detection]), _SURE)
+    odds = np.exp(weights - weights.max())
+    a, b, u = _UNPAIRED + known.unpaired, _AREA + known.area + area, np.arange(m + 1)
+    if density is None:
+        prices: Any = gammaln(a + u) - (a + u) * math.log(b)
+    else:
+        a, b, prices = _SURELY * density, _SURELY, u * math.log(density)
+    return _Belief(values, weights, float(odds @ values / odds.sum()), a, b, prices)
+
+
+class _Part(NamedTuple):
+    """The search in one narrow heading."""
+
+    log_weight: float
+    tree: Tree
+    visibility: Array | None
+    rates: Rates
+    gate: float
+
+    @classmethod
+    def of(cls, scan: Scan, heading: Heading, belief: _Belief, unseen: float) -> _Part:
+        """The search is told one λ, by what has no candidate besides, and one P_D."""
+        prediction = heading.prediction
+        gate = candidate_gate(prediction.confidence)
+        candidates = individual(scan, prediction, gate)
+        strange = int((candidates.starts[1:] == candidates.starts[:-1]).sum())
+        rates = Rates(belief.detection, unseen, belief.density(strange))
+        tree, visibility = interpretation_tree(scan, prediction, candidates), checked_visibility(prediction)
+        return cls(heading.log_weight, tree, visibility, rates, chi2_gate(2, gate))
+
+    def search(self, width: int, margin: float) -> Kept:
+        return search(self.tree, self.visibility, self.rates, self.gate, width, margin)
+
+
+def _worth_searching(parts: list[_Part], margin: float) -> list[_Part]:
+    """Those in which the first look finds a hypothesis that is not hopeless beside the best."""
+    if len(parts) == 1:
+        return parts
+    best = [part.log_weight + part.search(_FIRST_LOOK, margin).beam.score[0] for part in parts]
+    return [part for part, score in zip(parts, best) if score > max(best) - margin]
+
+
+def _joined(arrays: list[Any]) -> Any:
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _posterior(found: Marginals, rows: IntArray, probabilities: Array, prediction: Prediction) -> Posterior:
+    """Of the decisions `rows` (m,)."""
+    own, second = _placed(found.hypotheses, found.weights, rows)
+    runner_up = np.full(len(rows), UNPAIRED) if second.first < 0 else found.hypotheses[second.first]
+    total = float(np.logaddexp.reduce(found.log_densities))
     return Posterior(
-        -math.inf if own < 0 else float(densities[own]),
-        0.0 if own < 0 else float(weights[own]),
-        runner_up,
-        0.0 if second < 0 else float(weights[second]),
+        total + math.log(own.weight) if own.weight > 0.0 else -math.inf,
+        own.weight,
+        as_hypothesis(prediction, runner_up, 0.0, found.effort).features,
+        second.weight,
         marginals=probabilities,
         unpaired=found.unpaired,
     )
 
 
+class _Place(NamedTuple):
+    first: int  # of the hypotheses that decide alike; −1: there is none
+    weight: float  # of them all
+
+
 @compiled
-def _weighed(fit: Array, prices: Array, seen: Array, prior: Array) -> tuple[Array, Array, Array]:
-    """Of each hypothesis the log density and the weight (b,), P_D summed over; and the log weights of P_D (d,)."""
-    hypotheses, values = seen.shape
-    scores, by_value = np.empty(hypotheses), np.full(values, -math.inf)
-    for b in range(hypotheses):
+def _summed(
+    hypotheses: IntArray, fit: Array, seen: Array, prior: Array, features: int
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Of the hypotheses the log densities and weights (b,), P_D summed over; the log weights of P_D (d,); and the sums
+    of the weights of the hypotheses that make each pairing (m, k), and that leave each measurement unpaired (m,)."""
+    count, values = seen.shape
+    scores, by_value = np.empty(count), np.full(values, -math.inf)
+    for b in range(count):
         scores[b] = -math.inf
         for d in range(values):
-            density = fit[b] + prices[b] + seen[b, d] + prior[d]
+            density = fit[b] + seen[b, d] + prior[d]
             scores[b], by_value[d] = np.logaddexp(scores[b], density), np.logaddexp(by_value[d], density)
     weights = np.exp(scores - scores.max())
-    return scores, weights / weights.sum(), by_value - by_value.max()
+    weights /= weights.sum()
+    pairings, unpaired = np.zeros((hypotheses.shape[1], features)), np.zeros(hypotheses.shape[1])
+    for b in range(count):
+        for i in range(hypotheses.shape[1]):
+            if hypotheses[b, i] == UNPAIRED:
+                unpaired[i] += weights[b]
+            else:
+                pairings[i, hypotheses[b, i]] += weights[b]
+    return scores, weights, by_value - by_value.max(), pairings, unpaired
 
 
 @compiled
-def _paired(pairings: Pairings, beam: Beam, weights: Array) -> Array:
-    """(c,) sum of the weights of the hypotheses that make each pairing."""
-    out = np.zeros(len(pairings.slots))
+def _decided(pairings: Array, unpaired: Array, threshold: float) -> tuple[IntArray, Array]:
+    """What is paired with each measurement (m,), and the probability of that."""
+    rows, probabilities = np.full(len(unpaired), UNPAIRED), unpaired.copy()
+    for i in range(len(unpaired)):
+        for j in range(pairings.shape[1]):
+            if pairings[i, j] > threshold:
+                rows[i], probabilities[i] = j, min(pairings[i, j], 1.0)
+    return rows, probabilities
+
+
+@compiled
+def _placed(hypotheses: IntArray, weights: Array, rows: IntArray) -> tuple[_Place, _Place]:
+    """The hypotheses that decide `rows`, and the most probable other decisions."""
+    own, second, weight = _Place(-1, 0.0), _Place(-1, 0.0), np.zeros(len(weights))
     for b in range(len(weights)):
-        for q in range(beam.pairings[b]):
-            out[beam.paths.pairings[b, q]] += weights[b]
-    return out
-
-
-@compiled
-def _decisions(measured: IntArray, paired: Array, unpaired: Array, threshold: float) -> tuple[IntArray, Array]:
-    """The pairings worth making (p,), and the probability of what is decided of each measurement (m,)."""
-    chosen, count, probabilities = np.empty(len(unpaired), np.int64), 0, unpaired.copy()
-    for c in range(len(measured)):
-        if paired[c] > threshold:
-            chosen[count], probabilities[measured[c]] = c, paired[c]
-            count += 1
-    return chosen[:count], probabilities
-
-
-@compiled
-def _placed(beam: Beam, weights: Array, chosen: IntArray) -> tuple[int, int]:
-    """The hypothesis that makes the pairings `chosen` and no others, and the most probable of the others; −1: none."""
-    own, second = -1, -1
+        first = b
+        for other in range(b):
+            if (hypotheses[other] == hypotheses[b]).all():
+                first = other
+                break
+        weight[first] += weights[b]
     for b in range(len(weights)):
-        same = beam.pairings[b] == len(chosen)
-        for q in range(beam.pairings[b]):
-            same = same and (chosen == beam.paths.pairings[b, q]).any()
-        if same:
-            own = b
-        elif second < 0 or weights[b] > weights[second]:
-            second = b
+        if (hypotheses[b] == rows).all():
+            own = _Place(b, weight[b]) if own.first < 0 else own
+        elif weight[b] > second.weight:
+            second = _Place(b, weight[b])
     return own, second
+
+
+@compiled
+def _area(points: Array) -> float:
+    """[m²] of the box around the measurements."""
+    if len(points) == 0:
+        return 0.0
+    left, right, bottom, top = points[0, 0], points[0, 0], points[0, 1], points[0, 1]
+    for i in range(1, len(points)):
+        left, right = min(left, points[i, 0]), max(right, points[i, 0])
+        bottom, top = min(bottom, points[i, 1]), max(top, points[i, 1])
+    return float(max((right - left) * (top - bottom), _MIN_AREA))

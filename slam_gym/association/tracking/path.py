@@ -69,19 +69,6 @@ def append(path: Path, p: int, c: int, e: Innovation) -> None:
 
 
 @compiled
-def distance_of(pairings: Pairings, chosen: IntArray) -> float:
-    """D² of the pairings given and those `chosen` (p,), together."""
-    path, distance = path_of(pairings, len(chosen)), 0.0
-    for d in range(pairings.given):
-        distance += path.pivots[d, 3] ** 2 + path.pivots[d, 4] ** 2
-    for k in range(len(chosen)):
-        e = follow(pairings, path, pairings.given + k, chosen[k])
-        append(path, pairings.given + k, chosen[k], e)
-        distance += squared(e)
-    return distance
-
-
-@compiled
 def distances_after(pairings: Pairings, path: Path, p: int, out: Array) -> None:
     """D² (c,) of each candidate after an update with the first p pairings of a path; of the given ones, inf."""
     for c in range(len(pairings.slots)):

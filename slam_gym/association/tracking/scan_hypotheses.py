@@ -147,12 +147,19 @@ def log_densities(pairings: Pairings, beam: Beam, seen: Views, detections: Array
     return out
 
 
-def rows_of(kept: Kept, hypothesis: int) -> IntArray:
-    """(m,) row of the prediction that a hypothesis pairs with each measurement, or UNPAIRED."""
-    tree, p = kept.tree, int(kept.beam.pairings[hypothesis])
-    rows, paired = np.full(len(tree.given), UNPAIRED), kept.beam.paths.pairings[hypothesis, :p]
-    rows[tree.pairings.measured[paired]] = tree.rows[tree.pairings.slots[paired]]
-    return rows
+def all_rows(kept: Kept) -> IntArray:
+    """(b, m) row of the prediction that each hypothesis pairs with each measurement, or UNPAIRED."""
+    return _rows(kept.tree.pairings, kept.beam, kept.tree.rows, len(kept.tree.given))
+
+
+@compiled
+def _rows(pairings: Pairings, beam: Beam, rows: IntArray, measurements: int) -> IntArray:
+    out = np.full((len(beam.score), measurements), UNPAIRED)
+    for b in range(len(out)):
+        for q in range(beam.pairings[b]):
+            c = beam.paths.pairings[b, q]
+            out[b, pairings.measured[c]] = rows[pairings.slots[c]]
+    return out
 
 
 @compiled

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association.compatibility import chi2_gate, individual
-from slam_gym.association.tracking.scan_hypotheses import Rates, rows_of, search, views
+from slam_gym.association.tracking.scan_hypotheses import Rates, all_rows, search, views
 from slam_gym.association.tree import interpretation_tree
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
@@ -29,7 +29,7 @@ def test_every_hypothesis_has_its_own_fit_and_view(seed):
     seen = views(found, visibility)
     assert seen.group.tolist() == list(range(len(found.fit)))
     for b in range(len(found.fit)):
-        rows = rows_of(found, b)
+        rows = all_rows(found)[b]
         pairs = [(i, int(j)) for i, j in enumerate(rows) if j != UNPAIRED]
         assert found.unpaired[b] == 4 - len(pairs)
         assert found.fit[b] == pytest.approx(densities.fit(scan, prediction, pairs), abs=1e-9)

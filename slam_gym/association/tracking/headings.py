@@ -1,0 +1,118 @@
+"""An uncertain heading split into narrow ones, in each of which the prediction is linear.
+
+Where a feature at range r is predicted to lie depends on the heading by a rotation, which a Gaussian prediction
+replaces by its tangent: off by r φ²/2 for a robot that has turned by φ more than it believes. A heading of variance σ²
+is as good as a mixture of headings φ_k of variance s², with weights by N(φ_k; 0, σ² − s²). For one of them, with a_j as
+in `heading`, feature j is predicted at m_j = Rot(−φ_k)(p̂_j + φ_k a_j), with
+
+    S_jl|k = Rot(−φ_k)(S_jl − c_j c_lᵀ/σ²) Rot(φ_k) + s² g_j g_lᵀ,   g_j = Rot(−φ_k) a_j − J m_j,
+
+and is linear in what is left of the heading.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.association.compatibility import plain
+from slam_gym.types import Array, IntArray, Prediction
+
+NARROW = 0.08  # [rad] s: at 6 m the tangent is off by 2 cm
+_WIDE = 0.09  # [rad] σ from which a heading is split
+_SIGMAS = 2.0  # of √(σ² − s²) that the headings cover
+
+
+class Heading(NamedTuple):
+    """One part of the mixture."""
+
+    log_weight: float
+    prediction: Prediction
+
+
+def headings(prediction: Prediction) -> list[Heading]:
+    """The parts of a prediction: one, itself, where its heading is well known."""
+    sigma = math.sqrt(max(prediction.heading_variance, 0.0))
+    if sigma <= _WIDE or not len(prediction):
+        return [Heading(0.0, prediction)]
+    spread = math.sqrt(sigma**2 - NARROW**2)
+    n = math.ceil(0.5 * _SIGMAS * spread / NARROW)
+    phi = 2.0 * NARROW * np.arange(-n, n + 1)
+    weights = np.exp(-0.5 * (phi / spread) ** 2)
+    given = _given_heading(prediction.joint(np.arange(len(prediction))), prediction)
+    return [
+        Heading(math.log(weight / weights.sum()), _turned(prediction, given, turn))
+        for turn, weight in zip(phi.tolist(), weights.tolist())
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Joint:
+    """`Prediction.joint` of a part."""
+
+    given: Array  # (2k, 2k) [m²] covariance of all features once the heading is known
+    phi: float  # [rad] φ_k
+    across: Array  # (k, 2) [m/rad] g_j
+
+    def __call__(self, rows: IntArray) -> Array:
+        return _joint(self.given, self.phi, self.across, rows)
+
+
+def _given_heading(joint: Array, prediction: Prediction) -> Array:
+    across = prediction.heading_covariances.ravel()
+    return joint - np.outer(across, across) / prediction.heading_variance
+
+
+def _turned(prediction: Prediction, given: Array, phi: float) -> Prediction:
+    """The part with heading φ_k = phi."""
+    slope = plain(prediction.heading_covariances) / prediction.heading_variance
+    positions, across, covariances = _predicted(plain(prediction.positions), slope, given, phi)
+    return replace(
+        prediction,
+        positions=positions,
+        covariances=covariances,
+        joint=_Joint(given, phi, across),
+        heading_variance=NARROW**2,
+        heading_covariances=NARROW**2 * across,
+    )
+
+
+@compiled
+def _predicted(positions: Array, slope: Array, given: Array, phi: float) -> tuple[Array, Array, Array]:
+    """m (k, 2), g (k, 2) and the covariances (k, 2, 2) of a part; `slope` is c/σ² (k, 2)."""
+    k, c, s = len(positions), math.cos(phi), math.sin(phi)
+    moved, across, covariances = np.empty((k, 2)), np.empty((k, 2)), np.empty((k, 2, 2))
+    for j in range(k):
+        ax, ay = slope[j, 0] - positions[j, 1], slope[j, 1] + positions[j, 0]
+        x, y = positions[j, 0] + phi * ax, positions[j, 1] + phi * ay
+        moved[j, 0], moved[j, 1] = c * x + s * y, c * y - s * x
+        across[j, 0], across[j, 1] = c * ax + s * ay + moved[j, 1], c * ay - s * ax - moved[j, 0]
+    one = np.empty(1, np.int64)
+    for j in range(k):
+        one[0] = j
+        covariances[j] = _joint(given, phi, across, one)
+    return moved, across, covariances
+
+
+@compiled
+def _joint(given: Array, phi: float, across: Array, rows: IntArray) -> Array:
+    """(2r, 2r) covariance of the features at `rows` in a part."""
+    c, s, v = math.cos(phi), math.sin(phi), NARROW * NARROW
+    out = np.empty((2 * len(rows), 2 * len(rows)))
+    for a in range(len(rows)):
+        for b in range(len(rows)):
+            i, j = 2 * rows[a], 2 * rows[b]
+            xx, xy, yx, yy = given[i, j], given[i, j + 1], given[i + 1, j], given[i + 1, j + 1]
+            ux, uy, vx, vy = c * xx + s * yx, c * xy + s * yy, c * yx - s * xx, c * yy - s * xy
+            g, h = across[rows[a]], across[rows[b]]
+            out[2 * a, 2 * b], out[2 * a, 2 * b + 1] = (
+                c * ux + s * uy + v * g[0] * h[0],
+                c * uy - s * ux + v * g[0] * h[1],
+            )
+            out[2 * a + 1, 2 * b] = c * vx + s * vy + v * g[1] * h[0]
+            out[2 * a + 1, 2 * b + 1] = c * vy - s * vx + v * g[1] * h[1]
+    return out

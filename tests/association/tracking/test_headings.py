@@ -1,0 +1,62 @@
+"""The parts of a prediction against samples of the robot that it is about."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym.association.tracking.headings import NARROW, headings
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import Odometry, Prediction, Scan
+
+
+def predicted(turn_sigma):
+    """From a robot that has turned, over features that it knows a little."""
+    map_ = StochasticMap()
+    map_.add(Scan.from_points([[5.0, 1.0], [4.0, -3.0], [-2.0, 3.0]], sigma=0.1), np.arange(3))
+    map_.predict(Odometry.from_motion([0.3, 0.0, 0.4], [0.05, 0.02, turn_sigma]))
+    return map_, map_.prediction(20.0)
+
+
+def test_a_heading_that_is_well_known_is_left_as_it_is():
+    assert len(headings(Prediction.from_gaussian([[1.0, 2.0]], np.eye(2)))) == 1
+    _, prediction = predicted(0.01)
+    ((weight, same),) = headings(prediction)
+    assert weight == 0.0 and same is prediction
+
+
+@pytest.mark.parametrize("sigma", [0.12, 0.2, 0.3])
+def test_the_parts_together_are_where_the_features_are_seen_from(sigma):
+    """Mean and covariance of all features, by the rotation itself."""
+    map_, prediction = predicted(sigma)
+    rng, draws, n = np.random.default_rng(0), 200_000, len(prediction)
+    states = rng.multivariate_normal(np.concatenate([map_.pose, map_.positions.ravel()]), map_.covariance, draws)
+    c, s = np.cos(states[:, 2, None]), np.sin(states[:, 2, None])
+    x, y = states[:, 3::2] - states[:, :1], states[:, 4::2] - states[:, 1:2]
+    seen = np.stack([c * x + s * y, c * y - s * x], axis=2).reshape(draws, 2 * n)
+    parts = headings(prediction)
+    weights = np.exp([part.log_weight for part in parts])
+    means = np.array([part.prediction.positions.ravel() for part in parts])
+    every = np.arange(n)
+    mean = weights @ means
+    second = sum(
+        w * (part.prediction.joint(every) + np.outer(m, m)) for w, m, part in zip(weights, means, parts, strict=True)
+    )
+    assert weights.sum() == pytest.approx(1.0)
+    true_mean, truth = seen.mean(axis=0), np.cov(seen.T)
+    scale, error = math.sqrt(truth.max()), np.abs(mean - true_mean).max()
+    assert error < 0.05 * scale and error < 0.5 * np.abs(prediction.positions.ravel() - true_mean).max()
+    assert second - np.outer(mean, mean) == pytest.approx(truth, abs=0.1 * scale**2)
+
+
+def test_a_part_is_a_prediction_like_any_other():
+    _, prediction = predicted(0.2)
+    for _, part in headings(dataclasses.replace(prediction, confidence=0.9)):
+        for j in range(len(part)):
+            block = part.joint(np.array([j]))
+            assert part.covariances[j] == pytest.approx(block) and (np.linalg.eigvalsh(block) > 0.0).all()
+        assert part.joint(np.array([2, 0])) == pytest.approx(
+            part.joint(np.arange(3))[np.ix_([4, 5, 0, 1], [4, 5, 0, 1])]
+        )
+        assert part.heading_variance == pytest.approx(NARROW**2) and part.confidence == 0.9
