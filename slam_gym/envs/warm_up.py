@@ -17,6 +17,7 @@ from slam_gym._compile import announce_compilation
 from slam_gym.association import compatibility, jcbb, tree
 from slam_gym.envs import observation
 from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement
+from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
 from slam_gym.navigation import grid, key_poses, redrawing, visibility
 from slam_gym.navigation.expected_gain import expected_reduction
@@ -62,9 +63,11 @@ def main() -> None:
 
 def _sweep(explored: ExploredGrid, points: Array) -> None:
     """Two sweeps, the first moved by the second."""
-    sweeps, beams, ids = MovableSweeps(explored), Beams(np.linspace(-3.0, 3.0, 60), np.full(60, 2.0), 6.0), np.arange(2)
-    for shift in (0.0, 1.0):
-        sweeps.enter(np.array([shift, 0.0, 0.0]), np.zeros(3), beams, ids, ids, points + shift)
+    sweeps, beams = MovableSweeps(explored), Beams(np.linspace(-3.0, 3.0, 60), np.full(60, 2.0), 6.0)
+    for pose in (np.zeros(3), np.ones(3)):
+        seen = StochasticMap(pose=pose)
+        seen.add(Scan.from_points(points, sigma=0.1), np.arange(2))
+        sweeps.enter(pose, np.zeros(3), beams, seen.ids, seen)
 
 
 def _associate(points: Array) -> None:

@@ -42,12 +42,12 @@ class ExploredGrid:
         self.resolution = float(resolution)
         self.origin: Array = bounds[:2].copy()  # (2,) [m] in B
         self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
-        self._evidence = np.zeros(shape, dtype=np.int8)
         self._blocks = np.zeros([-(-side // grid.BLOCK) for side in shape], dtype=np.int16)
-        self._sweeps = np.zeros(shape, dtype=np.int32)
-        self._sweep = 0
-        self._touched = np.empty(shape[0] * shape[1], dtype=np.int32)  # to work in
-        self._counts = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint16)
+        evidence, sweeps = np.zeros(shape, dtype=np.int8), np.zeros(shape, dtype=np.int32)
+        hits, crossings = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint16)
+        touched = np.empty(shape[0] * shape[1], dtype=np.int32)
+        self._layers: grid.PackedLayers = (self._cells, evidence, self._blocks, sweeps, hits, crossings, touched)
+        self._sweep = 0  # number of the last one
         self._free_cells = 0
 
     @property
@@ -74,8 +74,8 @@ class ExploredGrid:
         """
         self._sweep += 1
         self._free_cells += grid.integrate(
-            self._layers, self._sweep, self._touched, (*self._counts, movable), self.origin, self.resolution, pose,
-            beams.bearings, beams.ranges, beams.max_range,
+            self._layers, self._sweep, movable, self.origin, self.resolution, pose, beams.bearings, beams.ranges,
+            beams.max_range,
         )  # fmt: skip
 
     def move(self, before: Array, after: Array, beams: Beams) -> None:
@@ -86,13 +86,9 @@ class ExploredGrid:
         """
         first, self._sweep = self._sweep + 1, self._sweep + 2 * len(before)
         self._free_cells += redrawing.redraw(
-            self._layers, self._counts, first, self._touched, self.origin, self.resolution,
-            (before, after, beams.ranges), beams.bearings, beams.max_range,
+            self._layers, first, self.origin, self.resolution, (before, after, beams.ranges), beams.bearings,
+            beams.max_range,
         )  # fmt: skip
-
-    @property
-    def _layers(self) -> tuple[grid.Cells, grid.Evidence, grid.Blocks, grid.Sweeps]:
-        return self._cells, self._evidence, self._blocks, self._sweeps
 
     def frontiers(self, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0) -> Frontiers:
         """Frontiers at least `min_length` [m] long: connected free cells with an unknown cell beside them.

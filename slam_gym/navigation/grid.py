@@ -58,13 +58,19 @@ class Layers(NamedTuple):
     evidence: Evidence
     blocks: Blocks
     sweeps: Sweeps
+    hits: Counts
+    crossings: Counts
+    touched: Indices  # to work in
+
+
+PackedLayers = tuple[Cells, Evidence, Blocks, Sweeps, Counts, Counts, Indices]
+"""`Layers` as compiled functions take them."""
 
 
 @compiled
 def trace(
-    sweeps: Sweeps,
+    layers: Layers,
     sweep: int,
-    touched: Indices,
     origin: Array,
     resolution: float,
     pose: Array,
@@ -74,9 +80,10 @@ def trace(
 ) -> tuple[int, int]:
     """The cells of one sweep of beams, each once, as flat indices in `touched`; the number of echoes, and of all.
 
-    Echoes come first, so that no other beam grazing past them in the same sweep erases them. `touched` has room for
-    every cell of the grid; `sweep` is a number that no earlier sweep had.
+    Echoes come first, so that no other beam grazing past them in the same sweep erases them. `sweep` is a number that
+    no earlier sweep had.
     """
+    sweeps, touched = layers.sweeps, layers.touched
     h, w = sweeps.shape
     x, y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
     count, directions = 0, np.empty((bearings.shape[0], 2))
@@ -126,10 +133,9 @@ def reclassify(layers: Layers, cell: int, after: int) -> int:
 
 @compiled
 def integrate(
-    packed: tuple[Cells, Evidence, Blocks, Sweeps],
+    packed: PackedLayers,
     sweep: int,
-    touched: Indices,
-    counted: tuple[Counts, Counts, bool],
+    counted: bool,
     origin: Array,
     resolution: float,
     pose: Array,
@@ -139,19 +145,19 @@ def integrate(
 ) -> int:
     """Enter one sweep of beams: see `ExploredGrid.integrate`. Returns the change in free cells.
 
-    `counted` are the echoes and the crossings of each cell, and whether those of this sweep are to be added.
+    A sweep that is `counted` can be told apart later in the cells that it is in.
     """
     if not math.isfinite(pose[0] + pose[1] + pose[2]):
         raise ValueError("pose: expected finite numbers")
-    layers, (hits, crossings, count) = Layers(*packed), counted
-    cells, evidence, freed = layers.cells.ravel(), layers.evidence.ravel(), 0
-    of_hits, of_crossings = hits.ravel(), crossings.ravel()
-    echoes, end = trace(layers.sweeps, sweep, touched, origin, resolution, pose, bearings, ranges, max_range)
-    if count:
+    layers, freed = Layers(*packed), 0
+    cells, evidence, touched = layers.cells.ravel(), layers.evidence.ravel(), layers.touched
+    hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
+    echoes, end = trace(layers, sweep, origin, resolution, pose, bearings, ranges, max_range)
+    if counted:
         for i in range(echoes):
-            of_hits[touched[i]] += 1
+            hits[touched[i]] += 1
         for i in range(echoes, end):
-            of_crossings[touched[i]] += 1
+            crossings[touched[i]] += 1
     for i in range(end):
         cell = touched[i]
         if i >= echoes and evidence[cell] == -SATURATION:  # free beyond doubt

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.geometry import observe, wrap_angle
+from slam_gym.geometry import wrap_angle
 from slam_gym.types import NO_ID, Array, BoolArray, IntArray
 
 MOST_ANCHORS = 24
@@ -56,19 +56,17 @@ class KeyPoses:
 
         The one before is closed with that: what is seen from its end anchors it as well.
         """
-        last, borrowed = self._count - 1, np.empty(0, np.int64)
-        seen = np.intersect1d(seen, ids)
-        if last >= 0:
-            here = _now(last, self._poses, self._anchors, self._places, _rows_of(ids), positions)
-            borrowed = np.intersect1d(self._anchors[last], ids)
-            if math.isfinite(here[0]):
-                self._anchor(last, here, np.union1d(borrowed, seen), ids, positions)
         if self._count == len(self._poses):
             self._grow()
-        self._poses[self._count], self._drawn[self._count] = pose, True
-        enough = len(seen) >= FEWEST_ANCHORS
-        self._anchor(self._count, pose, seen if enough else np.union1d(seen, borrowed), ids, positions)
+        self._drawn[self._count] = True
+        _open(self._count, pose, seen, (self._poses, self._anchors, self._places), ids, positions)
         self._count += 1
+
+    def fuse(self, pairs: IntArray) -> None:
+        """Of each pair of ids (k, 2) the second is no longer in the map: its feature is the first one."""
+        for kept, gone in pairs.tolist():
+            anchors = self._anchors[: self._count]
+            anchors[anchors == gone] = kept
 
     def moved(self, rows: IntArray, ids: IntArray, positions: Array, reach: float, tolerance: float) -> Moved:
         """Which of the key poses `rows` (r,) have moved by more than `tolerance` [m], their beams' middles counted in.
@@ -77,7 +75,7 @@ class KeyPoses:
         map, or are no longer in it, have moved. A key pose that never had an anchor stays where it is.
         """
         arrays = (self._poses, self._drawn, self._anchors, self._places)
-        found, after = _moved(rows, arrays, _rows_of(ids), positions, 0.5 * reach, tolerance)
+        found, after = _moved(rows, arrays, ids, positions, 0.5 * reach, tolerance)
         before = self._poses[found]
         before[~self._drawn[found]] = math.nan
         return Moved(found, before, after)
@@ -91,14 +89,6 @@ class KeyPoses:
     def drawn_last(self, rows: IntArray) -> Array:
         """(k, 3) in B: where key poses are drawn, or were when they were drawn last."""
         return self._poses[rows]
-
-    def _anchor(self, row: int, pose: Array, anchors: IntArray, ids: IntArray, positions: Array) -> None:
-        """Anchor a key pose that is at `pose` to features that are in the map."""
-        anchors = anchors[-MOST_ANCHORS:]  # the youngest, which were seen from nearest by
-        count, order = len(anchors), np.argsort(ids)
-        at = order[np.searchsorted(ids, anchors, sorter=order)]
-        self._anchors[row], self._anchors[row, :count] = NO_ID, anchors
-        self._places[row, :count] = observe(pose, positions[at])
 
     def _grow(self) -> None:
         for name in ("_poses", "_drawn", "_anchors", "_places"):
@@ -116,8 +106,10 @@ def _rows_of(ids: IntArray) -> IntArray:
 
 
 @compiled
-def _now(k: int, poses: Array, anchors: IntArray, places: Array, row_of: IntArray, positions: Array) -> Array:
-    """Where a key pose is now (3,): see the module. NaN where it has lost all of its anchors."""
+def _now(
+    k: int, poses: Array, anchors: IntArray, places: Array, row_of: IntArray, positions: Array
+) -> tuple[float, float, float]:
+    """Where a key pose is now: see the module. NaN where it has lost all of its anchors."""
     x = y = u = v = 0.0
     present = 0
     for i in range(anchors.shape[1]):
@@ -125,35 +117,79 @@ def _now(k: int, poses: Array, anchors: IntArray, places: Array, row_of: IntArra
         if row >= 0:
             x, y, u, v = x + places[k, i, 0], y + places[k, i, 1], u + positions[row, 0], v + positions[row, 1]
             present += 1
-    out: Array = poses[k].copy()
     if present == 0:
-        if anchors[k, 0] != NO_ID:
-            out[:] = math.nan
-        return out
+        return (poses[k, 0], poses[k, 1], poses[k, 2]) if anchors[k, 0] == NO_ID else (math.nan, math.nan, math.nan)
     x, y, u, v = x / present, y / present, u / present, v / present
-    along, across = _STIFFNESS * math.cos(out[2]), _STIFFNESS * math.sin(out[2])
+    along, across = _STIFFNESS * math.cos(poses[k, 2]), _STIFFNESS * math.sin(poses[k, 2])
     for i in range(anchors.shape[1]):
         row = row_of[anchors[k, i]] if anchors[k, i] < len(row_of) - 1 else -1
         if row >= 0:
             px, py, fx, fy = places[k, i, 0] - x, places[k, i, 1] - y, positions[row, 0] - u, positions[row, 1] - v
             along, across = along + px * fx + py * fy, across + px * fy - py * fx
-    out[2] = math.atan2(across, along)
-    c, s = math.cos(out[2]), math.sin(out[2])
-    out[0], out[1] = u - c * x + s * y, v - s * x - c * y
-    return out
+    heading = math.atan2(across, along)
+    c, s = math.cos(heading), math.sin(heading)
+    return u - c * x + s * y, v - s * x - c * y, heading
+
+
+@compiled
+def _open(
+    k: int, pose: Array, seen: IntArray, arrays: tuple[Array, IntArray, Array], ids: IntArray, positions: Array
+) -> None:
+    """Anchor key pose k to what is seen from it, and the one before as well."""
+    (poses, anchors, places), row_of, at = arrays, _rows_of(ids), (pose[0], pose[1], pose[2])
+    poses[k], anchors[k], count = pose, NO_ID, 0
+    for feature in seen:
+        count = _anchored(k, count, at, feature, arrays, row_of, positions)
+    if k == 0:
+        return
+    here = _now(k - 1, poses, anchors, places, row_of, positions)
+    old, few, kept = anchors[k - 1].copy(), count < FEWEST_ANCHORS, 0
+    for feature in old:
+        if few:
+            count = _anchored(k, count, at, feature, arrays, row_of, positions)
+    if not math.isfinite(here[0]):
+        return
+    anchors[k - 1] = NO_ID
+    for feature in seen:
+        kept = _anchored(k - 1, kept, here, feature, arrays, row_of, positions)
+    for feature in old:
+        kept = _anchored(k - 1, kept, here, feature, arrays, row_of, positions)
+
+
+@compiled
+def _anchored(
+    k: int,
+    count: int,
+    pose: tuple[float, float, float],
+    feature: int,
+    arrays: tuple[Array, IntArray, Array],
+    row_of: IntArray,
+    at: Array,
+) -> int:
+    """Add an anchor to the first `count` of key pose k, which is at `pose`, if it is in the map; their number then."""
+    _, anchors, places = arrays
+    if count == anchors.shape[1] or feature >= len(row_of) - 1 or row_of[feature] < 0:
+        return count
+    for i in range(count):
+        if anchors[k, i] == feature:
+            return count
+    c, s, row = math.cos(pose[2]), math.sin(pose[2]), row_of[feature]
+    dx, dy = at[row, 0] - pose[0], at[row, 1] - pose[1]
+    anchors[k, count], places[k, count, 0], places[k, count, 1] = feature, c * dx + s * dy, c * dy - s * dx
+    return count + 1
 
 
 @compiled
 def _moved(
     rows: IntArray,
     arrays: tuple[Array, BoolArray, IntArray, Array],
-    row_of: IntArray,
+    ids: IntArray,
     positions: Array,
     lever: float,
     tolerance: float,
 ) -> tuple[IntArray, Array]:
     """Those of the rows that have moved, and where they are now."""
-    poses, drawn, anchors, places = arrays
+    (poses, drawn, anchors, places), row_of = arrays, _rows_of(ids)
     found, after, count = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), 0
     for k in rows:
         now = _now(k, poses, anchors, places, row_of, positions)

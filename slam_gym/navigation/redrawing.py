@@ -11,32 +11,14 @@ import math
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.navigation.grid import (
-    FREE,
-    HIT,
-    MISS,
-    SATURATION,
-    UNKNOWN,
-    WALL,
-    Blocks,
-    Cells,
-    Counts,
-    Evidence,
-    Indices,
-    Layers,
-    Sweeps,
-    reclassify,
-    trace,
-)
+from slam_gym.navigation.grid import FREE, HIT, MISS, SATURATION, UNKNOWN, WALL, Layers, PackedLayers, reclassify, trace
 from slam_gym.types import Array
 
 
 @compiled
 def redraw(
-    packed: tuple[Cells, Evidence, Blocks, Sweeps],
-    counts: tuple[Counts, Counts],
+    packed: PackedLayers,
     first_sweep: int,
-    touched: Indices,
     origin: Array,
     resolution: float,
     moved: tuple[Array, Array, Array],
@@ -48,32 +30,32 @@ def redraw(
     A pose that is NaN stands for a sweep that is not in the grid. The numbers of sweeps from `first_sweep` to
     `first_sweep` + 2k − 1 are used up. Returns the change in free cells.
     """
-    layers, (hits, crossings), (before, after, ranges) = Layers(*packed), counts, moved
-    size, sweep, changed = layers.cells.size, first_sweep, 0
-    of_hits, of_crossings = hits.ravel(), crossings.ravel()
+    layers, (before, after, ranges) = Layers(*packed), moved
+    size, sweep, changed, touched = layers.cells.size, first_sweep, 0, layers.touched
+    hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
     marked, journal = np.zeros(size, np.bool_), np.empty(size, np.int32)
     old_hits, old_crossings = np.empty(size, np.uint16), np.empty(size, np.uint16)
     for k in range(len(ranges)):
         for pose, change in ((before[k], -1), (after[k], 1)):
             if math.isnan(pose[0]):
                 continue
-            echoes, end = trace(layers.sweeps, sweep, touched, origin, resolution, pose, bearings, ranges[k], max_range)
+            echoes, end = trace(layers, sweep, origin, resolution, pose, bearings, ranges[k], max_range)
             sweep += 1
             for i in range(end):
                 cell = touched[i]
                 if not marked[cell]:
                     marked[cell], journal[changed] = True, cell
-                    old_hits[changed], old_crossings[changed] = of_hits[cell], of_crossings[cell]
+                    old_hits[changed], old_crossings[changed] = hits[cell], crossings[cell]
                     changed += 1
                 if i < echoes:
-                    of_hits[cell] += change
+                    hits[cell] += change
                 else:
-                    of_crossings[cell] += change
+                    crossings[cell] += change
     freed = 0
     for i in range(changed):
         cell = journal[i]
-        if of_hits[cell] != old_hits[i] or of_crossings[cell] != old_crossings[i]:
-            freed += _made_anew(layers, cell, int(of_hits[cell]), int(of_crossings[cell]))
+        if hits[cell] != old_hits[i] or crossings[cell] != old_crossings[i]:
+            freed += _made_anew(layers, cell, int(hits[cell]), int(crossings[cell]))
     return freed
 
 

@@ -7,19 +7,41 @@ until the next one. When it has moved by half a cell, they are taken out of the 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from slam_gym.geometry import compose, wrap_angle
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.key_poses import KeyPoses, Moved
 from slam_gym.types import Array, Beams, IntArray
 
 SPACING, TURN = 0.5, math.radians(20.0)  # [m], [rad] between key poses
 REST = 0.1  # of that: the robot counts as at rest, and but one of its sweeps there is kept
-CHECK, SHARES = 5, 4  # every so many sweeps, one in so many key poses is looked at, and the last one, …
+CHECK, SHARES = 10, 2  # every so many sweeps, one in so many key poses is looked at, and the last one, …
 SURPRISE, SURPRISING_TURN = 0.1, math.radians(2.0)  # … or where a scan corrects the pose by so much [m], [rad]
 MOST = 30_000  # sweeps that are kept; when there are more, every other one is given up
+NO_PAIRS = np.empty((0, 2), np.int64)
+
+
+class _Pose(NamedTuple):
+    x: float  # [m] in B
+    y: float  # [m]
+    heading: float  # [rad]
+
+
+_NOWHERE = _Pose(math.inf, 0.0, 0.0)
+
+
+class Features(Protocol):
+    """The features of a map, by ids that are never given twice."""
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,)"""
+
+    @property
+    def positions(self) -> Array:
+        """(n, 2) [m] in B."""
 
 
 class MovableSweeps:
@@ -31,32 +53,44 @@ class MovableSweeps:
         self._first: list[int] = []  # sweep of each key pose
         self._count = 0  # sweeps that are kept, one row each in …
         self._poses, self._ranges = np.empty((0, 3)), np.empty((0, 0))  # … in B as drawn last, and [m]
-        self._last: Array | None = None  # pose of the last sweep
-        self._kept = self._opened = np.full(3, math.inf)  # poses of the last sweep kept, and of the last key pose
+        self._last = self._kept = self._opened = _NOWHERE  # of the last sweep, the last one kept, the last key pose
         self._checks, self._unchecked = 0, 0
 
-    def enter(self, pose: Array, motion: Array, beams: Beams, seen: IntArray, ids: IntArray, positions: Array) -> None:
+    def enter(
+        self,
+        pose: Array,
+        motion: Array,
+        beams: Beams,
+        seen: IntArray,
+        features: Features,
+        fused: IntArray = NO_PAIRS,
+    ) -> None:
         """Enter a sweep taken at the estimated `pose` (3,) in B, and move those before it to where they are now.
 
         `motion` (3,) is what the odometry says of the way since the last sweep; `seen` (s,) are the ids of features
-        that were seen with this one, `ids` (n,) and `positions` (n, 2) [m] in B all features that are in the map now.
-        Raises ValueError for a pose that is not finite, or another number of beams than before.
+        that were seen with this one, `features` all that are in the map now, `fused` (k, 2) the ids of pairs that have
+        become one since, the one that is kept first. Raises ValueError for a pose that is not finite, or another number
+        of beams than before.
         """
-        if not math.isfinite(pose[0] + pose[1] + pose[2]):
+        here = _Pose(*pose.tolist())
+        if not math.isfinite(here.x + here.y + here.heading):
             raise ValueError(f"pose: expected finite numbers, got {pose}")
         if self._count and len(beams.ranges) != self._ranges.shape[1]:
             raise ValueError(f"beams: {len(beams.ranges)} of them, where sweeps so far had {self._ranges.shape[1]}")
-        surprised = self._last is not None and _apart(pose, compose(self._last, motion), SURPRISE, SURPRISING_TURN)
-        self._last, self._unchecked, corrected = pose, self._unchecked + 1, False
-        if self._first and (surprised or self._unchecked == CHECK):
-            corrected = self._follow(beams, ids, positions)
-        if corrected or _apart(pose, self._opened, SPACING, TURN):
-            self._keys.open(pose, seen, ids, positions)
+        surprised = _apart(here, _moved(self._last, motion), SURPRISE, SURPRISING_TURN)
+        self._last, self._unchecked, corrected = here, self._unchecked + 1, False
+        if len(fused):
+            self._keys.fuse(fused)
+        if self._first and (surprised or len(fused) or self._unchecked == CHECK):
+            corrected = self._follow(beams, features.ids, features.positions)
+        if corrected or _apart(here, self._opened, SPACING, TURN):
+            self._keys.open(pose, seen, features.ids, features.positions)
             self._first.append(self._count)
-            self._opened = pose
-        kept = _apart(pose, self._kept, REST * SPACING, REST * TURN)
+            self._opened = here
+        kept = _apart(here, self._kept, REST * SPACING, REST * TURN)
         self._grid.integrate(pose, beams, movable=kept)
         if kept:
+            self._kept = here
             self._keep(pose, beams)
 
     def _follow(self, beams: Beams, ids: IntArray, positions: Array) -> bool:
@@ -121,11 +155,18 @@ class MovableSweeps:
             ranges[: self._count] = self._ranges.reshape(-1, len(beams.ranges))
             self._poses, self._ranges = poses, ranges
         self._poses[self._count], self._ranges[self._count] = pose, beams.ranges
-        self._count, self._kept = self._count + 1, pose
+        self._count += 1
 
 
-def _apart(one: Array, other: Array, distance: float, turn: float) -> bool:
+def _moved(pose: _Pose, motion: Array) -> _Pose:
+    """A pose after a motion (3,), as `compose`: in plain numbers, since this is done at every tick."""
+    x, y, turn = motion.tolist()
+    c, s = math.cos(pose.heading), math.sin(pose.heading)
+    return _Pose(pose.x + c * x - s * y, pose.y + s * x + c * y, pose.heading + turn)
+
+
+def _apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bool:
     """Two poses are more than a distance [m] or a turn [rad] apart."""
-    if not math.hypot(one[0] - other[0], one[1] - other[1]) <= distance:
+    if abs(one.x - other.x) + abs(one.y - other.y) > distance:
         return True
-    return not abs(wrap_angle(one[2] - other[2])) <= turn
+    return abs(math.remainder(one.heading - other.heading, 2.0 * math.pi)) > turn

@@ -166,7 +166,7 @@ class Episode:
         """Draw the beams from where the robot believes to be, and anew what the features `seen` (m,) have moved."""
         slam_map, beams = self.slam.map, self.beams
         pose = slam_map.pose
-        self._sweeps.enter(pose, self.odometry.motion, beams, seen, slam_map.ids, slam_map.positions)
+        self._sweeps.enter(pose, self.odometry.motion, beams, seen, slam_map, self.slam.fused)
         if self.virtual_map is not None:
             covariance = turned(self.base, slam_map.pose_covariance)
             sigma = self.scenario.sensor.sigma_halfway

@@ -34,6 +34,7 @@ from slam_gym.types import (
 from slam_gym.validation import check_hypothesis, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
+_NO_PAIRS = np.empty((0, 2), np.int64)
 
 ViewFrom = Callable[[Array], View]
 """From a pose (3,) in B to `Prediction.view`: what the sensor would have in view from there."""
@@ -143,6 +144,11 @@ class Slam:
     def doubted(self) -> bool:
         """Never, as `lost`."""
         return False
+
+    @property
+    def fused(self) -> IntArray:
+        """(k, 2) ids of features that became one in the last step, the one that is kept first: none, as `lost`."""
+        return _NO_PAIRS
 
     @property
     def relocations(self) -> int:

@@ -126,3 +126,16 @@ def test_anchors_and_key_poses_are_as_many_as_one_likes():
     moved = everything(keys, ids, positions + np.array([0.0, 0.3]))
     np.testing.assert_allclose(moved.after, moved.before + np.array([0.0, 0.3, 0.0]), atol=1e-9)
     assert len(keys) == len(moved.rows) == 100
+
+
+def test_features_that_become_one_anchor_what_either_did():
+    rng = np.random.default_rng(7)
+    ids, positions = field(rng)
+    keys, younger = KeyPoses(), ids[:6]
+    keys.open(np.zeros(3), younger, ids, positions)
+    keys.fuse(np.column_stack([ids[6:], younger]))
+    turned = transform(
+        np.array([1.0, 0.0, 0.4]), positions[:6]
+    )  # the older ones are where the younger should have been
+    moved = everything(keys, ids[6:], turned)
+    np.testing.assert_allclose(moved.after, [[1.0, 0.0, 0.4]], atol=0.05)

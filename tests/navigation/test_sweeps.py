@@ -2,6 +2,7 @@
 
 import copy
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -9,8 +10,8 @@ import pytest
 from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.navigation import sweeps as module
 from slam_gym.navigation.explored_grid import UNKNOWN, WALL, ExploredGrid
-from slam_gym.navigation.sweeps import MovableSweeps
-from slam_gym.types import NO_ID, Beams
+from slam_gym.navigation.sweeps import NO_PAIRS, MovableSweeps
+from slam_gym.types import NO_ID, Array, Beams, IntArray
 
 OUTER, INNER = 13.9, 9.9  # [m] sides of the square corridor round a block
 BEARINGS = np.linspace(-np.pi, np.pi, 60, endpoint=False)
@@ -53,6 +54,13 @@ def pose_at(way):
     return compose(np.array([0.0, 0.0, side * math.pi / 2]), np.array([along - half, -half, 0.0]))
 
 
+class Map(NamedTuple):
+    """What sweeps follow."""
+
+    ids: IntArray
+    positions: Array
+
+
 class Drive:
     """Dead reckoning that turns a little too far, features mapped where it has them, and the sweeps that it enters."""
 
@@ -64,7 +72,7 @@ class Drive:
 
     def features(self):
         ids = np.array(sorted(self.known), np.int64)
-        return ids, np.array([self.known[i] for i in ids]).reshape(-1, 2)
+        return Map(ids, np.array([self.known[i] for i in ids]).reshape(-1, 2))
 
     def tick(self, step=0.1):
         before = pose_at(self.way)
@@ -73,7 +81,7 @@ class Drive:
         self.estimate = compose(self.estimate, motion)
         self.look(motion)
 
-    def look(self, motion):
+    def look(self, motion, fused=NO_PAIRS):
         local = observe(pose_at(self.way), FEATURES)
         seen = np.flatnonzero(np.hypot(*local.T) < 3.0)
         for i in seen:
@@ -81,14 +89,15 @@ class Drive:
         ids = np.array([i if self.way - self.met[i] < ROUND / 2 else 1000 + i for i in seen])  # not known again
         for i, at in zip(ids, transform(self.estimate, local[seen])):
             self.known.setdefault(i, at)
-        self.sweeps.enter(self.estimate, motion, beams_from(pose_at(self.way)), ids, *self.features())
+        self.sweeps.enter(self.estimate, motion, beams_from(pose_at(self.way)), ids, self.features(), fused)
 
     def close_the_loop(self):
         """Features come to lie where they are, and the pose; of those that are the same the younger disappear."""
+        fused = np.array([[i % 1000, i] for i in self.known if i >= 1000])
         self.known = {i % 1000: FEATURES[i % 1000] for i in self.known}
         self.met = dict.fromkeys(self.met, self.way)
         self.estimate = pose_at(self.way)
-        self.look(np.zeros(3))
+        self.look(np.zeros(3), fused)
 
 
 def astray(grid):
@@ -130,7 +139,7 @@ def test_corrections_come_in_bit_by_bit_while_the_robot_goes_on() -> None:
     beams, nothing = beams_from(pose_at(drive.way)), np.array([NO_ID])
     for share in np.linspace(1.0, 0.0, 60):  # too slow to surprise, so that only the regular looks find it
         drive.known = {i: share * at + (1 - share) * FEATURES[i % 1000] for i, at in bent.items()}
-        drive.sweeps.enter(pose_at(drive.way) + share * strayed, np.zeros(3), beams, nothing, *drive.features())
+        drive.sweeps.enter(pose_at(drive.way) + share * strayed, np.zeros(3), beams, nothing, drive.features())
     assert astray(drive.grid).max() < 0.4
 
 
@@ -153,11 +162,11 @@ def test_space_seen_with_another_map_is_taken_out_and_comes_back_with_it() -> No
     elsewhere, far = np.array([-9.0, 9.0, 0.0]), np.array([999])
     alone = Beams(BEARINGS, np.full(len(BEARINGS), 1.0), REACH)
     for _ in range(5):
-        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, far, np.array([[-9.0, 8.0]]))
+        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, Map(far, np.array([[-9.0, 8.0]])))
     assert 0 < (drive.grid.cells != UNKNOWN).sum() < 120  # a disc of 1 m
-    joined = np.array([*first, 999]), np.array([*first.values(), [-9.0, 8.0]])
+    joined = Map(np.array([*first, 999]), np.array([*first.values(), [-9.0, 8.0]]))
     for _ in range(25):
-        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, *joined)
+        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, joined)
     known = seen != UNKNOWN
     assert (drive.grid.cells == seen)[known].mean() > 0.98
 
@@ -195,7 +204,7 @@ def test_what_cannot_be_entered_is_refused() -> None:
     drive.tick()
     with pytest.raises(ValueError, match="pose"):
         drive.sweeps.enter(np.array([0.0, math.nan, 0.0]), np.zeros(3), beams_from(np.zeros(3)), np.array([0]),
-                           *drive.features())  # fmt: skip
+                           drive.features())  # fmt: skip
     with pytest.raises(ValueError, match="beams: 2 of them, where sweeps so far had 60"):
         drive.sweeps.enter(np.zeros(3), np.zeros(3), Beams(np.zeros(2), np.ones(2), REACH), np.array([0]),
-                           *drive.features())  # fmt: skip
+                           drive.features())  # fmt: skip
