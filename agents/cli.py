@@ -16,6 +16,7 @@ from rich.console import Console
 from agents.evaluation.episodes import RELOCATION, AssociateArguments, ExploreArguments
 from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.pipeline import Execution
+from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
 
 ON_A_FLOOR = "building"
@@ -119,15 +120,8 @@ def results_folder(name: str, resume: bool) -> Path:
 
 
 def run_main(main: Callable[[list[str]], int]) -> int:
-    """Run a command: bad input ends in one line on stderr and exit code 2, Ctrl-C in exit code 130."""
-    try:
-        return main(sys.argv[1:])
-    except (ValueError, ImportError, FileNotFoundError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    """Run a command with the arguments of this process; its exit code, as `slam_gym.commands.run.ended` has it."""
+    return ended(lambda: main(sys.argv[1:]))
 
 
 def program(module: str) -> str:

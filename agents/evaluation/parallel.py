@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import os
 import sys
+import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
@@ -42,7 +46,8 @@ def run_all(calls: Sequence[Callable[[], Result]], jobs: int, backend: str = "lo
 
     `ray` and `multiprocessing` do not hand on single results: these come in batches.
     """
-    tasks = [joblib.delayed(_on_one_thread)(call) for call in calls]
+    parent = os.getpid() if backend in ("loky", "multiprocessing") else None  # workers elsewhere have their own keepers
+    tasks = [joblib.delayed(_on_one_thread)(call, parent) for call in calls]
     # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     with joblib.parallel_config(backend=backend, n_jobs=jobs):
@@ -53,9 +58,23 @@ def run_all(calls: Sequence[Callable[[], Result]], jobs: int, backend: str = "lo
             yield from joblib.Parallel(return_as="generator_unordered", batch_size=1)(tasks)
 
 
-def _on_one_thread(call: Callable[[], Any]) -> Any:
+def _on_one_thread(call: Callable[[], Any], parent: int | None) -> Any:
     """Threads of BLAS and torch on top of the processes would only get in the way."""
+    if parent is not None and os.getpid() != parent:
+        _end_with(parent)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
     with threadpool_limits(1):
         return call()
+
+
+@functools.cache
+def _end_with(parent: int) -> None:
+    """End this process as soon as it has lost its parent, even one that was killed and could not say so."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

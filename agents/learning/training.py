@@ -118,6 +118,7 @@ class Watch(BaseCallback):
         for key in EPISODE_END[self._plan.decision]:
             if episodes:
                 self.logger.record(f"rollout/{key}", float(np.mean([episode[key] for episode in episodes])))
+        self.save("checkpoint.pt")  # of every rollout: a training that is killed loses no more
         if self.num_timesteps >= self._next:
             self._next += self._plan.eval_every
             self.evaluate()

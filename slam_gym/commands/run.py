@@ -9,7 +9,8 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"slam_gym {slam_gym.__version__}")
         return 0
     if name not in COMMANDS:
-        print(f"error: unknown command {name!r}; known: {', '.join(COMMANDS)}", file=sys.stderr)
+        _say(f"unknown command {name!r}; known: {', '.join(COMMANDS)}")
         return 2
     return _run(name, rest)
 
@@ -63,22 +64,40 @@ def usage() -> str:
 
 
 def _run(name: str, argv: list[str]) -> int:
-    """Bad input ends in one line on stderr and exit code 2, as does a package that is missing; Ctrl-C in 130."""
+    """Run a command that is known."""
     _find_agents()
-    try:
+
+    def command() -> int:
         code: int = importlib.import_module(COMMANDS[name].module).main(argv)
         return code
+
+    return ended(command)
+
+
+def ended(command: Callable[[], int]) -> int:
+    """The exit code of a command: bad input, a package that is missing, a full disk or a worker that was killed end in
+    one line on stderr and 2, Ctrl-C in 130."""
+    try:
+        return command()
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing in ("", "slam_gym", "agents"):
             raise
-        print(f"error: slam-gym {name} needs {missing}: pip install 'slam_gym[agents]'", file=sys.stderr)
-    except (ValueError, ImportError, FileNotFoundError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        _say(f"{missing} is missing: pip install 'slam_gym[agents]'")
+    except BrokenProcessPool:
+        _say(
+            "a worker process was killed, perhaps for want of memory: --resume goes on with what is left"
+        )
+    except (ValueError, ImportError, OSError) as error:
+        _say(str(error))
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
     return 2
+
+
+def _say(error: str) -> None:
+    print(f"error: {error}", file=sys.stderr)
 
 
 def _find_agents() -> None:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 import slam_gym
 from slam_gym.commands import run
@@ -43,7 +44,32 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, capsys):
     monkeypatch.delitem(sys.modules, "agents.play", raising=False)
     monkeypatch.delitem(sys.modules, "agents.cli", raising=False)
     assert run.main(["play"]) == 2
-    assert capsys.readouterr().err.strip() == "error: slam-gym play needs rich: pip install 'slam_gym[agents]'"
+    assert capsys.readouterr().err.strip() == "error: rich is missing: pip install 'slam_gym[agents]'"
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "said"),
+    [
+        (OSError(28, "No space left on device", "report.html"), 2, "No space left on device: 'report.html'"),
+        (TerminatedWorkerError("exit codes of the workers are {SIGKILL(-9)}"), 2, "a worker process was killed"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_what_breaks_a_command_is_told_in_one_line(raised, code, said, capsys):
+    def command():
+        raise raised
+
+    assert run.ended(command) == code
+    told = capsys.readouterr().err.strip()
+    assert said in told and "\n" not in told
+
+
+def test_a_fault_of_the_package_keeps_its_traceback():
+    def command():
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run.ended(command)
 
 
 def test_it_runs_in_a_folder_without_agents(tmp_path):

@@ -1,12 +1,18 @@
 """Calls shared out over processes: all results, whichever backend."""
 
 import os
+import select
+import subprocess
+import sys
 from functools import partial
+from pathlib import Path
 
 import pytest
 from threadpoolctl import threadpool_info
 
 from agents.evaluation.parallel import connect, run_all
+
+ROOT = Path(__file__).parents[3]
 
 
 def square(number):
@@ -38,3 +44,26 @@ def test_a_cluster_that_is_not_installed_names_its_extra(backend):
             connect(backend, 1)
     else:
         pytest.skip(f"{backend} is installed")
+
+
+ORPHANS = """
+import os, signal, sys, time
+from agents.evaluation.parallel import run_all
+
+def work():
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+
+list(run_all([work] * 2, 2))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="waits for processes that are not its children, as Linux can")
+def test_workers_end_with_a_parent_that_is_killed():
+    parent = subprocess.Popen([sys.executable, "-c", ORPHANS], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    workers = [os.pidfd_open(int(parent.stdout.readline())) for _ in range(2)]
+    parent.kill()
+    parent.wait()
+    for worker in workers:
+        assert select.select([worker], [], [], 20.0)[0], "a worker outlives its parent"
+        os.close(worker)
