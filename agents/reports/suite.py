@@ -9,7 +9,8 @@ from agents.evaluation.pipeline import Results
 from agents.evaluation.records import Record
 from agents.evaluation.tables import Column, Rows, Table, Value, cell, display_name
 from agents.reports.page import Report, card, heading, image, note, table
-from agents.reports.suite_figures import capability_bars, level_chart, outcome_bars, radar
+from agents.reports.suite_figures import capability_bars, level_chart, outcome_bars, radar, reliability_chart
+from agents.suite import reliability
 from agents.suite.numbers import (
     RELOCATION_COLUMNS,
     SuiteRecords,
@@ -43,6 +44,10 @@ _WORDS = (
     + note("<b>Spoiled</b> are scans with a wrong pairing; <b>refused</b>, measurements of a mapped feature that were "
            "left unpaired; <b>exact</b>, scans with neither.")
 )  # fmt: skip
+_RELIABLE = note(
+    "Some associators say how probable each of their decisions is, pairing or refusal. Here all decisions are gathered "
+    "by that probability: on the dashed line what is said comes true just as often, below it too much is said."
+)
 _KIDNAPPED = note(
     "An answer inside the map is <b>correct</b> within 0.3 m and 3°, else <b>wrong</b>; a search may also stay "
     "<b>silent</b>. In another building it has to be <b>refused</b>; a pose is <b>invented</b>. Score: (correct − "
@@ -60,6 +65,7 @@ def report(results: Results, folder: Path) -> Report:
     """What is told of a run of the suite; suite.png (bars) and radar.png are written into `folder` as well."""
     association, relocation = split_records(results.records)
     sections = _capabilities(association, folder) if association.records else []
+    sections += _reliability(association)
     sections += [part for name in association.experiments for part in _experiment(association, name)]
     if relocation.records:
         sections += _kidnapped(relocation)
@@ -85,6 +91,21 @@ def _capabilities(association: SuiteRecords, folder: Path) -> list[str]:
     reasons = [_reason(association, name, after) for name, after in zip(names, [*names[1:], None])]
     items = "".join(f"<li>{reason}</li>" for reason in reasons)
     return [*sections, heading("In this order, because"), f"<ol>{items}</ol>"]
+
+
+def _reliability(association: SuiteRecords) -> list[str]:
+    """For those who say how probable their decisions are: whether that comes true."""
+    found = reliability.by_associator(association.records)
+    if not found:
+        return []
+    shown = [part for one in reliability.tables(association.records)
+             for part in (f"<p><b>{html.escape(one.title)}</b></p>", table(one, list(one.rows)))]  # fmt: skip
+    return [
+        heading("Reliability"),
+        _RELIABLE,
+        card(image(reliability_chart(found), "rate right by probability")),
+        *shown,
+    ]
 
 
 def _reason(association: SuiteRecords, name: str, after: str | None) -> str:

@@ -10,6 +10,7 @@ from agents.evaluation.tables import Rows, display_name
 from agents.reports.figures import INK, MARKERS, as_png, band, colours, name_rows, new_figure
 from agents.suite.numbers import LevelCurve
 from slam_gym.simulation.judged import CEILING
+from slam_gym.types import Array
 
 _COLOURS = {"correct": "#3f9b7b", "silent": "#d5dbe2", "wrong": "#b0413e", "refused": "#3f9b7b", "invented": "#b0413e"}
 
@@ -33,6 +34,29 @@ def capability_bars(scores: Rows, names: Sequence[str]) -> bytes:
     axis.set_ylabel("score (1 = no mistake)")
     figure.legend(loc="outside upper left", ncols=4, frameon=False)
     return as_png(figure)
+
+
+def reliability_chart(found: Mapping[str, Mapping[str, Array]]) -> bytes:
+    """The rate at which decisions are right against what was predicted, on a scale of log-odds, one line per name."""
+    figure = new_figure(4.2, width=6.4)
+    axis, colour = figure.subplots(), colours(list(found))
+    ticks = np.array([0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999])
+    axis.plot(_log_odds(ticks), _log_odds(ticks), "--", color=INK, linewidth=0.9)
+    for i, (name, bins) in enumerate(found.items()):
+        some = bins["decisions"] > 0
+        x, y = _log_odds(bins["predicted"][some]), _log_odds(bins["right"][some])
+        axis.plot(x, y, marker=MARKERS[i % len(MARKERS)], color=colour[name], label=display_name(name))
+    for set_ticks in (axis.set_xticks, axis.set_yticks):
+        set_ticks(_log_odds(ticks), [f"{tick:g}" for tick in ticks])
+    axis.set_xlabel("mean probability of the decisions")
+    axis.set_ylabel("rate right")
+    figure.legend(loc="outside right upper", frameon=False)
+    return as_png(figure)
+
+
+def _log_odds(p: Array) -> Array:
+    kept = np.clip(p, 1e-4, 1.0 - 1e-4)
+    return np.log(kept / (1.0 - kept))
 
 
 def radar(scores: Rows, names: Sequence[str]) -> bytes:

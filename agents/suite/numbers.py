@@ -12,6 +12,7 @@ import numpy as np
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import Record
 from agents.evaluation.tables import Column, Rows, Table, Value, by_name, estimate
+from agents.suite import reliability
 from agents.suite.relocation_problems import OUTCOMES
 from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
@@ -140,6 +141,7 @@ def tables(results: Results) -> list[Table]:
         scores = association.scores()
         rows = {name: scores[name] for name in association.ranked}
         found.append(Table(f"association suite, {about}", "associator", score_columns(association), rows))
+        found += reliability.tables(association.records)
     if relocation.records:
         title = f"kidnapped: searches without a prior, {about}"
         found.append(Table(title, "search", RELOCATION_COLUMNS, relocation_rows(relocation)))

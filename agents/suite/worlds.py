@@ -16,10 +16,11 @@ from agents.evaluation.pipeline import SUITE, Evaluation
 from agents.evaluation.records import Key, Record
 from agents.suite.numbers import numbers
 from agents.suite.problems import Judgement, TwoLaps, ask, judge, problems
+from agents.suite.reliability import binned
 from agents.suite.relocation_problems import OUTCOMES, judge_relocation, relocation_problems
 from slam_gym.association import resolve_relocator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Experiment, get_level
-from slam_gym.types import Effort
+from slam_gym.types import Effort, Hypothesis, IntArray
 
 
 @dataclass(frozen=True)
@@ -46,14 +47,23 @@ class WorldTask:
     def _associate(self, names: Sequence[str]) -> dict[str, Record]:
         asked = {name: find_associator(name) for name in names}
         judged: dict[str, list[Judgement]] = {name: [] for name in names}
+        answers: dict[str, list[Hypothesis]] = {name: [] for name in names}
+        right: list[IntArray] = []
         efforts: dict[str, list[_Spent]] = {name: [] for name in names}
         for problem in problems(TwoLaps(get_level(self.setting), self.episode, self.split), self.problems):
+            right.append(problem.truth.right)
             for name, associate in asked.items():
                 start = time.perf_counter()
                 hypothesis = ask(name, associate, problem)
                 efforts[name].append(_Spent(hypothesis.effort, time.perf_counter() - start))
+                answers[name].append(hypothesis)
                 judged[name].append(judge(hypothesis.features, problem.truth.right))
-        return {name: association_record(judged[name]) | _effort_record(efforts[name]) for name in names}
+        return {
+            name: association_record(judged[name])
+            | _effort_record(efforts[name])
+            | {"reliability": binned(answers[name], right)}
+            for name in names
+        }
 
     def _relocate(self, names: Sequence[str]) -> dict[str, Record]:
         asked: dict[str, Callable[..., Any]] = {name: resolve_relocator(name) for name in names}

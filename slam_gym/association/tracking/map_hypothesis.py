@@ -33,6 +33,8 @@ _MIN_AREA = 1.0  # [m²]
 class _Ranking(NamedTuple):
     scores: Array  # (b,) log densities, descending
     best: list[IntArray]  # rows (m,) of the best two hypotheses
+    marginals: Array  # (m,) of the decisions of the best
+    unpaired: Array  # (m,) that each measurement is of nothing in the map
 
 
 def map_hypothesis(
@@ -50,8 +52,8 @@ def map_hypothesis(
 
     Candidates are the pairings within an individual gate ten times as sure as that of the prediction, .999 for .99: the
     density itself turns down what is improbable, so no other test is made. `posterior` holds the density, its fraction
-    of those of the final beam, and the runner-up; `effort.limit_hit` says that the beam's width turned hypotheses away.
-    A locality is used as in `jcbb`.
+    of those of the final beam, the runner-up, and the marginals; `effort.limit_hit` says that the beam's width turned
+    hypotheses away. A locality is used as in `jcbb`.
 
     Arguments:
         detection: P_D.
@@ -72,13 +74,12 @@ def map_hypothesis(
         return _ranked(hypotheses_of(tree, visibility, rates, chi2_gate(2, gate), width, margin), visibility, rates)
 
     found = near_first(scan, prediction, search, gate)
-    scores, best = found.extra
-    fractions = np.exp(scores - scores[0])
-    fractions /= fractions.sum()
+    scores, best, marginals, unpaired = found.extra
+    fractions = _fractions(scores)
     distance = joint_distance(scan, prediction, found.rows).squared
     second = as_hypothesis(prediction, best[1], 0.0, found.effort).features
     runner_up = float(fractions[1]) if len(fractions) > 1 else 0.0
-    posterior = Posterior(float(scores[0]), float(fractions[0]), second, runner_up)
+    posterior = Posterior(float(scores[0]), float(fractions[0]), second, runner_up, marginals, unpaired)
     return replace(as_hypothesis(prediction, found.rows, distance, found.effort), posterior=posterior)
 
 
@@ -132,6 +133,14 @@ def _ranked(kept: Kept, visibility: Array | None, rates: Rates) -> Found[_Rankin
     seen = log_densities(tree.pairings, beam, views(kept, visibility), np.array([rates.detection]), rates.unseen)
     scores = kept.fit + math.log(rates.density) * kept.unpaired + seen[:, 0]
     ranking = np.argsort(-scores, kind="stable")
-    best = all_rows(kept)[ranking[:2]]
-    runner_up = best[1] if len(best) > 1 else np.full(len(tree.given), UNPAIRED)
-    return Found(best[0], kept.effort, _Ranking(scores[ranking], [best[0], runner_up]))
+    rows, weights = all_rows(kept)[ranking], _fractions(scores[ranking])
+    runner_up = rows[1] if len(rows) > 1 else np.full(len(tree.given), UNPAIRED)
+    marginals, unpaired = weights @ (rows == rows[0]), weights @ (rows == UNPAIRED)
+    return Found(rows[0], kept.effort, _Ranking(scores[ranking], [rows[0], runner_up], marginals, unpaired))
+
+
+def _fractions(scores: Array) -> Array:
+    """(b,) of the densities, descending, in their sum."""
+    fractions: Array = np.exp(scores - scores[0])
+    fractions /= fractions.sum()
+    return fractions

@@ -46,6 +46,8 @@ def check(answer, prediction, ranking):
     shares = np.exp(np.array([density for density, _ in ranking]) - best)
     shares /= shares.sum()
     assert answer.posterior.probability == pytest.approx(shares[0])
+    alike = np.array([[j == rows[i] for i, j in enumerate(other)] for _, other in ranking]).reshape(len(ranking), -1)
+    assert answer.posterior.marginals == pytest.approx(shares @ alike)
     second = (
         [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in ranking[1][1]]
         if len(ranking) > 1
