@@ -85,9 +85,7 @@ def ended(command: Callable[[], int]) -> int:
             raise
         _say(f"{missing} is missing: pip install 'slam_gym[agents]'")
     except BrokenProcessPool:
-        _say(
-            "a worker process was killed, perhaps for want of memory: --resume goes on with what is left"
-        )
+        _say("a worker process was killed, perhaps for want of memory: --resume goes on with what is left")
     except (ValueError, ImportError, OSError) as error:
         _say(str(error))
     except KeyboardInterrupt:

@@ -77,10 +77,10 @@ class AssociateEnv(BaseEnv):
       `slam_gym.association.tracking.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
     - `reward`: `"truth"` or `"map_error"`; `wrong_cost`: what a wrong pairing costs, in right ones.
     - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`; not for logs.
-    - `render_mode`: `"rgb_array"` or `"human"`.
+    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call) or `"human"`.
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
+    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
 
     def __init__(
         self,

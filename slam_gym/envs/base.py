@@ -20,7 +20,7 @@ from slam_gym.validation import one_of
 Observation = dict[str, Any]
 Info = dict[str, Any]
 Split = Literal["train", "test"]
-RenderMode = Literal["rgb_array", "human"]
+RenderMode = Literal["rgb_array", "rgb_array_list", "human"]
 T = TypeVar("T")
 
 _CARRIED_OVER = ("_np_random_seed", "action_space", "observation_space", "spec")
@@ -67,6 +67,7 @@ class BaseEnv(gym.Env[Observation, Any]):
         self._watchers: list[Callable[[Any], None]] = []
         self._replaying = False
         self._window: Any = None
+        self._frames: list[NDArray[np.uint8]] = []  # not handed out yet
 
     # -- Gymnasium ---------------------------------------------------------------------------------------------------
 
@@ -80,7 +81,7 @@ class BaseEnv(gym.Env[Observation, Any]):
         if seed is not None:
             self._series = ()
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
-        self._snapshot, self._failed = Snapshot(state, self._series, options, []), False
+        self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), False, []
         compile_on_two_cores()
         return self._begin(self._draw_world(options)), self._info()
 
@@ -104,12 +105,18 @@ class BaseEnv(gym.Env[Observation, Any]):
         history.actions.append(action)
         return outcome
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned."""
+    def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
+        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned.
+
+        In `rgb_array_list` mode all pictures since the last call: one a tick, however long a goal takes.
+        """
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
             return None
         self._started(self._snapshot)
+        if self.render_mode == "rgb_array_list":
+            frames, self._frames = self._frames, []
+            return frames
         # pygame is an extra, and runs without pictures never need it
         from slam_gym.rendering.window import Window, pixels
 
@@ -216,6 +223,10 @@ class BaseEnv(gym.Env[Observation, Any]):
             callback(self)
         if self.render_mode == "human":
             self.render()
+        elif self.render_mode == "rgb_array_list":
+            from slam_gym.rendering.window import pixels
+
+            self._frames.append(pixels(self._picture()))
 
     def _started(self, part: T | None) -> T:
         """A part of the running episode. Raises RuntimeError before the first reset, when there is none."""

@@ -80,10 +80,11 @@ class ExploreEnv(BaseEnv):
       `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
     - `overrides`: fields of the scenario to change, by dotted name:
       `{"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3}`.
-    - `render_mode`: `"rgb_array"` or `"human"`; `render_covisibility` adds the edges of the covisibility graph.
+    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (one picture a tick: for films) or `"human"`;
+      `render_covisibility` adds the edges of the covisibility graph.
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
+    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
 
     def __init__(
         self,

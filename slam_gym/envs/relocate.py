@@ -76,10 +76,10 @@ class RelocateEnv(BaseEnv):
       `heading_tolerance` [rad]: how far off a right pose may be.
     - `associator`: that of the robot that made the map.
     - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`.
-    - `render_mode`: `"rgb_array"` or `"human"`.
+    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call) or `"human"`.
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
+    metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
 
     def __init__(
         self,

@@ -63,8 +63,9 @@ def world_seed(split: str, index: int) -> int:
     if split not in SPLITS:
         raise ValueError(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
     first, count = SPLITS[split]
-    if not (0 <= index < count and index == int(index)):
-        raise ValueError(f"world {index} of split {split!r}: expected a whole number 0 … {count - 1}")
+    whole = isinstance(index, int | np.integer) and not isinstance(index, bool)
+    if not (whole and 0 <= index < count):
+        raise ValueError(f"world {index!r} of split {split!r}: expected a whole number 0 … {count - 1}")
     return first + int(index)
 
 

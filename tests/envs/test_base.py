@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.save_video import save_video
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb, nearest_neighbour
@@ -145,7 +146,7 @@ def test_an_episode_that_is_over_wants_a_reset(case) -> None:
 def test_bad_arguments_that_all_have_are_refused_by_name(name) -> None:
     for options, message in (
         ({"split": "validation"}, "split='validation'.*train, test"),
-        ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, human"),
+        ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, rgb_array_list, human"),
         ({"scenario": "atlantis"}, "office-small, office, aliased, hall, crowd, kidnapped"),
         ({"overrides": {"sensor.reach": 4.0}}, "'sensor.reach': there is no such field"),
         ({"overrides": {"sensor.range": "far"}}, "'sensor.range': expected"),
@@ -357,6 +358,22 @@ def test_pictures_show_what_happens_and_change_nothing(case) -> None:
     np.testing.assert_array_equal(env.render(), pictures[-1])
     env.close()
     env.close()
+
+
+def test_the_list_of_pictures_has_one_a_tick_however_long_a_goal_takes(tmp_path) -> None:
+    pytest.importorskip("moviepy")
+    env = gym.make("slam_gym/Explore-v0", scenario=short(40), render_mode="rgb_array_list")
+    _, info = env.reset(seed=0)
+    pictures, over = env.render(), False
+    while not over:
+        *_, over, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
+        new = env.render()
+        assert len(new) == info["ticks"]
+        pictures += new
+    assert len(pictures) == 41 and env.render() == []
+    assert all(not np.array_equal(a, b) for a, b in pairwise(pictures))
+    save_video(pictures, str(tmp_path), fps=env.metadata["render_fps"], episode_trigger=lambda k: True)
+    assert len(list(tmp_path.glob("*.mp4"))) == 1
 
 
 @every_environment

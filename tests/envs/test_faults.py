@@ -30,7 +30,7 @@ from tests.rollouts import SCENARIOS, differences, episode, explore, random_acti
         ({"action": "drive"}, "action='drive'.*goal, twist"),
         ({"reward": "coverage"}, "'coverage'.*map_error, a_opt, d_opt, entropy"),
         ({"locality": "distance"}, "locality='distance'.*covisibility, None"),
-        ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, human"),
+        ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, rgb_array_list, human"),
         ({"associator": "icp"}, "'icp'.*known: .*jcbb, .*nearest_neighbour, .*true_association"),
         ({"associator": "no_such_module:f"}, "no_such_module.*known: .*jcbb"),
         ({"associator": "slam_gym.association:no_such"}, "no_such.*known: .*jcbb"),
