@@ -75,6 +75,8 @@ class AssociateEnv(BaseEnv):
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
       `slam_gym.association.tracking.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
+    - `marginals`: the observation has one vector more, `marginals` (K + 1): the log-odds of each action, squashed, by
+      all hypotheses that agree with the decisions so far (`slam_gym.association.tracking.marginals`).
     - `reward`: `"truth"` or `"map_error"`; `wrong_cost`: what a wrong pairing costs, in right ones.
     - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`; not for logs.
     - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call) or `"human"`.
@@ -92,6 +94,7 @@ class AssociateEnv(BaseEnv):
         order: Order = "as_scanned",
         compatibility: Compatibility = "joint",
         wrong_cost: float = 10.0,
+        marginals: bool = False,
         overrides: Mapping[str, Plain] | None = None,
         render_mode: RenderMode | None = None,
     ) -> None:
@@ -111,9 +114,10 @@ class AssociateEnv(BaseEnv):
             )
         self.scenario = scenario
         self._driver, self._of_truth, self._wrong_cost = driver, reward == "truth", wrong_cost
-        self.K, self.order, self.compatibility = candidates, order, compatibility
+        self.K, self.order, self.compatibility, self.marginals = candidates, order, compatibility, marginals
         parts: dict[str, spaces.Space[Any]] = {
-            name: spaces.Box(-1.0, 1.0, (length,), np.float32) for name, length in lengths(candidates).items()
+            name: spaces.Box(-1.0, 1.0, (length,), np.float32)
+            for name, length in lengths(candidates, marginals=marginals).items()
         }
         self.observation_space = spaces.Dict(parts | {"budget": spaces.Box(0.0, 1.0, (1,), np.float32)})
         self.action_space = spaces.Discrete(candidates + 1)
@@ -215,6 +219,7 @@ class AssociateEnv(BaseEnv):
                 candidates=self.K,
                 order=self.order,
                 compatibility=self.compatibility,
+                marginals=self.marginals,
             )
 
     def _earned(self, action: int) -> float:
@@ -230,7 +235,7 @@ class AssociateEnv(BaseEnv):
 
     def _observe(self) -> Observation:
         run = self.run
-        observation = nothing(self.K) if self.walk is None else self.walk.observation()
+        observation = nothing(self.K, marginals=self.marginals) if self.walk is None else self.walk.observation()
         return observation | {"budget": np.array([1.0 - run.scans / run.length], np.float32)}
 
     def _info(self) -> Info:

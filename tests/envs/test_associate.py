@@ -213,8 +213,9 @@ def test_classical_associators_reach_the_same_map_through_the_environment(associ
     np.testing.assert_array_equal(direct.map.covariance, env.run.slam.map.covariance)
 
 
-def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
-    env, seen, shown = associate(WITH_FIXED_NOISE, order="nearest_first"), [], []
+@pytest.mark.parametrize("marginals", [False, True])
+def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment(marginals):
+    env, seen, shown = associate(WITH_FIXED_NOISE, order="nearest_first", marginals=marginals), [], []
     for observation, *_ in episode(env, lambda env, info: greedy({}, info["action_mask"])):
         seen.append({name: vector for name, vector in observation.items() if name != "budget"})
 
@@ -222,7 +223,7 @@ def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
         shown.append(observation)
         return greedy(observation, mask)
 
-    slam, associator = Slam(CORRIDOR.slam), from_policy(policy, order="nearest_first")
+    slam, associator = Slam(CORRIDOR.slam), from_policy(policy, order="nearest_first", marginals=marginals)
     for odometry, scan, _ in fixed_noise(None):
         slam.step(odometry, scan, associator)
     assert not differences(shown, seen[:-1])  # the last is that of an episode that is over
@@ -294,4 +295,22 @@ def test_pictures_of_every_stage_of_an_episode_leave_it_as_it_was(scenario):
             assert pictures[-1].dtype == np.uint8
     assert len({picture.tobytes() for picture in pictures}) == len(pictures) > 3
     env.close()
+    env.close()
+
+
+def test_marginals_are_an_option_of_the_observation_and_worth_following():
+    """Whoever pairs only what is probable does better than whoever takes the nearest; same seed, same episode."""
+    env = associate("clutter/3", marginals=True, overrides={"budget": 60})
+    sure = 0.43  # squashed log-odds of .909
+
+    def by_marginals(env, info):
+        seen = np.where(info["action_mask"], env.walk.observation()["marginals"], -1.0)
+        return int(np.argmax(seen)) if seen.max() > sure else env.K
+
+    scores = {}
+    for name, choose in (("marginals", by_marginals), ("again", by_marginals), ("nearest", lambda env, info: 0)):
+        for observation, *_ in episode(env, choose, seed=2):
+            assert env.observation_space.contains(observation) and len(observation["marginals"]) == env.K + 1
+        scores[name] = env.score
+    assert scores["marginals"] == scores["again"] > scores["nearest"]
     env.close()

@@ -66,7 +66,8 @@ PAIRINGS = 8
 
 POSITION_SCALE, SIGMA_SCALE, INNOVATION_SCALE, SIZE_SCALE = 6.0, 0.1, 0.3, 1.0  # [m]
 AGE_SCALE = 50.0  # [steps]
-COUNT_SCALE, FEW_SCALE = 10.0, 3.0
+COUNT_SCALE, FEW_SCALE, ODDS_SCALE = 10.0, 3.0, 3.0
+_IMPOSSIBLE = 1e-9
 
 _ALL_LOCAL = np.empty((0, 0), np.bool_)
 _SEEN = -1  # in place of a level
@@ -114,19 +115,27 @@ class _Outlook(NamedTuple):
     left: int  # levels that have a candidate at all
 
 
-def lengths(candidates: int) -> dict[str, int]:
-    """Length of each vector of an observation with K = `candidates`."""
-    return {
+def lengths(candidates: int, *, marginals: bool = False) -> dict[str, int]:
+    """Length of each vector of an observation with K = `candidates`, `marginals` among them where asked for."""
+    without = {
         "measurement": len(MEASUREMENT_FIELDS),
         "candidates": candidates * len(CANDIDATE_FIELDS),
         "path": len(PATH_FIELDS),
         "pairings": PAIRINGS * len(PAIRING_FIELDS),
     }
+    return without | {"marginals": candidates + 1} if marginals else without
 
 
-def nothing(candidates: int) -> Observation:
+def nothing(candidates: int, *, marginals: bool = False) -> Observation:
     """The observation where there is nothing to decide."""
-    return {name: np.zeros(length, np.float32) for name, length in lengths(candidates).items()}
+    return {name: np.zeros(length, np.float32) for name, length in lengths(candidates, marginals=marginals).items()}
+
+
+def odds(probabilities: Array) -> Float32Array:
+    """`marginals`: the log-odds of each action, squashed: below −.87 for what is impossible, 0 for ½."""
+    p = np.clip(probabilities, _IMPOSSIBLE, 1.0 - _IMPOSSIBLE)
+    log_odds = np.log(p / (1.0 - p))
+    return (log_odds / (np.abs(log_odds) + ODDS_SCALE)).astype(np.float32)
 
 
 def surroundings_of(tree: Tree) -> Surroundings:

@@ -19,13 +19,14 @@ def from_policy(
     candidates: int = 5,
     order: Order = "as_scanned",
     compatibility: Compatibility = "joint",
+    marginals: bool = False,
 ) -> Associator:
     """The associator that walks the tree by `policy`, with the arguments of `Walk`. It pickles if the policy does.
 
     Raises ValueError for arguments that no `Walk` can have; the associator raises it for an action that is not legal.
     """
     check_arguments(candidates, order, compatibility)
-    return _PolicyAssociator(policy, candidates, order, compatibility)
+    return _PolicyAssociator(policy, candidates, order, compatibility, marginals)
 
 
 def greedy(observation: Observation, mask: BoolArray) -> int:
@@ -39,9 +40,17 @@ class _PolicyAssociator:
     candidates: int
     order: Order
     compatibility: Compatibility
+    marginals: bool
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        walk = Walk(scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility)
+        walk = Walk(
+            scan,
+            prediction,
+            candidates=self.candidates,
+            order=self.order,
+            compatibility=self.compatibility,
+            marginals=self.marginals,
+        )
         while not walk.done:
             walk.take(int(self.policy(walk.observation(), walk.mask.copy())))
         return walk.hypothesis()

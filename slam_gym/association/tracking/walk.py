@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from slam_gym.association.compatibility import Candidates, individual
+from slam_gym.association.tracking.marginals import marginals as marginals_of
 from slam_gym.association.tracking.observation import (
     Choice,
     Observation,
     Surroundings,
     encode,
     nothing,
+    odds,
     surroundings_of,
 )
 from slam_gym.association.tree import (
@@ -49,6 +52,7 @@ class Walk:
         candidates: K.
         order: see `Order`.
         compatibility: see `Compatibility`.
+        marginals: the observation tells how probable each action is, by all hypotheses of a search (`marginals`).
 
     Raises ValueError as `individual` does, and for arguments that are none of the known ones.
     """
@@ -61,8 +65,10 @@ class Walk:
         candidates: int = 5,
         order: Order = "as_scanned",
         compatibility: Compatibility = "joint",
+        marginals: bool = False,
     ) -> None:
         check_arguments(candidates, order, compatibility)
+        self._marginals = marginals_of(scan, prediction) if marginals else None
         self.K, self.joint = candidates, compatibility == "joint"
         self.candidates = _in_order(scan, prediction, order)
         self.tree = interpretation_tree(scan, prediction, self.candidates)
@@ -129,14 +135,35 @@ class Walk:
     def observation(self) -> Observation:
         """What a policy decides on: flat float32 vectors in [−1, 1], see `observation`. Fresh arrays; 0 at a leaf."""
         if self.done:
-            return nothing(self.K)
+            return nothing(self.K, marginals=self._marginals is not None)
         if self._surroundings is None:
             self._surroundings = surroundings_of(self.tree)
         starts, level = self.candidates.starts, self.level
         later = int(starts[level + 1])
         compatible = later - int(starts[level])
         choice = Choice(level, self.tree.levels, self.K, self.offered, self.hidden, compatible, later)
-        return encode(self.tree, self.node, self._surroundings, choice)
+        observation = encode(self.tree, self.node, self._surroundings, choice)
+        return observation if self._marginals is None else observation | {"marginals": odds(self.marginals())}
+
+    def marginals(self) -> Array:
+        """(K + 1,) probability of each action, given the decisions so far; 0 where there is none on offer.
+
+        Where no hypothesis agrees with those decisions, of the hypotheses as they are. Raises ValueError at a leaf, and
+        for a walk without marginals.
+        """
+        if self._marginals is None:
+            raise ValueError("marginals: a walk without them was asked for")
+        hypotheses, weights = self._marginals.hypotheses, self._marginals.weights
+        earlier = self.candidates.measurements[: self.level]
+        agree = weights * (hypotheses[:, earlier] == self.decided[earlier]).all(axis=1)
+        weights = agree if agree.any() else weights
+        own = hypotheses[:, self.measurement]
+        out = np.zeros(self.K + 1)
+        for action, row in enumerate(self.rows.tolist()):
+            out[action] = weights[own == row].sum()
+        out[self.K] = weights[own == UNPAIRED].sum()
+        out /= weights.sum()
+        return out
 
     def take(self, action: int) -> None:
         """Decide the current measurement. Raises ValueError for an action that is not legal, and at a leaf."""
@@ -152,7 +179,8 @@ class Walk:
     def hypothesis(self) -> Hypothesis:
         """The answer that the path amounts to, with `*` for what is undecided."""
         effort = Effort(self.level, self.candidates.tests, self._tests)
-        return hypothesis(self.tree, self.node, effort, exclusive=self.joint)
+        answer = hypothesis(self.tree, self.node, effort, exclusive=self.joint)
+        return answer if self._marginals is None else replace(answer, experience=self._marginals.experience)
 
     def _proceed(self) -> None:
         """On to the next level with a choice; `*` alone is played."""

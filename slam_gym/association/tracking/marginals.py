@@ -1,0 +1,206 @@
+"""The probability of every pairing, over all hypotheses that a beam search keeps.
+
+With w_H the weight of hypothesis H, its density (`scan_hypotheses`) over the sum of those of all hypotheses,
+measurement i is of feature j with the marginal probability
+
+    p_ij = Σ of w_H over the H that pair i with j.
+
+Neither λ nor P_D is known. A priori λ is taken for Γ-distributed, as a₀ unpaired measurements in b₀ m² would leave it,
+and P_D for one of a few values; what earlier scans of the run have shown (`Experience`) adds to a and b, and to the
+weights of those values. Both are integrated out: a hypothesis that leaves u measurements unpaired, in a scan of area A,
+has the density
+
+    N(ν_H; 0, S_H) · Γ(a + u) / (b + A)^(a + u) · Σ over P_D of weight · Π P_D v_j · Π (1 − P_D v_j).
+
+Nor is the heading, where the wheels are bad: a heading that is too uncertain for the linear prediction is split into
+narrow ones (`headings`), and the hypotheses are those in any of them.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import gammaln
+
+from slam_gym._compile import compiled
+from slam_gym.association.compatibility import chi2_gate, individual, plain
+from slam_gym.association.tracking.headings import Heading, headings
+from slam_gym.association.tracking.near_first import together
+from slam_gym.association.tracking.scan_hypotheses import (
+    Kept,
+    Rates,
+    all_rows,
+    candidate_gate,
+    check_search,
+    checked_visibility,
+    log_densities,
+    search,
+    views,
+)
+from slam_gym.association.tree import Tree, interpretation_tree
+from slam_gym.types import UNPAIRED, Array, Effort, Experience, IntArray, Prediction, Scan
+
+DETECTIONS = np.array([0.3, 0.5, 0.7, 0.85, 0.95])
+"""Values of P_D that are weighed against each other."""
+
+NOTHING_SEEN = Experience(0.0, 0.0, np.zeros(len(DETECTIONS)))
+"""What is known before the first scan of a run."""
+
+_UNPAIRED, _AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is some .02 before anything was seen
+_MEMORY = 0.95  # what a scan counts in the next
+_MIN_AREA = 1.0  # [m²] of a scan
+_SURE, _SURELY = np.zeros(1), 1e9  # log weights where P_D is given; [m²] as good as seen where λ is
+_FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
+_TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
+
+
+class Marginals(NamedTuple):
+    """The probability of every pairing, over all hypotheses that a search kept."""
+
+    hypotheses: IntArray  # (b, m) row of the prediction that each pairs with each measurement, or UNPAIRED
+    weights: Array  # (b,) in sum 1
+    log_densities: Array  # (b,) unnormalised
+    pairings: Array  # (m, k) p_ij
+    unpaired: Array  # (m,) probability that each measurement is of nothing in the map
+    effort: Effort
+    experience: Experience  # with this scan
+
+
+def marginals(
+    scan: Scan,
+    prediction: Prediction,
+    *,
+    detection: float | None = None,
+    density: float | None = None,
+    unseen: float = 0.05,
+    width: int = 100,
+    margin: float = 12.0,
+) -> Marginals:
+    """The probability of every pairing within the gate of `candidate_gate`. Arguments and errors: see `marginal`."""
+    check_search(0.5 if detection is None else detection, unseen, width, margin)
+    if density is not None and not 0.0 < density < math.inf:
+        raise ValueError(f"density: {density} per m² is not positive")
+    known, area = prediction.experience or NOTHING_SEEN, _area(plain(scan.points))
+    belief = _belief(detection, density, len(scan), known, area)
+    parts = [_Part.of(scan, heading, belief, unseen) for heading in headings(prediction)]
+    parts = _worth_searching(parts, margin)
+    kept = [part.search(width, margin) for part in parts]
+    fit = [part.log_weight + one.fit + belief.prices[one.unpaired] for part, one in zip(parts, kept)]
+    seen = [
+        log_densities(one.tree.pairings, one.beam, views(one, part.visibility, _TOGETHER), belief.values, unseen)
+        for part, one in zip(parts, kept)
+    ]
+    hypotheses = _joined([all_rows(one) for one in kept])
+    summed = _summed(hypotheses, _joined(fit), _joined(seen), belief.weights, len(prediction))
+    scores, shares, by_value, pairings, unpaired = summed
+    learned = detection is None and parts[0].visibility is not None
+    experience = Experience(
+        _MEMORY * (known.unpaired + float(unpaired.sum())),
+        _MEMORY * (known.area + area),
+        _MEMORY * by_value if learned else known.detections,
+    )
+    effort = functools.reduce(together, [one.effort for one in kept])
+    return Marginals(hypotheses, shares, scores, pairings, unpaired, effort, experience)
+
+
+class _Belief(NamedTuple):
+    """What is taken for true of λ and P_D before the scan."""
+
+    values: Array  # (d,) that P_D may have
+    weights: Array  # (d,) log weights of those
+    detection: float  # their mean
+    unpaired: float  # a, with nothing unpaired in this scan
+    area: float  # [m²] b + A
+    prices: Array  # (m + 1,) log density of leaving so many measurements unpaired
+
+    def density(self, strange: int) -> float:
+        """[1/m²] λ of a scan in which `strange` measurements have no candidate."""
+        return (self.unpaired + strange) / self.area
+
+
+def _belief(detection: float | None, density: float | None, m: int, known: Experience, area: float) -> _Belief:
+    """Of a scan of m measurements in `area` [m²]."""
+    values, weights = (DETECTIONS, plain(known.detections)) if detection is None else (np.array([detection]), _SURE)
+    odds = np.exp(weights - weights.max())
+    a, b, u = _UNPAIRED + known.unpaired, _AREA + known.area + area, np.arange(m + 1)
+    if density is None:
+        prices: Any = gammaln(a + u) - (a + u) * math.log(b)
+    else:
+        a, b, prices = _SURELY * density, _SURELY, u * math.log(density)
+    return _Belief(values, weights, float(odds @ values / odds.sum()), a, b, prices)
+
+
+class _Part(NamedTuple):
+    """The search in one narrow heading."""
+
+    log_weight: float
+    tree: Tree
+    visibility: Array | None
+    rates: Rates
+    gate: float
+
+    @classmethod
+    def of(cls, scan: Scan, heading: Heading, belief: _Belief, unseen: float) -> _Part:
+        """The search is told one λ, by what has no candidate besides, and one P_D."""
+        prediction = heading.prediction
+        gate = candidate_gate(prediction.confidence)
+        candidates = individual(scan, prediction, gate)
+        strange = int((candidates.starts[1:] == candidates.starts[:-1]).sum())
+        rates = Rates(belief.detection, unseen, belief.density(strange))
+        tree, visibility = interpretation_tree(scan, prediction, candidates), checked_visibility(prediction)
+        return cls(heading.log_weight, tree, visibility, rates, chi2_gate(2, gate))
+
+    def search(self, width: int, margin: float) -> Kept:
+        return search(self.tree, self.visibility, self.rates, self.gate, width, margin)
+
+
+def _worth_searching(parts: list[_Part], margin: float) -> list[_Part]:
+    """Those in which the first look finds a hypothesis that is not hopeless beside the best."""
+    if len(parts) == 1:
+        return parts
+    best = [part.log_weight + part.search(_FIRST_LOOK, margin).beam.score[0] for part in parts]
+    return [part for part, score in zip(parts, best) if score > max(best) - margin]
+
+
+def _joined(arrays: list[Any]) -> Any:
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+@compiled
+def _summed(
+    hypotheses: IntArray, fit: Array, seen: Array, prior: Array, features: int
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Of the hypotheses the log densities and weights (b,), P_D summed over; the log weights of P_D (d,); and the sums
+    of the weights of the hypotheses that make each pairing (m, k), and that leave each measurement unpaired (m,)."""
+    count, values = seen.shape
+    scores, by_value = np.empty(count), np.full(values, -math.inf)
+    for b in range(count):
+        scores[b] = -math.inf
+        for d in range(values):
+            density = fit[b] + seen[b, d] + prior[d]
+            scores[b], by_value[d] = np.logaddexp(scores[b], density), np.logaddexp(by_value[d], density)
+    weights = np.exp(scores - scores.max())
+    weights /= weights.sum()
+    pairings, unpaired = np.zeros((hypotheses.shape[1], features)), np.zeros(hypotheses.shape[1])
+    for b in range(count):
+        for i in range(hypotheses.shape[1]):
+            if hypotheses[b, i] == UNPAIRED:
+                unpaired[i] += weights[b]
+            else:
+                pairings[i, hypotheses[b, i]] += weights[b]
+    return scores, weights, by_value - by_value.max(), pairings, unpaired
+
+
+@compiled
+def _area(points: Array) -> float:
+    """[m²] of the box around the measurements."""
+    if len(points) == 0:
+        return 0.0
+    left, right, bottom, top = points[0, 0], points[0, 0], points[0, 1], points[0, 1]
+    for i in range(1, len(points)):
+        left, right = min(left, points[i, 0]), max(right, points[i, 0])
+        bottom, top = min(bottom, points[i, 1]), max(top, points[i, 1])
+    return float(max((right - left) * (top - bottom), _MIN_AREA))
