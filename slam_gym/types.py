@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -226,6 +227,12 @@ class Prediction:
             self.positions if positions is None else positions, self.covariances if covariances is None else covariances
         )
 
+    def rows(self, kept: IntArray) -> Prediction:
+        """Of the features in the rows `kept` (j,) alone."""
+        local = None if self.local is None else _ChosenRows(self.local, kept)
+        chosen = {name: getattr(self, name)[kept] for name in _BY_ROW}
+        return replace(self, **chosen, joint=_ChosenRows(self.joint, kept), local=local)
+
     def without_locality(self) -> Prediction:
         """The same, with all features local to all."""
         return replace(self, near=np.ones(len(self), np.bool_), local=None)
@@ -255,6 +262,30 @@ class Prediction:
             ages=np.zeros(k, np.int64), near=np.ones(k, np.bool_), heading_variance=0.0,
             heading_covariances=np.zeros((k, 2)), confidence=confidence, joint=DenseCovariance(P),
         )  # fmt: skip
+
+
+_BY_ROW = (
+    "features",
+    "positions",
+    "covariances",
+    "sizes",
+    "size_variances",
+    "kinds",
+    "ages",
+    "near",
+    "heading_covariances",
+)  # fields of a prediction with a row for each feature
+
+
+@dataclass(frozen=True, slots=True)
+class _ChosenRows:
+    """What is asked by rows, of some of them."""
+
+    of_all: Callable[[IntArray], Any]
+    kept: IntArray  # (j,)
+
+    def __call__(self, rows: IntArray) -> Any:
+        return self.of_all(self.kept[rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,4 +450,6 @@ class SlamStep:
     hypothesis: Hypothesis
     ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NO_ID = discarded
     created: BoolArray  # (m,) the measurement started a feature
-    removed: IntArray  # ids of the features dropped by maintenance at the end of the step
+    removed: IntArray  # ids of the features that the map has no longer at the end of the step
+    returned: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    # ids of features that were removed before, as another map was begun, and are back, as it was joined

@@ -1,5 +1,7 @@
 """The constructors from users' arrays: what they make, and how they refuse what does not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,14 @@ def test_marginals_are_the_blocks_of_a_joint_covariance() -> None:
 def test_what_does_not_fit_is_refused_by_name(make, message) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_some_rows_of_a_prediction_are_those_of_all() -> None:
+    P = np.diag(np.arange(1.0, 9.0))
+    whole = Prediction.from_gaussian([[0, 0], [1, 0], [2, 0], [3, 0]], P)
+    whole = replace(whole, local=lambda rows: np.subtract.outer(rows, rows) % 2 == 0)
+    some = whole.rows(np.array([1, 3]))
+    assert some.features.tolist() == [1, 3] and len(some) == 2
+    np.testing.assert_array_equal(some.positions, [[1, 0], [3, 0]])
+    np.testing.assert_array_equal(some.joint(np.array([1, 0])), np.diag([7.0, 8.0, 3.0, 4.0]))
+    assert some.local is not None and some.local(np.array([0, 1])).all()

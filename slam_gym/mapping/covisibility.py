@@ -77,6 +77,28 @@ class CovisibilityGraph:
         _keep(self._neighbours, self._counts, self._degrees, self.n, kept)
         self.n = len(kept)
 
+    def followed_by(self, other: CovisibilityGraph) -> CovisibilityGraph:
+        """A graph of these nodes, then those of `other`, with the edges of both."""
+        ours, theirs = self.edges(), other.edges()
+        pairs = np.concatenate([ours.pairs, theirs.pairs + self.n])
+        return graph_of(self.n + other.n, Edges(pairs, np.concatenate([ours.counts, theirs.counts])))
+
+    def fused(self, kept: IntArray, dropped: IntArray) -> CovisibilityGraph:
+        """A graph in which node kept[i] takes over the edges of dropped[i], (k,), and the latter are gone.
+
+        Where both saw the same node, the counts add up; what they saw of each other is forgotten.
+        """
+        became = np.arange(self.n)
+        became[dropped] = kept
+        edges = self.edges()
+        pairs = np.sort(became[edges.pairs], axis=1)
+        apart = pairs[:, 0] != pairs[:, 1]
+        pairs, where = np.unique(pairs[apart], axis=0, return_inverse=True)
+        counts = np.bincount(where.ravel(), weights=edges.counts[apart], minlength=len(pairs)).astype(np.int64)
+        graph = graph_of(self.n, Edges(pairs, counts))
+        graph.keep(np.delete(np.arange(self.n), dropped))
+        return graph
+
     def count(self, i: int, j: int) -> int:
         """How many scans saw both features. Raises IndexError where one is not in the graph."""
         if not (0 <= i < self.n and 0 <= j < self.n):
@@ -117,6 +139,25 @@ class CovisibilityGraph:
         end, counts = self._neighbours[: self.n][filled], self._counts[: self.n][filled]
         once = start < end
         return Edges(np.column_stack([start[once], end[once]]), counts[once])
+
+
+def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
+    """The graph of n nodes with these edges, each given once. Raises ValueError for pairs of other than two of them."""
+    pairs = np.asarray(edges.pairs, np.int64).reshape(-1, 2)
+    if np.any((pairs < 0) | (pairs >= n)) or np.any(pairs[:, 0] == pairs[:, 1]):
+        raise ValueError(f"edges: not pairs of two different ones of {n} nodes")
+    graph = CovisibilityGraph()
+    graph.add(n)
+    ends, others = np.concatenate([pairs, pairs[:, ::-1]]).T
+    order = np.lexsort((others, ends))
+    degrees = np.bincount(ends, minlength=n)
+    at = np.arange(len(order)) - np.repeat(np.cumsum(degrees) - degrees, degrees)
+    width = max(int(degrees.max(initial=0)), _WIDTH)
+    graph._neighbours, graph._counts = (np.zeros((len(graph._degrees), width), np.int64) for _ in range(2))
+    graph._neighbours[ends[order], at] = others[order]
+    graph._counts[ends[order], at] = np.concatenate([edges.counts, edges.counts])[order]
+    graph._degrees[:n] = degrees
+    return graph
 
 
 @dataclass(frozen=True, slots=True)

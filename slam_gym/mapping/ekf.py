@@ -76,6 +76,63 @@ def symmetric(P: Array, d: int) -> Array:
 
 
 @compiled
+def covariance_of(P: Array, features: IntArray) -> Array:
+    """(2k, 2k) of the features (k,), from the upper triangle of P."""
+    k = len(features)
+    out = np.empty((2 * k, 2 * k))
+    for a in range(2 * k):
+        row = 3 + 2 * features[a // 2] + a % 2
+        for b in range(2 * k):
+            column = 3 + 2 * features[b // 2] + b % 2
+            out[a, b] = P[min(row, column), max(row, column)]
+    return out
+
+
+@compiled
+def relative_areas(P: Array, reference: int, features: IntArray) -> Array:
+    """(k,) √det(P_jj + P_rr − P_jr − P_rj) of the features j (k,) and the reference r."""
+    out = np.empty(len(features))
+    for k in range(len(features)):
+        xx, xy, yy = _difference(P, 3 + 2 * reference, 3 + 2 * features[k])
+        out[k] = math.sqrt(max(xx * yy - xy * xy, 0.0))
+    return out
+
+
+@compiled
+def _difference(P: Array, p: int, q: int) -> tuple[float, float, float]:
+    """xx, xy and yy of the covariance of F_i − F_j, whose states start at p and q."""
+    low, high = min(p, q), max(p, q)
+    if low == high:
+        return 0.0, 0.0, 0.0
+    xx = P[p, p] + P[q, q] - 2.0 * P[low, high]
+    yy = P[p + 1, p + 1] + P[q + 1, q + 1] - 2.0 * P[low + 1, high + 1]
+    return xx, P[p, p + 1] + P[q, q + 1] - P[low, high + 1] - P[low + 1, high], yy
+
+
+@compiled
+def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gate: float) -> Array:
+    """(a, b) D²_ij = (F_i − F_j)ᵀ (P_ii + P_jj − P_ij − P_ji)⁻¹ (F_i − F_j), inf where it is not less than the gate.
+
+    As P_ii + P_jj − P_ij − P_ji ≤ 2 (P_ii + P_jj), most pairs are refused before their covariance is looked up.
+    """
+    out = np.full((len(first), len(second)), np.inf)
+    for a in range(len(first)):
+        p = 3 + 2 * first[a]
+        for b in range(len(second)):
+            q = 3 + 2 * second[b]
+            u, v = x[p] - x[q], x[p + 1] - x[q + 1]
+            widest = 2.0 * (P[p, p] + P[p + 1, p + 1] + P[q, q] + P[q + 1, q + 1])
+            if u * u + v * v >= gate * widest:
+                continue
+            xx, xy, yy = _difference(P, p, q)
+            determinant = xx * yy - xy * xy
+            if determinant > 0.0:
+                distance = (yy * u * u - 2.0 * xy * u * v + xx * v * v) / determinant
+                out[a, b] = distance if distance < gate else np.inf
+    return out
+
+
+@compiled
 def _innovation(
     x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, paired: IntArray
 ) -> tuple[Array, Array, Array]:

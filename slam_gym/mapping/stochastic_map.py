@@ -147,6 +147,27 @@ class StochasticMap:
         """(3 + 2n, 3 + 2n) of the state, symmetric to the last bit."""
         return ekf.symmetric(self._P, self._d)
 
+    def covariance_of(self, features: IntArray) -> Array:
+        """(2k, 2k) [m²] joint covariance of `features` (k,) in B, without that of the whole map.
+
+        Raises ValueError where one does not exist.
+        """
+        return ekf.covariance_of(self._P, self._existing(features))
+
+    def relative_areas(self, reference: int, features: IntArray) -> Array:
+        """(k,) [m²] √det of the covariance of F_j − F_r, for `features` j (k,) and a `reference` r to know them from.
+
+        Raises ValueError where a feature does not exist.
+        """
+        return ekf.relative_areas(self._P, int(self._existing(np.array([reference]))[0]), self._existing(features))
+
+    def distances_between(self, first: IntArray, second: IntArray, gate: float) -> Array:
+        """(a, b) D² of F_i − F_j for features i of `first` (a,) and j of `second` (b,); inf where it exceeds `gate`.
+
+        Raises ValueError where a feature does not exist.
+        """
+        return ekf.distances_between(self._x, self._P, self._existing(first), self._existing(second), gate)
+
     @property
     def ids(self) -> IntArray:
         """(n,) id of each feature, never given twice."""
@@ -345,6 +366,12 @@ class StochasticMap:
         """What was predicted from the estimate until now is out of date, and says so when it is asked."""
         self._estimate.stands = False
         self._estimate = _Estimate()
+
+    def _existing(self, features: IntArray) -> IntArray:
+        features = np.ascontiguousarray(features, dtype=np.int64)
+        if np.any((features < 0) | (features >= self.n)):
+            raise ValueError(f"features: {features.tolist()} do not all exist in a map of {self.n} features")
+        return features
 
     @property
     def _d(self) -> int:

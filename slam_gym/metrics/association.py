@@ -6,6 +6,7 @@ map as it was before its scan, so what a scan creates is no excuse and no trap f
 
 from __future__ import annotations
 
+import bisect
 import math
 from dataclasses import dataclass
 from enum import IntEnum
@@ -126,6 +127,8 @@ class Identities:
         self._counts += counts
         for i in step.created.nonzero()[0].tolist():
             self._add(step.ids.item(i), truth.sources.item(i))
+        for feature in step.returned.tolist():
+            self._add(feature, self._source.item(feature))
         for feature in step.removed.tolist():
             self._remove(feature)
         return Tally(*counts.tolist())
@@ -134,7 +137,7 @@ class Identities:
         self._source = _grown(self._source, feature, UNLABELLED)
         self._source[feature] = source
         if source >= 0:
-            self._in_map.setdefault(source, []).append(feature)
+            bisect.insort(self._in_map.setdefault(source, []), feature)
             self._oldest = _grown(self._oldest, source, NO_ID)
             self._oldest[source] = self._in_map[source][0]
 

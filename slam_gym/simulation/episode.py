@@ -22,8 +22,9 @@ from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping
-from slam_gym.slam.relocation import Relocate, RelocatingSlam
-from slam_gym.slam.slam import Slam, SlamSpec, send
+from slam_gym.slam.atlas import AtlasSpec, slam_of
+from slam_gym.slam.relocation import Relocate
+from slam_gym.slam.slam import SlamSpec, send
 from slam_gym.types import Array, Associator, BoolArray, Hypothesis, IntArray, Prediction, SlamStep
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
@@ -76,7 +77,8 @@ class Episode:
     """The state of one episode, moved on by `tick`.
 
     `associator` is a name, `"module:function"` or a callable. `virtual` asks for the virtual map, which only the
-    uncertainty rewards need. Without `relocate`, a robot that was carried away never finds back.
+    uncertainty rewards need. Without `relocate`, a robot that was carried away never finds back; with `atlas` besides,
+    loops are closed and a lost robot starts another map.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class Episode:
         locality: bool = True,
         virtual: bool = False,
         relocate: Relocate | None = None,
+        atlas: AtlasSpec | None = None,
     ) -> None:
         self.scenario = scenario
         self.site = site
@@ -97,7 +100,7 @@ class Episode:
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         spec = _slam_spec(scenario, locality)
-        self.slam = RelocatingSlam(spec, relocate, self._view_from) if relocate else Slam(spec, self._view_from)
+        self.slam = slam_of(spec, relocate, self._view_from, atlas)
         self._judged = JudgedSlam(self.slam, associator)
         self.identities = self._judged.identities
         self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
@@ -186,8 +189,8 @@ class Episode:
 
     @property
     def landmarks(self) -> Array:
-        """(e, 2) [m] confirmed features of the map, in W."""
-        return transform(self.base, self.slam.map.confirmed)
+        """(e, 2) [m] confirmed features of the map, in W; those of maps that are not joined with it come after."""
+        return transform(self.base, np.concatenate([m.confirmed for m in self.slam.maps]))
 
     def map_error(self) -> float:
         """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""

@@ -15,7 +15,8 @@ _CUTOFF = 1.0  # [m] of the GOSPA that is reported
 
 
 def quality(episode: Episode) -> dict[str, float]:
-    """Measures of the episode so far; provisional features (seen too seldom to be confirmed) count nowhere.
+    """Measures of the episode so far; provisional features (seen too seldom to be confirmed) count nowhere, and those
+    of maps that a lost robot has left count as long as they are not joined with the current one.
 
     `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
     duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `local_error` [m] is by how much distances
@@ -24,9 +25,8 @@ def quality(episode: Episode) -> dict[str, float]:
     over the ticks. `recovered`: after a kidnapping, the pose was right again; `ticks_astray` until then.
     """
     kidnapping = episode.kidnapping
-    slam_map, tally = episode.slam.map, episode.identities.total
-    confirmed = np.flatnonzero(~slam_map.provisional)
-    sources = episode.identities.source_of(slam_map.ids[confirmed])
+    maps, tally = episode.slam.maps, episode.identities.total
+    sources = episode.identities.source_of(np.concatenate([m.ids[~m.provisional] for m in maps]))
     real, first = np.unique(sources, return_index=True)
     first, real = first[real >= 0], real[real >= 0]
     landmarks = episode.landmarks
@@ -37,7 +37,7 @@ def quality(episode: Episode) -> dict[str, float]:
         "coverage": episode.coverage(),
         "landmark_rmse_raw": landmark_rmse(mapped, true),
         "landmark_rmse_aligned": landmark_rmse(mapped, true, aligned=True),
-        "local_error": local_error(mapped, true, _seen_together(episode, confirmed[first])),
+        "local_error": local_error(mapped, true, _seen_together(episode, first)),
         "gospa": parts.total,
         "gospa_localisation": parts.localisation,
         "gospa_missed": parts.missed,
@@ -57,13 +57,15 @@ def quality(episode: Episode) -> dict[str, float]:
     }
 
 
-def _seen_together(episode: Episode, features: IntArray) -> IntArray:
-    """Pairs (e, 2) of the map's `features` (k,) that share an edge of the covisibility graph, as indices into these."""
+def _seen_together(episode: Episode, chosen: IntArray) -> IntArray:
+    """Pairs (e, 2) of the `chosen` (k,) of all confirmed features, by position, that the current map saw together."""
+    confirmed = np.flatnonzero(~episode.slam.map.provisional)
     rows = np.full(episode.slam.map.n, -1)
-    rows[features] = np.arange(len(features))
+    current = np.flatnonzero(chosen < len(confirmed))
+    rows[confirmed[chosen[current]]] = current
     pairs = rows[episode.slam.covisibility.edges().pairs]
-    chosen: IntArray = pairs[(pairs >= 0).all(axis=1)]
-    return chosen
+    together: IntArray = pairs[(pairs >= 0).all(axis=1)]
+    return together
 
 
 def _ticks_astray(episode: Episode) -> float:

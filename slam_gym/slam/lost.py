@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, Prediction
+from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Prediction
 
 EXPECTED = 0.5  # visibility from which a feature should be in view
 _STILL_EXPECTED = 0.1  # … and from which it should if the last scan paired it
 _BELIEVED_AGAIN = 2.0  # a lost robot must pair so many times what one that is not lost must
+_NEAREST = 1e-9  # [m]
+_KNOWN_AFTER = 10  # [scans] in which the sensor has looked no farther to the side than before
 _EXPLAINED = 0.5  # fraction of the measurements that, once paired, speaks for the pose whatever should be in view
 
 
@@ -20,6 +22,9 @@ class Tracker:
 
     - too few of the features that should be in view are paired, while most of what is measured is not paired either; or
     - right after a scan that knew its way, hardly anything that is measured is paired.
+
+    Where nobody tells what is in view, the directions in which anything was measured so far stand for it: what the last
+    scan paired and a turn has put out of view is not expected. A doubt then stands until a scan pairs something.
 
     So what is new on the map's rim is no reason to doubt as long as it comes into view by and by, and neither is what
     walls are known to hide.
@@ -34,11 +39,20 @@ class Tracker:
         self.fraction, self.scans, self.min_expected = fraction, scans, min_expected
         self.doubted = 0  # scans in a row
         self._last_paired: set[int] = set()  # features that the last scan believed was paired with
+        self._least_cosine = 1.0  # of the directions of all that was measured so far
+        self._looks = 0  # scans since that last fell
 
     @property
     def lost(self) -> bool:
         """So many scans were doubted that the pose cannot be right."""
         return self.doubted >= self.scans
+
+    def look(self, points: Array) -> None:
+        """Learn from measurements (m, 2) [m] in R how far the sensor looks to either side."""
+        ahead = points[:, 0] / np.maximum(np.hypot(points[:, 0], points[:, 1]), _NEAREST)
+        least = float(ahead.min(initial=1.0))
+        self._looks = 0 if least < self._least_cosine else self._looks + 1
+        self._least_cosine = min(least, self._least_cosine)
 
     def doubts(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
         """Whether the scan paired too little to be learned from; `established` (k,) rows of the prediction.
@@ -47,13 +61,14 @@ class Tracker:
         """
         known = set(prediction.features[established].tolist())
         expected = set(prediction.features[established & self._should_be_seen(prediction)].tolist())
+        still = known & self._last_paired if prediction.view is not None else expected
         paired = known.intersection(hypothesis.features.tolist())
         measured = len(hypothesis.features)
         fraction = self.fraction * (_BELIEVED_AGAIN if self.lost else 1.0)
         missing = len(expected) >= self.min_expected and len(expected & paired) < fraction * len(expected)
-        strange = (
-            min(measured, len(known & self._last_paired)) >= self.min_expected and len(paired) < fraction * measured
-        )
+        few = measured >= self.min_expected and len(paired) < fraction * measured
+        unresolved = self.doubted > 0 and prediction.view is None
+        strange = few and (unresolved or len(still) >= self.min_expected)
         unsure = self.lost and len(expected & paired) < _BELIEVED_AGAIN * self.min_expected
         if (missing and len(paired) < _EXPLAINED * measured) or strange or unsure:
             self.doubted += 1
@@ -66,7 +81,24 @@ class Tracker:
         self.doubted = 0
         self._last_paired = set(hypothesis.features[hypothesis.features != UNPAIRED].tolist())
 
+    def forget(self) -> None:
+        """Begin anew, in another map."""
+        self.doubted, self._last_paired = 0, set()
+
+    def renumber(self, became: IntArray) -> None:
+        """Each of the map's n features `became` (n,) another, or UNPAIRED where it is gone."""
+        self._last_paired = {int(became[feature]) for feature in self._last_paired} - {UNPAIRED}
+
     def _should_be_seen(self, prediction: Prediction) -> BoolArray:
         paired = np.array([feature in self._last_paired for feature in prediction.features.tolist()], dtype=np.bool_)
         visibility = prediction.visibility()
-        return paired if visibility is None else (visibility >= EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
+        if visibility is None:
+            return paired & self._in_sector(prediction.positions)
+        return (visibility >= EXPECTED) | (paired & (visibility >= _STILL_EXPECTED))
+
+    def _in_sector(self, positions: Array) -> BoolArray:
+        """(k,) which of the positions (k, 2) in R lie in a direction in which the sensor looks; at first, all."""
+        if self._looks < _KNOWN_AFTER:
+            return np.ones(len(positions), np.bool_)
+        ahead: BoolArray = positions[:, 0] >= self._least_cosine * np.hypot(positions[:, 0], positions[:, 1])
+        return ahead

@@ -118,8 +118,7 @@ def as_scan(m: StochasticMap, group: IntArray) -> Scan:
     if len(group) < 3 or group.min() < 0 or group.max() >= m.n:
         raise ValueError(f"group: {group.tolist()} are not three or more features of a map of {m.n}")
     points = m.positions[group]
-    entries = (3 + 2 * group[:, None] + np.arange(2)).ravel()
-    shape = shape_covariance(points, m.covariance[np.ix_(entries, entries)])
+    shape = shape_covariance(points, m.covariance_of(group))
     g = np.arange(len(group))
     blocks = shape.reshape(len(group), 2, len(group), 2)[g, :, g, :] + _FLOOR * np.eye(2)
     roots = np.linalg.cholesky(blocks)

@@ -78,12 +78,17 @@ class RelocatingSlam(Slam):
         step = super().asking_step(odometry, scan)
         prediction = next(step)
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
+        self.tracker.look(scan.points)
         if not self.tracker.doubts(prediction, hypothesis, ~self.map.provisional[prediction.features]):
             return send(step, hypothesis)
         found = self.relocate(self, scan) if self.lost else None
         if found is None:
             return self._learn_nothing(prediction, scan)
         return self._go_on_from(found, scan)
+
+    def _renumber(self, became: IntArray) -> None:
+        super()._renumber(became)
+        self.tracker.renumber(became)
 
     def _go_on_from(self, found: Relocation, scan: Scan) -> SlamStep:
         """The step of a scan that says where the robot is. Raises ValueError, the robot unmoved, where it cannot be."""

@@ -136,6 +136,11 @@ class Slam:
         return self._farthest if self.spec.reach is None else self.spec.reach
 
     @property
+    def maps(self) -> tuple[StochasticMap, ...]:
+        """The map; after it come others that a robot which was lost has left (see `slam_gym.slam.atlas`)."""
+        return (self.map,)
+
+    @property
     def lost(self) -> bool:
         """Never: nobody asks whether it is (see `slam_gym.slam.relocation.RelocatingSlam`)."""
         return False
@@ -199,15 +204,18 @@ class Slam:
         unconfirmed = self.map.unconfirmed()
         if not len(unconfirmed):
             return _NO_FEATURES
-        removed, gone = self.map.ids[unconfirmed], -1
-        renumbered = np.full(self.map.n, gone)
+        removed, became = self.map.ids[unconfirmed], np.full(self.map.n, UNPAIRED)
         kept = self.map.remove(unconfirmed)
         self.covisibility.keep(kept)
-        renumbered[kept] = np.arange(len(kept))
-        for position, features in enumerate(self._recent):
-            still = renumbered[features]
-            self._recent[position] = still[still != gone]
+        became[kept] = np.arange(len(kept))
+        self._renumber(became)
         return removed
+
+    def _renumber(self, became: IntArray) -> None:
+        """What is remembered by feature follows the map, in which each of n features `became` (n,) another, or none."""
+        for position, features in enumerate(self._recent):
+            still = became[features]
+            self._recent[position] = still[still != UNPAIRED]
 
 
 def answered(step: AskingStep, scan: Scan, associate: Associator) -> SlamStep:

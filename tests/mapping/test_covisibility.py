@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.covisibility import CovisibilityGraph, Edges, graph_of
 from slam_gym.types import UNPAIRED
 
 
@@ -139,3 +139,50 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing() -> None:
     with pytest.raises(IndexError):
         graph.neighbours(graph.n)
     assert_equal(graph, oracle)
+
+
+def random_graph(rng: np.random.Generator, n: int, scans: int = 30) -> CovisibilityGraph:
+    graph = CovisibilityGraph()
+    graph.add(n)
+    for _ in range(scans):
+        graph.see_together(rng.choice(n, size=min(n, 5), replace=False))
+    return graph
+
+
+def as_dictionary(graph: CovisibilityGraph) -> dict[tuple[int, int], int]:
+    pairs, counts = graph.edges()
+    return {(i, j): c for (i, j), c in zip(pairs.tolist(), counts.tolist())}
+
+
+def test_a_graph_of_edges_is_the_graph_that_they_are_of() -> None:
+    graph = random_graph(np.random.default_rng(0), 100)
+    again = graph_of(graph.n, graph.edges())
+    assert as_dictionary(again) == as_dictionary(graph)
+    for each in (graph, again):  # both go on alike
+        each.see_together(np.arange(40))
+    assert as_dictionary(again) == as_dictionary(graph)
+    with pytest.raises(ValueError, match="edges"):
+        graph_of(3, Edges(np.array([[0, 3]]), np.array([1])))
+
+
+def test_one_graph_after_another_has_the_edges_of_both() -> None:
+    rng = np.random.default_rng(1)
+    one, other = random_graph(rng, 9), random_graph(rng, 70)
+    both = one.followed_by(other)
+    moved = {(i + 9, j + 9): c for (i, j), c in as_dictionary(other).items()}
+    assert both.n == 79 and as_dictionary(both) == as_dictionary(one) | moved
+
+
+def test_fused_nodes_take_over_each_others_edges() -> None:
+    graph = random_graph(np.random.default_rng(2), 20)
+    kept, dropped = np.array([0, 5]), np.array([3, 17])
+    became = {old: old for old in range(20)} | {3: 0, 17: 5}
+    left = [old for old in range(20) if old not in (3, 17)]
+    expected: Counter[tuple[int, int]] = Counter()
+    for (i, j), c in as_dictionary(graph).items():
+        i, j = sorted((left.index(became[i]), left.index(became[j])))
+        if i != j:
+            expected[i, j] += c
+    fused = graph.fused(kept, dropped)
+    assert fused.n == 18 and as_dictionary(fused) == dict(expected)
+    assert graph.n == 20

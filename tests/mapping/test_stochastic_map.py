@@ -301,3 +301,40 @@ def test_a_map_that_cannot_start_says_why(arguments: dict[str, object]) -> None:
 def test_settings_out_of_range_are_refused(field: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(field))):
         MapSpec(**field)
+
+
+# --- how features lie to each other -----------------------------------------------------------------------------------
+
+
+def test_what_is_told_of_some_features_is_that_of_the_whole_map() -> None:
+    m, _, _ = mapped()
+    P, x = m.covariance[3:, 3:], m.positions
+    chosen = np.array([7, 2, 9])
+    entries = (2 * chosen[:, None] + np.arange(2)).ravel()
+    np.testing.assert_array_equal(m.covariance_of(chosen), P[np.ix_(entries, entries)])
+    first, second = np.array([4, 0, 8]), np.array([0, 3, 5, 6])
+    gate = 1e4
+    found, areas = m.distances_between(first, second, gate), m.relative_areas(4, second)
+    for b, j in enumerate(second):
+        for a, i in enumerate(first):
+            if i == j:
+                assert found[a, b] == np.inf
+                continue
+            D = np.hstack([np.eye(2), -np.eye(2)])
+            rows = np.array([2 * i, 2 * i + 1, 2 * j, 2 * j + 1])
+            S, apart = D @ P[np.ix_(rows, rows)] @ D.T, x[i] - x[j]
+            distance = apart @ np.linalg.solve(S, apart)
+            assert found[a, b] == (pytest.approx(distance, rel=1e-6) if distance < gate else np.inf)
+            if i == 4:
+                assert areas[b] == pytest.approx(np.sqrt(np.linalg.det(S)), rel=1e-6)
+
+
+def test_features_that_do_not_exist_are_not_told_of() -> None:
+    m, some = mapped()[0], np.array([0])
+    for ask in (
+        lambda: m.covariance_of(np.array([m.n])),
+        lambda: m.distances_between(some, np.array([-1]), 1.0),
+        lambda: m.relative_areas(m.n, some),
+    ):
+        with pytest.raises(ValueError, match="features"):
+            ask()

@@ -1,6 +1,7 @@
 """Association metrics against hand-counted scenes, a plain re-count of random runs, and the laws between the counts."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,3 +153,14 @@ def test_a_scan_is_exact_when_nothing_in_it_is_wrong():
     empty = identities.update(step([]), truth())
     assert [t.scans_exact for t in (right, missed, empty)] == [1, 0, 0]
     assert (right + missed + empty).exact == 0.5
+
+
+def test_features_that_are_back_are_judged_as_if_they_had_never_left():
+    identities = mapped(7, 8)
+    identities.update(step([], removed=[0, 1]), truth())
+    begun_anew = identities.update(step([2], [True]), truth(7))
+    assert begun_anew.new_right == 1  # in the other map it is no duplicate
+    joined = replace(step([2], removed=[2]), returned=np.array([0, 1]))
+    identities.update(joined, truth(7))
+    again = identities.update(step([0, 1]), truth(7, 8))
+    assert again.tp == 2 and again.fp == 0

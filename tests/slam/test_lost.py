@@ -82,3 +82,37 @@ def test_without_visibilities_what_was_paired_last_is_expected() -> None:
     assert not unseen.doubts(prediction(), paired(3), EVERY)
     assert not unseen.doubts(prediction(), paired(0), EVERY)  # three are too few
     assert Tracker(0.3, 1, 4).doubts(prediction(), paired(0), EVERY) is False  # nothing was paired before
+
+
+def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
+    positions = np.column_stack([np.full(FEATURES, 2.0), np.linspace(-1.0, 1.0, FEATURES)])
+    ahead = Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
+    behind = replace(ahead, positions=-positions)
+    for learned in (True, False):
+        tracker = Tracker(0.3, 3, 4)
+        for _ in range(20 if learned else 2):
+            tracker.look(positions)
+        assert not tracker.doubts(ahead, paired(FEATURES), EVERY)
+        assert tracker.doubts(behind, paired(0), EVERY) is not learned
+
+
+def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
+    positions = np.column_stack([np.full(FEATURES, 2.0), np.linspace(-1.0, 1.0, FEATURES)])
+    ahead = Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
+    behind, tracker = replace(ahead, positions=-positions), Tracker(0.3, 3, 4)
+    for _ in range(20):
+        tracker.look(positions)
+    assert not tracker.doubts(ahead, paired(FEATURES), EVERY)
+    assert tracker.doubts(ahead, paired(0), EVERY) and tracker.doubts(behind, paired(0), EVERY)
+    assert not tracker.doubts(behind, paired(6), EVERY)
+
+
+def test_what_the_last_scan_paired_is_followed_through_removals() -> None:
+    tracker, out_of_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
+    assert not tracker.doubts(out_of_view, paired(5), EVERY)
+    became = np.arange(FEATURES) - 1
+    became[0] = UNPAIRED
+    tracker.renumber(became)
+    assert tracker._last_paired == {0, 1, 2, 3}
+    tracker.forget()
+    assert not tracker._last_paired and tracker.doubted == 0

@@ -1,0 +1,87 @@
+"""Whether pairs of features of one map may be the same, all of them together, under the covariance of the whole map.
+
+With the innovations ν_ij = F_i − F_j of all pairs, their covariance C, and the directions G of a rigid motion of the
+newer features as a whole,
+
+    D² = νᵀC⁻¹ν = D²_shape + D²_motion,    D²_shape = min_δ (ν − Gδ)ᵀC⁻¹(ν − Gδ) = νᵀQν,
+    Q = C⁻¹ − C⁻¹G(GᵀC⁻¹G)⁻¹GᵀC⁻¹,
+
+a part of 2k − 3 degrees of freedom that says whether both have one shape, and one of 3 that says whether the motion
+between them is one that the map thinks possible. The first is tested as it stands. The second is where a filter turns
+optimistic: its standard deviations are multiplied by a stated factor. What one pair adds to D²_shape, given the others,
+is (Qν)_iᵀ Q_ii⁻¹ (Qν)_i, of 2 degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import Array, IntArray
+
+_FLOOR = 1e-12  # [m²] added to every variance
+_ONE_PAIR = 0.99  # confidence of what a single pair may add
+
+
+class Tested(Protocol):
+    """Settings of the tests."""
+
+    @property
+    def min_pairs(self) -> int: ...
+
+    @property
+    def confidence(self) -> float: ...
+
+    @property
+    def inflation(self) -> float: ...
+
+
+class Agreement(NamedTuple):
+    """How well k pairs agree."""
+
+    shape: float  # D²_shape
+    dof: int  # 2k − 3 of it
+    motion: float  # D²_motion, of 3 degrees of freedom
+    added: Array  # (k,) what each pair adds to D²_shape, of 2 degrees of freedom
+
+
+def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
+    """Of pairs (k, 2) of an older and a newer feature of a map, k ≥ 3.
+
+    Raises ValueError where a feature does not exist; LinAlgError where it is in two pairs.
+    """
+    k, positions = len(pairs), m.positions
+    P = m.covariance_of(pairs.T.ravel())
+    HP = P[2 * k :] - P[: 2 * k]
+    C = HP[:, 2 * k :] - HP[:, : 2 * k]
+    moved = positions[pairs[:, 1]]
+    nu, G = (moved - positions[pairs[:, 0]]).ravel(), np.zeros((2 * k, 3))
+    x, y = (moved - moved.mean(axis=0)).T
+    G[0::2, 0] = G[1::2, 1] = 1.0
+    G[0::2, 2], G[1::2, 2] = -y, x
+    W = np.linalg.inv(0.5 * (C + C.T) + _FLOOR * np.eye(2 * k))
+    WG = W @ G
+    Q = W - WG @ np.linalg.solve(G.T @ WG, WG.T)
+    left, rows = (Q @ nu).reshape(k, 2), np.arange(k)
+    added = np.einsum("ki,kij,kj->k", left, np.linalg.inv(Q.reshape(k, 2, k, 2)[rows, :, rows, :]), left)
+    shape = max(float(nu @ Q @ nu), 0.0)
+    return Agreement(shape, 2 * k - 3, max(float(nu @ W @ nu) - shape, 0.0), added)
+
+
+def agreeing(m: StochasticMap, pairs: IntArray, tests: Tested, *, prior: bool) -> IntArray:
+    """The pairs (k', 2) that are left once those that the others speak against are dropped; none if they disagree.
+
+    With `prior`, the motion between the two must be one that the map thinks possible. Errors as in `agreement`.
+    """
+    while len(pairs) >= tests.min_pairs:
+        agrees = agreement(m, pairs)
+        worst = int(agrees.added.argmax())
+        if agrees.added[worst] < chi2_gate(2, _ONE_PAIR):
+            possible = agrees.motion < tests.inflation**2 * chi2_gate(3, tests.confidence)
+            holds = agrees.shape < chi2_gate(agrees.dof, tests.confidence) and (possible or not prior)
+            return pairs if holds else pairs[:0]
+        pairs = np.delete(pairs, worst, axis=0)
+    return pairs[:0]

@@ -1,0 +1,228 @@
+"""SLAM whose loops close, and that starts a second map where it is lost: what stands around the step, one level up.
+
+**Loops.** Old features that the way back has made ambiguous (so uncertain, seen from those the robot has just paired,
+that others lie within their gates) are not offered to the associator: a scan pairs them wrongly now and then, and one
+wrong scan decides where the map ends. They are left to `slam.loops`, which looks for the recent part of the map among
+them. What it finds is made equal; features that this leaves twice are fused as soon as it is plain (`slam.twins`).
+
+**Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
+robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
+looked for in those before. Once it is recognised, the maps are joined with a relation that says nothing, the pairs made
+equal, and the robot goes on in one.
+
+**Ids** run through all maps and are never given twice; of features that become one, the older id stays. The features of
+a map that is left are `removed` in the `SlamStep` that says so, and `returned` when it is joined.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.map_joining import equate
+from slam_gym.mapping.map_state import successor
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.slam.loops import NO_PAIRS, LoopSpec, find_loop, parts_of, recent_part
+from slam_gym.slam.recognition import Joined, join_recognised
+from slam_gym.slam.relocation import Relocate, RelocatingSlam
+from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, ViewFrom, send
+from slam_gym.slam.twins import find_twins
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Odometry, Prediction, Scan, SlamStep
+
+_STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
+
+
+@dataclass(frozen=True)
+class AtlasSpec:
+    """What an atlas does beside relocation."""
+
+    loops: LoopSpec | None = field(default_factory=LoopSpec)  # None: they are not looked for
+    ambiguous: float = 0.1  # other features expected in the gate of an old one from which it is left to the loops
+    patience: int | None = 10  # [scans] that a robot has been lost before it starts another map; None: it never does
+    rejoin: int = 5  # [scans] from one attempt to recognise a map before to the next
+
+    def __post_init__(self) -> None:
+        if not self.ambiguous > 0.0:
+            raise ValueError(f"AtlasSpec.ambiguous: {self.ambiguous} is no number > 0")
+        if self.patience is not None and self.patience < 0:
+            raise ValueError(f"AtlasSpec.patience: {self.patience} is negative")
+        if self.rejoin < 1:
+            raise ValueError(f"AtlasSpec.rejoin: {self.rejoin} is less than 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """A map that the robot does not know the way to."""
+
+    map: StochasticMap
+    covisibility: CovisibilityGraph
+
+
+class AtlasSlam(RelocatingSlam):
+    """`RelocatingSlam` whose loops close and whose maps are started, recognised and joined. See the head of this file.
+
+    Arguments:
+        spec, relocate, view_from: as for `RelocatingSlam`.
+        atlas: settings.
+    """
+
+    def __init__(
+        self,
+        spec: SlamSpec | None,
+        relocate: Relocate,
+        view_from: ViewFrom | None = None,
+        atlas: AtlasSpec | None = None,
+    ) -> None:
+        super().__init__(spec, relocate, view_from)
+        self.atlas = atlas or AtlasSpec()
+        self.left: list[Left] = []  # maps before the current one that were not joined yet, oldest first
+        self.loops: list[tuple[int, IntArray]] = []  # step and pairs (k, 2) of ids of each loop that was closed
+        self.joins: list[tuple[int, IntArray]] = []  # the same of maps that were joined
+        self.twins: list[tuple[int, IntArray]] = []  # the same of single features that were fused
+        self._fused = NO_PAIRS  # ids, in the last step
+        self._lost_for = 0  # scans
+        self._look_everywhere = False  # for twins, since much has moved
+
+    @property
+    def maps(self) -> tuple[StochasticMap, ...]:
+        """The current map, then those that are not joined with it, in the coordinates that they were left with."""
+        return (self.map, *(left.map for left in self.left))
+
+    @property
+    def fused(self) -> IntArray:
+        """(k, 2) ids of features that became one in the last step, the one that is kept first."""
+        return self._fused.copy()
+
+    def predict_features(self, scan: Scan) -> Prediction:
+        """As `Slam` does, without old features that are ambiguous."""
+        prediction = super().predict_features(scan)
+        if self.atlas.loops is None or prediction.near.all():
+            return prediction
+        hidden = self._ambiguous(prediction)
+        return prediction.rows(np.delete(np.arange(len(prediction)), hidden)) if len(hidden) else prediction
+
+    def _ambiguous(self, prediction: Prediction) -> IntArray:
+        """Rows of features that are near none of those lately paired, and in whose gates others are to be expected.
+
+        How well they are known is asked from the feature amid those that are near: what the robot does not know of its
+        own place is the same for all.
+        """
+        far, near = np.flatnonzero(~prediction.near), np.flatnonzero(prediction.near)
+        if not len(near):
+            return far[:0]
+        away = prediction.positions[near] - prediction.positions[near].mean(axis=0)
+        amid = int(prediction.features[near[np.argmin((away**2).sum(axis=1))]])
+        areas = self.map.relative_areas(amid, prediction.features[far])  # gates are π χ² of that, the view π reach²
+        others = len(prediction) * chi2_gate(2, prediction.confidence) * areas / self.reach**2
+        rows: IntArray = far[others > self.atlas.ambiguous]
+        return rows
+
+    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
+        """The step of `RelocatingSlam`, then what the atlas makes of it. Raises as `Slam.step`."""
+        self._fused = NO_PAIRS
+        step = yield from super().asking_step(odometry, scan)
+        self._lost_for = self._lost_for + 1 if self.lost else 0
+        if self.doubted:
+            return step
+        if self.left and self.map.step % self.atlas.rejoin == 0:
+            step = self._rejoin(step)
+        loops = self.atlas.loops
+        return step if loops is None or self.map.step % loops.every else self._close(step, loops)
+
+    def _close(self, step: SlamStep, spec: LoopSpec) -> SlamStep:
+        """The step, with the loop closed that is found now, and duplicates fused that are plain."""
+        parts, removed = parts_of(self.map, self.covisibility, spec), [step.removed]
+        pairs = NO_PAIRS if parts is None else find_loop(self.map, self.covisibility, parts, spec)
+        if len(pairs):
+            self.loops.append((self.map.step, self.map.ids[pairs]))
+            removed.append(self._fuse(pairs))
+        everywhere, self._look_everywhere = self._look_everywhere or len(pairs) > 0, False
+        twins = find_twins(self.map, self.covisibility, self.map.step if everywhere else spec.recent)
+        if len(twins):
+            self.twins.append((self.map.step, self.map.ids[twins]))
+            removed.append(self._fuse(twins))
+        return replace(step, removed=np.concatenate(removed)) if len(removed) > 1 else step
+
+    def _fuse(self, pairs: IntArray) -> IntArray:
+        """Make the features of each pair (k, 2) one; the ids (k,) of the second ones, which are gone."""
+        self._became_one(self.map.ids[pairs])
+        gone = self.map.ids[pairs[:, 1]]
+        became = np.arange(self.map.n)
+        became[pairs[:, 1]] = pairs[:, 0]
+        kept = np.delete(np.arange(self.map.n), pairs[:, 1])
+        self.map, self.covisibility = equate(self.map, pairs), self.covisibility.fused(*pairs.T)
+        self._renumber(np.searchsorted(kept, became))
+        return gone
+
+    def _became_one(self, ids: IntArray) -> None:
+        """Remember pairs (k, 2) of ids; what was kept until now may be what goes."""
+        later = dict(zip(ids[:, 1].tolist(), ids[:, 0].tolist()))
+        before = [(later.get(kept, kept), gone) for kept, gone in self._fused.tolist()]
+        self._fused = np.array(before + ids.tolist(), np.int64).reshape(-1, 2)
+
+    def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
+        """The step of a scan that is not believed: once there were too many, another map begins with it."""
+        patience = self.atlas.patience
+        if patience is None or not self.lost or self._lost_for < patience:
+            return super()._learn_nothing(prediction, scan)
+        removed = self._begin()
+        nothing = Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
+        step = super(RelocatingSlam, self).asking_step(_STILL, scan)
+        next(step)
+        return replace(send(step, nothing), removed=removed)
+
+    def _begin(self) -> IntArray:
+        """Leave the current map for a new one; the ids that are left. A map too small to be recognised is dropped."""
+        m, loops = self.map, self.atlas.loops or LoopSpec()
+        if int((~m.provisional).sum()) >= loops.min_pairs:
+            self.left.append(Left(m, self.covisibility))
+        self.map, self.covisibility = successor(m), CovisibilityGraph()
+        self.map.place(m.pose, np.zeros((3, 3)))
+        self._recent.clear()
+        self.tracker.forget()
+        return m.ids
+
+    def _rejoin(self, step: SlamStep) -> SlamStep:
+        """The step, with the maps joined of which one is recognised in the other."""
+        spec = self.atlas.loops or LoopSpec()
+        recent = recent_part(self.map, self.covisibility, spec)
+        if len(recent) < spec.min_pairs:
+            return step
+        for position, left in enumerate(self.left):
+            joined = join_recognised(left.map, left.covisibility, self.map, self.covisibility, recent, spec)
+            if joined is not None:
+                del self.left[position]
+                return self._joined(step, left, joined)
+        return step
+
+    def _joined(self, step: SlamStep, left: Left, joined: Joined) -> SlamStep:
+        """The step with which the current map becomes one with a map before."""
+        older = left.map.n
+        self.joins.append((self.map.step, joined.ids))
+        self._became_one(joined.ids)
+        self._relocations += 1
+        self.map, self.covisibility = joined.map, joined.covisibility
+        self._renumber(joined.became[older:])
+        self._look_everywhere = True
+        gone = joined.ids[:, 1]
+        return replace(step, removed=np.concatenate([step.removed, gone]), returned=left.map.ids)
+
+
+def slam_of(
+    spec: SlamSpec | None = None,
+    relocate: Relocate | None = None,
+    view_from: ViewFrom | None = None,
+    atlas: AtlasSpec | None = None,
+) -> Slam:
+    """The SLAM of these settings: with `relocate` it finds a lost robot again, with `atlas` besides it is an atlas.
+
+    Raises ValueError for an atlas without `relocate`.
+    """
+    if relocate is None:
+        if atlas is not None:
+            raise ValueError("atlas: a robot that is not looked for when it is lost has no use for one")
+        return Slam(spec, view_from)
+    return RelocatingSlam(spec, relocate, view_from) if atlas is None else AtlasSlam(spec, relocate, view_from, atlas)

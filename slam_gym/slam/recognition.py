@@ -1,0 +1,58 @@
+"""Two maps of one robot, the way between which is unknown, joined once the recent part of one is recognised."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.map_joining import equate, join
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.slam.agreement import agreeing
+from slam_gym.slam.loops import LoopSpec, Parts, overlap, recognise
+from slam_gym.types import UNPAIRED, IntArray
+
+_SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a relation before it is found
+
+
+class Joined(NamedTuple):
+    """Two maps in one, in the base of the older."""
+
+    map: StochasticMap
+    covisibility: CovisibilityGraph
+    ids: IntArray  # (k, 2) of the older map and of the newer: the same; the latter are gone
+    became: IntArray  # (n_a + n_b,) feature of the joined map that each of the older, then of the newer map is now
+
+
+def join_recognised(
+    a: StochasticMap,
+    graph_a: CovisibilityGraph,
+    b: StochasticMap,
+    graph_b: CovisibilityGraph,
+    recent: IntArray,
+    spec: LoopSpec,
+) -> Joined | None:
+    """Maps A and B joined, the robot being that of B, if features `recent` (g,) of B are recognised in A; else None.
+
+    The base of B is placed where it was found, with a covariance that says nothing; what is known of it comes from the
+    pairs alone. They must have one shape under the covariance of both maps, and be most of what both have there.
+    Neither map is changed.
+    """
+    among = np.flatnonzero(~a.provisional)
+    found = recognise(b, recent, a, graph_a, among, spec) if len(among) >= spec.min_pairs else None
+    if found is None:
+        return None
+    placed = a.copy()
+    placed.place(found.pose, _SAYS_NOTHING)
+    both, paired = join(placed, b), found.features != UNPAIRED
+    pairs = np.column_stack([among[found.features[paired]], a.n + recent[paired]])
+    pairs = agreeing(both, pairs, spec, prior=False)
+    parts = Parts(a.n + recent, among)
+    if len(pairs) < spec.min_pairs or overlap(both, parts, pairs) < spec.min_fraction:
+        return None
+    graph, ids = graph_a.followed_by(graph_b).fused(pairs[:, 0], pairs[:, 1]), both.ids
+    became, kept = np.arange(both.n), np.delete(np.arange(both.n), pairs[:, 1])
+    became[pairs[:, 1]] = pairs[:, 0]
+    return Joined(equate(both, pairs), graph, ids[pairs], np.searchsorted(kept, became))

@@ -1,0 +1,160 @@
+"""Loops that are found, and those that must not be: other buildings, mirror images, motions beyond the prior."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.geometry import transform
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.slam.loops import LoopSpec, find_loop, landmarks_of, mirrored, overlap, parts_of, recent_part
+from slam_gym.slam.merging import as_scan
+from slam_gym.types import Array, Odometry, Scan
+
+SIDE, SIGMA = 12.0, 0.05  # [m] of a square of features, and of each position
+
+
+def layered(
+    rng: np.random.Generator, older: Array, newer: Array, drift: float = 0.4
+) -> tuple[StochasticMap, CovisibilityGraph]:
+    """A map of `older` (a, 2), and long afterwards of `newer` (b, 2), seen by a robot that has drifted in between."""
+    m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
+    for points, error in ((older, np.zeros(3)), (newer, np.array([drift, drift, 0.05 * drift]))):
+        Q = np.diag(error**2) + 1e-12 * np.eye(3)
+        m.predict(Odometry(error * rng.standard_normal(3), Q))  # where in truth it is at the origin again
+        features = None
+        for _ in range(3):
+            seen = Scan.from_points(points + rng.normal(0.0, SIGMA, points.shape), sigma=SIGMA)
+            if features is None:
+                features = m.add(seen, np.arange(len(points)))
+                graph.add(len(points))
+            else:
+                m.update(seen, features)
+            graph.see_together(features)
+            m.end_of_step()
+        m.step += 100
+    m.step -= 100
+    return m, graph
+
+
+def field(rng: np.random.Generator, count: int) -> Array:
+    return rng.uniform(-SIDE / 2.0, SIDE / 2.0, (count, 2))
+
+
+def loop_in(m: StochasticMap, graph: CovisibilityGraph, spec: LoopSpec | None = None) -> Array:
+    settings = spec or LoopSpec()
+    parts = parts_of(m, graph, settings)
+    return np.empty((0, 2), np.int64) if parts is None else find_loop(m, graph, parts, settings)
+
+
+def test_what_is_seen_again_is_found_and_paired_rightly() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        older = field(rng, 40)
+        m, graph = layered(rng, older, older[:14])
+        pairs = loop_in(m, graph)
+        assert len(pairs) >= 10, f"seed {seed}"
+        np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1] - 40)
+
+
+def test_other_ground_is_not_taken_for_old() -> None:
+    closed = 0
+    for seed in range(40):
+        rng = np.random.default_rng((1, seed))
+        closed += len(loop_in(*layered(rng, field(rng, 40), field(rng, 14)))) > 0
+    assert closed == 0  # bounds the rate by 3 / 40 at 95 %
+
+
+def test_the_mirror_image_of_old_ground_is_not_taken_for_it() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng((2, seed))
+        older = field(rng, 40)
+        m, graph = layered(rng, older, older[:14] * np.array([1.0, -1.0]))
+        assert len(loop_in(m, graph)) == 0, f"seed {seed}"
+
+
+def test_ground_that_looks_alike_but_is_too_far_is_not_taken_for_old() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng((3, seed))
+        older = field(rng, 40)
+        elsewhere = transform(np.array([2.5, 1.0, 0.3]), older[:14])
+        m, graph = layered(rng, np.concatenate([older, field(rng, 10)]), elsewhere, drift=0.05)
+        assert len(loop_in(m, graph)) == 0, f"seed {seed}"
+
+
+def test_features_that_one_scan_saw_both_are_not_the_same() -> None:
+    rng = np.random.default_rng(4)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, older[:14])
+    pairs = loop_in(m, graph)
+    graph.see_together(pairs[0])
+    assert len(loop_in(m, graph)) == 0
+
+
+def test_few_pairs_close_no_loop() -> None:
+    rng = np.random.default_rng(5)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, np.concatenate([older[:7], field(rng, 7)]))
+    assert len(loop_in(m, graph)) == 0
+
+
+def test_the_recent_part_is_what_was_seen_last() -> None:
+    rng = np.random.default_rng(6)
+    m, graph = layered(rng, field(rng, 30), field(rng, 12))
+    np.testing.assert_array_equal(recent_part(m, graph, LoopSpec(group=20)), np.arange(30, 42))
+    graph.see_together(np.array([3, 40]))  # then what was seen with 3 is linked to the recent part
+    assert len(recent_part(m, graph, LoopSpec(group=20))) == 20
+
+
+def test_landmarks_of_some_features_are_those_of_the_map() -> None:
+    rng = np.random.default_rng(7)
+    m, _ = layered(rng, field(rng, 12), field(rng, 9))
+    chosen, whole = np.array([1, 4, 13]), m.landmarks()
+    some, entries = landmarks_of(m, chosen), (2 * chosen[:, None] + np.arange(2)).ravel()
+    np.testing.assert_array_equal(some.positions, whole.positions[chosen])
+    np.testing.assert_array_equal(some.covariance, whole.covariance[np.ix_(entries, entries)])
+    np.testing.assert_array_equal(some.covariances, whole.covariances[chosen])
+
+
+def test_a_mirror_turns_round_what_is_measured_and_nothing_else() -> None:
+    rng = np.random.default_rng(8)
+    m, _ = layered(rng, field(rng, 12), field(rng, 9))
+    scan = as_scan(m, np.arange(8))
+    there = mirrored(scan)
+    np.testing.assert_array_equal(mirrored(there).points, scan.points)
+    np.testing.assert_allclose(np.linalg.det(there.covariances), np.linalg.det(scan.covariances))
+    landmarks = m.landmarks()
+    assert min_pairings(there, landmarks) == min_pairings(scan, landmarks)  # chance is the same on either side
+
+
+def test_the_overlap_counts_what_is_not_paired_on_either_side() -> None:
+    rng = np.random.default_rng(9)
+    older = field(rng, 40)
+    m, graph = layered(rng, older, older[:14], drift=0.01)
+    parts = parts_of(m, graph, LoopSpec(inflation=50.0))
+    assert parts is not None
+    all_pairs = np.column_stack([np.arange(14), 40 + np.arange(14)])
+    assert overlap(m, parts, all_pairs) == pytest.approx(1.0, abs=0.1)
+    assert overlap(m, parts, all_pairs[::2]) < 0.8
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"every": 0},
+        {"recent": 0},
+        {"group": 2},
+        {"min_pairs": 2},
+        {"above_chance": -1},
+        {"min_fraction": 1.5},
+        {"confidence": 1.0},
+        {"inflation": 0.5},
+        {"inflation": math.inf},
+        {"search": "nobody"},
+    ],
+)
+def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong)) if "search" not in wrong else "unknown relocator"):
+        LoopSpec(**wrong)  # type: ignore[arg-type]
