@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "geometry", "_compile", "validation"}
+BASE = {"types", "geometry", "_compile", "_files", "validation"}
 ESTIMATE = BASE | {"mapping", "navigation", "association"}
 SIMULATION = ESTIMATE | {"world", "slam", "metrics", "recordings", "scenarios"}
 ALLOWED = {
     "_arguments": set(),
     "types": {"_arguments"},
     "_compile": set(),
+    "_files": set(),
     "geometry": {"types", "_compile"},
     "validation": {"types", "_compile"},
     "world": BASE,

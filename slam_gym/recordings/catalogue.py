@@ -9,7 +9,6 @@ from pathlib import Path
 from slam_gym.recordings import mrclam as _mrclam
 from slam_gym.recordings import victoria_park as _victoria_park
 from slam_gym.recordings.pose_graph import g2o, isam
-from slam_gym.recordings.reading import RecordingError
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.recording_file import load
 
@@ -73,7 +72,4 @@ def _from_file(path: Path, reference: bool) -> Recording:
         raise ValueError(f"unknown recording {str(path)!r}; known: {known}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: not there")
-    try:
-        return g2o(path, reference=reference) if path.suffix == ".g2o" else readers[path.suffix](path)
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: {error}") from error
+    return g2o(path, reference=reference) if path.suffix == ".g2o" else readers[path.suffix](path)

@@ -8,7 +8,7 @@ dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder 
 from __future__ import annotations
 
 import math
-import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
+from slam_gym._files import content_of, gunzipped, lines_of
 from slam_gym.geometry import wrap_angle
-from slam_gym.recordings.reading import Points, RecordingError, from_polar
+from slam_gym.recordings.reading import Points, RecordingError, from_polar, naming
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.types import SPURIOUS, Array, IntArray
 
@@ -28,6 +29,7 @@ SOURCE = (
 TERMS = "For educational use; cite the paper."
 ROBOTS = (1, 2, 3, 4, 5)
 _RANGE, _FIELD_OF_VIEW = 12.0, math.radians(65.0)  # [m], [rad] of the camera, with room to spare
+_LARGEST = 1e10  # of any number: seconds since 1970, metres, radians, barcodes
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 
@@ -68,10 +70,16 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     """
     if robot not in ROBOTS:
         raise ValueError(f"robot: {robot} is none of 1 … 5")
-    noise, folder = noise or Noise(), Path(folder)
-    told = _read(folder, robot)
+    folder = Path(folder)
+    with naming(folder):
+        return _recording(_read(folder, robot), noise or Noise(), f"mrclam/{folder.name}/robot{robot}")
+
+
+def _recording(told: _Tables, noise: Noise, name: str) -> Recording:
     times, start = told.measured[:, 0], told.truth[0, 0]
     measured = told.measured[(times >= start) & (times <= told.truth[-1, 0])]
+    if len(measured) == 0:
+        raise RecordingError("nothing was measured while the Vicon saw the robot")
     first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > noise.together)
     times = measured[first, 0]
     driven = told.odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
@@ -79,7 +87,7 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
     motions, covariances = _integrate(times, driven, growth)
     seen = noise.points(measured[:, 2], measured[:, 3])
     return Recording(
-        name=f"mrclam/{folder.name}/robot{robot}",
+        name=name,
         source=SOURCE,
         terms=TERMS,
         times=times - times[0],
@@ -109,13 +117,19 @@ class _Tables(NamedTuple):
 
 
 def _read(folder: Path, robot: int) -> _Tables:
-    return _Tables(
+    told = _Tables(
         _table(folder, f"Robot{robot}_Odometry.dat", 3, ascending=True),
         _table(folder, f"Robot{robot}_Measurement.dat", 4, ascending=True),
         _table(folder, f"Robot{robot}_Groundtruth.dat", 4, ascending=True),
         _table(folder, "Barcodes.dat", 2),
         _table(folder, "Landmark_Groundtruth.dat", 5),
     )
+    for name, numbers in (("Barcodes.dat", told.barcodes), ("Landmark_Groundtruth.dat", told.landmarks[:, :1])):
+        if (numbers != np.round(numbers)).any() or (numbers < 0.0).any():
+            raise RecordingError(f"{folder / name}: a subject or barcode is no whole number")
+    if len(np.unique(told.landmarks[:, 0])) < len(told.landmarks):
+        raise RecordingError(f"{folder / 'Landmark_Groundtruth.dat'}: a subject is there twice")
+    return told
 
 
 def _sources(told: _Tables, measured: Array, points: Array, limit: float) -> IntArray:
@@ -139,18 +153,42 @@ def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) ->
     path = next((p for p in (folder / name, folder / f"{name}.gz") if p.is_file()), None)
     if path is None:
         raise FileNotFoundError(f"{folder / name}: not there, gzipped or not. {SOURCE}")
-    try:
-        table = np.loadtxt(path, comments="#", ndmin=2)
-    except (ValueError, OSError, EOFError, zlib.error) as error:
-        raise RecordingError(f"{path}: {error}") from error
-    if table.shape[1:] != (columns,) or len(table) == 0:
-        raise RecordingError(f"{path}: table of shape {table.shape}, expected {columns} columns")
-    bad = ~np.isfinite(table).all(axis=1)
-    if ascending:
-        bad |= np.diff(table[:, 0], prepend=-math.inf) < 0.0
-    if bad.any():
-        raise RecordingError(f"{path}: row {int(np.flatnonzero(bad)[0]) + 1} is not finite or goes back in time")
+    with naming(path):
+        content = content_of(path)
+        lines = list(_rows(gunzipped(content) if path.suffix == ".gz" else content))
+        table = _numbers(lines, columns)
+        bad = ~(np.abs(table) <= _LARGEST).all(axis=1)
+        if ascending:
+            bad |= np.diff(table[:, 0], prepend=-math.inf) < 0.0
+        if bad.any():
+            number = lines[int(bad.argmax())][0]
+            raise RecordingError(f"line {number} is not finite, above {_LARGEST:.0e}, or goes back in time")
     return table
+
+
+def _rows(content: bytes) -> Iterator[tuple[int, str]]:
+    """Number and text of each line that is more than a comment."""
+    return ((number, text) for number, line in lines_of(content) if (text := line.split("#", 1)[0].strip()))
+
+
+def _numbers(lines: list[tuple[int, str]], columns: int) -> Array:
+    """The lines as a table; RecordingError names the first that is no row of so many numbers."""
+    try:
+        table = np.loadtxt([text for _, text in lines], ndmin=2) if lines else np.empty((0, columns))
+        if table.shape[1] == columns and len(table) == len(lines) > 0:
+            return table
+    except ValueError:
+        pass
+    for number, text in lines:
+        words = text.split()
+        if len(words) != columns:
+            raise RecordingError(f"line {number}: {len(words)} columns, expected {columns} columns")
+        for word in words:
+            try:
+                float(word)
+            except ValueError:
+                raise RecordingError(f"line {number}: could not convert {word[:40]!r} to a number") from None
+    raise RecordingError(f"no table of {columns} columns")
 
 
 @compiled

@@ -21,26 +21,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slam_gym.recordings.reading import RecordingError, starts_of
+from slam_gym._files import content_of, lines_of, whole_number
+from slam_gym.recordings.reading import RecordingError, naming, starts_of
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array
 
+_MAX_BYTES = 1 << 25  # some half a million edges
 _AT_START = 1e-12  # [m²], [rad²] of the first pose: it is where the log begins
 
 
 class _Edge(NamedTuple):
-    """A motion or a measurement."""
+    """A motion or a measurement, as it stands in the file."""
 
-    mean: Array
-    covariance: Array
+    line: int  # number
+    mean: list[float]
+    weight: list[float]  # upper triangle, by rows, of the information matrix or of its root
 
 
 @dataclass
 class _Graph:
     """What was read so far, by the numbers of poses and landmarks."""
 
-    poses: dict[tuple[int], Array] = field(default_factory=dict)  # (3,) vertices
-    landmarks: dict[tuple[int], Array] = field(default_factory=dict)  # (2,) vertices
+    poses: dict[tuple[int], list[float]] = field(default_factory=dict)  # vertices x y θ
+    landmarks: dict[tuple[int], list[float]] = field(default_factory=dict)  # vertices x y
     motions: dict[tuple[int, int], _Edge] = field(default_factory=dict)  # from pose to pose
     measurements: list[tuple[tuple[int, int], _Edge]] = field(default_factory=list)  # from pose to landmark
 
@@ -76,36 +79,37 @@ def g2o(path: str | Path, *, reference: bool = False) -> Recording:
 
     Raises FileNotFoundError, or RecordingError that names file and line.
     """
-    return _recording(path, _read(path, _G2O), reference)
+    with naming(path):
+        return _recording(Path(path), _read(Path(path), _G2O), root=False, reference=reference)
 
 
 def isam(path: str | Path) -> Recording:
     """A log from a file in iSAM's text format. Raises FileNotFoundError, or RecordingError that names file and line."""
-    return _recording(path, _read(path, _ISAM), False)
+    with naming(path):
+        return _recording(Path(path), _read(Path(path), _ISAM), root=True, reference=False)
 
 
-def _read(path: str | Path, lines: dict[str, _Line]) -> _Graph:
+def _read(path: Path, lines: dict[str, _Line]) -> _Graph:
     graph = _Graph()
-    for number, text in enumerate(Path(path).read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+    for number, text in lines_of(content_of(path, _MAX_BYTES)):
         tag, *words = text.split("#", 1)[0].split() or [""]
         try:
             if tag:
-                _enter(graph, tag, words, lines)
+                _enter(graph, number, tag, words, lines)
         except ValueError as error:
-            raise RecordingError(f"{path}: line {number}: {error}") from None
+            raise RecordingError(f"line {number}: {error}") from None
     return graph
 
 
-def _enter(graph: _Graph, tag: str, words: Sequence[str], lines: dict[str, _Line]) -> None:
+def _enter(graph: _Graph, number: int, tag: str, words: Sequence[str], lines: dict[str, _Line]) -> None:
     if tag not in lines:
-        raise ValueError(f"{tag!r} is none of {', '.join(lines)}")
-    line, numbers = lines[tag], [float(word) for word in words]
-    if len(numbers) != line.numbers or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{tag[:40]!r} is none of {', '.join(lines)}")
+    line = lines[tag]
+    rest = [float(word) for word in words[line.indices :]]
+    if len(words) != line.numbers or not all(map(math.isfinite, rest)):
         raise ValueError(f"{tag} takes {line.numbers} finite numbers")
-    key, rest = tuple(_index(number) for number in numbers[: line.indices]), numbers[line.indices :]
-    value: Any = np.array(rest[: line.size])
-    if line.indices == 2:
-        value = _Edge(value, _covariance(rest[line.size :], line))
+    key = tuple(whole_number(word) for word in words[: line.indices])
+    value: Any = rest if line.indices == 1 else _Edge(number, rest[: line.size], rest[line.size :])
     table = getattr(graph, line.table)
     if line.table == "measurements":
         table.append((key, value))
@@ -115,32 +119,34 @@ def _enter(graph: _Graph, tag: str, words: Sequence[str], lines: dict[str, _Line
         table[key] = value
 
 
-def _index(number: float) -> int:
-    if number != int(number) or number < 0:
-        raise ValueError(f"{number} is no index")
-    return int(number)
+def _covariances(edges: Sequence[_Edge], size: int, root: bool) -> Array:
+    """(k, size, size) from the upper triangles of the information matrices or of their roots."""
+    upper = np.zeros((len(edges), size, size))
+    rows, columns = np.triu_indices(size)
+    upper[:, rows, columns] = np.array([edge.weight for edge in edges]).reshape(len(edges), len(rows))
+    turned = upper.transpose(0, 2, 1)
+    information = turned @ upper if root else upper + turned - upper * np.eye(size)
+    bad = ~np.isfinite(information).all(axis=(1, 2))
+    information[bad] = np.eye(size)
+    values = np.linalg.eigvalsh(information)
+    bad |= ~(values[:, 0] > 1e-15 * values[:, -1])
+    if bad.any():
+        number = edges[int(bad.argmax())].line
+        raise RecordingError(f"line {number}: the information matrix is not positive definite")
+    covariances = np.linalg.inv(information)
+    return np.asarray(0.5 * (covariances + covariances.transpose(0, 2, 1)))
 
 
-def _covariance(numbers: Sequence[float], line: _Line) -> Array:
-    """From the upper triangle of the information matrix or its root."""
-    upper = np.zeros((line.size, line.size))
-    upper[np.triu_indices(line.size)] = numbers
-    information = upper.T @ upper if line.root else upper + upper.T - np.diag(np.diag(upper))
-    if np.linalg.eigvalsh(information).min() <= 0.0:
-        raise ValueError("the information matrix is not positive definite")
-    covariance = np.linalg.inv(information)
-    return np.asarray(0.5 * (covariance + covariance.T))
-
-
-def _recording(path: str | Path, graph: _Graph, reference: bool) -> Recording:
+def _recording(path: Path, graph: _Graph, root: bool, reference: bool) -> Recording:
     poses = sorted({i for pair in graph.motions for i in pair} | {pair[0] for pair, _ in graph.measurements})
     if not poses or not graph.measurements:
-        raise RecordingError(f"{path}: no pose, or no measurement of a landmark")
-    if further := sorted(set(graph.motions) - set(itertools.pairwise(poses))):
-        raise RecordingError(f"{path}: edge {further[0]} joins poses that do not follow each other")
-    if missing := [pair for pair in itertools.pairwise(poses) if pair not in graph.motions]:
-        raise RecordingError(f"{path}: pose {missing[0][1]} is not reached from pose {missing[0][0]}")
-    motions = [_Edge(np.zeros(3), _AT_START * np.eye(3)), *(graph.motions[pair] for pair in itertools.pairwise(poses))]
+        raise RecordingError("no pose, or no measurement of a landmark")
+    pairs = list(itertools.pairwise(poses))
+    if further := sorted(set(graph.motions) - set(pairs)):
+        raise RecordingError(f"edge {further[0]} joins poses that do not follow each other")
+    if missing := [pair for pair in pairs if pair not in graph.motions]:
+        raise RecordingError(f"pose {missing[0][1]} is not reached from pose {missing[0][0]}")
+    motions = [graph.motions[pair] for pair in pairs]
     step = {pose: k for k, pose in enumerate(poses)}
     measured = sorted(graph.measurements, key=lambda entry: step[entry[0][0]])  # stable: as in the file within a scan
     points = np.array([edge.mean for _, edge in measured])
@@ -148,15 +154,15 @@ def _recording(path: str | Path, graph: _Graph, reference: bool) -> Recording:
     known = [pose for pose in poses if reference and (pose,) in graph.poses]
     seen = sorted({landmark for (_, landmark), _ in measured if reference and (landmark,) in graph.landmarks})
     return Recording(
-        name=Path(path).stem,
-        source=str(Path(path).name),
+        name=path.stem,
+        source=path.name,
         terms="not stated in the file",
         times=times,
-        motions=np.array([edge.mean for edge in motions]),
-        motion_covariances=np.array([edge.covariance for edge in motions]),
+        motions=np.array([[0.0, 0.0, 0.0], *(edge.mean for edge in motions)]),
+        motion_covariances=np.concatenate([_AT_START * np.eye(3)[None], _covariances(motions, 3, root)]),
         starts=starts_of(np.bincount([step[i] for (i, _), _ in measured], minlength=len(poses))),
         points=points,
-        covariances=np.array([edge.covariance for _, edge in measured]),
+        covariances=_covariances([edge for _, edge in measured], 2, root),
         sources=np.array([landmark for (_, landmark), _ in measured], dtype=np.int64),
         reference_times=times[[step[pose] for pose in known]],
         reference_poses=np.array([graph.poses[pose,] for pose in known]).reshape(-1, 3),

@@ -1,20 +1,31 @@
-"""What the readers of logs share: one error, MATLAB files, points from ranges and bearings."""
+"""What the readers of logs share: one error, checks of fields, points from ranges and bearings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.io import loadmat
 
 from slam_gym.types import Array, IntArray
 
 
 class RecordingError(ValueError):
     """A recording, or a file that should hold one, is not what it should be. Names the file, field or line."""
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Errors of what is read from a file or folder as RecordingErrors that name it. No number overflows aloud."""
+    try:
+        with np.errstate(all="ignore"):  # what overflows is refused by the checks of fields
+            yield
+    except (ValueError, ArithmeticError) as error:
+        told = str(error)
+        raise RecordingError(told if told.startswith(str(path)) else f"{path}: {told}") from None
 
 
 def refuse(name: str, bad: Any, what: str) -> None:
@@ -38,9 +49,34 @@ def check_finite(record: object, names: Iterable[str]) -> None:
         refuse(name, ~finite.all(axis=tuple(range(1, finite.ndim))), "is not finite")
 
 
+def numbers_of(path: Path, name: str, value: Any, columns: int | None = None) -> Array:
+    """A variable of a MATLAB file as finite float64: a table of so many `columns`, or with None its entries in a row.
+
+    RecordingError names file, variable and row.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu" or array.size == 0:
+        raise RecordingError(f"{path}: variable {name!r}: expected numbers, found {array.dtype} {array.shape}")
+    if columns is None:
+        array = array.ravel()
+    elif array.ndim != 2 or array.shape[1] != columns:
+        raise RecordingError(f"{path}: variable {name!r}: expected a table of {columns} columns, found {array.shape}")
+    table = np.ascontiguousarray(array, np.float64)
+    bad = ~np.isfinite(table.reshape(len(table), -1)).all(axis=1)
+    if bad.any():
+        raise RecordingError(f"{path}: variable {name!r}: row {int(bad.argmax()) + 1} is not finite")
+    return table
+
+
+def refuse_rows(path: Path, name: str, bad: Any, what: str) -> None:
+    """RecordingError naming file, variable and the first row at which `bad` (n,) holds."""
+    if bad.any():
+        raise RecordingError(f"{path}: variable {name!r}: row {int(bad.argmax()) + 1} {what}")
+
+
 def check_starts(starts: IntArray, count: int) -> None:
     """RecordingError unless `starts` ascends from 0 to the number of measurements."""
-    refuse("starts", np.diff(starts, prepend=0) < 0, "descends")
+    refuse("starts", np.diff(np.clip(starts, -1, count + 1), prepend=0) < 0, "descends")  # differences may overflow
     if starts[0] != 0 or starts[-1] != count:
         raise RecordingError(f"field 'starts' goes from {starts[0]} to {starts[-1]}, expected 0 to {count}")
 
@@ -66,20 +102,3 @@ def from_polar(ranges: Array, bearings: Array, range_variance: float | Array, be
     covariances = along * ahead[:, :, None] * ahead[:, None, :]
     covariances += across * aside[:, :, None] * aside[:, None, :]
     return Points(ranges[:, None] * ahead, covariances)
-
-
-def read_matlab(path: Path, names: Iterable[str], source: str) -> dict[str, Any]:
-    """The variables of a MATLAB file from a `source` to be cited.
-
-    Raises FileNotFoundError, or RecordingError for what is unreadable or missing.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: not there. {source}")
-    try:
-        content: dict[str, Any] = loadmat(path)
-    except Exception as error:  # scipy raises whatever the damage leads to
-        raise RecordingError(f"{path}: no readable MATLAB file: {error}") from error
-    for name in names:
-        if name not in content:
-            raise RecordingError(f"{path}: variable {name!r} is missing")
-    return {name: content[name] for name in names}

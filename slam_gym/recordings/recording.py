@@ -21,6 +21,8 @@ from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odo
 PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
 """The fields of a recording with a row for each measurement."""
 
+_LARGEST_IDENTITY = 1 << 20
+_LARGEST = 1e9  # [m] of a coordinate or a standard deviation: what is larger overflows, further in, when it is squared
 _TOLERANCE = 1e-9  # of asymmetry and negative eigenvalues, relative to the largest entry
 
 
@@ -28,7 +30,8 @@ _TOLERANCE = 1e-9  # of asymmetry and negative eigenvalues, relative to the larg
 class Recording:
     """A log. Frames: R robot at the time of a step; W that of the reference, if there is one.
 
-    The heading of a reference pose is NaN where only the position is known.
+    The heading of a reference pose is NaN where only the position is known. Identities are kept as they are given,
+    unless one is 2²⁰ or above: then they become 0, 1, 2 … in their order, so that tables by identity stay small.
     Raises RecordingError, naming the field, where arrays do not fit together or hold what they may not.
     """
 
@@ -43,7 +46,7 @@ class Recording:
     covariances: Array  # (M, 2, 2) [m²] in R
     sizes: Array = None  # type: ignore[assignment]  # (M,) [m] measured intrinsic attribute, NaN where unknown: default
     size_variances: Array = None  # type: ignore[assignment]  # (M,) [m²], NaN where unknown
-    sources: IntArray  # (M,) identity ≥ 0 of the feature behind each measurement; −1 spurious, −2 unknown
+    sources: IntArray  # (M,) identity ≥ 0 of the feature behind each measurement, see below; −1 spurious, −2 unknown
     reference_times: Array = field(default_factory=lambda: np.empty(0))  # (G,) [s] ascending
     reference_poses: Array = field(default_factory=lambda: np.empty((0, 3)))  # (G, 3) [m, m, rad] in W, see below
     landmark_ids: IntArray = field(default_factory=lambda: np.empty(0, np.int64))  # (L,) identities of known place
@@ -56,6 +59,11 @@ class Recording:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(len(self.points), math.nan))
         _validate(self)
+        if max(self.sources.max(initial=0), self.landmark_ids.max(initial=0)) >= _LARGEST_IDENTITY:
+            known = np.unique(np.concatenate([self.sources[self.sources >= 0], self.landmark_ids]))
+            rank = np.where(self.sources >= 0, np.searchsorted(known, self.sources), self.sources)
+            object.__setattr__(self, "sources", rank.astype(np.int64))
+            object.__setattr__(self, "landmark_ids", np.searchsorted(known, self.landmark_ids).astype(np.int64))
 
     def __len__(self) -> int:
         return len(self.times)
@@ -164,14 +172,19 @@ def _validate(log: Recording) -> None:
     })  # fmt: skip
     finite = ("times", "motions", "motion_covariances", "points", "covariances", "reference_times", "landmarks")
     check_finite(log, finite)
+    for name in ("motions", "points", "landmarks", "sizes"):
+        large = np.abs(getattr(log, name)) > _LARGEST
+        refuse(name, large.any(axis=tuple(range(1, large.ndim))), f"is larger than {_LARGEST:.0e}")
     refuse("reference_poses", ~np.isfinite(log.reference_poses[:, :2]).all(axis=1), "has no finite position")
     for name in ("times", "reference_times"):
         times = getattr(log, name)
         refuse(name, np.diff(times, prepend=times[:1]) < 0.0, "comes before the entry before it")
     check_starts(log.starts, M)
     for name in ("motion_covariances", "covariances"):
+        refuse(name, np.abs(getattr(log, name)).max(axis=(1, 2)) > _LARGEST**2, f"is larger than {_LARGEST**2:.0e}")
         refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
     refuse("size_variances", log.size_variances < 0.0, "is negative")
+    refuse("size_variances", log.size_variances > _LARGEST**2, f"is larger than {_LARGEST**2:.0e}")
     refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
     refuse("sources", log.sources < UNLABELLED, f"is neither an identity nor {SPURIOUS} nor {UNLABELLED}")
     refuse("landmark_ids", log.landmark_ids < 0, "is negative")

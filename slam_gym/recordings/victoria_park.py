@@ -13,11 +13,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.recordings.reading import RecordingError, from_polar, read_matlab, starts_of
+from slam_gym.recordings.matlab_file import read_matlab
+from slam_gym.recordings.reading import RecordingError, from_polar, naming, numbers_of, refuse_rows, starts_of
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, IntArray
 
@@ -29,6 +31,8 @@ TERMS = "No licence is published for the data: ask the authors before you pass i
 _LENGTH, _HALF_WIDTH = 2.83, 0.76  # [m] wheel base; from the middle of the rear axle to the encoder's wheel
 _AHEAD, _ASIDE = 3.78, 0.5  # [m] of the laser, from the middle of the rear axle
 _RANGE = 80.0  # [m] of the laser
+_FASTEST, _SHARPEST = 100.0, 1.2  # [m/s], [rad] of any vehicle; at 1.31 rad the middle of the axle would stand still
+_LONGEST, _FARTHEST = 1e7, 1e5  # [s] of a log; [m] of anything seen
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 
@@ -55,33 +59,86 @@ def victoria_park(folder: str | Path, noise: Noise | None = None) -> Recording:
     """
     noise = noise or Noise()
     folder = Path(folder)
-    wheels = read_matlab(folder / "aa3_dr.mat", ("time", "speed", "steering"), SOURCE)
-    laser = read_matlab(folder / "VictoriaParkSinSincronizar.mat", ("TLsr", "zt"), SOURCE)
-    gps = read_matlab(folder / "aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m"), SOURCE)
-    labels = read_matlab(folder / "data_sensor_clean_clean.mat", ("data_sensor_clean_clean",), SOURCE)
-    times = np.ascontiguousarray(laser["TLsr"].ravel(), dtype=np.float64)
-    commands = [np.ascontiguousarray(wheels[name].ravel(), np.float64) for name in ("time", "speed", "steering")]
-    growth = (noise.speed, noise.lateral, noise.turn)
-    motions, covariances = _integrate(times, 1e-3 * commands[0], commands[1], commands[2], growth)
-    detections = [np.asarray(scan, np.float64).reshape(3, -1).T for scan in laser["zt"].ravel()]
+    with naming(folder):
+        return _recording(_read(folder), noise)
+
+
+class _Park(NamedTuple):
+    """What the four files hold."""
+
+    wheels: tuple[Array, Array, Array]  # time [ms], speed [m/s], steering [rad]
+    scans: Array  # (T,) [s]
+    starts: IntArray  # (T + 1,)
+    polar: Array  # (M, 3) range [m], bearing [rad] from the right, diameter [m]
+    gps: Array  # (G, 3) time [ms], x, y [m]
+    sources: IntArray  # (M,)
+
+
+def _read(folder: Path) -> _Park:
+    path = folder / "aa3_dr.mat"
+    wheels = _columns(path, ("time", "speed", "steering"))
+    refuse_rows(path, "time", np.diff(wheels[0], prepend=wheels[0][0]) < 0.0, "comes before the row before it")
+    refuse_rows(path, "speed", np.abs(wheels[1]) > _FASTEST, f"is above {_FASTEST:g} m/s")
+    refuse_rows(path, "steering", np.abs(wheels[2]) > _SHARPEST, f"is above {_SHARPEST:g} rad")
+    path = folder / "VictoriaParkSinSincronizar.mat"
+    laser = read_matlab(path, ("TLsr", "zt"), SOURCE)
+    scans = numbers_of(path, "TLsr", laser["TLsr"])
+    far = (np.diff(scans, prepend=scans[0]) < 0.0) | (np.abs(scans) > _LONGEST)
+    refuse_rows(path, "TLsr", far, f"comes before the row before it, or after {_LONGEST:g} s")
+    detections = _detections(path, laser["zt"], len(scans))
     starts, polar = starts_of([len(scan) for scan in detections]), np.concatenate(detections)
+    path = folder / "aa3_gpsx.mat"
+    gps = np.column_stack(_columns(path, ("timeGps", "Lo_m", "La_m")))
+    path, name = folder / "data_sensor_clean_clean.mat", "data_sensor_clean_clean"
+    labels = numbers_of(path, name, read_matlab(path, (name,), SOURCE)[name], 6)
+    beyond = ~((labels[:, 5] >= 0.0) & (labels[:, 5] < 1 << 31) & (np.abs(labels[:, 0]) < 1 << 53))
+    refuse_rows(path, name, beyond, "has no identity, or no time")
+    return _Park(wheels, scans, starts, polar, gps, _identities(folder, labels, scans, starts, polar))
+
+
+def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Array]:
+    """Three variables of a file, all of one length."""
+    content = read_matlab(path, names, SOURCE)
+    first, second, third = (numbers_of(path, name, content[name]) for name in names)
+    if not len(first) == len(second) == len(third):
+        raise RecordingError(f"{path}: variables {', '.join(names)} are not of one length")
+    return first, second, third
+
+
+def _detections(path: Path, cells: Array, scans: int) -> list[Array]:
+    """For each scan a table (n, 3) of range, bearing, diameter."""
+    if cells.dtype != object or cells.size != scans:
+        raise RecordingError(f"{path}: variable 'zt': expected {scans} cells, found {cells.dtype} {cells.shape}")
+    tables = []
+    for k, cell in enumerate(cells.ravel(), 1):
+        if cell.dtype.kind not in "fiu" or cell.size % 3 or not (np.abs(cell) <= _FARTHEST).all():
+            raise RecordingError(f"{path}: variable 'zt': cell {k} is no table of 3 rows of finite numbers")
+        tables.append(np.asarray(cell, np.float64).reshape(3, -1).T)
+    return tables
+
+
+def _recording(park: _Park, noise: Noise) -> Recording:
+    time, speed, steering = park.wheels
+    growth = (noise.speed, noise.lateral, noise.turn)
+    motions, covariances = _integrate(park.scans, 1e-3 * time, speed, steering, growth)
+    polar = park.polar
     bearings = polar[:, 1] - 0.5 * math.pi  # the laser counts them from its right
     seen = from_polar(polar[:, 0], bearings, noise.range**2, noise.bearing)
     return Recording(
         name="victoria_park",
         source=SOURCE,
         terms=TERMS,
-        times=times,
+        times=park.scans,
         motions=motions,
         motion_covariances=covariances,
-        starts=starts,
+        starts=park.starts,
         points=seen.points,
         covariances=seen.covariances,
         sizes=polar[:, 2].copy(),
         size_variances=noise.size**2 + (noise.size_per_metre * polar[:, 0]) ** 2,
-        sources=_identities(folder, labels["data_sensor_clean_clean"], times, starts, polar),
-        reference_times=1e-3 * gps["timeGps"].ravel(),
-        reference_poses=np.column_stack([gps["Lo_m"], gps["La_m"], np.full(len(gps["Lo_m"]), np.nan)]),
+        sources=park.sources,
+        reference_times=1e-3 * park.gps[:, 0],
+        reference_poses=np.column_stack([park.gps[:, 1:], np.full(len(park.gps), np.nan)]),
         range=_RANGE,
         field_of_view=math.pi,
     )

@@ -72,6 +72,11 @@ def test_vertices_are_the_reference_if_asked(tmp_path) -> None:
         ("EDGE_SE2_XY 0 100 1 two 1 0 1", "could not convert"),
         ("EDGE_SE2_XY 0.5 100 1 2 1 0 1", "0.5 is no index"),
         ("EDGE_SE2_XY 0 100 1 2 1 3 1", "not positive definite"),
+        ("EDGE_SE2_XY 0 -1 1 2 1 0 1", "-1 is no index"),
+        ("EDGE_SE2_XY 0 9.007199254740993e15 1 2 1 0 1", "9.007199254740993e15 is no index"),
+        ("EDGE_SE2_XY 0 9223372036854775808 1 2 1 0 1", "9223372036854775808 is no index"),
+        (f"EDGE_SE2_XY 0 {'9' * 5000} 1 2 1 0 1", "is no index"),
+        ("EDGE_SE2_XY 0 100 1 2 1e-320 0 1e300", "not positive definite"),
         ("EDGE_SE2 0 1 0 0 0 1 0 0 1 0 1", "from 0 to 1 is there twice"),
     ],
 )
@@ -98,3 +103,18 @@ def test_edges_that_close_loops_between_poses_are_not_passed_over(tmp_path) -> N
     path.write_text(path.read_text() + f"\nEDGE_SE2 0 3 {numbers(STEP)} {upper(np.eye(3))}")
     with pytest.raises(RecordingError, match=r"edge \(0, 3\) joins poses that do not follow each other"):
         g2o(path)
+
+
+def test_identities_that_no_float_tells_apart_stay_apart(tmp_path) -> None:
+    """GTSAM writes the character of a symbol into the upper byte of its number."""
+    path, _ = files(tmp_path)
+    first = (ord("l") << 56) + 1
+    words = [line.split() for line in path.read_text().splitlines()]
+    for line in words:
+        if line[0] in ("VERTEX_XY", "EDGE_SE2_XY"):
+            at = 1 if line[0] == "VERTEX_XY" else 2
+            line[at] = str(first + int(line[at]) - 100)
+    path.write_text("\n".join(map(" ".join, words)))
+    recording = g2o(path, reference=True)
+    assert recording.sources.tolist() == [0, 1] * 4 and recording.landmark_ids.tolist() == [0, 1]
+    np.testing.assert_allclose(recording.landmarks, list(LANDMARKS.values()))

@@ -58,3 +58,45 @@ def test_what_a_log_does_not_tell_is_unknown() -> None:
     recording = Recording(**told)
     assert np.isnan(recording.scan(3).sizes).all() and np.isnan(recording.scan(3).size_variances).all()
     assert recording.reference_poses.shape == (0, 3) and recording.landmarks.shape == (0, 2)
+
+
+@pytest.mark.parametrize("large", [10**9, 2**62, 1 << 20])
+def test_large_identities_are_numbered_anew_in_their_order(large) -> None:
+    told = by_hand()
+    told["sources"] = np.where(np.arange(24) == 5, -1, np.tile([7, large, 9, 30], 6))
+    told["landmark_ids"] = np.array([large, 7])
+    recording = Recording(**told)
+    assert recording.sources[:8].tolist() == [0, 3, 1, 2, 0, -1, 1, 2]
+    assert recording.landmark_ids.tolist() == [3, 0]
+    assert recording.part(2, 4).sources.tolist() == recording.sources[8:16].tolist()
+
+
+def test_identities_below_a_million_are_kept() -> None:
+    told = by_hand() | {"sources": np.tile([7, 8, 9, (1 << 20) - 1], 6)}
+    assert Recording(**told).sources.max() == (1 << 20) - 1
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "value", "message"),
+    [
+        ("sizes", 1, np.inf, "field 'sizes': entry 1 is larger than 1e"),
+        ("sizes", 3, -np.inf, "field 'sizes': entry 3 is larger than 1e"),
+        ("size_variances", 1, np.inf, "field 'size_variances': entry 1 is larger than 1e"),
+        ("points", (2, 0), 1e200, "field 'points': entry 2 is larger than 1e"),
+        ("motions", (4, 1), -1e200, "field 'motions': entry 4 is larger than 1e"),
+        ("motion_covariances", (4, 1, 1), 1e200, "field 'motion_covariances': entry 4 is larger than 1e"),
+    ],
+)
+def test_what_would_overflow_further_in_is_refused(name, index, value, message) -> None:
+    told = by_hand()
+    told[name] = np.array(told[name], np.float64)
+    told[name][index] = value
+    with pytest.raises(RecordingError, match=message):
+        Recording(**told)
+
+
+def test_starts_whose_differences_overflow_are_refused() -> None:
+    told = by_hand()
+    told["starts"] = np.array([0, 2**63 - 1, -(2**63), -1, 24, 24, 24])
+    with pytest.raises(RecordingError, match="field 'starts': entry 2 descends"):
+        Recording(**told)
