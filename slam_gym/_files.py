@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_BYTES = 1 << 26  # of a file, or of what it unpacks to, where a reader says nothing else
-MAX_LINES = 2_000_000
+MAX_LINES = 300_000
 MAX_LINE = 10_000  # characters
 _MAX_DIRECTORY = 1 << 20  # bytes of a zip file's directory, some 10 000 entries
 _END, _END_64 = b"PK\x05\x06", b"PK\x06\x07"  # of a zip file: its last record, and that of a file above 4 GB

@@ -88,7 +88,7 @@ def test_lines_have_their_numbers_and_bounds() -> None:
     with pytest.raises(ValueError, match="line 2: has more than"):
         list(lines_of(b"a\n" + b"x" * 10_001))
     with pytest.raises(ValueError, match=r"more than .* lines"):
-        list(lines_of(b"\n" * 2_000_001))
+        list(lines_of(b"\n" * 300_001))
 
 
 def test_json_says_each_thing_once() -> None:

@@ -26,7 +26,7 @@ from slam_gym.recordings.reading import RecordingError, naming, starts_of
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array
 
-_MAX_BYTES = 1 << 25  # some half a million edges
+_MAX_BYTES = 1 << 25
 _AT_START = 1e-12  # [m²], [rad²] of the first pose: it is where the log begins
 
 
