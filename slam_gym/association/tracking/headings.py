@@ -24,7 +24,8 @@ from slam_gym.types import Array, IntArray, Prediction
 
 NARROW = 0.08  # [rad] s: at 6 m the tangent is off by 2 cm
 _WIDE = 0.09  # [rad] σ from which a heading is split
-_SIGMAS = 2.0  # of √(σ² − s²) that the headings cover
+_SIGMAS = 2.0  # of √(σ² − s²) that the headings cover …
+_MOST = 5  # … but no more of them than so many to either side
 
 
 class Heading(NamedTuple):
@@ -40,7 +41,7 @@ def headings(prediction: Prediction) -> list[Heading]:
     if sigma <= _WIDE or not len(prediction):
         return [Heading(0.0, prediction)]
     spread = math.sqrt(sigma**2 - NARROW**2)
-    n = math.ceil(0.5 * _SIGMAS * spread / NARROW)
+    n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)
     phi = 2.0 * NARROW * np.arange(-n, n + 1)
     weights = np.exp(-0.5 * (phi / spread) ** 2)
     given = _given_heading(prediction.joint(np.arange(len(prediction))), prediction)

@@ -4,6 +4,11 @@ JCBB takes the most pairings and `map_hypothesis` the most probable hypothesis, 
 pairing in it. But a wrong pairing spoils the map, while a refused one is a measurement less. With p_ij the probability
 that measurement i is of feature j, over all hypotheses (`marginals`), and a wrong pairing that costs c right ones,
 pairing is worth p − c (1 − p): more than nothing where p > τ = c / (c + 1).
+
+What is left unpaired starts a feature where the probability that it is of nothing in the map exceeds the same τ: a
+feature that is started beside its own likeness spoils the map as a wrong pairing does. Gates have no say in it, so that
+a robot that knows its pose poorly, to whom most of what it sees is compatible with something, still maps what is new
+once the other measurements tell where it is.
 """
 
 from __future__ import annotations
@@ -31,7 +36,7 @@ def marginal(
     width: int = 100,
     margin: float = 12.0,
 ) -> Hypothesis:
-    """Every pairing whose marginal probability makes it worth the risk.
+    """Every pairing whose marginal probability makes it worth the risk, and every feature that is new as surely.
 
     All features in reach are candidates, near or not: an alternative that is left out makes the others look certain.
     The `posterior` holds the marginals of the decisions; its probability is that of all decisions together, 0 where the
@@ -39,7 +44,8 @@ def marginal(
     `experience` is for the next prediction of the same run.
 
     Arguments:
-        cost: what a wrong pairing costs, in right ones that are missed; at least 1, so that no feature is paired twice.
+        cost: what a wrong pairing costs, in right ones that are missed, and a duplicate, in new features that are; at
+            least 1, so that no feature is paired twice.
         detection: P_D; None: weighed by what the run has shown.
         density: [1/m²] λ of what is not in the map; None: likewise.
         unseen, width, margin: as in `map_hypothesis`.
@@ -49,7 +55,8 @@ def marginal(
     if not 1.0 <= cost < math.inf:
         raise ValueError(f"cost: {cost} is not a finite number of at least 1")
     found = marginals(scan, prediction, detection=detection, density=density, unseen=unseen, width=width, margin=margin)
-    rows, probabilities = _decided(found.pairings, found.unpaired, cost / (cost + 1.0))
+    threshold = cost / (cost + 1.0)
+    rows, probabilities = _decided(found.pairings, found.unpaired, threshold)
     answer = as_hypothesis(prediction, rows, joint_distance(scan, prediction, rows).squared, found.effort)
     return Hypothesis(
         answer.features,
@@ -57,6 +64,7 @@ def marginal(
         answer.dof,
         answer.effort,
         _posterior(found, rows, probabilities, prediction),
+        new=(rows == UNPAIRED) & (found.unpaired > threshold),
         experience=found.experience,
     )
 

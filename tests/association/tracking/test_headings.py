@@ -60,3 +60,7 @@ def test_a_part_is_a_prediction_like_any_other():
             part.joint(np.arange(3))[np.ix_([4, 5, 0, 1], [4, 5, 0, 1])]
         )
         assert part.heading_variance == pytest.approx(NARROW**2) and part.confidence == 0.9
+
+
+def test_a_heading_that_nobody_knows_is_not_split_for_ever():
+    assert len(headings(predicted(3.0)[1])) <= 11

@@ -9,6 +9,7 @@ import pytest
 from scipy.special import logsumexp
 
 from slam_gym.association import jcbb, marginal
+from slam_gym.association.compatibility import has_compatible
 from slam_gym.association.tracking.marginals import marginals
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Odometry, Prediction, Scan
@@ -42,7 +43,8 @@ def test_decisions_follow_the_cost_of_a_wrong_pairing(seed):
             assert worth == (feature != UNPAIRED)
             if worth:
                 assert p[i, row_of[int(feature)]] == best == answer.posterior.marginals[i]
-            else:
+            assert answer.new[i] == (p[i].sum() < 1.0 / (cost + 1.0))
+            if not worth:
                 assert answer.posterior.marginals[i] == pytest.approx(1.0 - p[i].sum(), abs=1e-9)
         features = answer.features[answer.features != UNPAIRED].tolist()
         assert len(features) == len(set(features))
@@ -100,6 +102,17 @@ def test_a_measurement_between_two_features_is_refused():
     answer = marginal(scan, prediction)
     assert answer.features.tolist() == [UNPAIRED] and answer.posterior.unpaired[0] < 0.5
     assert marginal(scan, prediction, cost=1.0).features.tolist() == [0]
+
+
+def test_what_is_new_is_told_from_the_others_although_the_gates_are_wide():
+    """A robot that may stand half a metre away sees four features and, beside one of them, something else."""
+    at = np.array([[1.0, 0.0], [3.0, 0.5], [4.0, -2.0], [2.0, 2.0]])
+    prediction = Prediction.from_gaussian(at, np.tile(0.25 * np.eye(2), (4, 4)) + 1e-4 * np.eye(8))
+    seen = np.concatenate([at, [[1.4, 0.3]]])
+    scan = Scan.from_points(seen + np.array([0.5, 0.4]), sigma=0.02)
+    answer = marginal(scan, prediction)
+    assert answer.features.tolist() == [0, 1, 2, 3, UNPAIRED]
+    assert answer.new.tolist() == [False] * 4 + [True] and has_compatible(scan, prediction)[4]
 
 
 def test_of_two_features_at_one_place_none_is_paired():
