@@ -29,6 +29,7 @@ from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
+from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocation import LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Associator, Relocator
 from slam_gym.validation import one_of
@@ -77,7 +78,8 @@ class ExploreEnv(BaseEnv):
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
     - `relocation`: the search that finds a lost robot again, by name (`slam_gym.association.RELOCATORS`),
       `"module:function"` or a callable; None: a robot that has lost itself never finds back. `relocation_locality`:
-      `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
+      `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None. `atlas`: beside relocation, loops are closed,
+      and a robot that is lost for long starts another map, joined once it is recognised; False: neither.
     - `overrides`: fields of the scenario to change, by dotted name:
       `{"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3}`.
     - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (one picture a tick: for films) or `"human"`;
@@ -98,6 +100,7 @@ class ExploreEnv(BaseEnv):
         locality: Literal["covisibility"] | None = "covisibility",
         relocation: str | Relocator | None = "gcbb",
         relocation_locality: LocalityName | None = "covisibility",
+        atlas: bool | AtlasSpec = True,
         overrides: Mapping[str, Plain] | None = None,
         render_mode: RenderMode | None = None,
         render_covisibility: bool = False,
@@ -118,6 +121,7 @@ class ExploreEnv(BaseEnv):
         resolve_associator(associator)  # refuses an unknown one now
         self.associator = associator
         self.relocate = None if relocation is None else relocate_by(relocation, relocation_locality)
+        self.atlas = (AtlasSpec() if atlas is True else atlas or None) if self.relocate else None
         self._error = get_reward(reward)
         self._virtual = reward != "map_error"
         self.measurements = self.scenario.sensor.max_features
@@ -167,6 +171,7 @@ class ExploreEnv(BaseEnv):
             locality=self.locality is not None,
             virtual=self._virtual,
             relocate=self.relocate,
+            atlas=self.atlas,
         )
         self._places = Places()
         self._begin_step()

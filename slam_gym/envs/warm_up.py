@@ -25,12 +25,12 @@ from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import follow
 from slam_gym.navigation.sweeps import MovableSweeps
-from slam_gym.slam import slam
+from slam_gym.slam import lost, slam
 from slam_gym.types import Array, Beams, Prediction, Scan
 from slam_gym.world import boxes, detection, ray_casting, reachability, wall_grid
 
 COMPILED = (
-    geometry, slam, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, redrawing,
+    geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, redrawing,
     linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
     ray_casting, reachability, visibility, wall_grid,
 )  # fmt: skip

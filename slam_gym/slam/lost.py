@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from slam_gym._compile import compiled
 from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Prediction
 
 EXPECTED = 0.5  # visibility from which a feature should be in view
@@ -11,6 +14,7 @@ _STILL_EXPECTED = 0.1  # … and from which it should if the last scan paired it
 _BELIEVED_AGAIN = 2.0  # a lost robot must pair so many times what one that is not lost must
 _NEAREST = 1e-9  # [m]
 _KNOWN_AFTER = 10  # [scans] in which the sensor has looked no farther to the side than before
+_NOTHING = np.empty(0, np.int64)
 _EXPLAINED = 0.5  # fraction of the measurements that, once paired, speaks for the pose whatever should be in view
 
 
@@ -38,7 +42,7 @@ class Tracker:
     def __init__(self, fraction: float, scans: int, min_expected: int) -> None:
         self.fraction, self.scans, self.min_expected = fraction, scans, min_expected
         self.doubted = 0  # scans in a row
-        self._last_paired: set[int] = set()  # features that the last scan believed was paired with
+        self._last_paired = _NOTHING  # (p,) features that the last scan believed was paired with
         self._least_cosine = 1.0  # of the directions of all that was measured so far
         self._looks = 0  # scans since that last fell
 
@@ -49,8 +53,7 @@ class Tracker:
 
     def look(self, points: Array) -> None:
         """Learn from measurements (m, 2) [m] in R how far the sensor looks to either side."""
-        ahead = points[:, 0] / np.maximum(np.hypot(points[:, 0], points[:, 1]), _NEAREST)
-        least = float(ahead.min(initial=1.0))
+        least = _least_cosine(points)
         self._looks = 0 if least < self._least_cosine else self._looks + 1
         self._least_cosine = min(least, self._least_cosine)
 
@@ -59,9 +62,12 @@ class Tracker:
 
         Chance pairs some now and then, so once lost it takes twice the fraction, and twice the number, to be believed.
         """
-        known = set(prediction.features[established].tolist())
+        if not self.lost and self._plainly_right(prediction, hypothesis, established):
+            self.believe(hypothesis)
+            return False
+        known, last = set(prediction.features[established].tolist()), set(self._last_paired.tolist())
         expected = set(prediction.features[established & self._should_be_seen(prediction)].tolist())
-        still = known & self._last_paired if prediction.view is not None else expected
+        still = known & last if prediction.view is not None else expected
         paired = known.intersection(hypothesis.features.tolist())
         measured = len(hypothesis.features)
         fraction = self.fraction * (_BELIEVED_AGAIN if self.lost else 1.0)
@@ -79,18 +85,27 @@ class Tracker:
     def believe(self, hypothesis: Hypothesis) -> None:
         """The hypothesis holds: tracking goes on from it."""
         self.doubted = 0
-        self._last_paired = set(hypothesis.features[hypothesis.features != UNPAIRED].tolist())
+        self._last_paired = hypothesis.features[hypothesis.features != UNPAIRED]
 
     def forget(self) -> None:
         """Begin anew, in another map."""
-        self.doubted, self._last_paired = 0, set()
+        self.doubted, self._last_paired = 0, _NOTHING
 
     def renumber(self, became: IntArray) -> None:
         """Each of the map's n features `became` (n,) another, or UNPAIRED where it is gone."""
-        self._last_paired = {int(became[feature]) for feature in self._last_paired} - {UNPAIRED}
+        still = became[self._last_paired]
+        self._last_paired = still[still != UNPAIRED]
+
+    def _plainly_right(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
+        """So much is paired that nothing else needs to be asked: what nearly every scan is like."""
+        paired, measured = (
+            _pairings_with(prediction.features[established], hypothesis.features),
+            len(hypothesis.features),
+        )
+        return paired >= max(_EXPLAINED, self.fraction) * measured
 
     def _should_be_seen(self, prediction: Prediction) -> BoolArray:
-        paired = np.array([feature in self._last_paired for feature in prediction.features.tolist()], dtype=np.bool_)
+        paired = np.isin(prediction.features, self._last_paired)
         visibility = prediction.visibility()
         if visibility is None:
             return paired & self._in_sector(prediction.positions)
@@ -102,3 +117,25 @@ class Tracker:
             return np.ones(len(positions), np.bool_)
         ahead: BoolArray = positions[:, 0] >= self._least_cosine * np.hypot(positions[:, 0], positions[:, 1])
         return ahead
+
+
+@compiled
+def _pairings_with(features: IntArray, decisions: IntArray) -> int:
+    """How many of the decisions (m,) are one of the features (k,)."""
+    count = 0
+    for decision in decisions:
+        if decision != UNPAIRED:
+            for feature in features:
+                if feature == decision:
+                    count += 1
+                    break
+    return count
+
+
+@compiled
+def _least_cosine(points: Array) -> float:
+    """Of the angles between straight ahead and the points (m, 2); 1 where there are none."""
+    least = 1.0
+    for i in range(len(points)):
+        least = min(least, points[i, 0] / max(math.hypot(points[i, 0], points[i, 1]), _NEAREST))
+    return least

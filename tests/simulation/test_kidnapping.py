@@ -113,12 +113,12 @@ def test_without_relocation_the_robot_never_finds_back_and_with_it_it_does() -> 
         assert pose_is_right(estimate, found.episode.poses[-1])
 
 
-def test_nothing_is_learned_while_the_robot_is_lost() -> None:
+def test_without_an_atlas_nothing_is_learned_while_the_robot_is_lost() -> None:
     def nobody_knows(scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
         answer = gcbb(scan, landmarks, locality)
         return replace(answer, min_pairings=len(scan) + 1)
 
-    env = explore(kidnapped(), relocation=nobody_knows)
+    env = explore(kidnapped(), relocation=nobody_knows, atlas=False)
     seen: list[tuple[bool, int, int]] = []
     env.watch(lambda env: seen.append((env.episode.slam.lost, env.episode.slam.map.n, env.episode.grid.cells.sum())))
     assert nearest_frontier(env, 0)["recovered"] == 0.0
