@@ -12,6 +12,8 @@ import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from slam_gym.envs.goal_observation import unsquash_goals
+from slam_gym.geometry import transform
+from slam_gym.simulation.goals import Tried
 
 
 @dataclass(frozen=True)
@@ -24,23 +26,35 @@ class GainSpec:
 
 
 class InformationGain:
-    """argmax over the legal goals of (2 σ₀² · density · expected new area + expected trace reduction) / ticks."""
+    """argmax over the legal goals of (2 σ₀² · density · expected new area + expected trace reduction) / ticks.
+
+    A place that the robot has gone back to, or where it has looked around, promises the less the more often it has.
+    """
 
     name = "information_gain"
     action: ActionKind = "goal"
 
     def __init__(self, spec: GainSpec | None = None) -> None:
         self._spec = spec or GainSpec()
+        self.reset(0)
 
     def reset(self, seed: int) -> None:
-        pass
+        self._looked, self._revisited = Tried(), Tried()
 
     def act(self, observation: Observation, info: Info) -> int:
         goals, spec = unsquash_goals(observation["goals"]), self._spec
         ticks = np.maximum(spec.overhead + goals["path"] / spec.speed, 1.0)
         ticks[LOOK_AROUND] = spec.look
         gain = 2.0 * spec.prior_sigma**2 * spec.density * goals["area"] + goals["reduction"]
-        return int(np.argmax(np.where(legal_goals(info), gain / ticks, -np.inf)))
+        places = transform(np.asarray(info["pose"], float), np.column_stack([goals["x"], goals["y"]]).astype(float))
+        gain /= 1.0 + np.where(goals["revisit"] > 0.5, self._revisited.times(places), 0)
+        gain[LOOK_AROUND] *= self._looked.times(places[:1])[0] == 0
+        chosen = int(np.argmax(np.where(legal_goals(info), gain / ticks, -np.inf)))
+        if chosen == LOOK_AROUND:
+            self._looked.add(places[LOOK_AROUND])
+        elif goals["revisit"][chosen] > 0.5:
+            self._revisited.add(places[chosen])
+        return chosen
 
 
 class InformationGainNoRevisits(InformationGain):

@@ -233,7 +233,7 @@ class ExploreEnv(BaseEnv):
             "image": encode_image(episode.grid, pose, slam_map.positions),
         }
         if self.goal_mode:
-            self._goals = goals_module.propose(self.scenario, slam_map, episode.grid, self._places)
+            self._goals = goals_module.propose(self.scenario, slam_map, episode.grid, self._places, episode.tried)
             observation["goals"] = encode_goals(self._goals, pose)
         return observation
 

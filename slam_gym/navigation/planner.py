@@ -75,8 +75,11 @@ class DistanceField:
         return np.concatenate([self.start[None], inner, np.asarray(goal, dtype=np.float64)[None]])
 
 
-def distance_field(grid: ExploredGrid, start: Array, clearance: float) -> DistanceField:
+def distance_field(grid: ExploredGrid, start: Array, clearance: float, within: Array | None = None) -> DistanceField:
     """Least-cost paths from `start` (2,) in B over the free cells of `grid`, 8-connected.
+
+    With `within` (4,) [m] xmin, ymin, xmax, ymax in B the field is that of the cells in there alone, and takes no
+    longer in a large building.
 
     Walls and the unknown are closed, and so are cells nearer than `clearance` [m] to a wall cell, centre to centre. At
     a distance d < clearance + MARGIN, a length costs 1 + CROWDING (1 − d / (clearance + MARGIN))² times what it costs
@@ -86,9 +89,10 @@ def distance_field(grid: ExploredGrid, start: Array, clearance: float) -> Distan
     if not 0.0 <= clearance < math.inf:
         raise ValueError(f"clearance: expected a finite length ≥ 0 [m], got {clearance}")
     start = np.array(start, dtype=np.float64)
-    levels, weights = _levels(grid.cells, (clearance + MARGIN) / grid.resolution)
+    cells, origin = (grid.cells, grid.origin) if within is None else _window(grid, within)
+    levels, weights = _levels(cells, (clearance + MARGIN) / grid.resolution)
     first_open = 1 + math.ceil((clearance / grid.resolution) ** 2 - 1e-9)
-    cell = _cell_of(start, grid.origin, grid.resolution, grid.cells.shape)
+    cell = _cell_of(start, origin, grid.resolution, cells.shape)
     row, column = cell or (-1, -1)  # off the grid: a corner of the border, from which no step leads
     shape, stride = levels.shape, levels.shape[1]
     offsets = np.array([dr * stride + dc for dr, dc in STEPS])
@@ -101,9 +105,18 @@ def distance_field(grid: ExploredGrid, start: Array, clearance: float) -> Distan
         levels[1:-1, 1:-1],
         weights,
         steps.reshape(shape)[1:-1, 1:-1],
-        grid.origin,
+        origin,
         grid.resolution,
     )
+
+
+def _window(grid: ExploredGrid, within: Array) -> tuple[Cells, Array]:
+    """The cells of the grid in a rectangle (4,) [m] in B, at least one, and the corner (2,) where they begin."""
+    bounds = np.floor((np.asarray(within, dtype=np.float64).reshape(2, 2) - grid.origin) / grid.resolution)
+    (left, low), (right, high) = np.clip(bounds, 0.0, np.array(grid.cells.shape[::-1]) - 1.0).astype(np.int64)
+    cells = np.ascontiguousarray(grid.cells[low : high + 1, left : right + 1])
+    cells.flags.writeable = False  # as all cells are, or the field would be compiled for anew
+    return cells, grid.origin + np.array([left, low]) * grid.resolution
 
 
 def _cell_of(point: Array, origin: Array, resolution: float, shape: tuple[int, ...]) -> tuple[int, int] | None:

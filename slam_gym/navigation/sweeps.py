@@ -19,6 +19,7 @@ SPACING, TURN = 0.5, math.radians(20.0)  # [m], [rad] between key poses
 REST = 0.1  # of that: the robot counts as at rest, and but one of its sweeps there is kept
 CHECK, SHARES = 10, 2  # every so many sweeps, one in so many key poses is looked at, and the last one, …
 SURPRISE, SURPRISING_TURN = 0.1, math.radians(2.0)  # … or where a scan corrects the pose by so much [m], [rad]
+AT_ONCE, ALLOWANCE = 3_000, 4  # sweeps that are redrawn at most, and by how many more with each that is entered
 MOST = 30_000  # sweeps that are kept; when there are more, every other one is given up
 NO_PAIRS = np.empty((0, 2), np.int64)
 
@@ -54,7 +55,7 @@ class MovableSweeps:
         self._count = 0  # sweeps that are kept, one row each in …
         self._poses, self._ranges = np.empty((0, 3)), np.empty((0, 0))  # … in B as drawn last, and [m]
         self._last = self._kept = self._opened = _NOWHERE  # of the last sweep, the last one kept, the last key pose
-        self._checks, self._unchecked = 0, 0
+        self._checks, self._unchecked, self._allowed = 0, 0, AT_ONCE
 
     def enter(
         self,
@@ -79,6 +80,7 @@ class MovableSweeps:
             raise ValueError(f"beams: {len(beams.ranges)} of them, where sweeps so far had {self._ranges.shape[1]}")
         surprised = _apart(here, _moved(self._last, motion), SURPRISE, SURPRISING_TURN)
         self._last, self._unchecked, corrected = here, self._unchecked + 1, False
+        self._allowed = min(self._allowed + ALLOWANCE, AT_ONCE)
         if len(fused):
             self._keys.fuse(fused)
         if self._first and (surprised or len(fused) or self._unchecked == CHECK):
@@ -110,9 +112,18 @@ class MovableSweeps:
         return corrected
 
     def _redraw(self, moved: Moved, beams: Beams) -> None:
-        """Take the sweeps of key poses out of the grid, and put them in where they are now."""
+        """Take the sweeps of key poses out of the grid, and put them in where they are now.
+
+        A map that moves all the time must not stop the robot: the youngest come first, others when they are looked at
+        next.
+        """
         ends = np.append(self._first, self._count)
         counts = ends[moved.rows + 1] - ends[moved.rows]
+        first = int(np.searchsorted(-np.cumsum(counts[::-1])[::-1], -self._allowed))
+        moved, counts = Moved(moved.rows[first:], moved.before[first:], moved.after[first:]), counts[first:]
+        self._allowed -= int(counts.sum())
+        if not len(counts):
+            return
         sweeps = np.concatenate([np.arange(ends[k], ends[k + 1]) for k in moved.rows])
         before, after = self._taken_along(moved, sweeps, counts)
         self._grid.move(before, after, Beams(beams.bearings, self._ranges[sweeps], beams.max_range))

@@ -114,7 +114,8 @@ class DrivenRun:
         """Drive on for a tick, towards a new goal where the last one is done with."""
         command = next(self._commands, None)
         while command is None:
-            goals = propose(self.episode.scenario, self.slam.map, self.episode.grid, self._places)
+            e = self.episode
+            goals = propose(e.scenario, self.slam.map, e.grid, self._places, e.tried)
             slot = self._driver(goals, self._choices)
             self._commands = commands(self.episode, slot, goals.positions[slot])
             command = next(self._commands, None)

@@ -7,15 +7,18 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from slam_gym.navigation.explored_grid import FREE, ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import PursuitSpec, follow
 from slam_gym.simulation.episode import Episode
-from slam_gym.simulation.goals import CLEARANCE, FRONTIERS, LOOK, WORTH_SEEING
+from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances
 from slam_gym.types import Array
 
 ARRIVED = 0.4  # [m] from the goal
 REPLAN = 10  # [ticks] at most between looks at whether the path still holds
 KEEP = 1.1  # a path is kept until a fresh one is shorter by more than this factor
+AHEAD, AROUND = 15.0, 6.0  # [m] of a path that are planned anew, and of the space around them
+NEAR_ENOUGH = 1.5  # [m] from a goal that cannot be reached any more, where a place that can be takes its stead
 STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] no nearer than this in so many ticks: lost
 
 AfterTick = Callable[[], None]
@@ -33,8 +36,9 @@ def commands(episode: Episode, slot: int, goal: Array) -> Iterator[Command]:
     """Look around (slot `LOOK`), or drive to `goal` (2,) in B until it is reached, lost or out of date.
 
     Yields forward and turning speed for one tick after the other; each is to be carried out before the next is asked
-    for. A frontier is out of date once there is little left to see from it; a revisit is driven to its end. Ends at
-    once when the budget is spent.
+    for. A frontier is out of date once there is little left to see from it; a revisit is driven to its end. A goal to
+    which no path leads any more, because a wall has been drawn there, gives way to a place nearby. Ends at once when
+    the budget is spent.
     """
     return _look_around(episode) if slot == LOOK else _drive(episode, goal, slot <= FRONTIERS)
 
@@ -53,15 +57,17 @@ def _look_around(episode: Episode) -> Iterator[Command]:
 def _drive(episode: Episode, goal: Array, frontier: bool) -> Iterator[Command]:
     robot = episode.scenario.robot
     pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
-    path = np.empty((0, 2))
+    path, asked, seen = np.empty((0, 2)), goal, False
     nearest, since = math.inf, 0
     ticks = 0
     while not episode.over:
         pose = episode.slam.map.pose
         if ticks % REPLAN == 0:
             path = _plan(episode, pose, goal, path)
-            if len(path) == 0 or (frontier and ticks and _out_of_date(episode, goal)):
+            seen = frontier and ticks > 0 and _out_of_date(episode, goal)
+            if len(path) == 0 or seen:
                 break
+            goal = path[-1]  # another one nearby, where that asked for is no longer open
         left = _length_left(path, pose[:2])
         nearest, since = (left, 0) if left < nearest - STUCK_DISTANCE else (nearest, since + 1)
         if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
@@ -70,22 +76,69 @@ def _drive(episode: Episode, goal: Array, frontier: bool) -> Iterator[Command]:
         yield follow(pose, path, pursuit)
         ticks += 1
     episode.path = np.empty((0, 2))
+    if frontier and not seen and not episode.over:
+        episode.tried.add(asked)
     if ticks == 0 and not episode.over:
         yield 0.0, 0.0  # a step always costs time, or a lost goal could be asked for for ever
 
 
 def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
-    """A path (p, 2) to the goal, or (0, 2). The one that is followed stays, as long as it is open and not much longer.
+    """A path (p, 2) to the goal, or as near to it as will do, or (0, 2).
 
-    Otherwise two ways round an obstacle that cost the same would take turns, and the robot would go neither.
+    The path that is followed stays, as long as it is open and not much longer than a fresh one: otherwise two ways
+    round an obstacle that cost the same would take turns, and the robot would go neither. Only the next stretch of it
+    is planned anew, so that a plan takes as long in a large building as in a small one.
     """
-    field = distance_field(episode.grid, pose[:2], episode.scenario.robot.radius + CLEARANCE)
-    fresh = field.path(goal)
-    if len(path) and len(fresh):
-        open_ = all(math.isfinite(field.length_to(point)) for point in _ahead(path, pose[:2]))
-        if open_ and _length_left(path, pose[:2]) < KEEP * _length_left(fresh, pose[:2]):
+    if len(path) and _free(episode.grid, _ahead(path, pose[:2])):
+        stretch, rest = _next_stretch(path, pose[:2])
+        fresh = _stretch_anew(episode, pose, stretch)
+        if fresh is stretch:
             return path
+        if len(fresh):
+            return np.concatenate([fresh, rest])
+    for clearance in clearances(episode.scenario.robot.radius):
+        field = distance_field(episode.grid, pose[:2], clearance)
+        fresh = field.path(goal)
+        if len(fresh):
+            return fresh
+        nearby = field.nearest(goal)
+        if math.dist(nearby, goal) < NEAR_ENOUGH:
+            return field.path(nearby)
+    return np.empty((0, 2))
+
+
+def _stretch_anew(episode: Episode, pose: Array, stretch: Array) -> Array:
+    """The stretch itself where it holds, another way to its end where that is better, or (0, 2)."""
+    within = np.concatenate([stretch.min(axis=0) - AROUND, stretch.max(axis=0) + AROUND])
+    clearance = clearances(episode.scenario.robot.radius)[0]
+    field = distance_field(episode.grid, pose[:2], clearance, within)
+    fresh = field.path(stretch[-1])
+    if len(fresh):
+        open_ = all(math.isfinite(field.length_to(point)) for point in _ahead(stretch, pose[:2]))
+        if open_ and _length_left(stretch, pose[:2]) < KEEP * _length_left(fresh, pose[:2]):
+            return stretch
     return fresh
+
+
+def _next_stretch(path: Array, position: Array) -> tuple[Array, Array]:
+    """The next `AHEAD` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`; the waypoints then."""
+    steps = np.diff(path, axis=0)
+    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
+    along = np.minimum(np.maximum(along, 0.0), 1.0)
+    nearest = int(np.argmin(np.hypot(*(position - path[:-1] - along[:, None] * steps).T)))
+    ends = np.cumsum(lengths[nearest:]) - along[nearest] * lengths[nearest]
+    last = int(np.searchsorted(ends, AHEAD))
+    if last >= len(ends):
+        return path[nearest:], path[:0]
+    cut = path[nearest + last + 1] - (ends[last] - AHEAD) / max(lengths[nearest + last], 1e-9) * steps[nearest + last]
+    return np.concatenate([path[nearest : nearest + last + 1], cut[None]]), path[nearest + last + 1 :]
+
+
+def _free(grid: ExploredGrid, points: Array) -> bool:
+    """No wall has been drawn where any of the points (q, 2) lies."""
+    rows, columns = np.floor((points - grid.origin) / grid.resolution).astype(np.int64).T[::-1]
+    return bool((grid.cells[rows, columns] == FREE).all())
 
 
 def _ahead(path: Array, position: Array) -> Array:

@@ -20,6 +20,7 @@ from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import Scenario
+from slam_gym.simulation.goals import Tried
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping
 from slam_gym.slam.atlas import AtlasSpec, slam_of
@@ -119,6 +120,7 @@ class Episode:
         self.estimates: list[Array] = []  # in B
         self.nees: list[float] = []  # of the pose
         self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
+        self.tried = Tried()  # frontiers that were driven to and are frontiers still
         self.ticks = -1  # the first look, from where the robot stands, is no tick
         self._error, self._error_at = 1.0, -1  # map error, and the tick that it is of
         self._sense(_AT_REST)

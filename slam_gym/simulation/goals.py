@@ -14,7 +14,7 @@ from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import DistanceField, distance_field
 from slam_gym.scenarios import Scenario
-from slam_gym.types import Array, BoolArray
+from slam_gym.types import Array, BoolArray, IntArray
 
 LOOK = 0  # the slot that looks around, always legal
 FRONTIERS = 10  # slots 1 … 10: the nearest frontiers
@@ -22,6 +22,11 @@ REVISITS = 5  # slots 11 … 15: known places that promise to improve the map
 SLOTS = 1 + FRONTIERS + REVISITS
 
 CLEARANCE = 0.05  # [m] beyond the robot's radius that paths keep from walls
+SQUEEZE = 0.6  # of the robot's radius that they keep where there is no other way: walls are drawn too thick
+_LARGEST = 4  # of the frontiers on offer, those that promise most on the way there; the others are the nearest
+_SHORT = 10.0  # [m] that are added to the length of that way
+_SAME = 1.0  # [m] within which places are one and the same
+_TRIES = 2  # after which a frontier is offered only when no other is left
 PLACE_SPACING = 1.5  # [m] between the remembered places along the robot's way
 _PLACES = 32  # at most so many are weighed at a decision
 _REVISIT_SPACING = 3.0  # [m] between the revisits on offer
@@ -61,11 +66,58 @@ class Places:
         return np.array(self._points)[chosen]
 
 
-def propose(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, places: Places) -> Goals:
-    """The goals from where the robot believes to be, over what it believes to have explored."""
+class Tried:
+    """Where something has been tried, and how often."""
+
+    def __init__(self) -> None:
+        self._points: list[Array] = []
+        self._times: list[int] = []
+
+    def add(self, position: Array) -> None:
+        """Once more at `position` (2,) in B, or at the first place that was nearly the same."""
+        for i, point in enumerate(self._points):
+            if math.dist(point, position) < _SAME:
+                self._times[i] += 1
+                return
+        self._points.append(position.copy())
+        self._times.append(1)
+
+    def times(self, positions: Array) -> IntArray:
+        """(q,) how often at each of `positions` (q, 2), or nearly there."""
+        if not self._points:
+            return np.zeros(len(positions), np.int64)
+        points, times = np.array(self._points), np.array(self._times)
+        near = np.hypot(*(positions[:, None] - points).transpose(2, 0, 1)) < _SAME
+        out: IntArray = np.where(near, times, 0).max(axis=1)
+        return out
+
+
+NOTHING_TRIED = Tried()
+
+
+def clearances(radius: float) -> tuple[float, float]:
+    """[m] that paths of a robot of some radius keep from walls, and what they keep where there is no other way."""
+    return radius + CLEARANCE, SQUEEZE * radius
+
+
+def propose(
+    scenario: Scenario,
+    slam_map: StochasticMap,
+    grid: ExploredGrid,
+    places: Places,
+    tried: Tried = NOTHING_TRIED,
+) -> Goals:
+    """The goals from where the robot believes to be, over what it believes to have explored.
+
+    Frontiers that have been `tried` twice, but were not reached or are frontiers still, are offered when no other one
+    is left.
+    """
     here = slam_map.pose[:2]
-    field = distance_field(grid, here, scenario.robot.radius + CLEARANCE)
-    ends = _ends(grid, field, scenario.beams.range)
+    for clearance in clearances(scenario.robot.radius):
+        field = distance_field(grid, here, clearance)
+        ends = _ends(grid, field, scenario.beams.range, tried)
+        if len(ends):
+            break
     seen = places.candidates()
     seen = seen[[np.isfinite(field.length_to(place)) for place in seen]] if len(seen) else seen
     spots = np.concatenate([here[None], ends, seen])
@@ -84,15 +136,30 @@ def propose(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, pla
     )
 
 
-def _ends(grid: ExploredGrid, field: DistanceField, reach: float) -> Array:
-    """The nearest frontiers that a path leads to and that are worth it, nearest first, (≤ FRONTIERS, 2)."""
-    centres = grid.frontiers(field.reachable).centres
+def _ends(grid: ExploredGrid, field: DistanceField, reach: float, tried: Tried) -> Array:
+    """Frontiers that a path leads to and that are worth it, nearest first, (≤ FRONTIERS, 2).
+
+    Where there are more, the offer is of the nearest and of those that promise most for the way there, so that a wing
+    of the building is not forgotten over the corners of all the rooms on this side.
+    """
+    centres: Array = grid.frontiers(field.reachable).centres
     if len(centres) == 0:
         return centres
-    centres = centres[grid.expected_area(centres, reach) >= WORTH_SEEING]
+    areas = grid.expected_area(centres, reach)
     lengths = np.array([field.length_to(centre) for centre in centres])
-    order = [int(i) for i in np.argsort(lengths, kind="stable") if np.isfinite(lengths[i])]
-    return centres[order[:FRONTIERS]].reshape(-1, 2)
+    worth = (areas >= WORTH_SEEING) & np.isfinite(lengths)
+    centres, areas, lengths, times = centres[worth], areas[worth], lengths[worth], tried.times(centres[worth])
+    if len(centres) == 0:
+        return centres
+    left = np.flatnonzero(times < max(_TRIES, int(times.min()) + 1))
+    nearest = left[np.argsort(lengths[left], kind="stable")]
+    if len(nearest) > FRONTIERS:
+        far = nearest[FRONTIERS - _LARGEST :]
+        largest = far[np.argsort(-areas[far] / (lengths[far] + _SHORT), kind="stable")[:_LARGEST]]
+        nearest = np.concatenate([nearest[: FRONTIERS - _LARGEST], largest])
+        nearest = nearest[np.argsort(lengths[nearest], kind="stable")]
+    ends: Array = centres[nearest]
+    return ends
 
 
 def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array) -> Array:

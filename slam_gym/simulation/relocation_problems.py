@@ -112,7 +112,7 @@ def _explore(episode: Episode) -> None:
 
     carry_out(episode, LOOK, np.zeros(2), after_tick)
     while not episode.over:
-        goals = propose(episode.scenario, episode.slam.map, episode.grid, places)
+        goals = propose(episode.scenario, episode.slam.map, episode.grid, places, episode.tried)
         slot = nearest_frontier(goals, episode.rng)
         carry_out(episode, slot, goals.positions[slot], after_tick)
 

@@ -276,3 +276,20 @@ def test_robot_explores_a_floor_and_drives_to_every_room_without_touching_a_wall
         assert drive.go(drive.to_base(ROOMS[room] + drive.rng.uniform(-1, 1, 2))), f"room {room} not reached"
     assert drive.visited == set(range(6))
     assert drive.contacts == 0 and drive.least > RADIUS + 0.02
+
+
+def test_a_field_within_a_rectangle_is_that_of_its_cells_alone():
+    rng = np.random.default_rng(5)
+    cells = random_cells(rng, (40, 50))
+    cells[18:23, 20:26] = FREE
+    grid, alone = grid_of(cells), grid_of(cells[8:33, 10:42])
+    start, low = centre(grid, 20, 22), grid.origin + np.array([10, 8]) * RESOLUTION
+    within = np.concatenate([low + 0.1, low + np.array([32, 25]) * RESOLUTION - 0.1])
+    field, expected = distance_field(grid, start, 0.25, within), distance_field(alone, centre(alone, 12, 12), 0.25)
+    np.testing.assert_array_equal(field.lengths, expected.lengths)
+    np.testing.assert_allclose(field.origin, low)
+    goal = centre(grid, 21, 24)
+    assert field.length_to(goal) == expected.length_to(centre(alone, 13, 14)) and len(field.path(goal)) >= 2
+    assert field.length_to(centre(grid, 2, 2)) == math.inf
+    everything = distance_field(grid, start, 0.25, np.array([-99.0, -99.0, 99.0, 99.0]))
+    np.testing.assert_array_equal(everything.lengths, distance_field(grid, start, 0.25).lengths)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.navigation.grid import WALL
 from slam_gym.navigation.planner import distance_field
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation import driver, goals
@@ -123,3 +124,56 @@ def test_the_path_is_there_while_it_is_followed() -> None:
     slot = int(np.flatnonzero(info["action_mask"])[1])
     *_, info = env.step(slot)
     assert len(paths) == info["ticks"] and min(paths) >= 2 and len(env.episode.path) == 0
+
+
+def walled_up(grid, point: np.ndarray, radius: float) -> None:
+    """A wall freshly drawn around a point, as a person or a wrong pose draws it."""
+    cells, evidence, *_ = grid._layers
+    rows, columns = np.indices(cells.shape)
+    x, y = grid.origin[0] + (columns + 0.5) * grid.resolution, grid.origin[1] + (rows + 0.5) * grid.resolution
+    near = np.hypot(x - point[0], y - point[1]) < radius
+    cells[near], evidence[near] = WALL, 8
+
+
+@pytest.mark.parametrize(("radius", "arrives"), [(0.6, True), (2.5, False)])
+def test_a_goal_that_is_walled_up_gives_way_to_a_place_nearby_if_there_is_one(radius, arrives) -> None:
+    env = explore(replace(get_scenario("hall"), budget=10**6))
+    for _ in episode(env, 6, seed=1):
+        pass
+    ep = env.episode
+    goal = max(np.array(ep.estimates)[:, :2], key=lambda place: math.dist(place, ep.slam.map.pose[:2]))
+    assert math.dist(goal, ep.slam.map.pose[:2]) > 4.0
+    walled_up(ep.grid, goal, radius)
+    ticks = ep.ticks
+    carry_out(ep, FIRST_REVISIT, goal, lambda: None)
+    left = math.dist(ep.slam.map.pose[:2], goal)
+    assert left < driver.NEAR_ENOUGH + ARRIVED if arrives else (ep.ticks == ticks + 1 and left > 3.0)
+
+
+def test_the_next_stretch_and_the_rest_make_up_the_path() -> None:
+    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 20.0], [30.0, 20.0]])
+    stretch, rest = driver._next_stretch(path, np.array([1.0, 0.2]))
+    np.testing.assert_allclose(stretch, [[0, 0], [4, 0], [4, driver.AHEAD - 3.0]])
+    np.testing.assert_array_equal(rest, path[2:])
+    stretch, rest = driver._next_stretch(path, np.array([20.0, 20.1]))
+    np.testing.assert_array_equal(stretch, path[2:])
+    assert len(rest) == 0
+
+
+def test_frontiers_that_do_not_go_away_are_noted_and_others_are_not() -> None:
+    for seed, name in enumerate(["office", "hall"]):
+        env, rng, noted = explore(name), np.random.default_rng(seed), 0
+        _, info = env.reset(seed=seed)
+        while not env.episode.over:
+            slot = random_action(env, info, rng)
+            goal = env.goals.positions[slot : slot + 1].copy()
+            before = env.episode.tried.times(goal)[0]
+            *_, info = env.step(slot)
+            after = env.episode.tried.times(goal)[0]
+            if slot == LOOK or slot >= FIRST_REVISIT:
+                assert after == before
+            elif not env.episode.over:
+                seen = why_handed_back(env, slot, goal[0]) == "out of date"
+                noted += after > before
+                assert after - before == 0 if seen else after - before <= 1
+        assert noted > 0

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from slam_gym.navigation.expected_gain import expected_reduction
+from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.simulation import goals
-from slam_gym.simulation.goals import FRONTIERS, LOOK, PLACE_SPACING, REVISITS, WORTH_SEEING, Places
+from slam_gym.simulation.goals import FRONTIERS, LOOK, PLACE_SPACING, REVISITS, WORTH_SEEING, Places, Tried
 from tests.rollouts import SCENARIOS, episode, explore
 
 FIRST_REVISIT = 1 + FRONTIERS
@@ -91,3 +92,53 @@ def test_places_are_thinned_out_and_the_first_and_the_last_are_kept() -> None:
     np.testing.assert_array_equal(candidates[0], [0.0, 0.0])
     assert candidates[-1, 0] > 200.0 - 2 * PLACE_SPACING
     assert (np.diff(candidates[:, 0]) >= PLACE_SPACING).all()
+
+
+def corridor(pockets: int = 14) -> ExploredGrid:
+    """A corridor of 60 m that ends in the unknown, with as many nooks off it into which nobody has looked yet."""
+    grid = ExploredGrid(np.array([0.0, 0.0, 90.0, 12.0]))
+    cells = grid._layers[0]
+    cells[9:31, :310] = WALL
+    cells[10:20, 1:300] = FREE
+    for k in range(pockets):
+        cells[20:27, 10 + 18 * k : 17 + 18 * k] = UNKNOWN
+    cells[:, 300:] = UNKNOWN
+    return grid
+
+
+def ends_of(grid: ExploredGrid, tried: Tried | None = None) -> np.ndarray:
+    field = distance_field(grid, np.array([1.5, 3.0]), 0.25)
+    return goals._ends(grid, field, 6.0, tried or Tried())
+
+
+def test_the_far_end_is_on_offer_whatever_nooks_are_nearer() -> None:
+    grid = corridor()
+    found = grid.frontiers(distance_field(grid, np.array([1.5, 3.0]), 0.25).reachable).centres
+    assert len(found) > FRONTIERS and found[:, 0].max() > 59.0
+    ends = ends_of(grid)
+    assert len(ends) == FRONTIERS and ends[-1, 0] > 59.0 and (np.diff(ends[:, 0]) > 0.0).all()
+    few = ends_of(corridor(pockets=5))
+    assert len(few) == 6 and few[-1, 0] > 59.0
+
+
+def test_frontiers_tried_in_vain_make_room_for_others_until_there_are_none() -> None:
+    grid, tried = corridor(pockets=3), Tried()
+    first = ends_of(grid)
+    tried.add(first[0])
+    np.testing.assert_array_equal(ends_of(grid, tried), first)
+    tried.add(first[0] + np.array([0.3, 0.0]))
+    np.testing.assert_array_equal(ends_of(grid, tried), first[1:])
+    for end in first[1:]:
+        for _ in range(3):
+            tried.add(end)
+    np.testing.assert_array_equal(ends_of(grid, tried), first[:1])  # the least often tried
+    tried.add(first[0])
+    np.testing.assert_array_equal(ends_of(grid, tried), first)
+
+
+def test_tries_are_counted_by_place() -> None:
+    tried = Tried()
+    assert tried.times(np.zeros((2, 2))).tolist() == [0, 0]
+    for place in ([0.0, 0.0], [0.5, 0.0], [3.0, 0.0]):
+        tried.add(np.array(place))
+    assert tried.times(np.array([[0.2, 0.0], [3.0, 0.9], [1.5, 0.0]])).tolist() == [2, 1, 0]

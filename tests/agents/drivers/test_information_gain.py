@@ -17,3 +17,11 @@ def test_information_gain_weighs_new_area_and_reduction_per_tick():
 
 def test_without_revisits_it_takes_the_best_frontier():
     assert InformationGainNoRevisits(SPEC).act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 9.0)])) == 2
+
+
+def test_what_has_been_looked_at_promises_less_the_next_time():
+    agent, spots = InformationGain(SPEC), [(2, 0, 4.0, 0.0, 4.0), (5, 0, 8.0, 0.0, 6.0)]  # .1 and .075 m² a tick
+    chosen = [agent.act(*offered([], spots)) - FRONTIERS for _ in range(4)]
+    assert chosen == [1, 2, 1, 2]
+    agent.reset(0)
+    assert agent.act(*offered([], spots)) == 1 + FRONTIERS
