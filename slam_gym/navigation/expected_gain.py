@@ -20,15 +20,37 @@ def expected_reduction(
 ) -> Array:
     """(q,) [m²] decrease of Σ_j tr P_jj, over all mapped features, by one look around from each place (q, 2) in B.
 
-    The robot is taken to the place along a known way, P_RR → F P_RR Fᵀ + diag(`drift`²) (3,) [m, m, rad], and measures
-    the nearest mapped features within `reach` [m] and in line of sight over the explored `grid`, each with a standard
-    deviation of `sigma` [m]. With W = L⁻¹ H P and S = L Lᵀ = H P Hᵀ + R the covariance falls by Wᵀ W, so the result is
-    the sum of the squares in the feature columns of W: through the cross-covariances a loop closure shows in all of it.
+    The robot is taken to the place along a known way, P_RR → F P_RR Fᵀ + diag(`drift`²) [m, m, rad], (3,) for all or
+    (q, 3), and measures the nearest mapped features within `reach` [m] and in line of sight over the explored `grid`,
+    each with a standard deviation of `sigma` [m]. With W = L⁻¹ H P and S = L Lᵀ = H P Hᵀ + R the covariance falls by
+    Wᵀ W, so the result is the sum of the squares in the feature columns of W: through the cross-covariances a loop
+    closure shows in all of it.
 
     `mean` (3 + 2n,), `covariance` (3 + 2n, 3 + 2n) of the stochastic map.
     """
     explored = (grid.cells, grid.origin, grid.resolution)
-    return _expected_reduction(mean, covariance, explored, places, reach, sigma**2, np.square(drift))
+    variances = np.ascontiguousarray(np.broadcast_to(np.square(drift), (len(places), 3)))
+    return _expected_reduction(mean, covariance, explored, places, reach, sigma**2, variances)
+
+
+def features_in_sight(mean: Array, grid: ExploredGrid, places: Array, reach: float) -> IntArray:
+    """(q,) features of the state `mean` (3 + 2n,) within `reach` [m] and in line of sight of each of `places` (q, 2).
+
+    As far as walls are known: the unknown hides nothing.
+    """
+    return _features_in_sight(mean, (grid.cells, grid.origin, grid.resolution), places, reach)
+
+
+@compiled
+def _features_in_sight(x: Array, packed: tuple[Cells, Array, float], places: Array, reach: float) -> IntArray:
+    """See `features_in_sight`."""
+    explored, out = ExploredCells(*packed), np.zeros(places.shape[0], np.int64)
+    for q in range(places.shape[0]):
+        for j in range((len(x) - 3) // 2):
+            near = math.hypot(x[3 + 2 * j] - places[q, 0], x[4 + 2 * j] - places[q, 1]) <= reach
+            if near and _in_sight(explored, places[q], x[3 + 2 * j : 5 + 2 * j]):
+                out[q] += 1
+    return out
 
 
 @compiled
@@ -40,7 +62,7 @@ def _expected_reduction(
     for q in range(places.shape[0]):
         features = _in_view(x, explored, places[q], reach)
         if len(features):
-            out[q] = _reduction(x, P, places[q], features, r, drift)
+            out[q] = _reduction(x, P, places[q], features, r, drift[q])
     return out
 
 

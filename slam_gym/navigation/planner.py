@@ -60,6 +60,15 @@ class DistanceField:
         centre: Array = centres[np.argmin(((centres - point) ** 2).sum(axis=1))]
         return centre
 
+    def along(self, goal: Array, spacing: float) -> Array:
+        """Points (p, 2) in B on the path to `goal` (2,), some `spacing` [m] apart, the goal's cell among them."""
+        cell = self.cell(goal)
+        if cell is None or not np.isfinite(self.costs[cell]):
+            return np.empty((0, 2))
+        cells = _trace(self.steps, *cell)[:: -max(1, round(spacing / self.resolution))]
+        points: Array = self.origin + (cells[::-1, ::-1] + 0.5) * self.resolution
+        return points
+
     def path(self, goal: Array) -> Array:
         """Waypoints (p, 2) in B from the start to `goal` (2,), shortened; (0, 2) if no path leads to the goal's cell.
 

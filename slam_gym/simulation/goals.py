@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.expected_gain import expected_reduction
+from slam_gym.navigation.expected_gain import expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import DistanceField, distance_field
 from slam_gym.scenarios import Scenario
@@ -30,6 +30,8 @@ _TRIES = 2  # after which a frontier is offered only when no other is left
 PLACE_SPACING = 1.5  # [m] between the remembered places along the robot's way
 _PLACES = 32  # at most so many are weighed at a decision
 _REVISIT_SPACING = 3.0  # [m] between the revisits on offer
+_LOOKOUT = 2.0  # [m] of a way between looks at what is in view
+_ENOUGH = 2  # features in view that hold position and heading
 _LOOKS = 5  # independent scans that a look is taken to be worth, a rule of thumb
 WORTH_SEEING = 0.5  # [m²] a frontier from which less than this is to be seen is none, or has become out of date
 
@@ -43,6 +45,7 @@ class Goals:
     areas: Array  # (SLOTS,) [m²] unknown area in view from there
     reductions: Array  # (SLOTS,) [m²] expected decrease of Σ tr P over the mapped features
     legal: BoolArray  # (SLOTS,)
+    in_view: Array = field(default_factory=lambda: np.zeros(SLOTS))  # (SLOTS,) features expected in view on the way
 
 
 class Places:
@@ -114,15 +117,16 @@ def propose(
     """
     here = slam_map.pose[:2]
     for clearance in clearances(scenario.robot.radius):
-        field = distance_field(grid, here, clearance)
-        ends = _ends(grid, field, scenario.beams.range, tried)
+        reached = distance_field(grid, here, clearance)
+        ends = _ends(grid, reached, scenario.beams.range, tried)
         if len(ends):
             break
     seen = places.candidates()
-    seen = seen[[np.isfinite(field.length_to(place)) for place in seen]] if len(seen) else seen
+    seen = seen[[np.isfinite(reached.length_to(place)) for place in seen]] if len(seen) else seen
     spots = np.concatenate([here[None], ends, seen])
-    reductions = _reductions(scenario, slam_map, grid, spots)
-    lengths = np.array([0.0] + [field.length_to(spot) for spot in spots[1:]])
+    lengths = np.array([0.0] + [reached.length_to(spot) for spot in spots[1:]])
+    ways = _in_sight_on_the_way(scenario, slam_map, grid, reached, spots)
+    reductions = _reductions(scenario, slam_map, grid, spots, lengths * ways.blind)
     back = 1 + len(ends) + _best_revisits(seen, reductions[1 + len(ends) :], lengths[1 + len(ends) :])
     rows = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), back]).astype(np.int64)
     slots = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), 1 + FRONTIERS + np.arange(len(back))])
@@ -133,6 +137,7 @@ def propose(
         areas=_scatter(slots, areas),
         reductions=_scatter(slots, reductions[rows]),
         legal=_scatter(slots, np.ones(len(slots), np.bool_)),
+        in_view=_scatter(slots, ways.in_view[rows]),
     )
 
 
@@ -162,11 +167,35 @@ def _ends(grid: ExploredGrid, field: DistanceField, reach: float, tried: Tried) 
     return ends
 
 
-def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array) -> Array:
-    """Foreseen from each spot; on the way there the known map is taken to hold the drift down to that of a metre."""
+class _Ways(NamedTuple):
+    """What the robot should see of its map on the ways to some places."""
+
+    in_view: Array  # (q,) features in view, on average
+    blind: Array  # (q,) fraction of the way with fewer than `_ENOUGH`
+
+
+def _in_sight_on_the_way(
+    scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, reached: DistanceField, spots: Array
+) -> _Ways:
+    """Looked up every `_LOOKOUT` metres of the ways to `spots` (q, 2), the first of which is where the robot is."""
+    ways = [spots[:1]] + [reached.along(spot, _LOOKOUT) for spot in spots[1:]]
+    counts = features_in_sight(slam_map.mean, grid, np.concatenate(ways), scenario.sensor.range)
+    starts, lengths = np.cumsum([0] + [len(way) for way in ways[:-1]]), np.array([len(way) for way in ways])
+    turned_to = scenario.sensor.field_of_view / (2.0 * math.pi)
+    return _Ways(
+        turned_to * np.add.reduceat(counts, starts) / lengths,
+        np.add.reduceat(counts < _ENOUGH, starts, dtype=np.int64) / lengths,
+    )
+
+
+def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array, blind: Array) -> Array:
+    """Foreseen from each spot: the known map holds the drift down to that of a metre, but for the `blind` way (q,) [m].
+
+    Where fewer features are in view than hold a pose, what the wheels are off by adds up.
+    """
     sigma = scenario.sensor.sigma_halfway / math.sqrt(_LOOKS)
     odometry = scenario.odometry
-    drift = np.array([odometry.forward, odometry.forward, odometry.turn_per_metre])
+    drift = np.array([odometry.forward, odometry.forward, odometry.turn_per_metre]) * np.sqrt(1.0 + blind[:, None])
     return expected_reduction(
         slam_map.mean, slam_map.covariance, grid, spots, reach=scenario.sensor.range, sigma=sigma, drift=drift
     )

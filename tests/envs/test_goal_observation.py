@@ -20,6 +20,7 @@ def some_goals(rng: np.random.Generator) -> Goals:
         areas=rng.uniform(0.0, 20.0, SLOTS) * masked,
         reductions=rng.uniform(0.0, 0.3, SLOTS) * masked,
         legal=legal,
+        in_view=rng.uniform(0.0, 15.0, SLOTS) * masked,
     )
 
 
@@ -36,7 +37,8 @@ def test_goals_come_back_in_their_units_and_in_the_frame_of_the_robot(seed) -> N
     np.testing.assert_array_equal(told["legal"] == 1.0, legal)
     positions = transform(pose, np.stack([told["x"], told["y"]], axis=1))
     np.testing.assert_allclose(positions[legal], goals.positions[legal], rtol=1e-4, atol=1e-4)
-    for name, values in (("path", goals.lengths), ("area", goals.areas), ("reduction", goals.reductions)):
+    numbers = {"path": goals.lengths, "area": goals.areas, "reduction": goals.reductions, "in_view": goals.in_view}
+    for name, values in numbers.items():
         np.testing.assert_allclose(told[name], values, rtol=1e-4, atol=1e-6)
     assert all(not told[name][~legal].any() for name in GOAL_FIELDS)
     assert (told["frontier"][1 : 1 + FRONTIERS] == legal[1 : 1 + FRONTIERS]).all() and not told["frontier"][0]
@@ -44,5 +46,5 @@ def test_goals_come_back_in_their_units_and_in_the_frame_of_the_robot(seed) -> N
 
 
 def test_a_vector_of_another_length_is_refused() -> None:
-    with pytest.raises(ValueError, match="13 numbers do not divide into rows of 8"):
+    with pytest.raises(ValueError, match="13 numbers do not divide into rows of 9"):
         unsquash_goals(np.zeros(13, np.float32))

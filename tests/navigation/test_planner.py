@@ -293,3 +293,18 @@ def test_a_field_within_a_rectangle_is_that_of_its_cells_alone():
     assert field.length_to(centre(grid, 2, 2)) == math.inf
     everything = distance_field(grid, start, 0.25, np.array([-99.0, -99.0, 99.0, 99.0]))
     np.testing.assert_array_equal(everything.lengths, distance_field(grid, start, 0.25).lengths)
+
+
+def test_points_along_a_path_lie_on_it_at_even_spaces():
+    cells = np.full((20, 60), FREE, np.uint8)
+    cells[:15, 30] = WALL
+    grid = grid_of(cells)
+    field = distance_field(grid, centre(grid, 3, 5), 0.25)
+    goal = centre(grid, 3, 55)
+    points = field.along(goal, 1.0)
+    np.testing.assert_allclose(points[-1], goal)
+    gaps = np.hypot(*np.diff(points, axis=0).T)
+    assert (gaps < 1.0 * math.sqrt(2.0) + 1e-9).all() and (gaps > 0.5).all()
+    lengths = np.array([field.length_to(point) for point in points])
+    assert (np.diff(lengths) >= gaps - 1e-9).all() and lengths[0] < 1.5
+    assert field.along(np.array([-50.0, 0.0]), 1.0).shape == (0, 2)
