@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.geometry import observe, relative
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.expected_gain import MAX_FEATURES, expected_reduction
+from slam_gym.navigation.expected_gain import MAX_FEATURES, expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import WALL, ExploredGrid
 from slam_gym.types import Beams, Odometry, Scan
 
@@ -99,3 +99,26 @@ def test_an_empty_map_has_nothing_to_gain() -> None:
         slam_map.mean, slam_map.covariance, blank_grid(), places, reach=6.0, sigma=SIGMA, drift=DRIFT
     )
     np.testing.assert_array_equal(gains, np.zeros(3))
+
+
+def test_drift_is_that_of_each_place_where_it_is_given_so() -> None:
+    slam_map = correlated_map(np.random.default_rng(0), 20)
+    places, grid = np.array([[1.0, 0.0], [0.0, 2.0]]), blank_grid()
+    drifts = DRIFT * np.array([[1.0], [10.0]])
+
+    def gains(drift: np.ndarray) -> np.ndarray:
+        return expected_reduction(slam_map.mean, slam_map.covariance, grid, places, reach=5.0, sigma=SIGMA, drift=drift)
+
+    each = gains(drifts)
+    np.testing.assert_array_equal(each, [gains(drifts[0])[0], gains(drifts[1])[1]])
+    assert each[1] < gains(DRIFT)[1]  # who comes with a worse pose learns less
+
+
+def test_features_in_sight_are_near_and_behind_no_wall() -> None:
+    grid, m = blank_grid(), StochasticMap()
+    m.add(scan_of(np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0], [9.0, 0.0]]), 0.1), np.arange(4))
+    rows, columns = np.indices(grid.cells.shape)
+    x, y = grid.origin[0] + (columns + 0.5) * 0.2, grid.origin[1] + (rows + 0.5) * 0.2
+    grid._layers[0][(np.abs(x - 1.5) < 0.2) & (np.abs(y) < 1.0)] = WALL
+    places = np.array([[0.0, 0.0], [2.5, 0.0], [0.0, -9.0]])
+    assert features_in_sight(m.mean, grid, places, 5.0).tolist() == [2, 1, 0]
