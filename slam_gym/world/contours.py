@@ -9,6 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym.types import Array, IntArray
+from slam_gym.world.floor_plan import FloorPlanError
+
+_MAX_CONTOURS, _MAX_SIDES = 20_000, 1_000_000  # islands of a mask; sides of pixels between free and blocked
+_MAX_WORK = 10_000**2  # the sum of the squares of the vertices of all rings: `straightened` takes a time like that
 
 Mask = NDArray[np.uint8]  # (h, w), 0 or 1
 
@@ -43,17 +47,23 @@ def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
     of their own: passages keep their full width. Simplification is Douglas and Peucker's (1973).
     """
     cv2 = import_cv2()
+    if cv2.connectedComponents(1 - mask, connectivity=8)[0] > _MAX_CONTOURS or _sides(mask) > _MAX_SIDES:
+        raise FloorPlanError("occupancy", "its outlines are too many or too long: noise is no floor")
     lattice = np.zeros((2 * mask.shape[0] + 1, 2 * mask.shape[1] + 1), dtype=np.uint8)
     lattice[1::2, 1::2] = mask
     lattice = cv2.dilate(lattice, np.ones((3, 3), np.uint8))
     found, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings, pillars, is_pillar = [], [], []
+    left = _MAX_WORK
     for contour, (_, _, _, parent) in zip(found, hierarchy[0] if len(found) else []):
         (x, y), radius = cv2.minEnclosingCircle(contour) if parent >= 0 else ((0.0, 0.0), np.inf)
         diameter = radius * pixel  # a lattice step is half a pixel, so radius in steps = diameter in pixels
         if diameter < _PILLAR[0]:
             continue
         contour = cv2.approxPolyDP(_with_corners(contour[:, 0], lattice)[:, None], 2.0 * tolerance, True)
+        left -= len(contour) ** 2
+        if left < 0:
+            raise FloorPlanError("occupancy", "its outlines have too many corners: noise is no floor")
         ring = straightened(contour[:, 0] / 2.0)
         if len(ring) < 3:
             continue
@@ -62,6 +72,12 @@ def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
         if is_pillar[-1]:
             pillars.append((x / 2.0, y / 2.0, radius))
     return Outlines(rings, np.array(pillars, dtype=np.float64).reshape(-1, 3), is_pillar)
+
+
+def _sides(mask: Mask) -> int:
+    return sum(
+        int(np.count_nonzero(one != other)) for one, other in ((mask[1:], mask[:-1]), (mask[:, 1:], mask[:, :-1]))
+    )
 
 
 def _with_corners(contour: NDArray[np.int32], lattice: Mask) -> NDArray[np.int32]:

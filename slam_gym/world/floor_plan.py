@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from slam_gym.types import Array, BoolArray, IntArray
 
 MAX_EXTENT = 2_000.0  # [m] longest side of a plan, and farthest coordinate from the origin
+MAX_PIXELS = 1 << 24  # of an image that becomes a plan: 200 m × 200 m at 5 cm
 MAX_SIZE = 100.0  # [m] largest feature, door or piece of furniture
 _SAME_POINT = 1e-3  # [m] features closer than this are one feature
 
@@ -187,9 +188,10 @@ class FloorPlan:
         for field, points in (("features.positions", self.features.positions), ("furniture", furniture[:, :2])):
             _refuse(field, ((points < low) | (points > high)).any(axis=1), "lies outside of all walls")
         names = [room.name for room in self.rooms]
-        _refuse("rooms", np.array([names.index(name) < i for i, name in enumerate(names)], bool), "repeats a name")
+        first = {name: i for i, name in reversed(list(enumerate(names)))}
+        _refuse("rooms", np.array([first[name] < i for i, name in enumerate(names)], bool), "repeats a name")
         for i, door in enumerate(self.doors):
-            if not set(door.rooms) <= set(names):
+            if not first.keys() >= set(door.rooms):
                 raise FloorPlanError(f"doors[{i}].rooms", f"{door.rooms!r} names an unknown room")
 
     @cached_property

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import gzip
-import io
 import json
+import reprlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.world.contours import import_cv2
-from slam_gym.world.floor_plan import Door, Features, FloorPlan, FloorPlanError, Kind, Room, checked_array
+from slam_gym._files import content_of, json_of
+from slam_gym.world.floor_plan import MAX_EXTENT, Door, Features, FloorPlan, FloorPlanError, Kind, Room, checked_array
+from slam_gym.world.image_file import read_image
 
 FORMAT, VERSION = "slam_gym floor plan", 1
-MAX_BYTES = 1 << 28  # an image that unpacks to more is refused
+_MAX_JSON, _MAX_YAML = 1 << 24, 1 << 13  # bytes; real floors take less than a tenth of them
+_LARGEST, _MAX_DEPTH = 1e9, 5  # of any number of a ROS map, and of lists in lists
 
 
 def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
@@ -54,7 +55,7 @@ def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorP
         raise FileNotFoundError(f"no floor plan file at {path}")
     try:
         if path.suffix == ".json":
-            return _parse(path.read_bytes())
+            return _parse(path)
         read = _read_ros_map if path.suffix in (".yaml", ".yml") else _read_labelled_image
         raster = read(path, resolution)
         from slam_gym.world.raster import from_raster  # scipy.spatial, which it needs, takes long to import
@@ -64,18 +65,15 @@ def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorP
         raise FloorPlanError(error.field, error.reason, str(path)) from None
 
 
-def _parse(content: bytes) -> FloorPlan:
-    def refuse_constant(name: str) -> NoReturn:
-        raise FloorPlanError("file", f"holds the number {name}, which is not finite")
-
+def _parse(path: Path) -> FloorPlan:
     try:
-        document = json.loads(content.decode("utf-8"), parse_constant=refuse_constant)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        document = json_of(content_of(path, _MAX_JSON))
+    except (ValueError, OSError) as error:
         raise FloorPlanError("file", f"is not JSON ({error})") from None
     known = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
     format_, version, name, walls, features, rooms, doors, furniture = _fields("file", document, *known)
     if format_ != FORMAT or version != VERSION:
-        raise FloorPlanError("format, version", f"{format_!r}, {version!r}: expected {FORMAT!r}, {VERSION}")
+        raise FloorPlanError("format, version", f"{_short(format_)}, {_short(version)}: expected {FORMAT!r}, {VERSION}")
     _text("name", name)
     return FloorPlan(
         name,
@@ -102,7 +100,7 @@ def _parse_features(value: Any) -> Features:
     names = [kind.name.lower() for kind in Kind]
     for at, _, kind, _ in rows:
         if kind not in names:
-            raise FloorPlanError(f"{at}.kind", f"{kind!r}: known are {', '.join(names)}")
+            raise FloorPlanError(f"{at}.kind", f"{_short(kind)}: known are {', '.join(names)}")
     return Features(
         checked_array("features.positions", [position for _, position, _, _ in rows], 2),
         np.array([names.index(kind) for _, _, kind, _ in rows], dtype=np.int64),
@@ -115,7 +113,7 @@ def _fields(where: str, value: Any, *known: str) -> list[Any]:
     if not isinstance(value, dict):
         raise FloorPlanError(where, "is not an object")
     if unknown := sorted(set(value) - set(known)):
-        raise FloorPlanError(where, f"unknown key {unknown[0]!r}; known are {', '.join(known)}")
+        raise FloorPlanError(where, f"unknown key {_short(unknown[0])}; known are {', '.join(known)}")
     if missing := [key for key in known if key not in value]:
         raise FloorPlanError(where, f"{missing[0]!r} is missing")
     return [value[key] for key in known]
@@ -159,58 +157,74 @@ def _read_labelled_image(path: Path, resolution: float | None) -> _Raster:
     """
     if resolution is None:
         raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
-    image, labels = _read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))
-    valid = _read_image(labels) if labels != path and labels.is_file() else None
+    image, labels = read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))
+    valid = read_image(labels) if labels != path and labels.is_file() else None
     return _Raster(image, resolution, path.name.split(".")[0].removesuffix("_occ_map"), valid)
-
-
-def _read_image(path: Path) -> NDArray[Any]:
-    if path.name.endswith((".npy", ".npy.gz")):
-        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
-            try:
-                content = file.read(MAX_BYTES + 1)
-                if len(content) > MAX_BYTES:
-                    raise FloorPlanError("image", f"unpacks to more than {MAX_BYTES >> 20} MB")
-                return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
-            except (ValueError, EOFError, OSError) as error:
-                if isinstance(error, FloorPlanError):
-                    raise
-                raise FloorPlanError("image", f"is not a numpy array ({error})") from None
-    if path.suffix.lower() not in (".pgm", ".png"):
-        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
-    cv2 = import_cv2()
-    try:
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    except cv2.error as error:  # among others: more than 2³⁰ pixels
-        raise FloorPlanError("image", f"cannot be read ({error.err})") from None
-    if image is None:
-        raise FloorPlanError("image", "is not a PGM or PNG image")
-    return np.asarray(image)
 
 
 def _read_ros_map(path: Path, resolution: float | None) -> _Raster:
     """The map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
+    document = _yaml(path)
+    if not isinstance(document.get("image"), str):
+        raise FloorPlanError("image", "the map names no image")
+    given = {"resolution": resolution, "free_thresh": 0.196, "negate": 0, **document}
+    numbers = {key: _number(key, given[key]) for key in ("resolution", "free_thresh", "negate")}
+    origin = document.get("origin", [0.0, 0.0, 0.0])
+    if not isinstance(origin, list) or len(origin) != 3 or _number("origin", origin[2]) != 0.0:
+        raise FloorPlanError("origin", f"{_short(origin)} is not [x, y, 0]")
+    x, y = _number("origin", origin[0]), _number("origin", origin[1])
+    if max(abs(x), abs(y)) > MAX_EXTENT:
+        raise FloorPlanError("origin", f"{_short(origin)} lies beyond {MAX_EXTENT:g} m")
+    image_path = path.parent / document["image"]
+    try:
+        there = image_path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or holds a zero
+        there = False
+    if not there:
+        raise FloorPlanError("image", f"no file at {_short(str(image_path))}")
+    image = read_image(image_path)
+    if image.dtype != np.uint8:
+        raise FloorPlanError("image", f"holds {image.dtype}, expected uint8")
+    grey = np.arange(256.0)
+    occupied = grey / 255.0 if numbers["negate"] else (255.0 - grey) / 255.0
+    free = np.where(occupied < numbers["free_thresh"], 255, 0).astype(np.uint8)  # for each level of grey
+    return _Raster(free[image], numbers["resolution"], path.stem, origin=(x, y))
+
+
+def _yaml(path: Path) -> dict[Any, Any]:
+    """The mapping in a small YAML file without aliases, which make a document of a few lines endless."""
     try:
         import yaml
     except ImportError as error:
         raise ImportError('ROS maps need PyYAML: pip install "slam_gym[maps]"') from error
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        text = content_of(path, _MAX_YAML).decode("utf-8")
+        depth = 0
+        for event in yaml.parse(text, yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent) or depth > _MAX_DEPTH:
+                raise ValueError("it holds an alias, or is nested too deeply")
+        node = yaml.compose(text, yaml.SafeLoader)
+        document = yaml.safe_load(text)
+        names = [key.value for key, _ in node.value if isinstance(key.value, str)] if isinstance(document, dict) else []
+        if len(set(names)) < len(names):
+            raise ValueError("it holds a key twice")
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, OSError) as error:
         raise FloorPlanError("file", f"is not YAML ({error})") from None
-    if not isinstance(document, dict) or not isinstance(document.get("image"), str):
+    if not isinstance(document, dict):
         raise FloorPlanError("image", "the map names no image")
-    numbers = {"resolution": resolution, "free_thresh": 0.196, "negate": 0, **document}
-    for key in ("resolution", "free_thresh", "negate"):
-        if isinstance(numbers[key], bool) or not isinstance(numbers[key], int | float):
-            raise FloorPlanError(key, f"{numbers[key]!r} is not a number")
-    origin = np.asarray(document.get("origin", [0.0, 0.0, 0.0]))
-    if origin.shape != (3,) or origin.dtype.kind not in "if" or not np.isfinite(origin).all() or origin[2] != 0.0:
-        raise FloorPlanError("origin", f"{document.get('origin')!r} is not [x, y, 0]")
-    image_path = path.parent / document["image"]
-    if not image_path.is_file():
-        raise FloorPlanError("image", f"no file at {image_path}")
-    grey = _read_image(image_path).astype(np.float64)
-    occupied = grey / 255.0 if numbers["negate"] else (255.0 - grey) / 255.0
-    free = np.where(occupied < numbers["free_thresh"], 255, 0).astype(np.uint8)
-    return _Raster(free, numbers["resolution"], path.stem, origin=(float(origin[0]), float(origin[1])))
+    return document
+
+
+def _number(field: str, value: Any) -> float:
+    """A finite number of a file; whole ones may have any number of digits there."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise FloorPlanError(field, f"{_short(value)} is not a number")
+    if not abs(value) < _LARGEST:
+        raise FloorPlanError(field, f"{_short(value)} is not finite, or too large")
+    return float(value)
+
+
+def _short(value: Any) -> str:
+    """A value of a file in a message: whatever it is, on one line of some length."""
+    return reprlib.repr(value)

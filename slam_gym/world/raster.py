@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from slam_gym.types import Array
 from slam_gym.world.contours import Mask, Outlines, corners, import_cv2, thinned, trace
-from slam_gym.world.floor_plan import MAX_EXTENT, Door, Features, FloorPlan, FloorPlanError, Kind, Room
+from slam_gym.world.floor_plan import MAX_EXTENT, MAX_PIXELS, Door, Features, FloorPlan, FloorPlanError, Kind, Room
 
 FREE_ABOVE = 229  # grey level: lighter pixels are free; halfway between a ROS map's unknown (205) and free (254)
 _PASSAGE = 1.0  # [m] deepest doorway: unlabelled free pixels between two labelled ones
@@ -29,6 +29,10 @@ _SIZEABLE = 4.0  # [m²] an enclosed part of at least this area is a floor
 _DRAWN, _MEASURED = 0.8, 1.25  # [pixels] by how much outlines may be simplified in maps with and without labels
 _MIN_DOOR = 0.3  # [m]
 _MAX_DOOR = 3.0  # [m] rooms that meet along more than this are open to each other
+_MAX_OPENING = 1.2e10  # pixels of an image times those of the opening that is looked for everywhere in it
+_MAX_ROOM_PIXELS = 3e8  # of the boxes around all rooms together
+_MAX_ROOMS = 2_000
+_MAX_CONTACTS = 200_000  # pixels at which rooms touch
 _JAMB_REACH = 0.4  # [m] from the end of a door line to the corners that frame it
 
 
@@ -88,6 +92,11 @@ def _checked(occupancy: NDArray[Any], resolution: float, valid: NDArray[Any] | N
         raise FloorPlanError("occupancy", f"holds {occupancy.dtype}, expected uint8 or bool")
     if max(occupancy.shape) * resolution > MAX_EXTENT:
         raise FloorPlanError("resolution", f"makes the plan longer than {MAX_EXTENT:g} m")
+    if occupancy.size > MAX_PIXELS:
+        raise FloorPlanError("occupancy", f"has more than {MAX_PIXELS >> 20} million pixels: scale it down")
+    if valid is None and occupancy.size * (_OPENING / resolution) ** 2 > _MAX_OPENING:
+        fine = _OPENING * (occupancy.size / _MAX_OPENING) ** 0.5
+        raise FloorPlanError("resolution", f"is too fine for so many pixels: scale the image to {fine:.3g} m per pixel")
     if valid is not None and (valid.shape != occupancy.shape or valid.dtype.kind not in "iu"):
         raise FloorPlanError("valid", f"{valid.dtype} {valid.shape}: expected integers {occupancy.shape}")
     return occupancy.astype(np.uint8) * np.uint8(255) if occupancy.dtype == np.bool_ else occupancy
@@ -169,17 +178,23 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
     compact = compact.reshape(valid.shape)
     rooms: list[Room] = []
     index = np.zeros(free.shape, dtype=np.int32)  # 1 + room of each pixel
+    left = _MAX_ROOM_PIXELS
+    if len(labels) > _MAX_ROOMS:
+        raise FloorPlanError("valid", f"holds more than {_MAX_ROOMS} labels")
     for label, box in zip(labels, find_objects(compact + 1)):
         if label == 0:
             continue
-        count, parts, stats, _ = cv2.connectedComponentsWithStats(
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(
             (valid[box] == label).astype(np.uint8) & free[box], connectivity=4
         )
         offset = np.array([box[1].start, box[0].start])
-        for part in range(1, count):
-            if stats[part, cv2.CC_STAT_AREA] * frame.resolution**2 < _MIN_ROOM:
-                continue
+        for part in 1 + np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] * frame.resolution**2 >= _MIN_ROOM):
+            left -= parts.size
+            if left < 0 or len(rooms) >= _MAX_ROOMS:
+                raise FloorPlanError("valid", "labels more rooms than a floor of this size has: noise is no floor")
             rings = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN).rings
+            if not rings:  # a few large pixels
+                continue
             outer = max((Room("outline", frame(ring + offset)) for ring in rings), key=lambda room: room.area)
             name = f"room {label}" if all(room.name != f"room {label}" for room in rooms) else f"room {label}.{part}"
             rooms.append(Room(name, outer.polygon))
@@ -210,6 +225,8 @@ def _doors(index: NDArray[np.int32], rooms: list[Room], frame: _Frame) -> tuple[
         contacts.append(np.column_stack([x + (1 + dx) / 2, y + (1 + dy) / 2, pair]))
     doors = []
     table = np.vstack(contacts)
+    if len(table) > _MAX_CONTACTS:
+        raise FloorPlanError("valid", "labels rooms that touch along more than any floor's do: noise is no floor")
     for a, b in np.unique(table[:, 2:], axis=0).astype(int):
         points = table[(table[:, 2] == a) & (table[:, 3] == b), :2]
         tree = cKDTree(points)

@@ -189,6 +189,23 @@ def test_bad_images_are_refused_by_name(image, resolution, valid, message):
         from_raster(image, resolution, valid=valid)
 
 
+@pytest.mark.parametrize(
+    ("image", "resolution", "valid", "message"),
+    [
+        (np.full((1000, 1000), 254, np.uint8), 0.002, None, "resolution: is too fine .* scale the image to 0.00"),
+        (np.full((4097, 4097), 254, np.uint8), 0.05, None, "occupancy: has more than 16 million pixels"),
+        (np.where(np.random.default_rng(0).random((1000, 1000)) < 0.9, 254, 0).astype(np.uint8), 0.05,
+         np.ones((1000, 1000), int), "occupancy: its outlines are too many"),
+        (np.tile(np.eye(2, dtype=np.uint8) * 254, (500, 500)), 0.05, np.ones((1000, 1000), int), "no floor|no free"),
+        (np.full((200, 200), 254, np.uint8), 1.0, 1 + np.arange(40_000).reshape(200, 200), "more than 2000 labels"),
+        (np.full((200, 200), 254, np.uint8), 1.0, 1 + np.indices((200, 200)).sum(axis=0) % 2, "valid: "),
+    ],
+)  # fmt: skip
+def test_what_would_take_minutes_is_refused_at_once(image, resolution, valid, message):
+    with pytest.raises(FloorPlanError, match=message):
+        from_raster(image, resolution, valid=valid)
+
+
 def test_without_opencv_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(ImportError, match=r"slam_gym\[maps\]"):
