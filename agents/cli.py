@@ -44,7 +44,7 @@ def add_explore_options(parser: argparse.ArgumentParser, scenario: str) -> None:
     add_override_option(world)
     world.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
     world.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
-    world.add_argument("--associator", default="jcbb", help="name or module:function (default: %(default)s)")
+    world.add_argument("--associator", help="name or module:function (default: that of the scenario)")
     world.add_argument("--relocation", type=search_or_none, default=RELOCATION, metavar="SEARCH", help="that finds a "
                        "lost robot: gcbb, module:function …, or none (default: %(default)s)")  # fmt: skip
 

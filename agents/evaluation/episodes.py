@@ -40,7 +40,7 @@ class ExploreArguments(_Arguments):
     """Arguments of slam_gym/Explore-v0, but for what the agent brings with it."""
 
     scenario: str = "office"
-    associator: str = "jcbb"
+    associator: str | None = None  # None: that of the scenario
     reward: str = "map_error"
     floor_plan: str | None = None  # a file that replaces the scenario's worlds
     resolution: float | None = None  # [m/pixel] of that file, where it is an image

@@ -42,7 +42,8 @@ def report(results: Results, folder: Path) -> Report:
     sections += _comparison(groups) + _films(groups, folder)
     world = Path(conditions["floor_plan"]).name if conditions["floor_plan"] else conditions["scenario"]
     subtitle = (
-        f"slam_gym/Explore-v0, associator {conditions['associator']}, {results.content['asked']['episodes']} episodes "
+        f"slam_gym/Explore-v0, associator {conditions['associator'] or 'of the scenario'}, "
+        f"{results.content['asked']['episodes']} episodes "
         f"per agent on the same {conditions['split']} worlds and seeds"
     )
     return Report(f"Exploring {world}", subtitle, sections)

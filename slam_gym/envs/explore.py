@@ -74,7 +74,8 @@ class ExploreEnv(BaseEnv):
       `Scenario`; by default `"office"`. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts
       the scenario's robot on that floor instead, by default that of `"building"`.
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
-    - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`.
+    - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`; None: that
+      of the scenario, `"jcbb"` where drift is small and `"marginal"` where it counts.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
     - `relocation`: the search that finds a lost robot again, by name (`slam_gym.association.RELOCATORS`),
       `"module:function"` or a callable; None: a robot that has lost itself never finds back. `relocation_locality`:
@@ -92,7 +93,7 @@ class ExploreEnv(BaseEnv):
         self,
         scenario: str | Scenario | None = None,
         split: Split = "train",
-        associator: str | Associator = "jcbb",
+        associator: str | Associator | None = None,
         action: Literal["goal", "twist"] = "goal",
         reward: Literal["map_error", "a_opt", "d_opt", "entropy"] = "map_error",
         floor_plan: str | Path | None = None,
@@ -118,8 +119,8 @@ class ExploreEnv(BaseEnv):
         self.locality = locality
         self.render_covisibility = render_covisibility
         self.goal_mode = action == "goal"
-        resolve_associator(associator)  # refuses an unknown one now
-        self.associator = associator
+        self.associator = self.scenario.associator if associator is None else associator
+        resolve_associator(self.associator)  # refuses an unknown one now
         self.relocate = None if relocation is None else relocate_by(relocation, relocation_locality)
         self.atlas = (AtlasSpec() if atlas is True else atlas or None) if self.relocate else None
         self._error = get_reward(reward)

@@ -46,30 +46,35 @@ DRIFTING: tuple[Scenario, ...] = (
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[1],
+        associator="marginal",
     ),
     Scenario(
         "drift-2",  # seven times as bad: nearest neighbours lose themselves
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[2],
+        associator="marginal",
     ),
     Scenario(
         "drift-3",  # ten times as bad: a tick turns by 5° more or less than the wheels say
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[3],
+        associator="marginal",
     ),
     Scenario(
         "aliased-drift",  # identical rooms, and wheels that do not tell them apart
         AliasedGenerator(),
         budget=450,
         odometry=DRIFT[2],
+        associator="marginal",
     ),
     Scenario(
         "hall-drift",  # long views, in which a wrong heading shows most
         HallGenerator(),
         budget=450,
         odometry=DRIFT[2],
+        associator="marginal",
         sensor=_HALL_SENSOR,
     ),
     Scenario(
@@ -77,6 +82,7 @@ DRIFTING: tuple[Scenario, ...] = (
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[2],
+        associator="marginal",
         **CROWDED,
     ),
     Scenario(
@@ -84,6 +90,7 @@ DRIFTING: tuple[Scenario, ...] = (
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[2],
+        associator="marginal",
         sensor=_FEW_AND_BAD,
     ),
     Scenario(
@@ -91,6 +98,7 @@ DRIFTING: tuple[Scenario, ...] = (
         LoopGenerator(),
         budget=900,
         odometry=DRIFT[1],
+        associator="marginal",
         sensor=_SHORT_SIGHT,
     ),
 )

@@ -46,6 +46,7 @@ class Scenario:
     beams: BeamSpec = field(default_factory=BeamSpec)
     odometry: OdometrySpec = field(default_factory=OdometrySpec)
     slam: SlamSpec = field(default_factory=lambda: SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6))
+    associator: str = "jcbb"  # who associates unless another is asked for
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
     grid_resolution: float = 0.2  # [m] of the explored grid
     kidnapping: KidnappingSpec | None = None
