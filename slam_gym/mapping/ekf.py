@@ -7,11 +7,7 @@ what lies beyond d and below the diagonal means nothing.
 `at` (≥ d,) is the state at which Jacobians are evaluated: the estimate (the same array as x), or the first estimate of
 each entry (first-estimate Jacobians, Huang, Mourikis and Roumeliotis 2010).
 
-Measurement function: h_j(x) = (⊖R) ⊕ F_j = Cᵀ(F_j − t), with C the robot's rotation and t its position. Its Jacobian is
-
-    H_j = Cᵀ [−I  −JΔ  0 … I … 0],  Δ = F_j − t,  JΔ = (−Δ_y, Δ_x)ᵀ.
-
-Cᵀ is common to all features, so the kernels take innovations in axes parallel to B and turn only the results into R.
+The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ. Measurements: `update`.
 """
 
 from __future__ import annotations
@@ -22,12 +18,8 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
-from slam_gym.mapping.linear_algebra import cholesky, is_covariance, padded, subtract_product, whiten
+from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
-
-ACCEPTED = -1  # what `update` returns
-NO_SUCH_FEATURE = -2
-_ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
 @compiled
@@ -132,167 +124,6 @@ def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gat
     return out
 
 
-@compiled
-def _innovation(
-    x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, paired: IntArray
-) -> tuple[Array, Array, Array]:
-    """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle), in axes parallel to B.
-
-    Of the k pairings of `points` (k, 2) and `covariances` (k, 2, 2) with the features `paired` (k,).
-    """
-    k = len(paired)
-    nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.zeros((2 * k, 2 * k))
-    robot = np.empty((3, d))
-    for i in range(3):
-        for j in range(d):
-            robot[i, j] = P[min(i, j), max(i, j)]
-    c, s = math.cos(x[2]), math.sin(x[2])
-    ca, sa = math.cos(at[2]), math.sin(at[2])
-    for i in range(k):
-        f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
-        # ν = z − h(x), turned by the heading at which H is taken
-        hx, hy = x[f] - x[0], x[f + 1] - x[1]
-        ex, ey = points[i, 0] - (c * hx + s * hy), points[i, 1] - (-s * hx + c * hy)
-        nu[a], nu[b] = ca * ex - sa * ey, sa * ex + ca * ey
-        _rows_of_HP(at, P, d, f, robot, HP[a], HP[b])
-        S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1])
-    for i in range(k):
-        f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
-        dx, dy = at[f] - at[0], at[f + 1] - at[1]
-        S[a, a] += _ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
-        S[b, b] += _ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
-        for row in range(a, 2 * k):
-            S[row, a] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
-            S[row, b] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
-    return nu, HP, S
-
-
-@compiled
-def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
-    """[−I −JΔ 0 … I … 0] P for the feature that starts at f; `robot` (3, d) are the robot's rows of P in full."""
-    dx, dy = at[f] - at[0], at[f + 1] - at[1]
-    for j in range(f):
-        out_x[j], out_y[j] = P[j, f], P[j, f + 1]
-    out_x[f], out_x[f + 1] = P[f, f], P[f, f + 1]
-    out_y[f], out_y[f + 1] = P[f, f + 1], P[f + 1, f + 1]
-    for j in range(f + 2, d):
-        out_x[j], out_y[j] = P[f, j], P[f + 1, j]
-    rx, ry, rt = robot[0], robot[1], robot[2]
-    for j in range(len(rt)):
-        out_x[j] += dy * rt[j] - rx[j]
-        out_y[j] -= dx * rt[j] + ry[j]
-
-
-@compiled
-def _refer_to_prior(nu: Array, prior: Array, at: Array, paired: IntArray) -> None:
-    """ν ← ν − H (x − x_i) for H at x_i (`at`), in the axes of `_innovation`."""
-    rx, ry, turn = prior[0] - at[0], prior[1] - at[1], prior[2] - at[2]
-    for i in range(len(paired)):
-        f = 3 + 2 * paired[i]
-        dx, dy = at[f] - at[0], at[f + 1] - at[1]
-        nu[2 * i] -= prior[f] - at[f] - rx + dy * turn
-        nu[2 * i + 1] -= prior[f + 1] - at[f + 1] - ry - dx * turn
-
-
-@compiled
-def _left_over(x: Array, at: Array, change: Array, points: Array, covariances: Array, paired: IntArray) -> float:
-    """What the linearisation at `at` leaves out of the step to x + `change`, squared, in the measurements' σ.
-
-    r_i = h_i(x + change) − h_i(at) − H_i (x + change − at), and the sum of r_iᵀ R_i⁻¹ r_i over the pairings. Another
-    pass of Gauss–Newton moves the state by P⁺ Hᵀ R⁻¹ r, which is by no more than the root of this sum, in units of the
-    state's own σ after the update (Mahalanobis), for Hᵀ R⁻¹ H ≤ (P⁺)⁻¹. That H has changed, too, moves it much less.
-    """
-    rx, ry, turn = x[0] + change[0] - at[0], x[1] + change[1] - at[1], x[2] + change[2] - at[2]
-    c, s, ct, st = math.cos(at[2]), math.sin(at[2]), math.cos(turn), math.sin(turn)
-    total = 0.0
-    for i in range(len(paired)):
-        f = 3 + 2 * paired[i]
-        dx, dy = at[f] - at[0], at[f + 1] - at[1]
-        bx, by = x[f] + change[f] - at[f] - rx + dx, x[f + 1] + change[f + 1] - at[f + 1] - ry + dy
-        # in axes parallel to B, then in those of the robot
-        u, v = ct * bx + st * by - bx - dy * turn, ct * by - st * bx - by + dx * turn
-        u, v = c * u + s * v, c * v - s * u
-        xx, xy, yy = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1]
-        squared, determinant = yy * u * u - 2.0 * xy * u * v + xx * v * v, xx * yy - xy * xy
-        if squared > 0.0:
-            total += squared / determinant if determinant > 0.0 else math.inf
-    return total
-
-
-@compiled
-def update(
-    x: Array,
-    at: Array,
-    P: Array,
-    n: int,
-    points: Array,
-    covariances: Array,
-    features: IntArray,
-    iterations: int,
-    settled: float,
-) -> int:
-    """Joint EKF update with all pairings (measurement i, feature features[i] ≠ UNPAIRED), in place.
-
-    ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
-    With more than one iteration, H and ν are taken anew at x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) until another
-    pass would move the state by less than `settled` of its own σ: Gauss–Newton from the prior x, which minimises the
-    cost of prior and measurements together (Bell and Cathey, IEEE TAC 38(2), 1993).
-    Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
-    no covariance, or m where S is singular.
-    """
-    d, m = 3 + 2 * n, len(features)
-    measured, paired, k = np.empty(m, np.int64), np.empty(m, np.int64), 0
-    for i in range(m):
-        if features[i] == UNPAIRED:
-            continue
-        if not 0 <= features[i] < n:
-            return NO_SUCH_FEATURE
-        if not (math.isfinite(points[i, 0] + points[i, 1]) and is_covariance(covariances[i])):
-            return i
-        measured[k], paired[k] = i, features[i]
-        k += 1
-    z, R, paired = points[measured[:k]], covariances[measured[:k]], paired[:k]
-    nu, W, S = _innovation(x, at, P, d, z, R, paired)
-    if not cholesky(S):
-        return m
-    whiten(S, W, nu)
-    change, left = _correction(W, nu), iterations - 1
-    here = at
-    while left > 0 and _left_over(x, here, change, z, R, paired) > settled * settled:
-        here = x.copy()
-        here[:d] += change[:d]
-        nu, W, S = _innovation(here, here, P, d, z, R, paired)
-        _refer_to_prior(nu, x, here, paired)
-        if not cholesky(S):
-            return m
-        whiten(S, W, nu)
-        change, left = _correction(W, nu), left - 1
-    for j in range(d):
-        x[j] += change[j]
-    x[2] = wrap_angle(x[2])
-    lost = np.zeros(d)  # variance that the update takes away
-    for i in range(2 * k):
-        row = W[i]
-        for j in range(len(lost)):
-            lost[j] += row[j] * row[j]
-    subtract_product(P, W)
-    for j in range(d):
-        P[j, j] += _ROUNDING * lost[j]
-    return ACCEPTED
-
-
-@compiled
-def _correction(W: Array, nu: Array) -> Array:
-    """K ν = Wᵀ L⁻¹ ν, from W and ν as `whiten` leaves them."""
-    change = np.zeros(W.shape[1])
-    for i in range(len(nu)):
-        row = W[i]
-        for j in range(len(change)):
-            change[j] += row[j] * nu[i]
-    return change
-
-
-@compiled
 def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
     """Append x_F = x_R ⊕ z to the state, its covariance by linearisation; False where z or R is no good.
 

@@ -2,6 +2,19 @@
 
 State, P (upper triangle) and `at` are those of `ekf`; h_j(x) = Cᵀ(F_j − t) and H_j = Cᵀ[−I  −JΔ  0 … I … 0] are its
 measurement function and Jacobian.
+
+**To second order** a heading that is poorly known bends the prediction. With ν = H_j δ the linear error of the
+prediction and δθ that of the heading, Gaussian as P has them, in the coordinates of the group (see `update`),
+
+    h_j(x ⊞ δ) = h_j(x) + ν − ½ δθ J ν + …,
+
+the mean of which is h_j − ½ J c_j with c_j = H_j P e_θ, and the covariance, of two features,
+
+    H_i P H_jᵀ + ¼ J (σ_θ² H_i P H_jᵀ + c_i c_jᵀ) Jᵀ.
+
+Where P knows the heading alone poorly, ν = −δθ J h, that is h shortened by ½ σ_θ² and ½ σ_θ⁴ h hᵀ: the first terms of
+the moments of a point that is turned by a Gaussian angle. A heading that is off together with all features bends
+nothing.
 """
 
 from __future__ import annotations
@@ -31,11 +44,13 @@ def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, fl
 
 
 @compiled
-def features_in_reach(x: Array, at: Array, P: Array, n: int, reach: float) -> tuple[IntArray, Array, Array, Array]:
+def features_in_reach(
+    x: Array, at: Array, P: Array, n: int, reach: float, second_order: bool
+) -> tuple[IntArray, Array, Array, Array]:
     """Features with ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ.
 
     Their indices (k,), positions h_j (k, 2), covariances H_j P H_jᵀ (k, 2, 2), and those with the robot's heading,
-    H_j P e_θ (k, 2).
+    H_j P e_θ (k, 2). With `second_order`, positions and covariances are the mean and covariance to that order.
     """
     features, k = np.empty(n, np.int64), 0
     positions, covariances, across = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2))
@@ -59,13 +74,29 @@ def features_in_reach(x: Array, at: Array, P: Array, n: int, reach: float) -> tu
         u = P[2, f] - P[0, 2] + (at[f + 1] - at[1]) * P[2, 2]
         v = P[2, f + 1] - P[1, 2] - (at[f] - at[0]) * P[2, 2]
         across[k, 0], across[k, 1] = ca * u + sa * v, ca * v - sa * u
+        if second_order:
+            _bend(positions[k], covariances[k], across[k], P[2, 2])
         k += 1
     return features[:k], positions[:k], covariances[:k], across[:k]
 
 
 @compiled
-def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
-    """H P Hᵀ (2j, 2j) of the features (j,) together, with all cross-covariances.
+def _bend(position: Array, covariance: Array, across: Array, variance: float) -> None:
+    """The mean and covariance of one feature to second order, in place."""
+    position[0] += 0.5 * across[1]
+    position[1] -= 0.5 * across[0]
+    xx = 0.25 * (variance * covariance[0, 0] + across[0] * across[0])
+    xy = 0.25 * (variance * covariance[0, 1] + across[0] * across[1])
+    yy = 0.25 * (variance * covariance[1, 1] + across[1] * across[1])
+    covariance[0, 0] += yy
+    covariance[1, 1] += xx
+    covariance[0, 1] -= xy
+    covariance[1, 0] -= xy
+
+
+@compiled
+def joint_covariance(at: Array, P: Array, features: IntArray, second_order: bool) -> Array:
+    """H P Hᵀ (2j, 2j) of the features (j,) together, with all cross-covariances; to second order, if so.
 
     The robot's terms are those of `_relative_covariance`, computed once for each feature instead of once a pair.
     """
@@ -92,6 +123,10 @@ def joint_covariance(at: Array, P: Array, features: IntArray) -> Array:
             xy = P[a, b + 1] - P[1, a] - P[2, a] * bx - robot[second, 1] + ay * ty
             yx = across - P[0, a + 1] + P[2, a + 1] * by - robot[second, 2] - ax * tx
             yy = P[a + 1, b + 1] - P[1, a + 1] - P[2, a + 1] * bx - robot[second, 3] - ax * ty
+            if second_order:
+                px, py = robot[first, 4], robot[first, 5]
+                bxx, bxy, byx, byy = ptt * xx + px * tx, ptt * xy + px * ty, ptt * yx + py * tx, ptt * yy + py * ty
+                xx, xy, yx, yy = xx + 0.25 * byy, xy - 0.25 * byx, yx - 0.25 * bxy, yy + 0.25 * bxx
             # Cᵀ · C, columns first
             top_x, top_y = c * xx + s * xy, -s * xx + c * xy
             low_x, low_y = c * yx + s * yy, -s * yx + c * yy

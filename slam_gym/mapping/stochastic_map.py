@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,7 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded, read_only
+from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
 from slam_gym.types import (
     UNKNOWN_KIND,
     Array,
@@ -29,6 +31,8 @@ from slam_gym.types import (
     View,
 )
 
+Error = Literal["ordinary", "right-invariant"]
+
 
 @dataclass(frozen=True)
 class MapSpec:
@@ -38,6 +42,9 @@ class MapSpec:
     first_estimate_jacobians: bool = False  # evaluate Jacobians at first estimates (Huang et al. 2010)
     iterations: int | None = None  # of an update, at most: 1 linearises at the prior; None: 3, with first estimates 1
     settled: float = 0.1  # [σ of the state] a pass that would move it by less than that is spared
+    error: Error | None = None  # that the filter is linear in (see `mapping.update`); None: right-invariant, with
+    # first estimates ordinary
+    second_order: bool = True  # predictions allow for what a poorly known heading bends (see `mapping.measurement`)
     confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
     unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
 
@@ -50,6 +57,10 @@ class MapSpec:
             raise ValueError(f"MapSpec.settled: {self.settled} is not finite or negative")
         if self.passes > 1 and self.first_estimate_jacobians:
             raise ValueError("MapSpec.iterations: with Jacobians at first estimates there is nothing to iterate")
+        if self.error not in (None, "ordinary", "right-invariant"):
+            raise ValueError(f"MapSpec.error: {self.error!r} is neither 'ordinary' nor 'right-invariant'")
+        if self.error == "right-invariant" and self.first_estimate_jacobians:
+            raise ValueError("MapSpec.error: Jacobians are taken at first estimates of an ordinary error only")
         if self.confirmations < 1:
             raise ValueError(f"MapSpec.confirmations: {self.confirmations} is less than 1")
         if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
@@ -61,6 +72,11 @@ class MapSpec:
         if self.iterations is not None:
             return self.iterations
         return 1 if self.first_estimate_jacobians else 3
+
+    @property
+    def right_invariant(self) -> bool:
+        """The error is the right-invariant one."""
+        return not self.first_estimate_jacobians if self.error is None else self.error == "right-invariant"
 
 
 _COLUMNS = (
@@ -100,7 +116,7 @@ class StochasticMap:
         if capacity < 1:
             raise ValueError(f"capacity: {capacity} is less than 1")
         self.spec = spec or MapSpec()
-        self._passes = self.spec.passes
+        self._passes, self._invariant = self.spec.passes, self.spec.right_invariant
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self._next_id = 0
@@ -230,7 +246,7 @@ class StochasticMap:
         recent scans paired: near are these and what is local to them. `view` is handed on.
         """
         features, positions, covariances, across = measurement.features_in_reach(
-            self._x, self._at, self._P, self.n, float(reach)
+            self._x, self._at, self._P, self.n, float(reach), self.spec.second_order
         )
         return Prediction(
             features,
@@ -276,13 +292,13 @@ class StochasticMap:
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
         self._estimate_changes()
-        x, at, P, passes, settled = self._x, self._at, self._P, self._passes, self.spec.settled
-        refused = ekf.update(x, at, P, self.n, scan.points, scan.covariances, features, passes, settled)
-        if refused == ekf.NO_SUCH_FEATURE:
+        measured, passes = (scan.points, scan.covariances), (self._passes, self.spec.settled)
+        refused = update(self._x, self._at, self._P, self.n, measured, features, passes, self._invariant)
+        if refused == NO_SUCH_FEATURE:
             raise ValueError(f"features: {features.tolist()} for a map of {self.n} features")
         if refused == len(scan):
             raise ValueError("the innovation covariance is singular to working precision")
-        if refused != ekf.ACCEPTED:
+        if refused != ACCEPTED:
             raise _bad_measurement(scan, refused)
         ekf.record(
             features,
@@ -360,7 +376,7 @@ class StochasticMap:
     def _joint_covariance(self, features: IntArray) -> _JointCovariance:
         if self._shown is None:
             self._shown = read_only(self._at), read_only(self._P)
-        return _JointCovariance(*self._shown, features, self._estimate)
+        return _JointCovariance(*self._shown, features, self.spec.second_order, self._estimate)
 
     def _estimate_changes(self) -> None:
         """What was predicted from the estimate until now is out of date, and says so when it is asked."""
@@ -405,12 +421,13 @@ class _JointCovariance:
     at: Array  # (d,) state that Jacobians are evaluated at
     P: Array  # (d, d) upper triangle
     features: IntArray  # (k,) map index of each row
+    second_order: bool
     estimate: _Estimate
 
     def __call__(self, rows: IntArray) -> Array:
         if not self.estimate.stands:
             raise RuntimeError("the map has changed since this prediction was made")
-        return measurement.joint_covariance(self.at, self.P, self.features[rows])
+        return measurement.joint_covariance(self.at, self.P, self.features[rows], self.second_order)
 
 
 def _checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:

@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from slam_gym.geometry import compose, observe, wrap_angle
+from slam_gym.geometry import compose, wrap_angle
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.metrics.consistency import anees_interval, pose_nees
-from slam_gym.types import UNPAIRED, Array, Odometry, Scan
-from tests.mapping.small_maps import FEJ, KEEP, START, START_COVARIANCE, STILL, h, landmarks, mapped, numerical
+from slam_gym.types import UNPAIRED, Array, Odometry
+from tests.mapping.small_maps import FEJ, KEEP, START, START_COVARIANCE, h, landmarks, mapped, numerical
 from tests.oracles.map import SIGMA, KnownAssociation, Step, TextbookMap, make_scan, random_covariances, wander
 
 # --- against the textbook ---------------------------------------------------------------------------------------------
@@ -217,129 +215,3 @@ def test_first_estimate_jacobians_gain_no_heading_from_looking_around() -> None:
         final[name] = np.sqrt(known.map.pose_covariance[2, 2])
     assert final["FEJ"] >= sigma * (1.0 - 1e-9)
     assert final["EKF"] < 0.95 * sigma
-
-
-# --- the iterated update: the optimum of prior and measurements together ---------------------------------------------
-
-NOISE = 0.05  # [m]
-
-
-def poor_heading(
-    seed: int, iterations: int, heading: float = 0.1, settled: float = 0.0
-) -> tuple[StochasticMap, Scan, np.ndarray]:
-    """A map of eight features, its robot's heading poorly known, and a scan of four of them and a stranger."""
-    rng = np.random.default_rng(seed)
-    spec = MapSpec(iterations=iterations, settled=settled)
-    m = StochasticMap(spec, [1.0, 2.0, 0.5], np.diag([0.05, 0.05, 0.02]) ** 2)
-    bearing, distance = rng.uniform(-np.pi, np.pi, 8), rng.uniform(2.0, 6.0, 8)
-    m.add(Scan.from_polar(distance, bearing, NOISE, 0.01), np.arange(8))
-    m.predict(Odometry.from_motion([0.5, 0.0, 0.3], [0.1, 0.05, heading]))
-    drawn = m.mean + np.linalg.cholesky(m.covariance + 1e-12 * np.eye(19)) @ rng.standard_normal(19)
-    features = np.array([0, 3, UNPAIRED, 5, 7])
-    points = observe(drawn[:3], drawn[3:].reshape(-1, 2)[[0, 3, 0, 5, 7]]) + NOISE * rng.standard_normal((5, 2))
-    points[2] = 9.0
-    return m, Scan.from_points(points, sigma=NOISE), features
-
-
-def optimum(m: StochasticMap, scan: Scan, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The state of least cost, by a general solver, and the covariance of the linearisation there."""
-    prior, root = m.mean, np.linalg.cholesky(np.linalg.inv(m.covariance)).T
-    paired = features != UNPAIRED
-
-    def residuals(x: np.ndarray) -> np.ndarray:
-        expected = observe(x[:3], x[3:].reshape(-1, 2)[features[paired]])
-        return np.concatenate([root @ (x - prior), ((scan.points[paired] - expected) / NOISE).ravel()])
-
-    found = least_squares(residuals, prior, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    return found.x, np.linalg.inv(found.jac.T @ found.jac)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_iterated_to_the_end_it_is_the_least_squares_optimum(seed: int) -> None:
-    m, scan, features = poor_heading(seed, iterations=30)
-    mean, covariance = optimum(m, scan, features)
-    m.update(scan, features)
-    np.testing.assert_allclose(m.mean, mean, atol=2e-5)
-    np.testing.assert_allclose(m.covariance, covariance, atol=2e-6)
-
-
-def test_where_it_is_linear_anyway_iterating_changes_nothing() -> None:
-    once, scan, features = poor_heading(0, iterations=1, heading=1e-6)
-    often, _, _ = poor_heading(0, iterations=10, heading=1e-6)
-    for m in (once, often):
-        m.update(scan, features)
-    np.testing.assert_allclose(often.mean, once.mean, atol=1e-3)
-
-
-def test_a_few_iterations_come_closer_to_the_optimum_than_one() -> None:
-    errors = {}
-    for iterations in (1, 2, 4):
-        off = []
-        for seed in range(30):
-            m, scan, features = poor_heading(seed, iterations, heading=0.2)
-            mean, _ = optimum(m, scan, features)
-            m.update(scan, features)
-            off.append(np.abs(m.mean - mean).max())
-        errors[iterations] = np.median(off)
-    assert errors[4] < 0.1 * errors[2] < 0.1 * errors[1]
-
-
-def test_a_feature_paired_twice_is_measured_twice() -> None:
-    m, scan, _ = poor_heading(3, iterations=4)
-    twice = np.array([0, UNPAIRED, UNPAIRED, UNPAIRED, 0])
-    before = m.covariances[0]
-    m.update(scan, twice)
-    assert np.trace(m.covariances[0]) < np.trace(before) and np.linalg.eigvalsh(m.covariance).min() > 0.0
-
-
-@pytest.mark.parametrize("settled", [0.1, 0.3, 1.0])
-def test_a_pass_is_spared_only_where_it_would_hardly_move_the_state(settled: float) -> None:
-    """In units of the σ of the state: Mahalanobis distance to the optimum, over headings known well and poorly."""
-    spared = 0
-    for seed in range(60):
-        heading = 10.0 ** np.random.default_rng(seed).uniform(-3.0, -0.5)
-        m, scan, features = poor_heading(seed, 30, heading, settled)
-        mean, covariance = optimum(m, scan, features)
-        once, _, _ = poor_heading(seed, 1, heading)
-        m.update(scan, features)
-        once.update(scan, features)
-        spared += np.array_equal(m.mean, once.mean)
-        off = m.mean - mean
-        assert np.sqrt(off @ np.linalg.solve(covariance, off)) < 1.3 * settled
-    assert 0 < spared < 60
-
-
-def test_with_wheels_that_turn_badly_the_iterated_filter_alone_is_consistent() -> None:
-    """σ of 8° of heading a step, in a map begun from a known pose: mean NEES of the pose at the end of 40 runs."""
-    runs, world, mean = 40, landmarks(np.random.default_rng(12), 12), {}
-    for name, spec in (("iterated", MapSpec(unconfirmed_age=None)), ("one pass", KEEP)):
-        total = 0.0
-        for seed in range(runs):
-            known, rng = KnownAssociation(StochasticMap(spec)), np.random.default_rng([31, seed])
-            noise = random_covariances(rng, SIGMA, len(world))
-            points = world + np.array([rng.multivariate_normal([0.0, 0.0], R) for R in noise])
-            known.step(Step(STILL, make_scan(points, noise), np.arange(len(world)), np.zeros(3)))
-            for step in wander(rng, 40, world, q=np.diag([0.05, 0.03, 0.14]) ** 2):
-                known.step(step)
-            total += pose_nees(known.map.pose, known.map.pose_covariance, step.pose) / 3.0
-        mean[name] = total / runs
-    low, high = anees_interval(runs, 3, 0.99)
-    assert low < mean["iterated"] < high
-    assert mean["one pass"] > 1.5 * high
-
-
-def test_first_estimate_jacobians_are_not_iterated_unless_asked_for() -> None:
-    assert MapSpec(first_estimate_jacobians=True).passes == 1
-    assert MapSpec().passes > 1
-
-
-@pytest.mark.parametrize("settled", [-0.1, np.nan, np.inf])
-def test_a_limit_that_is_none_is_refused(settled: float) -> None:
-    with pytest.raises(ValueError, match=r"MapSpec\.settled"):
-        MapSpec(settled=settled)
-
-
-@pytest.mark.parametrize("settings", [{"iterations": 0}, {"iterations": 2, "first_estimate_jacobians": True}])
-def test_settings_that_cannot_be_are_refused(settings) -> None:
-    with pytest.raises(ValueError, match=r"MapSpec\.iterations"):
-        MapSpec(**settings)

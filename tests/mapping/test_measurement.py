@@ -1,13 +1,20 @@
 """What the map expects to measure, and what it tells of the heading, against the definitions."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from slam_gym.association.compatibility import joint_distance
+from slam_gym.association.tracking.true_association import true_association
 from slam_gym.geometry import observe_jacobians
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import UNPAIRED, Odometry, Scan
+from slam_gym.scenarios import get_scenario, world_generator
+from slam_gym.scenarios.drift import DRIFT
+from slam_gym.simulation.episode import Episode, survey
+from slam_gym.types import UNPAIRED, Array, Odometry, Scan
+from slam_gym.world.sensor import OdometrySpec
 from tests.mapping.small_maps import FEJ, h, mapped, numerical
 from tests.oracles.map import make_scan
 
@@ -84,3 +91,134 @@ def test_joint_of_any_rows_in_any_order() -> None:
     entries = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
     np.testing.assert_allclose(prediction.joint(rows), whole[np.ix_(entries, entries)], rtol=0, atol=1e-15)
     np.testing.assert_array_equal(whole, whole.T)
+
+
+# --- to second order --------------------------------------------------------------------------------------------------
+
+
+def predicted(m: StochasticMap, draws: int, rng: np.random.Generator) -> Array:
+    """(draws, 2n) what states drawn from the filter's Gaussian, in the coordinates of the group, would measure."""
+    delta = rng.multivariate_normal(np.zeros(3 + 2 * m.n), m.covariance, draws, method="cholesky")
+    turn = delta[:, 2]
+    half = 0.5 * turn
+    scale = np.sinc(half / np.pi)  # V(φ) = sinc(φ/2) Rot(φ/2)
+    z = delta[:, 3:].reshape(draws, -1, 2) - delta[:, None, :2]
+    relative = m.positions - m.pose[:2] + turned_by(half, z) * scale[:, None, None]
+    return turned_by(-m.pose[2] - turn, relative).reshape(draws, -1)
+
+
+def turned_by(angles: Array, vectors: Array) -> Array:
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_poor_heading_bends_what_is_predicted_as_drawing_from_the_filter_does(seed: int) -> None:
+    """σ of 12° of heading: the linear prediction is off by centimetres and too sure along the line of sight."""
+    rng = np.random.default_rng(seed)
+    m = StochasticMap(MapSpec(unconfirmed_age=None), [1.0, 2.0, 0.5], np.diag([0.05, 0.05, 0.02]) ** 2)
+    m.add(Scan.from_points(rng.uniform(-6.0, 6.0, (4, 2)), sigma=0.05), np.arange(4))
+    m.predict(Odometry.from_motion([0.5, 0.0, 0.3], [0.1, 0.05, 0.2]))
+    drawn = predicted(m, 400_000, rng).reshape(-1, 4, 2)
+    far = int(np.argmax(np.hypot(*(m.positions - m.pose[:2]).T)))
+    sight = drawn[:, far].mean(axis=0)
+    sight /= np.hypot(*sight)
+    variance = np.var(drawn[:, far] @ sight)
+    off, along = {}, {}
+    for name, second_order in (("bent", True), ("linear", False)):
+        m.spec = MapSpec(unconfirmed_age=None, second_order=second_order)
+        prediction = m.prediction(math.inf)
+        off[name] = np.abs(prediction.positions - drawn.mean(axis=0)).max()
+        along[name] = sight @ prediction.covariances[far] @ sight
+    assert off["linear"] > 0.05 and off["bent"] < 0.1 * off["linear"]
+    assert 0.9 < along["bent"] / variance < 1.1 and along["linear"] / variance < 0.8
+
+
+@pytest.mark.parametrize("fej", [False, True])
+def test_what_is_turned_as_a_whole_is_not_bent(fej: bool) -> None:
+    """The first pose's heading is unknown by 20°: features seen from there turn with it, and are predicted as well."""
+    spec = MapSpec(unconfirmed_age=None, first_estimate_jacobians=fej)
+    m = StochasticMap(spec, np.zeros(3), np.diag([0.0, 0.0, 0.35]) ** 2)
+    scan = Scan.from_points([[5.0, 1.0], [2.0, -4.0]], sigma=0.03)
+    m.add(scan, np.arange(2))
+    prediction = m.prediction(math.inf)
+    np.testing.assert_allclose(prediction.positions, scan.points, atol=1e-12)
+    np.testing.assert_allclose(prediction.covariances, (1.0 + 0.25 * 0.35**2) * scan.covariances, atol=1e-12)
+
+
+def test_gates_hold_what_they_claim_with_a_poor_heading() -> None:
+    """The true pairing is outside of the .99 gates of one and of all six together in one case of a hundred."""
+    rng, outside = np.random.default_rng(4), {}
+    for name, second_order in (("bent", True), ("linear", False)):
+        missed, runs = np.zeros(2), 3000
+        spec = MapSpec(unconfirmed_age=None, second_order=second_order)
+        for _ in range(runs):
+            m = StochasticMap(spec)
+            m.add(Scan.from_points(rng.uniform(-6.0, 6.0, (6, 2)), sigma=0.02), np.arange(6))
+            m.predict(Odometry.from_motion([0.1, 0.0, 0.2], [0.05, 0.03, 0.13]))
+            z = predicted(m, 1, rng)[0] + 0.04 * rng.standard_normal(12)
+            prediction = m.prediction(math.inf)
+            nu, S = z - prediction.positions.ravel(), prediction.joint(np.arange(6)) + 0.04**2 * np.eye(12)
+            missed += nu[:2] @ np.linalg.solve(S[:2, :2], nu[:2]) > 9.210, nu @ np.linalg.solve(S, nu) > 26.217
+        outside[name] = missed / runs
+    assert np.all(outside["bent"] < 0.03)
+    assert outside["linear"][0] > 0.03 and outside["linear"][1] > 0.10
+
+
+# --- in worlds --------------------------------------------------------------------------------------------------------
+
+
+def innovations(odometry: OdometrySpec, world: int, ticks: int) -> tuple[Array, Array]:
+    """NIS over its degrees of freedom, and the sums whose ratio is the lag-1 correlation: (2, 2), free and in contact.
+
+    A robot that goes where chance has it, into walls too, and knows which feature each measurement comes from.
+    """
+    scenario = replace(get_scenario("office-small"), odometry=odometry, budget=ticks)
+    site, rng = survey(scenario.generator(world_generator("train", world)), scenario), np.random.default_rng(world)
+    episode = Episode(scenario, site, "nearest_neighbour", np.random.default_rng([1, world]))
+    nis, lag, last = np.zeros((2, 2)), np.zeros((2, 2)), {}
+    turn = 0.0
+    while not episode.over:
+        turn = 0.9 * turn + 0.3 * rng.standard_normal()
+        prediction, scan, m = episode.begin_tick(0.8, float(np.clip(turn, -1.0, 1.0))), episode.scan, episode.slam.map
+        known = episode.identities.source_of(m.ids)
+        hypothesis = true_association(scan, prediction, sources=episode.truth.sources, identities=known)
+        measured = np.flatnonzero(hypothesis.features != UNPAIRED)
+        rows = np.searchsorted(prediction.features, hypothesis.features[measured])
+        now, touching = {}, int(episode.odometry.covariance[1, 1] > 0.004**2 + odometry.lateral**2 * 0.1)
+        if len(rows):
+            joint = joint_distance(scan, prediction, rows_of(len(scan), measured, rows)).squared
+            nis[:, touching] += joint, 2 * len(rows)
+        for i, row in zip(measured, rows):
+            root = np.linalg.cholesky(prediction.covariances[row] + scan.covariances[i])
+            now[int(m.ids[prediction.features[row]])] = np.linalg.solve(
+                root, scan.points[i] - prediction.positions[row]
+            )
+        for feature in now.keys() & last.keys():
+            lag[:, touching] += now[feature] @ last[feature], 2.0
+        last = now
+        episode.end_tick(hypothesis)
+    return nis, lag
+
+
+def rows_of(count: int, measured: Array, rows: Array) -> Array:
+    out = np.full(count, UNPAIRED)
+    out[measured] = rows
+    return out
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, 3])
+def test_innovations_are_as_large_as_predicted_and_white(level: int) -> None:
+    """NIS per degree of freedom, free and in contact with walls, and the correlation with the innovation before.
+
+    In contact they are as large as predicted, but not white: who leans on a wall slips the same way tick after tick.
+    """
+    odometry = DRIFT[level] if level else OdometrySpec()
+    found = [innovations(odometry, world, 200) for world in range(3)]
+    (free, touching), dofs = sum(nis for nis, _ in found)
+    assert 0.94 < free / dofs[0] < 1.06
+    assert dofs[1] > 200 and 0.85 < touching / dofs[1] < 1.15
+    products, counts = sum(lag for _, lag in found)
+    assert abs(products[0] / counts[0]) < 0.08
+    assert level > 1 or products[1] / counts[1] > 0.1

@@ -1,8 +1,8 @@
 """Reference experiment: a robot loops once through a square corridor and comes back with a drifted heading.
 
 The world, the robot and its sensor are those of `slam_gym.world.corridor`, driven directly on the SLAM core, with the
-update of the papers, which is not iterated. `Q` scales the *covariance* that the filter is told; the noise drawn is
-always the same.
+filter of the papers: one pass, an ordinary error, predictions to first order. `Q` scales the *covariance* that the
+filter is told; the noise drawn is always the same.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def run_corridor(
     associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, locality: bool = True
 ) -> CorridorRun:
     """One loop through the corridor."""
-    slam = Slam(SlamSpec(MapSpec(confidence=confidence, iterations=1), reach=RANGE, locality=locality))
+    spec = MapSpec(confidence=confidence, iterations=1, error="ordinary", second_order=False)
+    slam = Slam(SlamSpec(spec, reach=RANGE, locality=locality))
     judged = JudgedSlam(slam, associator)
     poses: list[Array] = []
     estimates: list[Array] = []

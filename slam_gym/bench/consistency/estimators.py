@@ -1,8 +1,9 @@
 """One log through three estimators, and how far each is from the truth compared with what it claims.
 
-* standard: EKF-SLAM with the Jacobians at the latest estimates;
+* standard: EKF-SLAM of the papers, with the Jacobians at the latest estimates and one pass of each update;
 * first estimates: the same with Jacobians at first estimates (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010);
-* local maps: a sequence of independent maps of so many features, joined when the whole is asked for.
+* right-invariant: the default of the package, iterated and with the error of the group (see `mapping.update`);
+* local maps: a sequence of independent standard maps of so many features, joined when the whole is asked for.
 
 All are judged at the same checkpoints, by the estimate that the robot had then; for local maps that is the pose in the
 map joined there. Errors are those in B, without alignment: the filter claims to know where it is from where it began.
@@ -22,7 +23,7 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.bench.records import Record
 from slam_gym.bench.timing import timed
 from slam_gym.geometry import relative, wrap_angle
-from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.map_quality import landmark_rmse
@@ -32,7 +33,7 @@ from slam_gym.slam.local_maps import LocalMapSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, Effort, IntArray, Odometry, Scan, Truth
 
-METHODS = ("standard", "first estimates", "local maps")
+METHODS = ("standard", "first estimates", "right-invariant", "local maps")
 ASSOCIATORS = ("jcbb", CEILING)
 _DOF = 3  # of a pose
 
@@ -90,11 +91,18 @@ def estimate(log: DrivenLog, method: str, associator: str) -> Estimate:
 
 
 def _judged(log: DrivenLog, method: str, associator: str) -> tuple[Slam | LocalMapSlam, JudgedSlam]:
-    spec = replace(log.slam, map=replace(log.slam.map, first_estimate_jacobians=method == "first estimates"))
+    spec = replace(log.slam, map=_settings(log.slam.map, method))
     identities = Identities()
     find = functools.partial(true_duplicates, identities=identities) if associator == CEILING else None
     slam = LocalMapSlam(spec, log.features_per_map, find) if method == "local maps" else Slam(spec)
     return slam, JudgedSlam(slam, associator, identities=identities)
+
+
+def _settings(spec: MapSpec, method: str) -> MapSpec:
+    if method == "right-invariant":
+        return replace(spec, error="right-invariant")
+    first = method == "first estimates"
+    return replace(spec, iterations=1, error="ordinary", second_order=False, first_estimate_jacobians=first)
 
 
 def _whole_map(slam: Slam | LocalMapSlam) -> StochasticMap:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = dict(zip(METHODS, (RED, BLUE, GREEN)))
+COLOURS = dict(zip(METHODS, (RED, BLUE, INK, GREEN)))
 _TITLES = {"ANEES": "ANEES of the pose", "final [m]": "final error [m]", "duplicates": "duplicates"}
 
 
@@ -43,8 +43,8 @@ def comparison(records: Sequence[Record]) -> Figure:
 
 def _dots(ax: Axes, world: int, method: str, values: Array, rng: np.random.Generator) -> None:
     """The runs of one method, beside those of the others."""
-    x = world + 0.26 * (METHODS.index(method) - 1)
-    jitter = rng.uniform(-0.07, 0.07, len(values))
+    x = world + 0.2 * (METHODS.index(method) - 1.5)
+    jitter = rng.uniform(-0.06, 0.06, len(values))
     ax.plot(x + jitter, values, ".", color=COLOURS[method], alpha=0.45, markersize=4, linewidth=0)
     label = method if world == 0 else None
-    ax.plot([x - 0.1, x + 0.1], 2 * [np.median(values)], color=COLOURS[method], lw=2.2, label=label)
+    ax.plot([x - 0.08, x + 0.08], 2 * [np.median(values)], color=COLOURS[method], lw=2.2, label=label)

@@ -26,12 +26,12 @@ def test_differences_are_paired_by_seed():
     rng, records = np.random.default_rng(0), []
     for seed in rng.permutation(9).tolist():
         level = float(rng.uniform(0.0, 50.0))
-        for shift, method in zip((0.0, 2.0, -1.0), METHODS):
+        for shift, method in zip((0.0, 2.0, -1.0, -1.0), METHODS, strict=True):
             changes = {"error [m]": level + shift, "duplicates": seed if shift else seed + 1}
             records += [made_up("loop", seed, method, a, **changes) for a in ASSOCIATORS]
     by_method = [record for method in METHODS for record in records if record["method"] == method]
     rows = differences_table(by_method)
-    assert len(rows) == 4
+    assert len(rows) == 6
     for row in rows:
         shift = 2.0 if row["method"] == METHODS[1] else -1.0
         found = row["error [m]"]
@@ -52,9 +52,16 @@ def test_the_command_prints_its_tables_and_says_what_it_leaves_out(monkeypatch, 
     monkeypatch.setattr(comparison, "QUICK", Workload(3, 1, 30, 1, 30, 100, (SHORT,)))
     main(["consistency", "--quick", "--out", str(tmp_path)])
     shown = capsys.readouterr().out
-    for words in ("park: left out, no data", "floor: left out", "first estimates", "Differences", "loop, 1°"):
+    for words in (
+        "park: left out, no data",
+        "floor: left out",
+        "first estimates",
+        "right-invariant",
+        "Differences",
+        "loop, 1°",
+    ):
         assert words in shown
-    assert len((tmp_path / "consistency.csv").read_text(encoding="utf-8").splitlines()) == 1 + 4 * 6
+    assert len((tmp_path / "consistency.csv").read_text(encoding="utf-8").splitlines()) == 1 + 4 * 8
     assert not importlib.util.find_spec("matplotlib") or (tmp_path / "consistency.png").stat().st_size > 10_000
     with pytest.raises(SystemExit):
         main(["consistency", "--quick", "--only", "park"])
@@ -63,6 +70,6 @@ def test_the_command_prints_its_tables_and_says_what_it_leaves_out(monkeypatch, 
 
 def test_the_park_is_compared_with_the_reference_and_the_gps(data_dir):
     records = park_estimates(data_dir / "victoria_park", 600)
-    assert len(records) == 6
+    assert len(records) == 8
     for record in records:
         assert record["error [m]"] < 3.0 and record["GPS [m]"] < 6.0 and record["ANEES"] < 3.0

@@ -1,0 +1,264 @@
+"""The joint EKF update with all pairings of a scan, iterated, its error ordinary or right-invariant. Compiled.
+
+State x, P (upper triangle) and `at` are those of `ekf`. Measurement function: h_j(x) = (⊖R) ⊕ F_j = Cᵀ(F_j − t), with C
+the robot's rotation and t its position. Its Jacobian is
+
+    H_j = Cᵀ [−I  −JΔ  0 … I … 0],  Δ = F_j − t,  JΔ = (−Δ_y, Δ_x)ᵀ.
+
+Cᵀ is common to all features, so the kernels take innovations in axes parallel to B and turn only the results into R.
+
+**Right-invariant** (Barrau and Bonnabel 2015; Zhang et al., IEEE RA-L 2(2), 2017) is a filter whose error is that of
+the group of motions, δθ, δt − J t δθ and δF_j − J F_j δθ. In these coordinates neither motion nor measurement depends
+on the estimate, so what cannot be observed, where the whole lies in B and how it is turned, is never taken for
+observed. P is kept in ordinary coordinates all the same: predicting and adding are the same in both. Three things
+differ in the update. H takes Δ from the prior in every pass, and C alone from the last one. The correction δ goes along
+the group, x ← x + V(δθ) δ with V(φ) = ∫₀¹ Rot(sφ) ds. And P is expressed at the estimate that results: P ← M P Mᵀ, with
+M = I + J(x⁺ − x) e_θᵀ, J turning the position of the robot and of each feature.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam_gym._compile import compiled
+from slam_gym.geometry import wrap_angle
+from slam_gym.mapping.ekf import turned
+from slam_gym.mapping.linear_algebra import cholesky, is_covariance, padded, subtract_product, whiten
+from slam_gym.types import UNPAIRED, Array, IntArray
+
+ACCEPTED = -1  # what `update` returns
+NO_SUCH_FEATURE = -2
+_ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
+
+
+@compiled
+def update(
+    x: Array,
+    at: Array,
+    P: Array,
+    n: int,
+    scan: tuple[Array, Array],
+    features: IntArray,
+    passes: tuple[int, float],
+    invariant: bool,
+) -> int:
+    """Joint EKF update with all pairings (measurement i, feature features[i] ≠ UNPAIRED), in place.
+
+    ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
+    With more than one iteration, H and ν are taken anew at x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) until another
+    pass would move the state by less than `settled` of its own σ: Gauss–Newton from the prior x, which minimises the
+    cost of prior and measurements together (Bell and Cathey, IEEE TAC 38(2), 1993).
+
+    Arguments:
+        scan: points (m, 2) and their covariances (m, 2, 2).
+        passes: iterations, at most; and `settled`, σ of the state.
+        invariant: the error is the right-invariant one.
+
+    Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
+    no covariance, or m where S is singular.
+    """
+    d = 3 + 2 * n
+    left, settled = passes
+    refused, z, R, paired = _pairings(scan, features, n)
+    if refused != ACCEPTED:
+        return refused
+    here, where, change = x, at, np.zeros(padded(d))
+    while True:
+        nu, W, S = _innovation(here, where, P, d, z, R, paired)
+        _refer_to_prior(nu, change, where, paired)
+        if not cholesky(S):
+            return len(features)
+        whiten(S, W, nu)
+        before, change, left = change, _correction(W, nu), left - 1
+        then = _corrected(x, change, d, invariant)
+        if left <= 0 or _left_over(here, then, where, change - before, R, paired) <= settled * settled:
+            break
+        here, where = then, then
+        if invariant:
+            where = x.copy()
+            where[2] = then[2]
+    _subtract_squares(P, W, d)
+    if invariant:
+        _express_at(P, d, x, then)
+    for j in range(d):
+        x[j] = then[j]
+    x[2] = wrap_angle(x[2])
+    return ACCEPTED
+
+
+@compiled
+def _pairings(scan: tuple[Array, Array], features: IntArray, n: int) -> tuple[int, Array, Array, IntArray]:
+    """ACCEPTED, or why not (see `update`); points (k, 2), covariances (k, 2, 2) and features (k,) that are paired."""
+    points, covariances = scan
+    measured, k = np.empty(len(features), np.int64), 0
+    refused = ACCEPTED
+    for i in range(len(features)):
+        if features[i] == UNPAIRED:
+            continue
+        if not 0 <= features[i] < n:
+            refused = NO_SUCH_FEATURE
+            break
+        if not (math.isfinite(points[i, 0] + points[i, 1]) and is_covariance(covariances[i])):
+            refused = i
+            break
+        measured[k] = i
+        k += 1
+    measured = measured[:k]
+    return refused, points[measured], covariances[measured], features[measured]
+
+
+@compiled
+def _innovation(
+    x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, paired: IntArray
+) -> tuple[Array, Array, Array]:
+    """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle), in axes parallel to B.
+
+    Of the k pairings of `points` (k, 2) and `covariances` (k, 2, 2) with the features `paired` (k,).
+    """
+    k = len(paired)
+    nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.zeros((2 * k, 2 * k))
+    robot = np.empty((3, d))
+    for i in range(3):
+        for j in range(d):
+            robot[i, j] = P[min(i, j), max(i, j)]
+    c, s = math.cos(x[2]), math.sin(x[2])
+    ca, sa = math.cos(at[2]), math.sin(at[2])
+    for i in range(k):
+        f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
+        # ν = z − h(x), turned by the heading at which H is taken
+        hx, hy = x[f] - x[0], x[f + 1] - x[1]
+        ex, ey = points[i, 0] - (c * hx + s * hy), points[i, 1] - (-s * hx + c * hy)
+        nu[a], nu[b] = ca * ex - sa * ey, sa * ex + ca * ey
+        _rows_of_HP(at, P, d, f, robot, HP[a], HP[b])
+        S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1])
+    for i in range(k):
+        f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
+        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        S[a, a] += _ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
+        S[b, b] += _ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
+        for row in range(a, 2 * k):
+            S[row, a] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
+            S[row, b] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
+    return nu, HP, S
+
+
+@compiled
+def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
+    """[−I −JΔ 0 … I … 0] P for the feature that starts at f; `robot` (3, d) are the robot's rows of P in full."""
+    dx, dy = at[f] - at[0], at[f + 1] - at[1]
+    for j in range(f):
+        out_x[j], out_y[j] = P[j, f], P[j, f + 1]
+    out_x[f], out_x[f + 1] = P[f, f], P[f, f + 1]
+    out_y[f], out_y[f + 1] = P[f, f + 1], P[f + 1, f + 1]
+    for j in range(f + 2, d):
+        out_x[j], out_y[j] = P[f, j], P[f + 1, j]
+    rx, ry, rt = robot[0], robot[1], robot[2]
+    for j in range(len(rt)):
+        out_x[j] += dy * rt[j] - rx[j]
+        out_y[j] -= dx * rt[j] + ry[j]
+
+
+@compiled
+def _along(change: Array, at: Array, f: int) -> tuple[float, float]:
+    """H `change` for the feature that starts at f, H taken at `at`; in the axes of `_innovation`."""
+    dx, dy = at[f] - at[0], at[f + 1] - at[1]
+    return change[f] - change[0] + dy * change[2], change[f + 1] - change[1] - dx * change[2]
+
+
+@compiled
+def _refer_to_prior(nu: Array, change: Array, at: Array, paired: IntArray) -> None:
+    """ν ← ν + H (x_i − x) for H at `at`, `change` being what led from x to x_i."""
+    for i in range(len(paired)):
+        along_x, along_y = _along(change, at, 3 + 2 * paired[i])
+        nu[2 * i] += along_x
+        nu[2 * i + 1] += along_y
+
+
+@compiled
+def _correction(W: Array, nu: Array) -> Array:
+    """K ν = Wᵀ L⁻¹ ν, from W and ν as `whiten` leaves them."""
+    change = np.zeros(W.shape[1])
+    for i in range(len(nu)):
+        row = W[i]
+        for j in range(len(change)):
+            change[j] += row[j] * nu[i]
+    return change
+
+
+@compiled
+def _corrected(x: Array, change: Array, d: int, invariant: bool) -> Array:
+    """x + `change`, or x + V(δθ) `change` along the group."""
+    out, turn = x.copy(), change[2]
+    a, b = 1.0, 0.0  # V(φ) = [a −b; b a]
+    if invariant:
+        a, b = 1.0 - turn * turn / 6.0, 0.5 * turn
+        if abs(turn) > 1e-4:
+            a, b = math.sin(turn) / turn, (1.0 - math.cos(turn)) / turn
+    out[0] += a * change[0] - b * change[1]
+    out[1] += b * change[0] + a * change[1]
+    out[2] += turn
+    for f in range(3, d, 2):
+        out[f] += a * change[f] - b * change[f + 1]
+        out[f + 1] += b * change[f] + a * change[f + 1]
+    return out
+
+
+@compiled
+def _left_over(here: Array, then: Array, at: Array, change: Array, covariances: Array, paired: IntArray) -> float:
+    """What the linearisation leaves out of the step from `here` to `then`, squared, in the measurements' σ.
+
+    r_i = h_i(then) − h_i(here) − H_i `change`, and the sum of r_iᵀ R_i⁻¹ r_i over the pairings. Another pass of
+    Gauss–Newton moves the state by P⁺ Hᵀ R⁻¹ r, which is by no more than the root of this sum, in units of the state's
+    own σ after the update (Mahalanobis), for Hᵀ R⁻¹ H ≤ (P⁺)⁻¹. That H has changed, too, moves it much less.
+    """
+    c, s, total = math.cos(at[2]), math.sin(at[2]), 0.0
+    for i in range(len(paired)):
+        f = 3 + 2 * paired[i]
+        from_x, from_y = _measured(here, at, f)
+        to_x, to_y = _measured(then, at, f)
+        along_x, along_y = _along(change, at, f)
+        rx, ry = to_x - from_x - along_x, to_y - from_y - along_y
+        u, v = c * rx + s * ry, c * ry - s * rx
+        xx, xy, yy = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1]
+        squared, determinant = yy * u * u - 2.0 * xy * u * v + xx * v * v, xx * yy - xy * xy
+        if squared > 0.0:
+            total += squared / determinant if determinant > 0.0 else math.inf
+    return total
+
+
+@compiled
+def _measured(x: Array, at: Array, f: int) -> tuple[float, float]:
+    """h(x) of the feature that starts at f, in the axes of `_innovation`."""
+    c, s = math.cos(at[2] - x[2]), math.sin(at[2] - x[2])
+    dx, dy = x[f] - x[0], x[f + 1] - x[1]
+    return c * dx - s * dy, s * dx + c * dy
+
+
+@compiled
+def _subtract_squares(P: Array, W: Array, d: int) -> None:
+    """P ← P − Wᵀ W, rounding given back."""
+    lost = np.zeros(W.shape[1])  # variance that the update takes away
+    for i in range(len(W)):
+        row = W[i]
+        for j in range(len(lost)):
+            lost[j] += row[j] * row[j]
+    subtract_product(P, W)
+    for j in range(d):
+        P[j, j] += _ROUNDING * lost[j]
+
+
+@compiled
+def _express_at(P: Array, d: int, x: Array, then: Array) -> None:
+    """P ← M P Mᵀ, M = I + a e_θᵀ with a = J(then − x): as b = P e_θ + ½ a P_θθ, that is P + a bᵀ + b aᵀ."""
+    a, b = np.zeros(d), np.empty(d)
+    a[0], a[1] = x[1] - then[1], then[0] - x[0]
+    for f in range(3, d, 2):
+        a[f], a[f + 1] = x[f + 1] - then[f + 1], then[f] - x[f]
+    for j in range(d):
+        b[j] = P[min(j, 2), max(j, 2)] + 0.5 * P[2, 2] * a[j]
+    for i in range(d):
+        row, right, above = P[i, i:d], a[i:], b[i:]
+        for j in range(len(row)):
+            row[j] += a[i] * above[j] + b[i] * right[j]

@@ -1,0 +1,308 @@
+"""The joint update: iterated to the optimum, cheap where it is linear, consistent where headings are poor."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import least_squares
+
+from slam_gym.geometry import observe, transform, wrap_angle
+from slam_gym.mapping.map_state import map_of_state, state_of
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.metrics.consistency import anees_interval, pose_nees
+from slam_gym.types import UNPAIRED, Array, Odometry, Scan
+from tests.mapping.small_maps import KEEP, STILL, landmarks, mapped
+from tests.oracles.map import SIGMA, KnownAssociation, Step, make_scan, random_covariances, wander
+
+INVARIANT = MapSpec(error="right-invariant", unconfirmed_age=None)
+ORDINARY = MapSpec(error="ordinary", unconfirmed_age=None)
+
+
+# --- the iterated update: the optimum of prior and measurements together ---------------------------------------------
+
+NOISE = 0.05  # [m]
+
+
+def poor_heading(
+    seed: int, iterations: int, heading: float = 0.1, settled: float = 0.0
+) -> tuple[StochasticMap, Scan, np.ndarray]:
+    """A map of eight features, its robot's heading poorly known, and a scan of four of them and a stranger."""
+    rng = np.random.default_rng(seed)
+    spec = MapSpec(iterations=iterations, settled=settled, error="ordinary")
+    m = StochasticMap(spec, [1.0, 2.0, 0.5], np.diag([0.05, 0.05, 0.02]) ** 2)
+    bearing, distance = rng.uniform(-np.pi, np.pi, 8), rng.uniform(2.0, 6.0, 8)
+    m.add(Scan.from_polar(distance, bearing, NOISE, 0.01), np.arange(8))
+    m.predict(Odometry.from_motion([0.5, 0.0, 0.3], [0.1, 0.05, heading]))
+    drawn = m.mean + np.linalg.cholesky(m.covariance + 1e-12 * np.eye(19)) @ rng.standard_normal(19)
+    features = np.array([0, 3, UNPAIRED, 5, 7])
+    points = observe(drawn[:3], drawn[3:].reshape(-1, 2)[[0, 3, 0, 5, 7]]) + NOISE * rng.standard_normal((5, 2))
+    points[2] = 9.0
+    return m, Scan.from_points(points, sigma=NOISE), features
+
+
+def optimum(m: StochasticMap, scan: Scan, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The state of least cost, by a general solver, and the covariance of the linearisation there."""
+    prior, root = m.mean, np.linalg.cholesky(np.linalg.inv(m.covariance)).T
+    paired = features != UNPAIRED
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        expected = observe(x[:3], x[3:].reshape(-1, 2)[features[paired]])
+        return np.concatenate([root @ (x - prior), ((scan.points[paired] - expected) / NOISE).ravel()])
+
+    found = least_squares(residuals, prior, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return found.x, np.linalg.inv(found.jac.T @ found.jac)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_iterated_to_the_end_it_is_the_least_squares_optimum(seed: int) -> None:
+    m, scan, features = poor_heading(seed, iterations=30)
+    mean, covariance = optimum(m, scan, features)
+    m.update(scan, features)
+    np.testing.assert_allclose(m.mean, mean, atol=2e-5)
+    np.testing.assert_allclose(m.covariance, covariance, atol=2e-6)
+
+
+def test_where_it_is_linear_anyway_iterating_changes_nothing() -> None:
+    once, scan, features = poor_heading(0, iterations=1, heading=1e-6)
+    often, _, _ = poor_heading(0, iterations=10, heading=1e-6)
+    for m in (once, often):
+        m.update(scan, features)
+    np.testing.assert_allclose(often.mean, once.mean, atol=1e-3)
+
+
+def test_a_few_iterations_come_closer_to_the_optimum_than_one() -> None:
+    errors = {}
+    for iterations in (1, 2, 4):
+        off = []
+        for seed in range(30):
+            m, scan, features = poor_heading(seed, iterations, heading=0.2)
+            mean, _ = optimum(m, scan, features)
+            m.update(scan, features)
+            off.append(np.abs(m.mean - mean).max())
+        errors[iterations] = np.median(off)
+    assert errors[4] < 0.1 * errors[2] < 0.1 * errors[1]
+
+
+def test_a_feature_paired_twice_is_measured_twice() -> None:
+    m, scan, _ = poor_heading(3, iterations=4)
+    twice = np.array([0, UNPAIRED, UNPAIRED, UNPAIRED, 0])
+    before = m.covariances[0]
+    m.update(scan, twice)
+    assert np.trace(m.covariances[0]) < np.trace(before) and np.linalg.eigvalsh(m.covariance).min() > 0.0
+
+
+@pytest.mark.parametrize("settled", [0.1, 0.3, 1.0])
+def test_a_pass_is_spared_only_where_it_would_hardly_move_the_state(settled: float) -> None:
+    """In units of the σ of the state: Mahalanobis distance to the optimum, over headings known well and poorly."""
+    spared = 0
+    for seed in range(60):
+        heading = 10.0 ** np.random.default_rng(seed).uniform(-3.0, -0.5)
+        m, scan, features = poor_heading(seed, 30, heading, settled)
+        mean, covariance = optimum(m, scan, features)
+        once, _, _ = poor_heading(seed, 1, heading)
+        m.update(scan, features)
+        once.update(scan, features)
+        spared += np.array_equal(m.mean, once.mean)
+        off = m.mean - mean
+        assert np.sqrt(off @ np.linalg.solve(covariance, off)) < 1.3 * settled
+    assert 0 < spared < 60
+
+
+def test_with_wheels_that_turn_badly_the_iterated_filter_alone_is_consistent() -> None:
+    """σ of 8° of heading a step, in a map begun from a known pose: mean NEES of the pose at the end of 40 runs."""
+    runs, world, mean = 40, landmarks(np.random.default_rng(12), 12), {}
+    for name, spec in (("iterated", ORDINARY), ("one pass", KEEP)):
+        total = 0.0
+        for seed in range(runs):
+            known, rng = KnownAssociation(StochasticMap(spec)), np.random.default_rng([31, seed])
+            noise = random_covariances(rng, SIGMA, len(world))
+            points = world + np.array([rng.multivariate_normal([0.0, 0.0], R) for R in noise])
+            known.step(Step(STILL, make_scan(points, noise), np.arange(len(world)), np.zeros(3)))
+            for step in wander(rng, 40, world, q=np.diag([0.05, 0.03, 0.14]) ** 2):
+                known.step(step)
+            total += pose_nees(known.map.pose, known.map.pose_covariance, step.pose) / 3.0
+        mean[name] = total / runs
+    low, high = anees_interval(runs, 3, 0.99)
+    assert low < mean["iterated"] < high
+    assert mean["one pass"] > 1.5 * high
+
+
+def test_first_estimate_jacobians_are_not_iterated_unless_asked_for() -> None:
+    assert MapSpec(first_estimate_jacobians=True).passes == 1
+    assert MapSpec().passes > 1
+
+
+def test_the_error_is_right_invariant_unless_first_estimates_are_asked_for() -> None:
+    assert MapSpec().right_invariant and MapSpec(error="right-invariant").right_invariant
+    assert not MapSpec(first_estimate_jacobians=True).right_invariant and not MapSpec(error="ordinary").right_invariant
+
+
+@pytest.mark.parametrize("settled", [-0.1, np.nan, np.inf])
+def test_a_limit_that_is_none_is_refused(settled: float) -> None:
+    with pytest.raises(ValueError, match=r"MapSpec\.settled"):
+        MapSpec(settled=settled)
+
+
+@pytest.mark.parametrize("settings", [{"iterations": 0}, {"iterations": 2, "first_estimate_jacobians": True}])
+def test_settings_that_cannot_be_are_refused(settings) -> None:
+    with pytest.raises(ValueError, match=r"MapSpec\.iterations"):
+        MapSpec(**settings)
+
+
+# --- the right-invariant error ---------------------------------------------------------------------------------------
+
+
+def unobservable(x: Array) -> Array:
+    """(d, 3) what no measurement can tell: where the whole lies in B, and how it is turned about the origin."""
+    out = np.zeros((len(x), 3))
+    out[0::1, :2] = 0.0
+    out[[0, *range(3, len(x), 2)], 0] = 1.0
+    out[[1, *range(4, len(x), 2)], 1] = 1.0
+    out[2, 2] = 1.0
+    for j in (0, *range(3, len(x), 2)):
+        out[j, 2], out[j + 1, 2] = -x[j + 1], x[j]
+    return out
+
+
+def information(m: StochasticMap) -> Array:
+    """Nᵀ P⁻¹ N, (3, 3): what the filter believes to know of the unobservable."""
+    N = unobservable(m.mean)
+    return N.T @ np.linalg.solve(m.covariance, N)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_where_the_whole_lies_stays_as_unknown_as_it_was(seed: int) -> None:
+    """The robot's first pose in B is hardly known, and from the first look on nothing may tell more of it."""
+    worlds, kept = landmarks(np.random.default_rng(seed), 15), {}
+    for name, spec in (("invariant", INVARIANT), ("ordinary", ORDINARY)):
+        known = KnownAssociation(StochasticMap(spec, np.zeros(3), np.diag([1.0, 1.0, 0.3]) ** 2))
+        steps = wander(np.random.default_rng([seed, 1]), 60, worlds, q=np.diag([0.05, 0.03, 0.05]) ** 2)
+        known.step(next(steps))
+        before = information(known.map)
+        for step in steps:
+            known.step(step)
+        kept[name] = information(known.map) - before
+    gained = np.linalg.eigvalsh(kept["invariant"])  # a little is lost: the first look ties the map to B but loosely
+    assert -1e-3 * before[2, 2] < gained[0] and gained[2] < 1e-8
+    assert kept["ordinary"][2, 2] > 0.1 * before[2, 2]
+
+
+def test_what_all_measurements_together_observe_leaves_three_directions() -> None:
+    """Rank of the stacked observability matrix, in the coordinates of the last estimate.
+
+    From a first pose of enormous covariance, P⁻¹ is what was observed; three of its eigenvalues are as good as none.
+    """
+    wide = np.diag([1e3, 1e3, 1e2]) ** 2
+    gaps = {}
+    for name, spec in (("invariant", INVARIANT), ("ordinary", ORDINARY)):
+        known, rng = KnownAssociation(StochasticMap(spec, np.zeros(3), np.zeros((3, 3)))), np.random.default_rng(3)
+        for number, step in enumerate(wander(rng, 40, landmarks(rng, 12), q=np.diag([0.05, 0.03, 0.05]) ** 2)):
+            known.step(step)
+            if number == 0:  # the map, moved as a whole by something hardly known: P + N P₀ Nᵀ
+                m = known.map
+                N = unobservable(m.mean)
+                P = m.covariance + N @ wide @ N.T
+                m._P[: len(P), : len(P)] = P
+        eigenvalues = np.linalg.eigvalsh(np.linalg.inv(known.map.covariance))
+        gaps[name] = eigenvalues[2] / eigenvalues[3]
+    assert gaps["invariant"] < 1e-3 < gaps["ordinary"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_whole_moved_and_turned_is_estimated_moved_and_turned(seed: int) -> None:
+    """Invariance: another frame B changes nothing but the frame, however large the corrections."""
+    move = np.array([7.0, -3.0, 2.0])
+    there, here = (StochasticMap(INVARIANT, pose) for pose in (move, np.zeros(3)))
+    both = [KnownAssociation(m) for m in (here, there)]
+    rng = np.random.default_rng(seed)
+    for step in wander(rng, 30, landmarks(rng, 12), q=np.diag([0.05, 0.03, 0.14]) ** 2):
+        for one in both:
+            one.step(step)
+    np.testing.assert_allclose(there.pose[:2], transform(move, here.pose[None, :2])[0], atol=1e-8)
+    np.testing.assert_allclose(wrap_angle(there.pose[2] - here.pose[2] - move[2]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(there.positions, transform(move, here.positions), atol=1e-8)
+    C = np.kron(np.eye(here.n), [[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]])
+    np.testing.assert_allclose(there.covariance[3:, 3:], C @ here.covariance[3:, 3:] @ C.T, rtol=0, atol=1e-9)
+
+
+def test_one_update_is_that_of_the_textbook_in_the_coordinates_of_the_group() -> None:
+    """ξ = T⁻¹ δ with δF = ξ_F + J F ξ_θ: there H = Cᵀ[−I 0 I], x⁺ = exp(K ν) x, and P⁺ comes back with T(x⁺)."""
+    m, _, _ = mapped(INVARIANT, steps=20)
+    m = map_with(m, replace(INVARIANT, iterations=1))
+    rng, x, P = np.random.default_rng(2), m.mean, m.covariance
+    features = np.array([0, 2, 5])
+    points = observe(x[:3], x[3:].reshape(-1, 2)[features]) + rng.normal(0, 0.2, (3, 2))
+    scan = make_scan(points, random_covariances(rng, SIGMA, 3))
+    c, s = np.cos(x[2]), np.sin(x[2])
+    H = np.zeros((6, len(x)))
+    for i, f in enumerate(3 + 2 * features):
+        H[2 * i : 2 * i + 2, :2] = -np.array([[c, s], [-s, c]])
+        H[2 * i : 2 * i + 2, f : f + 2] = [[c, s], [-s, c]]
+    R = np.zeros((6, 6))
+    for i in range(3):
+        R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = scan.covariances[i]
+    T = to_ordinary(x)
+    Q = np.linalg.solve(T, np.linalg.solve(T, P).T).T
+    K = Q @ H.T @ np.linalg.inv(H @ Q @ H.T + R)
+    xi = K @ (points - observe(x[:3], x[3:].reshape(-1, 2)[features])).ravel()
+    after = (np.eye(len(x)) - K @ H) @ Q
+    expected = along_group(x, xi)
+    m.update(scan, features)
+    np.testing.assert_allclose(m.mean, expected, atol=1e-9)
+    np.testing.assert_allclose(m.covariance, to_ordinary(expected) @ after @ to_ordinary(expected).T, atol=1e-9)
+
+
+def to_ordinary(x: Array) -> Array:
+    """T: from the error of the group to the ordinary one."""
+    T = np.eye(len(x))
+    T[:, 2] = unobservable(x)[:, 2]
+    return T
+
+
+def along_group(x: Array, xi: Array) -> Array:
+    """exp(ξ) x by the exponential of the matrix of the group, robot and features its translations."""
+    places = [0, *range(3, len(x), 2)]
+    A, X = np.zeros((2 + len(places),) * 2), np.eye(2 + len(places))
+    A[:2, :2] = [[0.0, -xi[2]], [xi[2], 0.0]]
+    for k, j in enumerate(places):
+        A[:2, 2 + k], X[:2, 2 + k] = xi[j : j + 2], x[j : j + 2]
+    moved, out = expm(A) @ X, x.copy()
+    for k, j in enumerate(places):
+        out[j : j + 2] = moved[:2, 2 + k]
+    out[2] = wrap_angle(x[2] + xi[2])
+    return out
+
+
+def map_with(m: StochasticMap, spec: MapSpec) -> StochasticMap:
+    """The same map under another spec."""
+    return map_of_state(spec, state_of(m))
+
+
+def test_round_a_loop_it_is_consistent_where_the_ordinary_error_is_not() -> None:
+    """Two laps of ten metres' radius with 3° of heading a step: mean NEES of the pose at the end of 30 runs."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
+    ring = np.array([0.0, 10.0]) + np.concatenate(
+        [r * np.column_stack([np.cos(angles), np.sin(angles)]) for r in (9, 11)]
+    )
+    mean = {}
+    for name, spec in (("invariant", INVARIANT), ("ordinary", ORDINARY)):
+        total = 0.0
+        for seed in range(30):
+            known = KnownAssociation(StochasticMap(spec))
+            q = np.diag([0.02, 0.02, 0.05]) ** 2
+            for step in wander(np.random.default_rng([5, seed]), 250, ring, reach=3.0, turn=0.03, q=q):
+                known.step(step)
+            total += pose_nees(known.map.pose, known.map.pose_covariance, step.pose) / 3.0
+        mean[name] = total / 30
+    low, high = anees_interval(30, 3, 0.99)
+    assert low < mean["invariant"] < high
+    assert mean["ordinary"] > 1.5 * mean["invariant"]
+
+
+@pytest.mark.parametrize(
+    "settings", [{"error": "left"}, {"error": "right-invariant", "first_estimate_jacobians": True}]
+)
+def test_an_error_that_cannot_be_is_refused(settings) -> None:
+    with pytest.raises(ValueError, match=r"MapSpec\.error"):
+        MapSpec(**settings)
