@@ -26,7 +26,7 @@ from slam_gym.mapping.map_joining import equate
 from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.loops import NO_PAIRS, LoopSpec, find_loop, parts_of, recent_part
-from slam_gym.slam.recognition import Joined, join_recognised
+from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
 from slam_gym.slam.relocation import Relocate, RelocatingSlam
 from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, ViewFrom, send
 from slam_gym.slam.twins import find_twins
@@ -41,7 +41,7 @@ class AtlasSpec:
 
     loops: LoopSpec | None = field(default_factory=LoopSpec)  # None: they are not looked for
     ambiguous: float = 0.1  # other features expected in the gate of an old one from which it is left to the loops
-    patience: int | None = 10  # [scans] that a robot has been lost before it starts another map; None: it never does
+    patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
     rejoin: int = 5  # [scans] from one attempt to recognise a map before to the next
 
     def __post_init__(self) -> None:
@@ -128,7 +128,7 @@ class AtlasSlam(RelocatingSlam):
         if self.doubted:
             return step
         if self.left and self.map.step % self.atlas.rejoin == 0:
-            step = self._rejoin(step)
+            step = self._rejoin(step, scan)
         loops = self.atlas.loops
         return step if loops is None or self.map.step % loops.every else self._close(step, loops)
 
@@ -185,18 +185,31 @@ class AtlasSlam(RelocatingSlam):
         self.tracker.forget()
         return m.ids
 
-    def _rejoin(self, step: SlamStep) -> SlamStep:
-        """The step, with the maps joined of which one is recognised in the other."""
+    def _rejoin(self, step: SlamStep, scan: Scan) -> SlamStep:
+        """The step, with the maps joined if one is recognised in the other, by its recent part or by the scan."""
         spec = self.atlas.loops or LoopSpec()
         recent = recent_part(self.map, self.covisibility, spec)
-        if len(recent) < spec.min_pairs:
-            return step
         for position, left in enumerate(self.left):
-            joined = join_recognised(left.map, left.covisibility, self.map, self.covisibility, recent, spec)
+            both = left.map, left.covisibility, self.map, self.covisibility
+            joined = join_recognised(*both, recent, spec) if len(recent) >= spec.min_pairs else None
+            found = self.relocate(self._in(left), scan) if joined is None else None
+            if found is not None:
+                joined = join_relocated(*both, found, self._behind(step), spec)
             if joined is not None:
                 del self.left[position]
                 return self._joined(step, left, joined)
         return step
+
+    def _in(self, left: Left) -> Slam:
+        """What a relocation is asked of a map that was left. Nobody tells what would be in view there."""
+        there = Slam(self.spec)
+        there.map, there.covisibility, there._farthest = left.map, left.covisibility, self._farthest
+        return there
+
+    def _behind(self, step: SlamStep) -> IntArray:
+        """(m,) feature of the current map that each measurement has updated or started, or UNPAIRED."""
+        index = {feature: position for position, feature in enumerate(self.map.ids.tolist())}
+        return np.array([index.get(feature, UNPAIRED) for feature in step.ids.tolist()], np.int64)
 
     def _joined(self, step: SlamStep, left: Left, joined: Joined) -> SlamStep:
         """The step with which the current map becomes one with a map before."""

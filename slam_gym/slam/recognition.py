@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym.geometry import compose, inverse
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import equate, join
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.agreement import agreeing
 from slam_gym.slam.loops import LoopSpec, Parts, overlap, recognise
-from slam_gym.types import UNPAIRED, IntArray
+from slam_gym.types import UNPAIRED, Array, IntArray, Relocation
 
 _SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a relation before it is found
 
@@ -36,23 +37,52 @@ def join_recognised(
 ) -> Joined | None:
     """Maps A and B joined, the robot being that of B, if features `recent` (g,) of B are recognised in A; else None.
 
-    The base of B is placed where it was found, with a covariance that says nothing; what is known of it comes from the
-    pairs alone. They must have one shape under the covariance of both maps, and be most of what both have there.
-    Neither map is changed.
+    What is known of the base of B comes from the pairs alone. They must have one shape under the covariance of both
+    maps, and be most of what both have there. Neither map is changed.
     """
     among = np.flatnonzero(~a.provisional)
     found = recognise(b, recent, a, graph_a, among, spec) if len(among) >= spec.min_pairs else None
     if found is None:
         return None
-    placed = a.copy()
-    placed.place(found.pose, _SAYS_NOTHING)
-    both, paired = join(placed, b), found.features != UNPAIRED
-    pairs = np.column_stack([among[found.features[paired]], a.n + recent[paired]])
+    paired = found.features != UNPAIRED
+    pairs, both = np.column_stack([among[found.features[paired]], a.n + recent[paired]]), joined_at(a, b, found.pose)
     pairs = agreeing(both, pairs, spec, prior=False)
     parts = Parts(a.n + recent, among)
     if len(pairs) < spec.min_pairs or overlap(both, parts, pairs) < spec.min_fraction:
         return None
-    graph, ids = graph_a.followed_by(graph_b).fused(pairs[:, 0], pairs[:, 1]), both.ids
+    return _made_one(both, graph_a.followed_by(graph_b), pairs)
+
+
+def join_relocated(
+    a: StochasticMap,
+    graph_a: CovisibilityGraph,
+    b: StochasticMap,
+    graph_b: CovisibilityGraph,
+    found: Relocation,
+    features: IntArray,
+    spec: LoopSpec,
+) -> Joined | None:
+    """Maps A and B joined by one scan, which was `found` in A and has updated the `features` (m,) of B, or UNPAIRED.
+
+    A wrong relocation can be taken back by the next, a wrong join cannot: as many pairs are asked for as of a recent
+    part, of one shape. Neither map is changed.
+    """
+    both = joined_at(a, b, compose(found.pose, inverse(b.pose)))
+    paired = (found.features != UNPAIRED) & (features != UNPAIRED)
+    pairs = np.column_stack([found.features[paired], a.n + features[paired]])
+    pairs = agreeing(both, pairs, spec, prior=False)
+    return _made_one(both, graph_a.followed_by(graph_b), pairs) if len(pairs) else None
+
+
+def joined_at(a: StochasticMap, b: StochasticMap, base: Array) -> StochasticMap:
+    """Both maps in the base of A, that of B at the pose `base` (3,) with a covariance that says nothing."""
+    placed = a.copy()
+    placed.place(base, _SAYS_NOTHING)
+    return join(placed, b)
+
+
+def _made_one(both: StochasticMap, graph: CovisibilityGraph, pairs: IntArray) -> Joined:
     became, kept = np.arange(both.n), np.delete(np.arange(both.n), pairs[:, 1])
     became[pairs[:, 1]] = pairs[:, 0]
-    return Joined(equate(both, pairs), graph, ids[pairs], np.searchsorted(kept, became))
+    fused = graph.fused(pairs[:, 0], pairs[:, 1])
+    return Joined(equate(both, pairs), fused, both.ids[pairs], np.searchsorted(kept, became))

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
+from slam_gym.association import gcbb
 from slam_gym.geometry import relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.loops import LoopSpec
-from slam_gym.slam.recognition import Joined, join_recognised
-from slam_gym.types import Array, Scan
+from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
+from slam_gym.types import UNPAIRED, Array, Scan
 
 SIGMA = 0.05
 SPEC = LoopSpec()
@@ -90,6 +91,28 @@ def test_other_ground_and_mirror_images_are_not_recognised() -> None:
         for elsewhere in (apart(rng, 14), points[:14] * np.array([1.0, -1.0])):
             wrong += try_to_join(points, elsewhere, seed)[0] is not None
     assert wrong == 0  # of 50: bounds the rate by 6 % at 95 %
+
+
+def test_a_scan_that_is_found_in_the_older_map_joins_them_too() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        points, pose = apart(rng, 30), np.array([1.0, -2.0, 2.0])
+        there = seen_from(pose, points[:12])
+        _, a, b = try_to_join(points, there, seed)
+        graphs = [CovisibilityGraph(), CovisibilityGraph()]
+        for graph, m in zip(graphs, (a, b)):
+            graph.add(m.n)
+        found = gcbb(Scan.from_points(there + rng.normal(0.0, SIGMA, there.shape), sigma=SIGMA), a.landmarks())
+        assert found.accepted
+        features = np.arange(12)
+        features[2] = UNPAIRED  # what the scan did not update is no pair
+        joined = join_relocated(a, graphs[0], b, graphs[1], found, features, SPEC)
+        assert joined is not None and is_covariance(joined.map.covariance)
+        np.testing.assert_array_equal(joined.ids[:, 0], joined.ids[:, 1] - 30)
+        few = np.where(np.arange(12) < 7, features, UNPAIRED)
+        assert join_relocated(a, graphs[0], b, graphs[1], found, few, SPEC) is None
+        error = relative(pose, joined.map.pose)
+        assert np.hypot(*error[:2]) < 0.3 and abs(error[2]) < 0.08, f"seed {seed}"
 
 
 @pytest.mark.parametrize("shared", [0, 4, 7])

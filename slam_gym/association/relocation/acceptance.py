@@ -21,6 +21,11 @@ would not be; where the sum of those is the lesser, by n λ̄^{k−1} with the m
 
 Every further pairing makes E_k smaller by about λ π γ σ²: a hypothesis is believed from the first k on at which fewer
 than `probability` are expected, hence one count above what chance brings.
+
+Buildings are no Poisson process: corners and doors repeat along walls, and chance finds one pairing more than it
+should. So one more is asked for, unless the pairings explain most of the scan, which in another building they do not.
+(To refuse what is no better than for the mirror image of the scan in the same map makes wrong answers as few, but costs
+a sixth of the right ones: many a room is its own mirror image.)
 """
 
 from __future__ import annotations
@@ -37,6 +42,7 @@ from slam_gym.association.relocation.arrays import map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of, unary_table
 from slam_gym.types import Array, IntArray, Landmarks, Scan
 
+EXPLAINED = 0.7  # fraction of a scan that, once paired, needs no margin
 _SAMPLE = 1000  # landmarks looked at for their errors and for what passes the unary constraints
 _NARROWEST = 1e-3  # [m] least extent of a scan
 _ALONE = -1  # in place of a neighbour
@@ -69,13 +75,19 @@ def min_pairings(
 ) -> int:
     """The least k ≥ 3 such that fewer than `probability` hypotheses of k pairings are expected by chance; ≤ m + 1.
 
-    `crowding` is that of the map for the extent of the scan, where it is known already. Raises ValueError as
-    `scan_arrays` and `map_arrays` do, and unless 0 < probability < 1.
+    One more where that explains less than `EXPLAINED` of the scan: see the head of this file. `crowding` is that of the
+    map for the extent of the scan, where it is known already. Raises ValueError as `scan_arrays` and `map_arrays` do,
+    and unless 0 < probability < 1.
     """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability: {probability} is not between 0 and 1")
     expected = expected_by_chance(scan, landmarks, confidence=confidence, crowding=crowding)
-    return max(3, int(np.flatnonzero(expected >= probability)[-1]) + 1)
+    return with_margin(max(3, int(np.flatnonzero(expected >= probability)[-1]) + 1), len(scan))
+
+
+def with_margin(pairings: int, measurements: int) -> int:
+    """What is asked for where a Poisson process would ask for so many `pairings` of so many `measurements`."""
+    return max(pairings, min(pairings + 1, math.ceil(EXPLAINED * measurements)))
 
 
 def expected_by_chance(

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.acceptance import min_pairings as least_by_rule
+from slam_gym.association.relocation.acceptance import with_margin
 from slam_gym.association.relocation.location import locate
 from slam_gym.association.triangles.arguments import check_features, effort_of, kinds_as_numbers, pose_of, search_gates
 from slam_gym.association.triangles.map import (
@@ -249,7 +250,8 @@ class FeatureIndex:
             self._starts, self._crowding_of = crowding(self._positions[: self.n], 1.5 * self.reach), self.n
         variance = 0.5 * self._spread / max(self.n, 1)
         tubes = chance_tubes(len(scan), confidence)
-        return least_pairings(scan.points, scan.covariances, self._starts, tubes, variance, probability)
+        least = least_pairings(scan.points, scan.covariances, self._starts, tubes, variance, probability)
+        return with_margin(least, len(scan))
 
     def _store(self) -> StoreArrays:
         return (

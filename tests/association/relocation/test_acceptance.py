@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from slam_gym.association import gcbb
-from slam_gym.association.relocation.acceptance import crowding_of, expected_by_chance, extent, min_pairings
+from slam_gym.association.relocation.acceptance import (
+    crowding_of,
+    expected_by_chance,
+    extent,
+    min_pairings,
+    with_margin,
+)
 from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
 
@@ -58,14 +64,19 @@ def test_scans_from_outside_the_map_are_seldom_accepted(clusters):
 
 
 def test_the_rule_grows_with_map_scan_and_noise_and_shrinks_with_the_probability():
-    scan, landmarks = world(0, 1000, 10)
+    scan, landmarks = world(0, 1000, 16)
     usual = min_pairings(scan, landmarks)
-    assert 5 <= usual <= 7
-    assert min_pairings(*world(0, 20_000, 10)) > usual
-    assert min_pairings(*world(0, 1000, 25)) > usual
-    assert min_pairings(*world(0, 1000, 10, sigma=0.3)) > usual
-    assert min_pairings(*world(0, 1000, 10, density=1.0)) > usual
+    assert 6 <= usual <= 8  # one of them is the margin
+    assert min_pairings(*world(0, 20_000, 16)) > usual
+    assert min_pairings(*world(0, 1000, 31)) > usual
+    assert min_pairings(*world(0, 1000, 16, sigma=0.3)) > usual
+    assert min_pairings(*world(0, 1000, 16, density=1.0)) > usual
     assert min_pairings(scan, landmarks, probability=1e-6) > usual >= min_pairings(scan, landmarks, probability=0.5)
+
+
+def test_one_more_is_asked_for_where_most_of_the_scan_is_left_over():
+    assert [with_margin(k, 10) for k in (4, 5, 6, 7, 8, 11)] == [5, 6, 7, 7, 8, 11]
+    assert all(k <= with_margin(k, m) <= k + 1 for k in range(3, 12) for m in range(k - 1, 30))
 
 
 def test_sizes_and_common_drift_are_taken_into_account():
