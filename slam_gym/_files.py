@@ -21,7 +21,7 @@ MAX_BYTES = 1 << 26  # of a file, or of what it unpacks to, where a reader says 
 MAX_LINES = 300_000
 MAX_LINE = 10_000  # characters
 _MAX_DIRECTORY = 1 << 20  # bytes of a zip file's directory, some 10 000 entries
-_END, _END_64 = b"PK\x05\x06", b"PK\x06\x07"  # of a zip file: its last record, and that of a file above 4 GB
+_END, _END_64 = b"PK\x05\x06", b"PK\x06\x06"  # of a zip file: its last record, and one for files above 4 GB
 
 
 def content_of(path: Path, limit: int = MAX_BYTES) -> bytes:
@@ -107,7 +107,10 @@ def zip_members(content: bytes, limit: int = MAX_BYTES, stored: bool = False) ->
     """
     end = content.rfind(_END, max(0, len(content) - (1 << 16) - 22))
     size = int.from_bytes(content[end + 12 : end + 16], "little")
-    if end < 0 or size > _MAX_DIRECTORY or content[max(0, end - 20) : end].startswith(_END_64):
+    wide = content[max(0, end - 76) : end]  # which torch writes for small files too
+    if wide.startswith(_END_64):
+        size = int.from_bytes(wide[40:48], "little")
+    if end < 0 or size > _MAX_DIRECTORY:
         raise ValueError("is no zip file, or has a directory that is too long")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:

@@ -6,11 +6,12 @@ stranger's file runs no code. Stable-Baselines3's own .zip files are pickles and
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pickle
 import zipfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from torch import nn
 
+from agents.learning.model_contents import MAX_BYTES, check_archive, check_description, check_weights
 from agents.learning.ppo import SCORING, Decision, Hyperparameters, policy_arguments
+from slam_gym._files import content_of
 
 FORMAT = "slam_gym policy 1"
 UNREADABLE = (RuntimeError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pickle.UnpicklingError)
@@ -64,12 +67,17 @@ def read_model(path: Path) -> tuple[ModelSpec, dict[str, Any]]:
     if not path.is_file():
         raise ValueError(f"model {path}: no such file")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        archive = content_of(path, MAX_BYTES)
+        check_archive(archive)
+        content = torch.load(io.BytesIO(archive), map_location="cpu", weights_only=True)
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f"not a {FORMAT!r} file")
-        return ModelSpec(**json.loads(content["spec"])), content
-    except UNREADABLE as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
+        check_weights(content)
+        spec = ModelSpec(**json.loads(content["spec"]))
+        check_description(**{field.name: getattr(spec, field.name) for field in fields(spec)})
+        return spec, content
+    except Exception as error:  # torch raises whatever the damage leads to
+        reason = (str(error) or type(error).__name__).splitlines()[0][:300]
         if isinstance(error, pickle.UnpicklingError):  # torch's own words advise to read it all the same
             reason = "it is no model file, or holds code beside weights and text"
         hint = " (a Stable-Baselines3 .zip is a pickle: --trust reads it)" if path.suffix == ".zip" else ""
@@ -99,6 +107,7 @@ def load_policy(path: Path) -> tuple[ModelSpec, Any]:
     try:
         policy = build_policy(spec)
         policy.load_state_dict(content["policy"])
-    except (RuntimeError, TypeError, KeyError) as error:
-        raise ValueError(f"model {path}: weights and description do not fit: {str(error).splitlines()[0]}") from error
+    except Exception as error:  # so do torch, Stable-Baselines3 and gymnasium for layers that do not fit
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise ValueError(f"model {path}: weights and description do not fit: {reason}") from error
     return spec, policy

@@ -105,4 +105,7 @@ def load_associator(path: Path | str) -> Associator:
     if spec.action != "branch":
         raise ValueError(f"model {path}: a driver (action {spec.action!r}), not an associator")
     names = ("candidates", "order", "compatibility")
-    return from_policy(BestBranch(for_decisions(network)), **{name: spec.training[name] for name in names})
+    try:
+        return from_policy(BestBranch(for_decisions(network)), **{name: spec.training[name] for name in names})
+    except (KeyError, ValueError, TypeError) as error:
+        raise ValueError(f"model {path}: training: {error} is missing or wrong") from None

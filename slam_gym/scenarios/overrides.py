@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from types import NoneType
@@ -30,8 +31,12 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
     """
     tree: dict[str, Any] = {}
     for name, value in overrides.items():
+        if not isinstance(name, str):
+            raise ValueError(f"override {reprlib.repr(name)}: expected the name of a field")
         if not (value is None or isinstance(value, _PLAIN)):
-            raise ValueError(f"override {name!r}: expected a bool, a number, a string or None, got {value!r}")
+            raise ValueError(
+                f"override {name!r}: expected a bool, a number, a string or None, got {reprlib.repr(value)}"
+            )
         *way, last = name.split(".")
         branch = tree
         for part in way:
@@ -54,7 +59,7 @@ def parse_override(text: str) -> tuple[str, Plain]:
         raise ValueError(f"{text!r}: expected NAME=VALUE, such as sensor.range=4")
     try:
         parsed = json.loads(value)
-    except ValueError:
+    except (ValueError, RecursionError):  # of brackets by the thousand
         return name.strip(), value
     return name.strip(), parsed if parsed is None or isinstance(parsed, _PLAIN) else value
 
@@ -112,4 +117,4 @@ def _checked(name: str, value: Plain, hint: Any) -> Plain:
     wanted = [words[kind] for kind in types if kind in words]
     if _dataclass_of(hint) is not None or not wanted:
         wanted.append(f"the name of a field in it, {name}.…")
-    raise ValueError(f"override {name!r}: expected {' or '.join(wanted)}, got {value!r}")
+    raise ValueError(f"override {name!r}: expected {' or '.join(wanted)}, got {reprlib.repr(value)}")

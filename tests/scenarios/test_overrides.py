@@ -125,3 +125,12 @@ def test_a_command_line_gives_names_and_values(text, name, value) -> None:
 def test_a_command_line_without_a_name_and_a_value_is_refused(text) -> None:
     with pytest.raises(ValueError, match=r"expected NAME=VALUE, such as sensor\.range=4"):
         parse_override(text)
+
+
+def test_brackets_by_the_thousand_are_a_string_and_names_are_text() -> None:
+    name, value = parse_override("sensor.range=" + "[" * 100_000)
+    with pytest.raises(ValueError, match=r"override 'sensor.range': expected a finite number") as caught:
+        overridden(get_scenario("office-small"), {name: value})
+    assert len(str(caught.value)) < 200
+    with pytest.raises(ValueError, match="override 3: expected the name of a field"):
+        overridden(get_scenario("office-small"), {3: 4})

@@ -85,3 +85,19 @@ def test_an_interrupted_save_leaves_the_file_before_it(tmp_path, spec):
     with pytest.raises((TypeError, pickle.PicklingError)):
         save_model(path, spec, Unsavable())
     assert path.read_bytes() == before
+
+
+def test_a_small_file_makes_no_large_network(tmp_path, spec):
+    wide = replace(spec, hyperparameters=spec.hyperparameters | {"width": 50_000})
+    save_model(tmp_path / "model.pt", wide, build_policy(spec))
+    with pytest.raises(ValueError, match=r"model\.pt: refused, width is 50000"):
+        make_agent("ppo", tmp_path / "model.pt")
+
+
+def test_weights_that_are_not_finite_are_refused(tmp_path, spec):
+    policy = build_policy(spec)
+    with torch.no_grad():
+        next(policy.parameters())[0] = float("nan")
+    save_model(tmp_path / "model.pt", spec, policy)
+    with pytest.raises(ValueError, match=r"model\.pt: refused, weights .* are not finite"):
+        read_model(tmp_path / "model.pt")

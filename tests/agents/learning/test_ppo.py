@@ -26,3 +26,27 @@ def test_a_misspelt_hyperparameter_is_named(tmp_path):
     path.write_text(HYPERPARAMETERS.read_text().replace("epochs", "epoch"))
     with pytest.raises(ValueError, match="'epoch'"):
         load_hyperparameters("goal", path)
+
+
+@pytest.mark.parametrize(
+    ("line", "changed", "message"),
+    [
+        ("envs = 4", "envs = true", "envs is True"),
+        ("envs = 4", "envs = 4.0", "envs is 4.0, expected a whole number in 1"),
+        ("steps = 128", "steps = 0", "steps is 0"),
+        ("learning_rate = 7e-4", "learning_rate = nan", "learning_rate is nan"),
+        ("learning_rate = 7e-4", "learning_rate = -inf", "learning_rate is -inf"),
+        ("learning_rate = 7e-4", "learning_rate = 2001-01-01", "learning_rate is datetime.date"),
+        ("discount = 0.98", 'discount = "high"', "discount is 'high', expected a number in 0"),
+        ("width = 64", "width = 50000", "width is 50000, expected a whole number in 1"),
+        ("deterministic = true", "deterministic = 1", "deterministic is 1"),
+        ("width = 64", f"width = {'9' * 5000}", "digits"),
+        ("width = 64", f"width = {'[' * 20000}", "nested|Invalid"),
+        ("width = 64", "#" * 70_000, "is larger than"),
+    ],
+)
+def test_hyperparameters_have_types_and_ranges(tmp_path, line, changed, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(HYPERPARAMETERS.read_text().replace(line, changed, 1))
+    with pytest.raises(ValueError, match=rf"mine\.toml: .*({message})"):
+        load_hyperparameters("goal", path)
