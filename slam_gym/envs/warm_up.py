@@ -16,7 +16,7 @@ from slam_gym import geometry, validation
 from slam_gym._compile import announce_compilation
 from slam_gym.association import compatibility, jcbb, tree
 from slam_gym.envs import observation
-from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement
+from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement, update
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
 from slam_gym.navigation import grid, key_poses, redrawing, visibility
@@ -32,7 +32,7 @@ from slam_gym.world import boxes, detection, ray_casting, reachability, wall_gri
 COMPILED = (
     geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, redrawing,
     linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
-    ray_casting, reachability, visibility, wall_grid,
+    ray_casting, reachability, update, visibility, wall_grid,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 
@@ -58,7 +58,7 @@ def main() -> None:
     explored.expected_area(explored.frontiers(field.reachable).centres, 6.0)
     follow(pose, field.path(field.nearest(points[0])))
     mean, covariance = np.concatenate([pose, points.ravel()]), 0.01 * np.eye(7)
-    expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full(3, 0.01))
+    expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full((2, 3), 0.01))
 
 
 def _sweep(explored: ExploredGrid, points: Array) -> None:
