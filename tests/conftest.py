@@ -11,7 +11,7 @@ from slam_gym.envs.relocate import RelocateEnv
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--fuzz", type=int, default=100, metavar="N", help="inputs tried on each reader of files")
+    parser.addoption("--fuzz", type=int, default=60, metavar="N", help="inputs tried on each reader of files")
 
 
 @pytest.fixture(scope="session")
