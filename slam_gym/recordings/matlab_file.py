@@ -30,6 +30,7 @@ PUBLISHED = frozenset({
     "8e5212b3028d40f64dcf7b43f68f89e67ea4b0c0b3ec01835997381fe9d96997",  # VictoriaParkSinSincronizar.mat
     "521fc4c6e0ea3851ffb463c3d9c0578044e9178c4fb87f37c703bb587f38c755",  # aa3_gpsx.mat
     "1506a7ae951c4458de6e5929075d0665211d91ad396ebc6d15a392cd383e029f",  # data_sensor_clean_clean.mat
+    "8dfae1db56c146b1a7309a39494756cbeca8e7968d8f95e572a93ac97b2ec63c",  # VicPark_clean_data.mat
     "832922dd0a9ee16192819f6409508de9086e5a32f640efa2d03488335ca5a7e3",  # mrclam/stationary/mrclam1.mat
     "a353a79e38b42aa3ac60624e93b95578a4e2070361b57181ea739332a5f6c65e",  # mrclam2.mat
     "d978a20a4519ba6ed5c93861d8339120abfbfc4b4ab1de37ff7b0c76ad080dff",  # mrclam3.mat
