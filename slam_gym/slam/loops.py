@@ -13,13 +13,14 @@ they must be most of what both parts have where they overlap.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym.association import resolve_relocator
+from slam_gym.association import indexed, resolve_relocator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import linked
@@ -36,6 +37,7 @@ class LoopSpec:
     """What is searched for while the robot is tracked, and when it is believed."""
 
     search: str | Relocator = "indexed"  # what finds the recent part among the older features
+    node_limit: int = 5_000  # poses that `indexed` weighs before it gives up
     every: int = 20  # [scans] from one search to the next
     group: int = 20  # features of the recent part of the map: those seen last
     recent: int = 60  # [scans] what was seen in these is not older
@@ -47,7 +49,14 @@ class LoopSpec:
 
     def __post_init__(self) -> None:
         resolve_relocator(self.search)
-        for name, least in (("every", 1), ("recent", 1), ("group", 3), ("min_pairs", 3), ("above_chance", 0)):
+        for name, least in (
+            ("node_limit", 1),
+            ("every", 1),
+            ("recent", 1),
+            ("group", 3),
+            ("min_pairs", 3),
+            ("above_chance", 0),
+        ):
             if getattr(self, name) < least:
                 raise ValueError(f"LoopSpec.{name}: {getattr(self, name)} is less than {least}")
         if not 0.0 <= self.min_fraction <= 1.0:
@@ -109,13 +118,19 @@ def recognise(
     None where too few are, or as many elsewhere, or hardly more than of their mirror image. `graph` is that of the
     map `of` which they are searched in. The pose found is that of the base of the first map in the base of the other.
     """
-    search, scan, landmarks = resolve_relocator(spec.search), as_scan(m, recent), landmarks_of(of, among)
+    search, scan, landmarks = _search_of(spec), as_scan(m, recent), landmarks_of(of, among)
     locality = linked(len(among), _edges_among(graph, among), hops=2)
     found = search(scan, landmarks, locality)
-    if found.pairings < max(spec.min_pairs, found.min_pairings) or found.ambiguous:
+    if found.pairings < max(spec.min_pairs, found.min_pairings) or found.ambiguous or found.effort.limit_hit:
         return None
     by_chance = search(mirrored(scan), landmarks, locality).pairings
     return found if found.pairings >= by_chance + spec.above_chance else None
+
+
+def _search_of(spec: LoopSpec) -> Relocator:
+    """What finds the recent part, with a limit on its work: clutter can make it look at everything."""
+    search = resolve_relocator(spec.search)
+    return functools.partial(indexed, node_limit=spec.node_limit) if search is indexed else search
 
 
 def _pairs_of(found: Relocation, parts: Parts) -> IntArray:
