@@ -119,7 +119,7 @@ class Episode:
         self._places = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
         self.poses: list[Array] = []  # true, in W, one per tick
         self.estimates: list[Array] = []  # in B
-        self.nees: list[float] = []  # of the pose
+        self.nees: list[float] = []  # of the pose; NaN in a second map, whose place in B nobody claims to know
         self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
         self.tried = Tried()  # frontiers that were driven to and are frontiers still
         self.ticks = -1  # the first look, from where the robot stands, is no tick
@@ -183,7 +183,8 @@ class Episode:
         self.ticks += 1
         self.poses.append(true_pose)
         self.estimates.append(pose)
-        self.nees.append(pose_nees(pose, self.slam.map.pose_covariance, relative(self.base, true_pose)))
+        nees = pose_nees(pose, self.slam.map.pose_covariance, relative(self.base, true_pose))
+        self.nees.append(nees if math.isfinite(nees) and len(self.slam.maps) == 1 else math.nan)
 
     @property
     def over(self) -> bool:

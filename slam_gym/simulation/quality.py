@@ -24,6 +24,7 @@ def quality(episode: Episode) -> dict[str, float]:
     alignment, since both start from one known pose. `anees` is the pose NEES over its 3 degrees of freedom, averaged
     over the ticks. `recovered`: after a kidnapping, the pose was right again; `ticks_astray` until then.
     """
+    nees = np.array(episode.nees[1:])
     kidnapping = episode.kidnapping
     maps, tally = episode.slam.maps, episode.identities.total
     sources = episode.identities.source_of(np.concatenate([m.ids[~m.provisional] for m in maps]))
@@ -46,7 +47,7 @@ def quality(episode: Episode) -> dict[str, float]:
         "recall": tally.recall,
         "duplicates": float((sources >= 0).sum() - len(real)),
         "features": float(len(landmarks)),
-        "anees": anees(np.array(episode.nees[1:]), 3),
+        "anees": anees(nees[np.isfinite(nees)], 3),
         "ate": ate(transform(episode.base, np.array(episode.estimates)[:, :2]), np.array(episode.poses)[:, :2]),
         "ticks": float(episode.ticks),
         "kidnapped": float(kidnapping.happened is not None),

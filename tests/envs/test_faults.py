@@ -265,7 +265,9 @@ def test_a_hundred_thousand_random_steps_break_nothing_and_leak_nothing(scenario
         observation, info = env.reset(seed=episodes)
         for ticks in itertools.count(1):
             observation, reward, terminated, _, info = env.step(random_action(env, info, rng))
-            assert math.isfinite(reward) and math.isfinite(info["map_error"]) and math.isfinite(info["pose_nees"])
+            assert math.isfinite(reward) and math.isfinite(info["map_error"])
+            slam = env.episode.slam
+            assert math.isfinite(info["pose_nees"]) or slam.left or np.linalg.det(slam.map.pose_covariance) == 0.0
             if ticks % 100 == 0 or terminated:
                 assert env.observation_space.contains(observation)
                 assert sound(env.episode.slam.map.covariance) and np.isfinite(env.episode.slam.map.mean).all()

@@ -8,6 +8,9 @@ in `heading`, feature j is predicted at m_j = Rot(−φ_k)(p̂_j + φ_k a_j), wi
     S_jl|k = Rot(−φ_k)(S_jl − c_j c_lᵀ/σ²) Rot(φ_k) + s² g_j g_lᵀ,   g_j = Rot(−φ_k) a_j − J m_j,
 
 and is linear in what is left of the heading.
+
+A prediction that allows for the bend itself (`MapSpec.second_order`) has it twice in its parts: their means and covariances
+are off by up to a fifth at σ = .3 rad. Maps come out better all the same than with one Gaussian that knows of the bend.
 """
 
 from __future__ import annotations

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from slam_gym.association.tracking.headings import NARROW, headings
-from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import Odometry, Prediction, Scan
 
 
-def predicted(turn_sigma):
+def predicted(turn_sigma, second_order=False):
     """From a robot that has turned, over features that it knows a little."""
-    map_ = StochasticMap()
+    map_ = StochasticMap(MapSpec(second_order=second_order))
     map_.add(Scan.from_points([[5.0, 1.0], [4.0, -3.0], [-2.0, 3.0]], sigma=0.1), np.arange(3))
     map_.predict(Odometry.from_motion([0.3, 0.0, 0.4], [0.05, 0.02, turn_sigma]))
     return map_, map_.prediction(20.0)
@@ -30,24 +30,43 @@ def test_a_heading_that_is_well_known_is_left_as_it_is():
 def test_the_parts_together_are_where_the_features_are_seen_from(sigma):
     """Mean and covariance of all features, by the rotation itself."""
     map_, prediction = predicted(sigma)
-    rng, draws, n = np.random.default_rng(0), 200_000, len(prediction)
+    true_mean, truth = sampled(map_)
+    mean, covariance = moments(headings(prediction))
+    scale, error = math.sqrt(truth.max()), np.abs(mean - true_mean).max()
+    assert error < 0.05 * scale and error < 0.5 * np.abs(prediction.positions.ravel() - true_mean).max()
+    assert covariance == pytest.approx(truth, abs=0.1 * scale**2)
+
+
+@pytest.mark.parametrize("sigma", [0.12, 0.2, 0.3])
+def test_parts_of_a_prediction_that_knows_of_the_bend_are_nearly_right(sigma):
+    """They take the bend into account twice."""
+    map_, prediction = predicted(sigma, second_order=True)
+    true_mean, truth = sampled(map_)
+    mean, covariance = moments(headings(prediction))
+    scale = math.sqrt(truth.max())
+    assert np.abs(mean - true_mean).max() < 0.2 * scale
+    assert covariance == pytest.approx(truth, abs=0.2 * scale**2)
+
+
+def sampled(map_, draws=200_000):
+    """Mean (2k,) and covariance (2k, 2k) of all features in R, by the rotation itself."""
+    rng, n = np.random.default_rng(0), map_.n
     states = rng.multivariate_normal(np.concatenate([map_.pose, map_.positions.ravel()]), map_.covariance, draws)
     c, s = np.cos(states[:, 2, None]), np.sin(states[:, 2, None])
     x, y = states[:, 3::2] - states[:, :1], states[:, 4::2] - states[:, 1:2]
     seen = np.stack([c * x + s * y, c * y - s * x], axis=2).reshape(draws, 2 * n)
-    parts = headings(prediction)
-    weights = np.exp([part.log_weight for part in parts])
+    return seen.mean(axis=0), np.cov(seen.T)
+
+
+def moments(parts):
+    """Mean (2k,) and covariance (2k, 2k) of a mixture."""
+    weights, every = np.exp([part.log_weight for part in parts]), np.arange(len(parts[0].prediction))
+    assert weights.sum() == pytest.approx(1.0)
     means = np.array([part.prediction.positions.ravel() for part in parts])
-    every = np.arange(n)
-    mean = weights @ means
     second = sum(
         w * (part.prediction.joint(every) + np.outer(m, m)) for w, m, part in zip(weights, means, parts, strict=True)
     )
-    assert weights.sum() == pytest.approx(1.0)
-    true_mean, truth = seen.mean(axis=0), np.cov(seen.T)
-    scale, error = math.sqrt(truth.max()), np.abs(mean - true_mean).max()
-    assert error < 0.05 * scale and error < 0.5 * np.abs(prediction.positions.ravel() - true_mean).max()
-    assert second - np.outer(mean, mean) == pytest.approx(truth, abs=0.1 * scale**2)
+    return weights @ means, second - np.outer(weights @ means, weights @ means)
 
 
 def test_a_part_is_a_prediction_like_any_other():
