@@ -154,3 +154,21 @@ def test_victoria_park_without_its_data_says_where_to_get_it(headless: None, mon
     assert all(output.output_type == "stream" for output in outputs(notebook))
     assert "SLAM_GYM_DATA" in shown and "Cite: Guivant and Nebot" in shown and "the cells below do nothing" in shown
     assert "usyd.edu.au" in notebook.cells[0].source
+
+
+@pytest.mark.slow
+def test_drift(headless: None) -> None:
+    notebook = executed("05_drift.ipynb")
+    shown = text(notebook)
+    assert not [output for output in outputs(notebook) if output.output_type == "error"]
+    assert pictures(notebook) == 6
+    passes = [float(value) for value in re.findall(r"passes at 8°: ANEES (\d\.\d+)", shown)]
+    assert passes[0] > 1.3 > 1.15 > max(passes[1:]) and min(passes) > 0.85
+    wrong, measured = (int(n) for n in re.search(r"JCBB pairs (\d+) of (\d+) measurements wrongly", shown).groups())
+    rows = re.findall(r"^ +\d+ +(right|WRONG|–) +(right|WRONG|–) +(right|WRONG|–) +\d\.\d\d$", shown, re.MULTILINE)
+    assert len(rows) == measured and sum(row[0] == "WRONG" for row in rows) == wrong >= 1
+    assert sum(row[2] == "right" for row in rows) > sum(row[0] == "right" for row in rows)
+    alone, atlas = (float(e) for e in re.findall(r"(?:alone|map): map error (\d\.\d+),", shown))
+    assert atlas < 0.7 * alone
+    twice = [int(n) for n in re.findall(r"(\d+) features mapped twice", shown)]
+    assert twice[1] <= 2 < 20 < twice[0]

@@ -9,8 +9,8 @@ in `heading`, feature j is predicted at m_j = Rot(−φ_k)(p̂_j + φ_k a_j), wi
 
 and is linear in what is left of the heading.
 
-A prediction that allows for the bend itself (`MapSpec.second_order`) has it twice in its parts: their means and covariances
-are off by up to a fifth at σ = .3 rad. Maps come out better all the same than with one Gaussian that knows of the bend.
+A prediction that allows for the bend itself (`MapSpec.second_order`) has it twice in its parts: their means and
+covariances are off by up to a fifth at σ = .3 rad. Maps come out better all the same than with one Gaussian.
 """
 
 from __future__ import annotations
