@@ -40,7 +40,7 @@ class AtlasSpec:
     """What an atlas does beside relocation."""
 
     loops: LoopSpec | None = field(default_factory=LoopSpec)  # None: they are not looked for
-    ambiguous: float = 0.1  # other features expected in the gate of an old one from which it is left to the loops
+    ambiguous: float = 0.5  # other features expected in the gate of an old one from which it is left to the loops
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
     rejoin: int = 5  # [scans] from one attempt to recognise a map before to the next
 

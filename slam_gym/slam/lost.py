@@ -27,8 +27,10 @@ class Tracker:
     - too few of the features that should be in view are paired, while most of what is measured is not paired either; or
     - right after a scan that knew its way, hardly anything that is measured is paired.
 
-    Where nobody tells what is in view, the directions in which anything was measured so far stand for it: what the last
-    scan paired and a turn has put out of view is not expected. A doubt then stands until a scan pairs something.
+    Where nobody tells what is in view, a scan that pairs anything is believed: on new ground, where one scan pairs less
+    than the one before, a doubt would keep the map from learning what the next scans could be paired with. The
+    directions in which anything was measured so far then stand for the view: what the last scan paired and a turn has
+    put out of it is not expected. A doubt stands until a scan pairs something.
 
     So what is new on the map's rim is no reason to doubt as long as it comes into view by and by, and neither is what
     walls are known to hide.
@@ -97,12 +99,13 @@ class Tracker:
         self._last_paired = still[still != UNPAIRED]
 
     def _plainly_right(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
-        """So much is paired that nothing else needs to be asked: what nearly every scan is like."""
-        paired, measured = (
-            _pairings_with(prediction.features[established], hypothesis.features),
-            len(hypothesis.features),
-        )
-        return paired >= max(_EXPLAINED, self.fraction) * measured
+        """So much is paired that nothing else needs to be asked: what nearly every scan is like.
+
+        Where nobody tells what is in view, one pairing will do: the rest may be new ground.
+        """
+        paired = _pairings_with(prediction.features[established], hypothesis.features)
+        enough = max(_EXPLAINED, self.fraction) * len(hypothesis.features)
+        return paired >= enough or (prediction.view is None and paired > 0)
 
     def _should_be_seen(self, prediction: Prediction) -> BoolArray:
         paired = np.isin(prediction.features, self._last_paired)

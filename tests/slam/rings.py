@@ -9,7 +9,7 @@ from slam_gym.geometry import compose, relative
 from slam_gym.metrics.trajectory import ate
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
-from slam_gym.types import Array, IntArray, Odometry, Scan, Truth
+from slam_gym.types import Array, IntArray, Odometry, Scan, Truth, View
 
 RADIUS, REACH, HALF_VIEW = 20.0, 10.0, 1.0  # [m, m, rad]
 
@@ -53,6 +53,16 @@ def look(landmarks: Array, pose: Array, rng: np.random.Generator) -> tuple[Scan,
     ahead = (np.hypot(*at.T) < REACH) & (np.abs(np.arctan2(at[:, 1], at[:, 0])) < HALF_VIEW)
     seen = np.flatnonzero(ahead & (rng.random(len(at)) < 0.95))
     return Scan.from_points(at[seen] + rng.normal(0.0, 0.05, (len(seen), 2)), sigma=0.05), seen
+
+
+def view_from(pose: Array) -> View:
+    """What the sensor has in view, as a robot knows that has nothing in its way."""
+
+    def view(positions: Array, covariances: Array) -> Array:
+        ahead = np.abs(np.arctan2(positions[:, 1], positions[:, 0])) < HALF_VIEW
+        return (ahead & (np.hypot(*positions.T) < REACH)).astype(float)
+
+    return view
 
 
 def map_it(slam: Slam, log: Drive, associator: str = "jcbb") -> tuple[JudgedSlam, float]:

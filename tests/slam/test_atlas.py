@@ -14,9 +14,12 @@ from slam_gym.slam.loops import LoopSpec
 from slam_gym.slam.relocation import RelocatingSlam, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Odometry, Truth
-from tests.slam.rings import Drive, drive, duplicates, map_it, ring_of_landmarks
+from tests.slam.rings import Drive, drive, duplicates, map_it, ring_of_landmarks, view_from
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
+
+EARLY = AtlasSpec(ambiguous=0.1)
+"""So small a ring and so great a drift: old features are left to the loops early."""
 
 
 def nobody(slam: Slam, scan: object) -> None:
@@ -39,7 +42,7 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
     for seed in range(4):
         log = loop_drive(seed)
         plain, without = map_it(Slam(SPEC), log)
-        slam = AtlasSlam(SPEC, nobody)
+        slam = AtlasSlam(SPEC, nobody, view_from, EARLY)
         judged, error = map_it(slam, log)
         assert slam.loops and sources_differ(judged, slam.loops) == 0, f"seed {seed}"
         assert duplicates(judged) <= 1, f"seed {seed}"
@@ -49,7 +52,7 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
 
 
 def test_a_closed_loop_leaves_a_valid_map() -> None:
-    log, slam = loop_drive(2), AtlasSlam(SPEC, nobody)
+    log, slam = loop_drive(2), AtlasSlam(SPEC, nobody, view_from, EARLY)
     map_it(slam, log)
     m, graph = slam.map, slam.covisibility
     assert slam.loops and is_covariance(m.covariance)
@@ -64,7 +67,7 @@ def test_a_closed_loop_leaves_a_valid_map() -> None:
 
 def test_the_steps_tell_which_features_went_and_came() -> None:
     for carried_at in (None, 100):
-        log, slam, alive = loop_drive(1, 340, carried_at, 0.014), AtlasSlam(SPEC, nobody), set()
+        log, slam, alive = loop_drive(1, 340, carried_at, 0.014), AtlasSlam(SPEC, nobody, view_from, EARLY), set()
         for odometry, scan, _ in log.steps:
             step = slam.step(odometry, scan)
             alive |= set(step.ids[step.created].tolist()) | set(step.returned.tolist())
@@ -77,7 +80,7 @@ def test_the_steps_tell_which_features_went_and_came() -> None:
 
 def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_joined() -> None:
     for seed in range(4):
-        log, slam = loop_drive(seed, 340, 100, 0.014), AtlasSlam(SPEC, nobody)
+        log, slam = loop_drive(seed, 340, 100, 0.014), AtlasSlam(SPEC, nobody, view_from, EARLY)
         judged = JudgedSlam(slam)
         numbers = []
         for (odometry, scan, sources), pose in zip(log.steps, log.poses):
@@ -93,7 +96,7 @@ def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_j
 def test_after_joining_the_pose_is_where_the_older_map_says_within_its_covariance() -> None:
     distances = []
     for seed in range(6):
-        log, slam = loop_drive(seed, 215, 100, 0.006), AtlasSlam(SPEC, nobody)
+        log, slam = loop_drive(seed, 215, 100, 0.006), AtlasSlam(SPEC, nobody, view_from, EARLY)
         judged, _ = map_it(slam, log)
         if not slam.joins:
             continue
@@ -141,14 +144,14 @@ def test_old_features_that_are_ambiguous_are_not_offered_and_others_are() -> Non
 
 
 def test_without_patience_there_is_one_map_only() -> None:
-    log, slam = loop_drive(0, 160, 100, 0.014), AtlasSlam(SPEC, nobody, atlas=AtlasSpec(patience=None))
+    log, slam = loop_drive(0, 160, 100, 0.014), AtlasSlam(SPEC, nobody, view_from, AtlasSpec(patience=None))
     map_it(slam, log)
     assert slam.lost and slam.maps == (slam.map,)
 
 
 def test_a_map_too_small_to_be_recognised_is_dropped() -> None:
     log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(LoopSpec(min_pairs=100), patience=0)
-    slam = AtlasSlam(SPEC, nobody, atlas=spec)
+    slam = AtlasSlam(SPEC, nobody, view_from, spec)
     removed = [slam.step(odometry, scan).removed for odometry, scan, _ in log.steps]
     assert max(map(len, removed)) > 8 and slam.maps == (slam.map,)
 
@@ -167,7 +170,7 @@ def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
 
 
 def test_bad_numbers_are_refused_as_by_slam() -> None:
-    slam, log = AtlasSlam(SPEC, nobody), loop_drive(0, 2)
+    slam, log = AtlasSlam(SPEC, nobody, view_from, EARLY), loop_drive(0, 2)
     bad = Odometry(np.array([np.nan, 0.0, 0.0]), np.eye(3))
     with pytest.raises(ValueError, match="odometry"):
         slam.step(bad, log.steps[0][1])
