@@ -60,7 +60,7 @@ def row(shown: str, name: str) -> list[float]:
 
 
 def test_all_notebooks_are_there() -> None:
-    names = ["01_quickstart", "02_why_joint_compatibility", "03_locality", "04_victoria_park"]
+    names = ["01_quickstart", "02_why_joint_compatibility", "03_locality", "04_victoria_park", "05_drift"]
     assert [path.stem for path in NOTEBOOKS] == names
 
 

@@ -51,7 +51,7 @@ import os, signal, sys, time
 from agents.evaluation.parallel import run_all
 
 def work():
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\\n".encode())  # in one piece, whoever else writes
     time.sleep(60)
 
 list(run_all([work] * 2, 2))
