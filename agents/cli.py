@@ -13,11 +13,12 @@ from typing import Any
 import joblib
 from rich.console import Console
 
-from agents.evaluation.episodes import RELOCATION, AssociateArguments, ExploreArguments
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.pipeline import Execution
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
+from slam_gym.slam.relocation import SEARCH
 
 ON_A_FLOOR = "building"
 """The scenario whose robot drives on a floor plan file."""
@@ -45,7 +46,7 @@ def add_explore_options(parser: argparse.ArgumentParser, scenario: str) -> None:
     world.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
     world.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
     world.add_argument("--associator", help="name or module:function (default: that of the scenario)")
-    world.add_argument("--relocation", type=search_or_none, default=RELOCATION, metavar="SEARCH", help="that finds a "
+    world.add_argument("--relocation", type=search_or_none, default=SEARCH, metavar="SEARCH", help="that finds a "
                        "lost robot: gcbb, module:function …, or none (default: %(default)s)")  # fmt: skip
 
 

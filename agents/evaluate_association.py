@@ -25,7 +25,7 @@ from agents.cli import (
 from agents.drivers.base import AGENTS
 from agents.evaluation import associators, recordings
 from agents.evaluation.associators import SIMPLEST_FIRST, associator_evaluation, shipped
-from agents.evaluation.episodes import RELOCATION, ExploreArguments
+from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Results, carry_out
 from agents.evaluation.recordings import Log, logs_of, recording_evaluation
 from agents.evaluation.tables import Table, print_table
@@ -35,6 +35,7 @@ from slam_gym.association import RELOCATORS
 from slam_gym.recordings.catalogue import PUBLISHED
 from slam_gym.scenarios import SCENARIOS, SPLITS
 from slam_gym.scenarios.suite import EXPERIMENTS
+from slam_gym.slam.relocation import SEARCH
 
 LOOPS = ("office-small", "hall", "crowd")
 EPISODES = 30
@@ -66,7 +67,7 @@ def _add_loop_options(p: argparse.ArgumentParser) -> None:
                       "learned ones, or module:Class (default: %(default)s)")  # fmt: skip
     loop.add_argument("--relocation", nargs="+", type=search_or_none, metavar="SEARCH",
                       help=f"how a lost robot is found: {', '.join(RELOCATORS)}, module:function, or none; several are "
-                      f"compared (default: none {RELOCATION}; over a recording: {RELOCATION})")  # fmt: skip
+                      f"compared (default: none {SEARCH}; over a recording: {SEARCH})")  # fmt: skip
 
 
 def _add_suite_options(p: argparse.ArgumentParser) -> None:
@@ -106,7 +107,7 @@ class Plan(NamedTuple):
 def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
     """Drives through scenarios. ValueError for whatever nobody knows."""
     loops = [ExploreArguments(name, tuple(a.overrides), split=a.split) for name in dict.fromkeys(a.scenarios)]
-    names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation or [None, RELOCATION]))
+    names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation or [None, SEARCH]))
     return Plan(associator_evaluation(names, loops, a.driver, a.episodes, searches), associators.tables)
 
 
@@ -125,7 +126,7 @@ def recording_plan(a: argparse.Namespace, out: Path) -> Plan:
     logs = logs_of(template, a.robots)
     for name, log in logs.items():
         print(f"{name}: {log.open().source} {log.open().terms}")
-    searches = list(dict.fromkeys(a.relocation or [RELOCATION]))
+    searches = list(dict.fromkeys(a.relocation or [SEARCH]))
     return Plan(recording_evaluation(a.associators or shipped(), logs, out, searches), recordings.tables)
 
 

@@ -15,9 +15,9 @@ import slam_gym  # noqa: F401  (registers the environments)
 from agents.drivers.base import Agent, visible
 from agents.evaluation.records import Record
 from slam_gym.association.tracking.policy import Policy
+from slam_gym.slam.relocation import SEARCH
 from slam_gym.types import Associator
 
-RELOCATION = "gcbb"  # the search that finds a lost robot, unless another is asked for, or none
 EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
 
 
@@ -44,7 +44,7 @@ class ExploreArguments(_Arguments):
     reward: str = "map_error"
     floor_plan: str | None = None  # a file that replaces the scenario's worlds
     resolution: float | None = None  # [m/pixel] of that file, where it is an image
-    relocation: str | None = RELOCATION  # the search that finds a lost robot again
+    relocation: str | None = SEARCH  # the search that finds a lost robot again
 
     def make(
         self, action: str, render_mode: str | None = None, associator: Associator | None = None

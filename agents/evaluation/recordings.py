@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from agents.evaluation.associators import find_associator
-from agents.evaluation.episodes import RELOCATION
 from agents.evaluation.headline import subject
 from agents.evaluation.log_files import write_mapped_log
 from agents.evaluation.log_measures import measure
@@ -23,6 +22,7 @@ from slam_gym.association import resolve_relocator
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.recorded import slam_for
+from slam_gym.slam.relocation import SEARCH
 
 COLUMNS = (
     Column("precision", "prec.", 3, "higher"),
@@ -124,7 +124,7 @@ def recording_evaluation(
     associators: Sequence[str],
     logs: dict[str, Log],
     out: Path,
-    relocations: Sequence[str | None] = (RELOCATION,),
+    relocations: Sequence[str | None] = (SEARCH,),
 ) -> Evaluation:
     """Every associator with every relocation on every log, checked; files go into a folder of `out`.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -42,7 +43,7 @@ def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | N
     return overridden(found, overrides) if overrides else found
 
 
-class BaseEnv(gym.Env[Observation, Any]):
+class BaseEnv(gym.Env[Observation, Any], ABC):
     """An environment whose episodes follow from the generator's state at the reset, its options, and the actions.
 
     A subclass says how an episode begins (`_begin`) and what an action does (`_act`), what the agent sees and is told
@@ -174,27 +175,27 @@ class BaseEnv(gym.Env[Observation, Any]):
 
     # -- what a subclass provides ------------------------------------------------------------------------------------
 
+    @abstractmethod
     def _begin(self, world: int) -> Observation:
         """Start an episode in the `world`-th world of the split; returns the first observation."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _act(self, action: Any) -> float:
         """Carry out an action that was `_checked`; returns the reward."""
-        raise NotImplementedError
 
-    def _observe(self) -> Observation:
-        raise NotImplementedError
+    @abstractmethod
+    def _observe(self) -> Observation: ...
 
-    def _info(self) -> Info:
-        raise NotImplementedError
+    @abstractmethod
+    def _info(self) -> Info: ...
 
     @property
-    def _over(self) -> bool:
-        raise NotImplementedError
+    @abstractmethod
+    def _over(self) -> bool: ...
 
+    @abstractmethod
     def _picture(self) -> Any:
         """A surface with the present state."""
-        raise NotImplementedError
 
     # -- what a subclass may use or change ---------------------------------------------------------------------------
 

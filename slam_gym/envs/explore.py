@@ -30,7 +30,7 @@ from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.atlas import AtlasSpec
-from slam_gym.slam.relocation import LocalityName, relocate_by
+from slam_gym.slam.relocation import SEARCH, LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Associator, Relocator
 from slam_gym.validation import one_of
 
@@ -99,7 +99,7 @@ class ExploreEnv(BaseEnv):
         floor_plan: str | Path | None = None,
         resolution: float | None = None,
         locality: Literal["covisibility"] | None = "covisibility",
-        relocation: str | Relocator | None = "gcbb",
+        relocation: str | Relocator | None = SEARCH,
         relocation_locality: LocalityName | None = "covisibility",
         atlas: bool | AtlasSpec = True,
         overrides: Mapping[str, Plain] | None = None,

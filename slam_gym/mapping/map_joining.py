@@ -23,6 +23,9 @@ from slam_gym.mapping.map_state import MapState, map_of_state, state_of
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray
 
+UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
+"""[m², m², rad²] Covariance of a pose, or of the relation of two maps, before it is found: it says nothing."""
+
 _ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
@@ -43,6 +46,16 @@ def join(a: StochasticMap, b: StochasticMap, *, renumber: bool = False) -> Stoch
     mean, covariance = joined_estimate(first.mean, first.covariance, second.mean, second.covariance)
     step, ids = max(first.step, second.step), max(first.next_id, given)
     return map_of_state(a.spec, MapState(mean, covariance, ours.followed_by(theirs), step, ids))
+
+
+def join_at(a: StochasticMap, b: StochasticMap, base: Array, *, renumber: bool = False) -> StochasticMap:
+    """Both maps in the base of `a`, that of `b` at the pose `base` (3,), of which nothing is known for certain.
+
+    What is known of it comes with `equate`. Neither map is changed. Raises as `join`.
+    """
+    placed = a.copy()
+    placed.place(base, UNKNOWN_POSE)
+    return join(placed, b, renumber=renumber)
 
 
 def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tuple[Array, Array]:

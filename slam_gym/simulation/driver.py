@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -122,17 +123,14 @@ def _stretch_anew(episode: Episode, pose: Array, stretch: Array) -> Array:
 
 def _next_stretch(path: Array, position: Array) -> tuple[Array, Array]:
     """The next `AHEAD` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`; the waypoints then."""
-    steps = np.diff(path, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
-    along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
-    along = np.minimum(np.maximum(along, 0.0), 1.0)
-    nearest = int(np.argmin(np.hypot(*(position - path[:-1] - along[:, None] * steps).T)))
-    ends = np.cumsum(lengths[nearest:]) - along[nearest] * lengths[nearest]
+    at, steps = _on_path(path, position), np.diff(path, axis=0)
+    ends = np.cumsum(at.lengths[at.segment :]) - at.covered
     last = int(np.searchsorted(ends, AHEAD))
     if last >= len(ends):
-        return path[nearest:], path[:0]
-    cut = path[nearest + last + 1] - (ends[last] - AHEAD) / max(lengths[nearest + last], 1e-9) * steps[nearest + last]
-    return np.concatenate([path[nearest : nearest + last + 1], cut[None]]), path[nearest + last + 1 :]
+        return path[at.segment :], path[:0]
+    end = at.segment + last
+    cut = path[end + 1] - (ends[last] - AHEAD) / max(at.lengths[end], 1e-9) * steps[end]
+    return np.concatenate([path[at.segment : end + 1], cut[None]]), path[end + 1 :]
 
 
 def _free(grid: ExploredGrid, points: Array) -> bool:
@@ -158,10 +156,25 @@ def _out_of_date(episode: Episode, goal: Array) -> bool:
 
 def _length_left(path: Array, position: Array) -> float:
     """[m] to the point of the path (p, 2), p ≥ 2, that is nearest to `position` (2,), and along it from there."""
+    at = _on_path(path, position)
+    return float(at.gap + at.lengths[at.segment :].sum() - at.covered)
+
+
+class _OnPath(NamedTuple):
+    """The point of a path that is nearest to some position."""
+
+    segment: int  # that it lies on
+    covered: float  # [m] from the beginning of the segment
+    gap: float  # [m] to the position
+    lengths: Array  # (p − 1,) [m] of all segments
+
+
+def _on_path(path: Array, position: Array) -> _OnPath:
+    """Where a path (p, 2), p ≥ 2, is nearest to `position` (2,)."""
     steps = np.diff(path, axis=0)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
     along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
     along = np.minimum(np.maximum(along, 0.0), 1.0)
     gaps = np.hypot(*(position - path[:-1] - along[:, None] * steps).T)
     nearest = int(np.argmin(gaps))
-    return float(gaps[nearest] + lengths[nearest:].sum() - along[nearest] * lengths[nearest])
+    return _OnPath(nearest, along[nearest] * lengths[nearest], gaps[nearest], lengths)

@@ -22,12 +22,11 @@ from scipy.spatial import cKDTree
 
 from slam_gym.association import resolve_relocator
 from slam_gym.geometry import transform
-from slam_gym.mapping.map_joining import equate, join
+from slam_gym.mapping.map_joining import equate, join_at
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.duplicates import find_duplicates
 from slam_gym.types import UNPAIRED, Array, IntArray, Locality, Relocation, Relocator, Scan
 
-_SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a relation before it is found
 _FLOOR = 1e-12  # [m²] minimal variance of a measurement
 
 
@@ -169,9 +168,7 @@ def _merged(
     """The maps joined at the pose found, duplicates removed; and pairs (k, 2) of features of A and B."""
     paired = found.features != UNPAIRED
     first = np.column_stack([found.features[paired], group[paired]])
-    placed = a.copy()
-    placed.place(found.pose, _SAYS_NOTHING)
-    joined = equate(join(placed, b, renumber=True), first + np.array([0, a.n]))
+    joined = equate(join_at(a, b, found.pose, renumber=True), first + np.array([0, a.n]))
     left = np.delete(np.arange(b.n), first[:, 1])  # what the features after A's are in B
     free = np.delete(np.arange(a.n), first[:, 0])
     more = find_duplicates(joined, free, np.arange(a.n, joined.n), confidence=confidence).pairs

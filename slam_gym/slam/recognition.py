@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym.geometry import compose, inverse
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.map_joining import equate, join
+from slam_gym.mapping.map_joining import equate, join_at
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.agreement import agreeing
 from slam_gym.slam.loops import LoopSpec, Parts, overlap, recognise
-from slam_gym.types import UNPAIRED, Array, IntArray, Relocation
-
-_SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a relation before it is found
+from slam_gym.types import UNPAIRED, IntArray, Relocation
 
 
 class Joined(NamedTuple):
@@ -45,7 +42,7 @@ def join_recognised(
     if found is None:
         return None
     paired = found.features != UNPAIRED
-    pairs, both = np.column_stack([among[found.features[paired]], a.n + recent[paired]]), joined_at(a, b, found.pose)
+    pairs, both = np.column_stack([among[found.features[paired]], a.n + recent[paired]]), join_at(a, b, found.pose)
     pairs = agreeing(both, pairs, spec, prior=False)
     parts = Parts(a.n + recent, among)
     if len(pairs) < spec.min_pairs or overlap(both, parts, pairs) < spec.min_fraction:
@@ -67,18 +64,11 @@ def join_relocated(
     A wrong relocation can be taken back by the next, a wrong join cannot: as many pairs are asked for as of a recent
     part, of one shape. Neither map is changed.
     """
-    both = joined_at(a, b, compose(found.pose, inverse(b.pose)))
+    both = join_at(a, b, compose(found.pose, inverse(b.pose)))
     paired = (found.features != UNPAIRED) & (features != UNPAIRED)
     pairs = np.column_stack([found.features[paired], a.n + features[paired]])
     pairs = agreeing(both, pairs, spec, prior=False)
     return _made_one(both, graph_a.followed_by(graph_b), pairs) if len(pairs) else None
-
-
-def joined_at(a: StochasticMap, b: StochasticMap, base: Array) -> StochasticMap:
-    """Both maps in the base of A, that of B at the pose `base` (3,) with a covariance that says nothing."""
-    placed = a.copy()
-    placed.place(base, _SAYS_NOTHING)
-    return join(placed, b)
 
 
 def _made_one(both: StochasticMap, graph: CovisibilityGraph, pairs: IntArray) -> Joined:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Literal, get_args
 
@@ -12,6 +11,7 @@ from slam_gym.association import RELOCATORS, resolve_relocator
 from slam_gym.association.relocation.acceptance import min_pairings
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
+from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.slam.asked import locked
 from slam_gym.slam.lost import EXPECTED, Tracker
 from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, ViewFrom, send
@@ -32,9 +32,11 @@ from slam_gym.types import (
 )
 from slam_gym.validation import check_hypothesis
 
-_SAYS_NOTHING = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])  # [m², m², rad²] of a pose before it is found
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
+
+SEARCH = "gcbb"
+"""The search that finds a lost robot unless another is asked for."""
 
 LocalityName = Literal["covisibility", "two-hop covisibility", "distance"]
 LOCALITIES: tuple[LocalityName, ...] = get_args(LocalityName)
@@ -78,7 +80,8 @@ class RelocatingSlam(Slam):
         step = super().asking_step(odometry, scan)
         prediction = next(step)
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
-        self.tracker.look(scan.points)
+        if prediction.view is None:
+            self.tracker.look(scan.points)
         if not self.tracker.doubts(prediction, hypothesis, ~self.map.provisional[prediction.features]):
             return send(step, hypothesis)
         found = self.relocate(self, scan) if self.lost else None
@@ -94,7 +97,7 @@ class RelocatingSlam(Slam):
         """The step of a scan that says where the robot is. Raises ValueError, the robot unmoved, where it cannot be."""
         answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         hypothesis = check_hypothesis(answer, len(scan), self.map.n)
-        self.map.place(found.pose, _SAYS_NOTHING)
+        self.map.place(found.pose, UNKNOWN_POSE)
         self.tracker.believe(hypothesis)
         self._relocations += 1
         step = super().asking_step(_STILL, scan)

@@ -23,4 +23,5 @@ def count(request: pytest.FixtureRequest) -> Iterator[Callable[[Counter[str]], N
         counts.update(more)
 
     yield add
+    assert counts.total() > 0, "nothing was tried"
     print(f"\n{request.node.name}: {counts.total()} inputs, {counts['read']} read, {counts['refused']} refused")

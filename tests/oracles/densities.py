@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slam_gym.types import UNPAIRED, Array, IntArray, Prediction, Scan
-from tests.oracles.association import compatible
+from tests.oracles.association import compatible, problem
 
 
 class Rates(NamedTuple):
@@ -102,3 +103,19 @@ def _stacked(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -
     for k, (i, _) in enumerate(pairs):
         S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += scan.covariances[i]
     return np.concatenate([scan.points[i] - prediction.positions[j] for i, j in pairs]), S
+
+
+WIDE = {"width": 3000, "margin": 1e9}
+"""Search options under which no hypothesis of a small problem is dropped."""
+
+RATES = Rates(0.8, 0.1, 0.07)
+MODEL = {"detection": RATES.detection, "density": RATES.density, "unseen": RATES.unseen}
+"""The same rates as options of `marginal`."""
+
+
+def small_problem(seed: int, **options: Any) -> tuple[Scan, Prediction]:
+    """Most have a view, and it does not move: hypotheses that agree in what they see may share a view that does."""
+    rng = np.random.default_rng(seed)
+    m, n = int(rng.integers(0, 5)), int(rng.integers(0, 6))
+    scan, prediction = problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
+    return scan, dataclasses.replace(prediction, view=VIEWS[seed % 4], view_moves=False)

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym.geometry import compose, relative
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.trajectory import ate
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
@@ -63,6 +65,20 @@ def view_from(pose: Array) -> View:
         return (ahead & (np.hypot(*positions.T) < REACH)).astype(float)
 
     return view
+
+
+def enter(m: StochasticMap, graph: CovisibilityGraph, points: Array, rng: np.random.Generator, sigma: float) -> None:
+    """Enter points (k, 2) [m] in R into a map and its graph, seen three times from where the robot stands."""
+    features = None
+    for _ in range(3):
+        seen = Scan.from_points(points + rng.normal(0.0, sigma, points.shape), sigma=sigma)
+        if features is None:
+            features = m.add(seen, np.arange(len(points)))
+            graph.add(len(points))
+        else:
+            m.update(seen, features)
+        graph.see_together(features)
+        m.end_of_step()
 
 
 def map_it(slam: Slam, log: Drive, associator: str = "jcbb") -> tuple[JudgedSlam, float]:

@@ -11,7 +11,8 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.loops import LoopSpec, find_loop, landmarks_of, mirrored, overlap, parts_of, recent_part
 from slam_gym.slam.merging import as_scan
-from slam_gym.types import Array, Odometry, Scan
+from slam_gym.types import Array, Odometry
+from tests.slam.rings import enter
 
 SIDE, SIGMA = 12.0, 0.05  # [m] of a square of features, and of each position
 
@@ -24,16 +25,7 @@ def layered(
     for points, error in ((older, np.zeros(3)), (newer, np.array([drift, drift, 0.05 * drift]))):
         Q = np.diag(error**2) + 1e-12 * np.eye(3)
         m.predict(Odometry(error * rng.standard_normal(3), Q))  # where in truth it is at the origin again
-        features = None
-        for _ in range(3):
-            seen = Scan.from_points(points + rng.normal(0.0, SIGMA, points.shape), sigma=SIGMA)
-            if features is None:
-                features = m.add(seen, np.arange(len(points)))
-                graph.add(len(points))
-            else:
-                m.update(seen, features)
-            graph.see_together(features)
-            m.end_of_step()
+        enter(m, graph, points, rng, SIGMA)
         m.step += 100
     m.step -= 100
     return m, graph

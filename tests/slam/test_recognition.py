@@ -12,34 +12,21 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.loops import LoopSpec
 from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
 from slam_gym.types import UNPAIRED, Array, Scan
+from tests.slam.rings import enter
 
 SIGMA = 0.05
 SPEC = LoopSpec()
-
-
-def map_at(m: StochasticMap, points: Array, rng: np.random.Generator) -> CovisibilityGraph:
-    """Enter points (k, 2), seen three times from the robot, into an empty map; the covisibility graph."""
-    graph, features = CovisibilityGraph(), None
-    for _ in range(3):
-        seen = Scan.from_points(points + rng.normal(0.0, SIGMA, points.shape), sigma=SIGMA)
-        if features is None:
-            features = m.add(seen, np.arange(len(points)))
-            graph.add(len(points))
-        else:
-            m.update(seen, features)
-        graph.see_together(features)
-        m.end_of_step()
-    return graph
 
 
 def try_to_join(first: Array, second: Array, seed: int) -> tuple[Joined | None, StochasticMap, StochasticMap]:
     """A map of the points `first`, and one of `second` as seen from a robot elsewhere, that begins at (30 m, 5 m)."""
     rng = np.random.default_rng((9, seed))
     a = StochasticMap(MapSpec(unconfirmed_age=None))
-    graph_a = map_at(a, first, rng)
+    graph_a, graph_b = CovisibilityGraph(), CovisibilityGraph()
+    enter(a, graph_a, first, rng, SIGMA)
     b = successor(a)
     b.place(np.array([30.0, 5.0, 1.0]), np.zeros((3, 3)))
-    graph_b = map_at(b, second, rng)
+    enter(b, graph_b, second, rng, SIGMA)
     return join_recognised(a, graph_a, b, graph_b, np.arange(b.n), SPEC), a, b
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym.association.compatibility import chi2_gate, joint_distance
+from slam_gym.association.compatibility import chi2_gate, joint_distance, plain
 from slam_gym.association.tracking.near_first import Found, near_first
 from slam_gym.association.tracking.scan_hypotheses import (
     Kept,
@@ -21,13 +21,12 @@ from slam_gym.association.tracking.scan_hypotheses import (
     check_search,
     checked_visibility,
     log_densities,
+    scan_area,
     views,
 )
 from slam_gym.association.tracking.scan_hypotheses import search as hypotheses_of
 from slam_gym.association.tree import Tree, as_hypothesis
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Posterior, Prediction, Scan
-
-_MIN_AREA = 1.0  # [m²]
 
 
 class _Ranking(NamedTuple):
@@ -119,7 +118,7 @@ class MostProbable:
     def _area(self, scan: Scan) -> float:
         if self.area is not None:
             return self.area
-        return max(float(np.prod(np.ptp(scan.points, axis=0))), _MIN_AREA) if len(scan) else 0.0
+        return scan_area(plain(scan.points))
 
 
 def _check_densities(clutter: float, new: float) -> None:

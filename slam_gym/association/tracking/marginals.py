@@ -37,6 +37,7 @@ from slam_gym.association.tracking.scan_hypotheses import (
     check_search,
     checked_visibility,
     log_densities,
+    scan_area,
     search,
     views,
 )
@@ -51,7 +52,6 @@ NOTHING_SEEN = Experience(0.0, 0.0, np.zeros(len(DETECTIONS)))
 
 _UNPAIRED, _AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is some .02 before anything was seen
 _MEMORY = 0.95  # what a scan counts in the next
-_MIN_AREA = 1.0  # [m²] of a scan
 _SURE, _SURELY = np.zeros(1), 1e9  # log weights where P_D is given; [m²] as good as seen where λ is
 _FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
 _TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
@@ -83,7 +83,7 @@ def marginals(
     check_search(0.5 if detection is None else detection, unseen, width, margin)
     if density is not None and not 0.0 < density < math.inf:
         raise ValueError(f"density: {density} per m² is not positive")
-    known, area = prediction.experience or NOTHING_SEEN, _area(plain(scan.points))
+    known, area = prediction.experience or NOTHING_SEEN, scan_area(plain(scan.points))
     belief = _belief(detection, density, len(scan), known, area)
     parts = [_Part.of(scan, heading, belief, unseen) for heading in headings(prediction)]
     parts = _worth_searching(parts, margin)
@@ -192,15 +192,3 @@ def _summed(
             else:
                 pairings[i, hypotheses[b, i]] += weights[b]
     return scores, weights, by_value - by_value.max(), pairings, unpaired
-
-
-@compiled
-def _area(points: Array) -> float:
-    """[m²] of the box around the measurements."""
-    if len(points) == 0:
-        return 0.0
-    left, right, bottom, top = points[0, 0], points[0, 0], points[0, 1], points[0, 1]
-    for i in range(1, len(points)):
-        left, right = min(left, points[i, 0]), max(right, points[i, 0])
-        bottom, top = min(bottom, points[i, 1]), max(top, points[i, 1])
-    return float(max((right - left) * (top - bottom), _MIN_AREA))

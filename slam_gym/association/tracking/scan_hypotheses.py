@@ -28,6 +28,9 @@ _HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not aske
 _NOBODY_KNOWS, _NOBODY = np.empty((0, 0)), np.empty(0)
 
 
+_MIN_AREA = 1.0  # [m²] of a scan
+
+
 class Rates(NamedTuple):
     """What the search takes for true: its prices for pairing and for not pairing."""
 
@@ -221,3 +224,15 @@ def _grouped(positions: Array, together: float, group: IntArray) -> IntArray:
             group[b], first[count] = count, b
             count += 1
     return first[:count]
+
+
+@compiled
+def scan_area(points: Array) -> float:
+    """[m²] of the box around the measurements (m, 2), 0 without any."""
+    if len(points) == 0:
+        return 0.0
+    left, right, bottom, top = points[0, 0], points[0, 0], points[0, 1], points[0, 1]
+    for i in range(1, len(points)):
+        left, right = min(left, points[i, 0]), max(right, points[i, 0])
+        bottom, top = min(bottom, points[i, 1]), max(top, points[i, 1])
+    return float(max((right - left) * (top - bottom), _MIN_AREA))

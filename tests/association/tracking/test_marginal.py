@@ -1,6 +1,5 @@
 """What is decided by marginals, and what is told of it."""
 
-import dataclasses
 import itertools
 import math
 
@@ -15,18 +14,7 @@ from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Odometry, Prediction, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
-
-WIDE = {"width": 3000, "margin": 1e9}
-RATES = densities.Rates(0.8, 0.1, 0.07)
-MODEL = {"detection": RATES.detection, "density": RATES.density, "unseen": RATES.unseen}
-
-
-def small_problem(seed, **options):
-    """Most have a view, and it does not move: hypotheses that agree in what they see may share a view that does."""
-    rng = np.random.default_rng(seed)
-    m, n = int(rng.integers(0, 5)), int(rng.integers(0, 6))
-    scan, prediction = oracles.problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
-    return scan, dataclasses.replace(prediction, view=densities.VIEWS[seed % 4], view_moves=False)
+from tests.oracles.densities import MODEL, RATES, WIDE, small_problem
 
 
 @pytest.mark.parametrize("seed", range(40))
