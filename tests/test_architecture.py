@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "geometry", "_compile", "_files", "validation"}
+BASE = {"types", "geometry", "_compile", "_files", "validation", "weights"}
 ESTIMATE = BASE | {"mapping", "navigation", "association"}
 SIMULATION = ESTIMATE | {"world", "slam", "metrics", "recordings", "scenarios"}
 ALLOWED = {
@@ -16,6 +16,7 @@ ALLOWED = {
     "types": {"_arguments"},
     "_compile": set(),
     "_files": set(),
+    "weights": {"_files"},
     "geometry": {"types", "_compile"},
     "validation": {"types", "_compile"},
     "world": BASE,
