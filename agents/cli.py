@@ -43,11 +43,16 @@ def add_explore_options(parser: argparse.ArgumentParser, scenario: str) -> None:
     parser.set_defaults(default_scenario=scenario)
     world.add_argument("--scenario", help=f"name of a scenario (default: {scenario}; of a floor plan {ON_A_FLOOR})")
     add_override_option(world)
-    world.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
-    world.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
+    add_floor_options(world)
     world.add_argument("--associator", help="name or module:function (default: that of the scenario)")
     world.add_argument("--relocation", type=search_or_none, default=SEARCH, metavar="SEARCH", help="that finds a "
                        "lost robot: gcbb, module:function …, or none (default: %(default)s)")  # fmt: skip
+
+
+def add_floor_options(group: Any) -> None:
+    """--floor-plan FILE and --resolution M."""
+    group.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
+    group.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
 
 
 def search_or_none(text: str) -> str | None:

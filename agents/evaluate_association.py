@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agents.cli import (
+    ON_A_FLOOR,
     add_execution_options,
+    add_floor_options,
     add_override_option,
     command_line,
     execution,
@@ -59,8 +61,9 @@ def parser() -> argparse.ArgumentParser:
 
 def _add_loop_options(p: argparse.ArgumentParser) -> None:
     loop = p.add_argument_group("in the loop")
-    loop.add_argument("--scenarios", nargs="+", default=list(LOOPS), metavar="NAME", help=f"of {', '.join(SCENARIOS)}, "
-                      "or levels of the suite such as clutter/2 (default: %(default)s)")  # fmt: skip
+    loop.add_argument("--scenarios", nargs="+", metavar="NAME", help=f"of {', '.join(SCENARIOS)}, or levels of the "
+                      f"suite such as clutter/2 (default {' '.join(LOOPS)}; on a floor plan {ON_A_FLOOR})")  # fmt: skip
+    add_floor_options(loop)
     add_override_option(loop)
     loop.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="a scenario (default: %(default)s)")
     loop.add_argument("--driver", default="information_gain", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
@@ -106,7 +109,10 @@ class Plan(NamedTuple):
 
 def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
     """Drives through scenarios. ValueError for whatever nobody knows."""
-    loops = [ExploreArguments(name, tuple(a.overrides), split=a.split) for name in dict.fromkeys(a.scenarios)]
+    plan = str(Path(a.floor_plan).resolve()) if a.floor_plan else None
+    scenarios = a.scenarios or ([ON_A_FLOOR] if plan else LOOPS)
+    world = {"split": a.split, "floor_plan": plan, "resolution": a.resolution}
+    loops = [ExploreArguments(name, tuple(a.overrides), **world) for name in dict.fromkeys(scenarios)]
     names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation or [None, SEARCH]))
     return Plan(associator_evaluation(names, loops, a.driver, a.episodes, searches), associators.tables)
 
@@ -131,7 +137,7 @@ def recording_plan(a: argparse.Namespace, out: Path) -> Plan:
 
 
 OPTIONS: dict[str, tuple[str, ...]] = {
-    "association": ("scenarios", "overrides", "episodes", "driver", "relocation"),
+    "association": ("scenarios", "floor_plan", "resolution", "overrides", "episodes", "driver", "relocation"),
     "suite": ("quick", "experiments", "relocators", "worlds", "problems"),
     "recording": ("data", "robots", "every", "merge", "clean", "reference", "relocation"),
 }
@@ -143,7 +149,7 @@ def _refuse_what_does_not_apply(a: argparse.Namespace, kind: str) -> None:
     for other, names in OPTIONS.items():
         for name in set(names) - set(OPTIONS[kind]):
             if getattr(a, name) != parser().get_default(name):
-                option = {"overrides": "set"}.get(name, name)
+                option = {"overrides": "set"}.get(name, name).replace("_", "-")
                 meant = f"belongs to --{other}" if other != "association" else "is about drives through scenarios"
                 instead = f", not to --{kind}" if kind != "association" else ", which was not asked for"
                 raise ValueError(f"--{option} {meant}{instead}")

@@ -170,7 +170,9 @@ def associator_evaluation(
         ]  # fmt: skip
     plain = loops[0].plain
     found = {"relocation": plain["relocation"] if relocations is None else list(relocations)}
-    conditions = {"driver": driver} | found | {name: plain[name] for name in ("split", "overrides")}
+    conditions = (
+        {"driver": driver} | found | {name: plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
+    )
     return Evaluation(KIND, tasks, conditions, lambda records: {"table": numbers(records)})
 
 
@@ -199,8 +201,14 @@ def tables(results: Results) -> list[Table]:
 
 def scenario_tables(results: Results) -> list[Table]:
     """One table a scenario."""
-    driver, episodes = results.content["conditions"]["driver"], results.content["asked"]["episodes"]
+    conditions, episodes = results.content["conditions"], results.content["asked"]["episodes"]
+    floor = f" on {Path(conditions['floor_plan']).name}" if conditions.get("floor_plan") else ""
     return [
-        Table(f"{setting}, {episodes} episodes, driven by {driver}", "associator", columns_for(own), rows(own))
+        Table(
+            f"{setting}{floor}, {episodes} episodes, driven by {conditions['driver']}",
+            "associator",
+            columns_for(own),
+            rows(own),
+        )
         for setting, own in by_setting(results.records).items()
     ]

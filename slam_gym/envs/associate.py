@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from slam_gym.association.tracking.observation import lengths, nothing
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario
+from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, scenario_on_floor
 from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.association_runs import (
@@ -69,7 +70,8 @@ class AssociateEnv(BaseEnv):
       (the reference experiment), a `Scenario`, or a `slam_gym.simulation.association_runs.ScanLog`; for a real log
       `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps with `?looks=…&every=…` (see
       `slam_gym.simulation.recorded_logs`): sources that nobody knows count nowhere, what the labels leave out of a
-      scan is spurious.
+      scan is spurious. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts the robot of
+      the scenario, by default that of `"building"`, on that floor.
     - `split`: `"train"` or `"test"`, whose worlds never overlap, nor do the parts of a recording; on another log it
       keeps the seeds apart.
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
@@ -86,7 +88,7 @@ class AssociateEnv(BaseEnv):
 
     def __init__(
         self,
-        scenario: str | Scenario | ScanLog = "office",
+        scenario: str | Scenario | ScanLog | None = None,
         split: Split = "train",
         driver: str | Driver = "nearest_frontier",
         reward: Literal["truth", "map_error"] = "truth",
@@ -95,6 +97,8 @@ class AssociateEnv(BaseEnv):
         compatibility: Compatibility = "joint",
         wrong_cost: float = 10.0,
         marginals: bool = False,
+        floor_plan: str | Path | None = None,
+        resolution: float | None = None,
         overrides: Mapping[str, Plain] | None = None,
         render_mode: RenderMode | None = None,
     ) -> None:
@@ -103,7 +107,10 @@ class AssociateEnv(BaseEnv):
         one_of("reward", reward, ("truth", "map_error"))
         if not 0.0 <= wrong_cost < np.inf:
             raise ValueError(f"wrong_cost={wrong_cost}: expected a finite number ≥ 0")
-        scenario = _chosen(scenario, split, overrides)
+        log = _chosen_log(scenario, split)
+        if log is not None and (overrides or floor_plan is not None or resolution is not None):
+            raise ValueError(f"overrides and floor plans are for simulated scenarios, and {log.name!r} is a log")
+        scenario = log or _simulated(scenario, floor_plan, resolution, overrides)
         if not callable(driver):
             one_of("driver", driver, DRIVERS)
             driver = DRIVERS[driver]
@@ -259,19 +266,20 @@ class AssociateEnv(BaseEnv):
         )
 
 
-def _chosen(
-    scenario: str | Scenario | ScanLog, split: str, overrides: Mapping[str, Plain] | None
-) -> Scenario | ScanLog:
-    """The scenario or log that the arguments mean."""
+def _chosen_log(scenario: str | Scenario | ScanLog | None, split: str) -> ScanLog | None:
+    """The log that the argument means; None where it means none."""
     if isinstance(scenario, str) and scenario.startswith(PREFIX):
-        scenario = recorded_log(scenario, split)
+        return recorded_log(scenario, split)
     if isinstance(scenario, str):
-        scenario = LOGS.get(scenario, scenario)
-    if isinstance(scenario, ScanLog):
-        if overrides:
-            raise ValueError(f"overrides change a simulated scenario, and {scenario.name!r} is a log")
-        return scenario
+        return LOGS.get(scenario)
+    return scenario if isinstance(scenario, ScanLog) else None
+
+
+def _simulated(
+    scenario: Any, floor_plan: str | Path | None, resolution: float | None, overrides: Mapping[str, Plain] | None
+) -> Scenario:
+    """`scenario_on_floor`; the names that it lists in an error are those of logs as well."""
     if isinstance(scenario, str) and "/" not in scenario:
         names = (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1")
         one_of("scenario", scenario, names)
-    return chosen_scenario(scenario, overrides)
+    return scenario_on_floor(scenario, floor_plan, resolution, overrides)

@@ -6,6 +6,7 @@ import copy
 import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import gymnasium as gym
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym.envs.warm_up import compile_on_two_cores
-from slam_gym.scenarios import SPLITS, Scenario, get_scenario, overridden, world_generator, world_seed
+from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, overridden, world_generator, world_seed
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.validation import one_of
@@ -41,6 +42,24 @@ def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | N
     """A scenario given by name or itself, with fields changed. Raises ValueError as `get_scenario` and `overridden`."""
     found = get_scenario(scenario) if isinstance(scenario, str) else scenario
     return overridden(found, overrides) if overrides else found
+
+
+def scenario_on_floor(
+    scenario: str | Scenario | None,
+    floor_plan: str | Path | None,
+    resolution: float | None,
+    overrides: Mapping[str, Plain] | None = None,
+) -> Scenario:
+    """`chosen_scenario`; with a `floor_plan` its robot on that floor. By default `"office"`, on a floor `"building"`.
+
+    Raises ValueError for a resolution without a floor plan, and for faults of the file as `load_floor_plan` does.
+    """
+    if floor_plan is None:
+        if resolution is not None:
+            raise ValueError(f"resolution={resolution} goes with a floor_plan, and there is none")
+        return chosen_scenario("office" if scenario is None else scenario, overrides)
+    like = chosen_scenario("building" if scenario is None else scenario)
+    return chosen_scenario(from_floor_plan(floor_plan, resolution, like), overrides)
 
 
 class BaseEnv(gym.Env[Observation, Any], ABC):

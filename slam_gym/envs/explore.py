@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve_associator
-from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario
+from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, scenario_on_floor
 from slam_gym.envs.goal_observation import GOAL_FIELDS, encode_goals
 from slam_gym.envs.observation import (
     encode_features,
@@ -22,7 +22,7 @@ from slam_gym.envs.observation import (
 )
 from slam_gym.envs.rewards import get_reward
 from slam_gym.metrics.association import Tally
-from slam_gym.scenarios import Scenario, from_floor_plan
+from slam_gym.scenarios import Scenario
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation import goals as goals_module
 from slam_gym.simulation.driver import carry_out
@@ -109,13 +109,7 @@ class ExploreEnv(BaseEnv):
         super().__init__(split, render_mode, arguments=locals())
         one_of("action", action, ("goal", "twist"))
         one_of("locality", locality, ("covisibility", None))
-        if resolution is not None and floor_plan is None:
-            raise ValueError(f"resolution={resolution} goes with a floor_plan, and there is none")
-        if scenario is None:
-            scenario = "office" if floor_plan is None else "building"
-        if floor_plan is not None:
-            scenario = from_floor_plan(floor_plan, resolution, chosen_scenario(scenario))
-        self.scenario = chosen_scenario(scenario, overrides)
+        self.scenario = scenario_on_floor(scenario, floor_plan, resolution, overrides)
         self.locality = locality
         self.render_covisibility = render_covisibility
         self.goal_mode = action == "goal"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from slam_gym.association import resolve_associator
 from slam_gym.association.relocation.observation import observe_walk, walk_shapes
 from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
-from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario
+from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario, scenario_on_floor
 from slam_gym.geometry import relative
 from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.scenarios.overrides import Plain
@@ -67,7 +68,9 @@ class RelocateEnv(BaseEnv):
 
     ## Arguments
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
-      `Scenario`.
+      `Scenario`; by default `"office"`. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts
+      the scenario's robot on that floor instead, by default that of `"building"`; scans from outside are then
+      from the scenario's own worlds.
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `locality`: `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
     - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation.walk.WalkSpec`.
@@ -83,7 +86,7 @@ class RelocateEnv(BaseEnv):
 
     def __init__(
         self,
-        scenario: str | Scenario = "office",
+        scenario: str | Scenario | None = None,
         split: Split = "train",
         locality: LocalityName | None = "covisibility",
         candidates: int = 8,
@@ -97,6 +100,8 @@ class RelocateEnv(BaseEnv):
         wrong_cost: float = 1.0,
         position_tolerance: float = 0.3,
         heading_tolerance: float = math.radians(3.0),
+        floor_plan: str | Path | None = None,
+        resolution: float | None = None,
         overrides: Mapping[str, Plain] | None = None,
         render_mode: RenderMode | None = None,
     ) -> None:
@@ -111,7 +116,9 @@ class RelocateEnv(BaseEnv):
         for name, value in (costs | tolerances).items():
             if not 0.0 <= value < math.inf:
                 raise ValueError(f"{name}={value}: expected a finite number >= 0")
-        self.scenario = chosen_scenario(scenario, overrides)
+        self.scenario = scenario_on_floor(scenario, floor_plan, resolution, overrides)
+        # a floor has no other worlds: scans from outside it are from those of the scenario
+        self._elsewhere = None if floor_plan is None else chosen_scenario(scenario or "building")
         self.walk_spec = WalkSpec(candidates, order, node_limit, sizes, self.scenario.slam.map.confidence)
         self.locality, self.outside = locality, outside
         self.kidnappings_per_map = kidnappings_per_map
@@ -210,7 +217,9 @@ class RelocateEnv(BaseEnv):
 
     def _map(self, world: int) -> MappedWorld:
         """The map of a world: the one kept, or made anew; the last few asked for are kept."""
-        mapped = self._maps.pop(world, None) or map_world(self.scenario, self.split, world, self.associator)
+        mapped = self._maps.pop(world, None)
+        if mapped is None:
+            mapped = map_world(self.scenario, self.split, world, self.associator, self._elsewhere)
         self._maps[world] = mapped
         if len(self._maps) > _MAPS:
             del self._maps[next(iter(self._maps))]

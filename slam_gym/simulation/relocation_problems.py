@@ -62,8 +62,12 @@ class Kidnapped:
     features: IntArray  # (m,) landmark that each measurement is of; UNPAIRED for what is spurious or not in the map
 
 
-def map_world(scenario: Scenario, split: str, world: int, associator: str | Associator) -> MappedWorld:
+def map_world(
+    scenario: Scenario, split: str, world: int, associator: str | Associator, elsewhere: Scenario | None = None
+) -> MappedWorld:
     """Have a robot explore a world, to the nearest frontier or else to revisits, until the scenario's budget is spent.
+
+    What is outside is the next world of `elsewhere` (default: of the scenario itself).
 
     A function of its arguments alone. Raises ValueError for a world outside the split, and as `survey` does.
     """
@@ -82,7 +86,7 @@ def map_world(scenario: Scenario, split: str, world: int, associator: str | Asso
         episode.world.people.copy(),
         episode.world.furniture_segments.copy(),
         episode.sensor,
-        _elsewhere(scenario, split, world, site),
+        _elsewhere(elsewhere or scenario, split, world, site),
     )
 
 

@@ -3,10 +3,13 @@
 import json
 import re
 
+import numpy as np
 import pytest
 
 from agents.evaluate_association import main
 from slam_gym.association import nearest_neighbour
+from slam_gym.world.floor_plan_file import save_floor_plan
+from slam_gym.world.generators import OfficeGenerator
 from tests.agents.reports import PNG, Page
 
 
@@ -63,6 +66,9 @@ def test_the_command_of_the_suite(tmp_path, capsys):
         (["--suite", "--relocators", "gps"], r"gps.*gcbb"),
         (["--resume", "--out", "nowhere"], r"nowhere.*resume"),
         (["--suite", "--set", "budget=9"], r"--set.*--suite"),
+        (["--suite", "--floor-plan", "a.json"], r"--floor-plan is about drives"),
+        (["--floor-plan", "nowhere.json"], r"nowhere\.json"),
+        (["--resolution", "0.1"], r"resolution=0\.1 goes with a floor_plan"),
         (["--suite", "--recording", "mrclam"], r"give one of them"),
         (["--experiments", "closure"], r"--experiments belongs to --suite, which was not asked for"),
         (["--recording", "mrclam", "--worlds", "2"], r"--worlds belongs to --suite, not to --recording"),
@@ -75,3 +81,13 @@ def test_bad_input_is_told_in_one_line_that_names_it(tmp_path, monkeypatch, line
         main(line + ([] if "--out" in line else ["--out", "out"]))
     assert re.search(said, str(caught.value)) and "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_associators_are_compared_on_a_floor_plan(tmp_path, capsys):
+    plan = tmp_path / "two.json"
+    save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(1)), plan)
+    line = ["--floor-plan", str(plan), "--associators", "jcbb", "--relocation", "none", "--episodes", "1"]
+    assert main([*line, "--set", "budget=30", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert results["conditions"]["floor_plan"] == str(plan) and list(results["table"]) == ["building"]
+    assert "building on two.json, 1 episodes" in capsys.readouterr().out

@@ -10,10 +10,13 @@ import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import jcbb, nearest_neighbour, singles
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.envs.associate import AssociateEnv
+from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.association_runs import CORRIDOR
 from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.slam.slam import Slam
 from slam_gym.world.corridor import walk_round
+from slam_gym.world.floor_plan_file import save_floor_plan
+from slam_gym.world.generators import OfficeGenerator
 from tests.rollouts import differences, explore, short
 
 INFO = ["look", "hidden", "score", "map_error", "action_mask", "truth"]
@@ -314,3 +317,15 @@ def test_marginals_are_an_option_of_the_observation_and_worth_following():
         scores[name] = env.score
     assert scores["marginals"] == scores["again"] > scores["nearest"]
     env.close()
+
+
+def test_it_is_driven_on_a_floor_plan(tmp_path):
+    path, plan = tmp_path / "two.json", OfficeGenerator(rooms=2)(np.random.default_rng(1))
+    save_floor_plan(plan, path)
+    env = associate("office-small", floor_plan=path, overrides={"budget": 20})
+    *_, last = episode(env, at_random(0))
+    assert last[2] and env.scenario.sensor == get_scenario("office-small").sensor
+    np.testing.assert_array_equal(env.run.episode.site.plan.walls, plan.walls)
+    assert associate(None, floor_plan=path).scenario.sensor == get_scenario("building").sensor
+    with pytest.raises(ValueError, match="floor plans are for simulated scenarios, and 'corridor' is a log"):
+        associate("corridor", floor_plan=path)

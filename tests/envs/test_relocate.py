@@ -20,6 +20,7 @@ from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.relocation_problems import KNOWN, kidnap, map_world
 from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.types import UNPAIRED
+from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.rollouts import differences, explore, random_action, short
 
@@ -371,3 +372,18 @@ def test_pictures_of_every_state_differ_and_draw_no_chance(name, outside):
     assert all(not np.array_equal(a, b) for a, b in pairwise(pictures[:-1]))
     env.close()
     env.close()
+
+
+def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_scenario(tmp_path):
+    path, plan = tmp_path / "two.json", OfficeGenerator(rooms=2)(np.random.default_rng(1))
+    save_floor_plan(plan, path)
+    env = relocate("office-small", floor_plan=str(path), overrides={"budget": 60}, outside=0.5)
+    found = set()
+    for seed in range(8):
+        _, info = env.reset(seed=seed, options={"world": 0})
+        found.add(info["truth"]["inside"])
+        np.testing.assert_array_equal(env.mapped.site.plan.walls, plan.walls)
+    assert found == {True, False} and len(env.mapped.elsewhere.plan.rooms) > len(plan.rooms)
+    assert relocate(None, floor_plan=path).scenario.sensor == get_scenario("building").sensor
+    with pytest.raises(ValueError, match=r"resolution=0\.1 goes with a floor_plan"):
+        relocate(resolution=0.1)
