@@ -161,7 +161,7 @@ def _worth_searching(parts: list[_Part], margin: float) -> list[_Part]:
     """Those in which the first look finds a hypothesis that is not hopeless beside the best."""
     if len(parts) == 1:
         return parts
-    best = [part.log_weight + part.search(_FIRST_LOOK, margin).beam.score[0] for part in parts]
+    best = [part.log_weight + part.search(_FIRST_LOOK, margin).beam.score.max() for part in parts]
     return [part for part, score in zip(parts, best) if score > max(best) - margin]
 
 

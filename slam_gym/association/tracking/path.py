@@ -96,15 +96,17 @@ def distances_with(pairings: Pairings, path: Path, anchor: int, out: Array) -> N
 
 
 @compiled
-def support_of(pairings: Pairings, gate: float) -> IntArray:
-    """How many other measurements have a candidate within the gate, after an update with each candidate alone, (c,)."""
-    measured, path = pairings.measured, path_of(pairings, 2)
-    support, distances = np.zeros(len(measured), np.int64), np.empty(len(measured))
-    for anchor in range(pairings.given, len(measured)):
-        distances_with(pairings, path, anchor, distances)
-        last = -1
-        for c in range(len(measured)):
-            if distances[c] < gate and c != anchor and measured[c] != last:
-                last = measured[c]
-                support[anchor] += 1
+def support_of(pairings: Pairings, path: Path, anchor: int, gate: float) -> int:
+    """How many other measurements have a candidate within the gate, after an update with the anchor alone."""
+    p, slots, measured = pairings.given, pairings.slots, pairings.measured
+    e = follow(pairings, path, p, anchor)
+    if squared(e) == math.inf:
+        return 0
+    append(path, p, anchor, e)
+    support, last = 0, measured[anchor]
+    for c in range(p, len(slots)):
+        if measured[c] == last or measured[c] == measured[anchor] or slots[c] == slots[anchor]:
+            continue
+        if is_local(pairings.local, slots[anchor], slots[c]) and squared(follow(pairings, path, p + 1, c)) < gate:
+            support, last = support + 1, measured[c]
     return support

@@ -20,7 +20,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.tracking.beam import Beam, Prices, updated
 from slam_gym.association.tracking.beam import search as beam_search
-from slam_gym.association.tracking.path import support_of
+from slam_gym.association.tracking.path import path_of, support_of
 from slam_gym.association.tree import Pairings, Tree
 from slam_gym.types import UNPAIRED, Array, Effort, IntArray, Prediction
 
@@ -117,7 +117,7 @@ def views(kept: Kept, visibility: Array | None, together: float = 0.0) -> Views:
     rows = np.concatenate((rows, np.flatnonzero(possible)))
     covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
     moved = updated(tree.pairings._replace(covariance=covariance), beam, prediction.positions[rows])
-    first = _grouped(moved.positions, together, group)
+    first = _grouped(moved.positions, np.argsort(-beam.score, kind="stable"), together, group)
     seen = np.empty((len(first), len(rows)))
     for g, b in enumerate(first.tolist()):
         v = prediction.visibility(moved.positions[b], moved.covariances[b])
@@ -144,7 +144,7 @@ def log_densities(pairings: Pairings, beam: Beam, seen: Views, detections: Array
             total = none[g] + beam.pairings[b] * math.log(P)
             if groups > 0:
                 for q in range(beam.pairings[b]):
-                    j = pairings.slots[beam.paths.pairings[b, q]]
+                    j = pairings.slots[beam.made[b, q]]
                     total += math.log(max(seen.visibility[g, j], unseen)) - missed[g, j]
             out[b, d] = total
     return out
@@ -160,7 +160,7 @@ def _rows(pairings: Pairings, beam: Beam, rows: IntArray, measurements: int) -> 
     out = np.full((len(beam.score), measurements), UNPAIRED)
     for b in range(len(out)):
         for q in range(beam.pairings[b]):
-            c = beam.paths.pairings[b, q]
+            c = beam.made[b, q]
             out[b, pairings.measured[c]] = rows[pairings.slots[c]]
     return out
 
@@ -173,10 +173,10 @@ def _search(
 
     The measurements' pairings begin after those given, at `starts` (l + 1,). An empty `visibility` (u,) says nothing.
     """
-    gains = np.full(len(pairings.covariance) // 2, math.log(rates.detection))
-    for j in range(len(visibility)):
-        v = visibility[j]
-        gains[j] += math.log(max(v, rates.unseen)) - math.log1p(-rates.detection * v)
+    gains = np.full(len(pairings.slots), math.log(rates.detection))
+    for c in range(len(gains) if len(visibility) > 0 else 0):
+        v = visibility[pairings.slots[c]]
+        gains[c] += math.log(max(v, rates.unseen)) - math.log1p(-rates.detection * v)
     levels = _levels(pairings, starts, gate)
     prices = Prices(gains, math.log(rates.density), width, margin)
     found = beam_search(pairings, levels, prices)
@@ -187,28 +187,31 @@ def _search(
         unpaired[b] = len(starts) - 1 - made
         fit[b] -= (len(levels) - made) * prices.unpaired
         for q in range(pairings.given, beam.pairings[b]):
-            fit[b] -= gains[pairings.slots[beam.paths.pairings[b, q]]]
+            fit[b] -= gains[beam.made[b, q]]
     return beam, fit, unpaired, found.nodes, found.tests, found.cut
 
 
 @compiled
 def _levels(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
     """(l, 2) where the pairings of each measurement that has any begin and end, in the order of decision."""
-    support, some = support_of(pairings, gate), 0
-    most, levels = np.empty(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
+    path, some, others = path_of(pairings, 2), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
+    most, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
     for i in range(len(starts) - 1):
         first, last = pairings.given + starts[i], pairings.given + starts[i + 1]
+        for c in range(first, last):
+            if most[some] > -others:
+                most[some] = min(most[some], -support_of(pairings, path, c, gate))
         if first < last:
-            most[some], levels[some, 0], levels[some, 1] = -support[first:last].max(), first, last
+            levels[some, 0], levels[some, 1] = first, last
             some += 1
     return levels[np.argsort(most[:some], kind="mergesort")]
 
 
 @compiled
-def _grouped(positions: Array, together: float, group: IntArray) -> IntArray:
-    """Enter the group of each hypothesis by the features (b, k, 2) where it puts them; the first of each group."""
+def _grouped(positions: Array, order: IntArray, together: float, group: IntArray) -> IntArray:
+    """Enter the group of each hypothesis by the features (b, k, 2) where it puts them; the first in order of each."""
     first, count = np.empty(len(positions), np.int64), 0
-    for b in range(len(positions)):
+    for b in order:
         group[b] = -1
         for g in range(count):
             other, near = first[g], True

@@ -38,7 +38,6 @@ def test_distances_after_a_path_and_with_one_more_pairing_are_those_of_an_update
 def test_support_counts_who_still_has_a_candidate_after_one_pairing(seed):
     scan, prediction, tree, pairs = plant(seed)
     gate, distances, path = oracles.gate(2, 0.99), np.empty(len(pairs)), path_of(tree.pairings, 2)
-    support = support_of(tree.pairings, gate)
     for anchor, (i, j) in enumerate(pairs):
         distances_with(tree.pairings, path, anchor, distances)
         others = set()
@@ -51,4 +50,4 @@ def test_support_counts_who_still_has_a_candidate_after_one_pairing(seed):
                 expected = oracles.conditioned(scan, prediction, [(i, j)], (k, l))
                 assert distances[c] == pytest.approx(expected, rel=1e-8)
                 others |= {k} if expected < gate else set()
-        assert support[anchor] == len(others)
+        assert support_of(tree.pairings, path, anchor, gate) == len(others)
