@@ -22,3 +22,23 @@ def test_an_empty_cache_is_announced_once(tmp_path) -> None:
     said, announced = run(twice, NUMBA_CACHE_DIR=str(tmp_path))
     assert said == "True False\n"
     assert announced.count("compiling") == 1 and "once, then cached" in announced
+
+
+def test_without_compilation_an_episode_is_the_same_but_for_rounding():
+    """`NUMBA_DISABLE_JIT=1` is how to step through the inner loops in a debugger."""
+    script = (
+        "import gymnasium as gym, slam_gym\n"
+        "for name, options in (('Explore', {'action': 'twist'}), ('Relocate', {'overrides': {'budget': 1}})):\n"
+        "    env = gym.make(f'slam_gym/{name}-v0', scenario='office-small', disable_env_checker=True, **options)\n"
+        "    observation, info = env.reset(seed=0)\n"
+        "    observation, reward, *_ = env.step([1.0, 0.5] if name == 'Explore' else 0)\n"
+        "    print(name, *(f'{float(part.sum()):.4f}' for part in observation.values()), f'{reward:.5f}')\n"
+    )
+    plain, quick = (
+        subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", script], env=os.environ | {"NUMBA_DISABLE_JIT": switch},
+            capture_output=True, text=True, check=True,
+        ).stdout
+        for switch in ("1", "0")
+    )  # fmt: skip
+    assert plain == quick and plain.count("\n") == 2

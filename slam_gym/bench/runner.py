@@ -42,12 +42,18 @@ BENCHMARKS = {
     "relocate": Benchmark("speed.relocate", "kidnapped robots of Relocate-v0 found again: searches and policies"),
     "recordings": Benchmark("recordings.relocations", "relocation on Victoria Park and MR.CLAM: right, wrong, none"),
     "consistency": Benchmark("consistency.comparison", "EKF, first-estimate Jacobians, local maps on long loops"),
+    "innovations": Benchmark("consistency.innovations", "NEES, NIS and whiteness at every level of drift"),
+    "soak": Benchmark("soak.soak", "a million ticks with extreme settings: does anything break, does memory grow"),
     "sight": Benchmark("speed.sight", "line of sight on small and large floors; cost of physics and sensors"),
 }
 
 
 class UsageError(ValueError):
     """Options that do not go together, or lack something: the command says so and how it is used."""
+
+
+class FailedError(Exception):
+    """A benchmark that is a test has failed: the command says so and ends in 1."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -68,6 +74,9 @@ def main(argv: Sequence[str]) -> int:
             module.run(report, **options)
     except UsageError as error:
         parser.error(str(error))
+    except FailedError as error:
+        report.say(f"failed: {error}")
+        return 1
     return 0
 
 

@@ -1,20 +1,13 @@
 """What the map expects to measure, and what it tells of the heading, against the definitions."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from slam_gym.association.compatibility import joint_distance
-from slam_gym.association.tracking.true_association import true_association
 from slam_gym.geometry import observe_jacobians
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.scenarios import get_scenario, world_generator
-from slam_gym.scenarios.drift import DRIFT
-from slam_gym.simulation.episode import Episode, survey
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
-from slam_gym.world.sensor import OdometrySpec
 from tests.mapping.small_maps import FEJ, h, mapped, numerical
 from tests.oracles.map import make_scan
 
@@ -164,61 +157,3 @@ def test_gates_hold_what_they_claim_with_a_poor_heading() -> None:
         outside[name] = missed / runs
     assert np.all(outside["bent"] < 0.03)
     assert outside["linear"][0] > 0.03 and outside["linear"][1] > 0.10
-
-
-# --- in worlds --------------------------------------------------------------------------------------------------------
-
-
-def innovations(odometry: OdometrySpec, world: int, ticks: int) -> tuple[Array, Array]:
-    """NIS over its degrees of freedom, and the sums whose ratio is the lag-1 correlation: (2, 2), free and in contact.
-
-    A robot that goes where chance has it, into walls too, and knows which feature each measurement comes from.
-    """
-    scenario = replace(get_scenario("office-small"), odometry=odometry, budget=ticks)
-    site, rng = survey(scenario.generator(world_generator("train", world)), scenario), np.random.default_rng(world)
-    episode = Episode(scenario, site, "nearest_neighbour", np.random.default_rng([1, world]))
-    nis, lag, last = np.zeros((2, 2)), np.zeros((2, 2)), {}
-    turn = 0.0
-    while not episode.over:
-        turn = 0.9 * turn + 0.3 * rng.standard_normal()
-        prediction, scan, m = episode.begin_tick(0.8, float(np.clip(turn, -1.0, 1.0))), episode.scan, episode.slam.map
-        known = episode.identities.source_of(m.ids)
-        hypothesis = true_association(scan, prediction, sources=episode.truth.sources, identities=known)
-        measured = np.flatnonzero(hypothesis.features != UNPAIRED)
-        rows = np.searchsorted(prediction.features, hypothesis.features[measured])
-        now, touching = {}, int(episode.odometry.covariance[1, 1] > 0.004**2 + odometry.lateral**2 * 0.1)
-        if len(rows):
-            joint = joint_distance(scan, prediction, rows_of(len(scan), measured, rows)).squared
-            nis[:, touching] += joint, 2 * len(rows)
-        for i, row in zip(measured, rows):
-            root = np.linalg.cholesky(prediction.covariances[row] + scan.covariances[i])
-            now[int(m.ids[prediction.features[row]])] = np.linalg.solve(
-                root, scan.points[i] - prediction.positions[row]
-            )
-        for feature in now.keys() & last.keys():
-            lag[:, touching] += now[feature] @ last[feature], 2.0
-        last = now
-        episode.end_tick(hypothesis)
-    return nis, lag
-
-
-def rows_of(count: int, measured: Array, rows: Array) -> Array:
-    out = np.full(count, UNPAIRED)
-    out[measured] = rows
-    return out
-
-
-@pytest.mark.parametrize("level", [0, 1, 2, 3])
-def test_innovations_are_as_large_as_predicted_and_white(level: int) -> None:
-    """NIS per degree of freedom, free and in contact with walls, and the correlation with the innovation before.
-
-    In contact they are as large as predicted, but not white: who leans on a wall slips the same way tick after tick.
-    """
-    odometry = DRIFT[level] if level else OdometrySpec()
-    found = [innovations(odometry, world, 200) for world in range(3)]
-    (free, touching), dofs = sum(nis for nis, _ in found)
-    assert 0.94 < free / dofs[0] < 1.06
-    assert dofs[1] > 200 and 0.85 < touching / dofs[1] < 1.15
-    products, counts = sum(lag for _, lag in found)
-    assert abs(products[0] / counts[0]) < 0.08
-    assert level > 1 or products[1] / counts[1] > 0.1
