@@ -209,6 +209,7 @@ class Prediction:
     view: View | None = None
     view_moves: bool = True  # `view` holds for other positions, too; False where the predicted pose is poorly known
     experience: Experience | None = None  # of the associator, from its last hypothesis of this run that had any
+    sightings: IntArray | None = None  # (k,) number of scans that updated or started each feature; None: nobody counts
 
     def __len__(self) -> int:
         return len(self.features)
@@ -231,6 +232,8 @@ class Prediction:
         """Of the features in the rows `kept` (j,) alone."""
         local = None if self.local is None else _ChosenRows(self.local, kept)
         chosen = {name: getattr(self, name)[kept] for name in _BY_ROW}
+        if self.sightings is not None:
+            chosen["sightings"] = self.sightings[kept]
         return replace(self, **chosen, joint=_ChosenRows(self.joint, kept), local=local)
 
     def without_locality(self) -> Prediction:

@@ -263,6 +263,7 @@ class StochasticMap:
             self._joint_covariance(features),
             None if graph is None else graph.among_rows(features),
             view,
+            sightings=self._seen[features],
         )
 
     def landmarks(self) -> Landmarks:

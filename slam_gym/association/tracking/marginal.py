@@ -20,7 +20,7 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import joint_distance
-from slam_gym.association.tracking.marginals import Marginals, marginals
+from slam_gym.association.tracking.marginals import Learned, Marginals, marginals
 from slam_gym.association.tree import as_hypothesis
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Posterior, Prediction, Scan
 
@@ -35,6 +35,7 @@ def marginal(
     unseen: float = 0.05,
     width: int = 100,
     margin: float = 12.0,
+    learned: Learned | None = None,
 ) -> Hypothesis:
     """Every pairing whose marginal probability makes it worth the risk, and every feature that is new as surely.
 
@@ -49,12 +50,16 @@ def marginal(
         detection: P_D; None: weighed by what the run has shown.
         density: [1/m²] λ of what is not in the map; None: likewise.
         unseen, width, margin: as in `map_hypothesis`.
+        learned: log odds of pairings that the model does not know of (see `association.learned`).
 
     Raises ValueError as `map_hypothesis`, and for a cost that is less than 1 or not finite.
     """
     if not 1.0 <= cost < math.inf:
         raise ValueError(f"cost: {cost} is not a finite number of at least 1")
-    found = marginals(scan, prediction, detection=detection, density=density, unseen=unseen, width=width, margin=margin)
+    found = marginals(
+        scan, prediction, detection=detection, density=density, unseen=unseen, width=width, margin=margin,
+        learned=learned,
+    )  # fmt: skip
     threshold = cost / (cost + 1.0)
     rows, probabilities = _decided(found.pairings, found.unpaired, threshold)
     answer = as_hypothesis(prediction, rows, joint_distance(scan, prediction, rows).squared, found.effort)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,6 +58,10 @@ _FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
 _TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
 
 
+Learned = Callable[[Tree, Array | None], Array]
+"""From a tree and the visibility (k,) of the prediction's features, where it is known, to log odds of each pairing."""
+
+
 class Marginals(NamedTuple):
     """The probability of every pairing, over all hypotheses that a search kept."""
 
@@ -78,14 +83,18 @@ def marginals(
     unseen: float = 0.05,
     width: int = 100,
     margin: float = 12.0,
+    learned: Learned | None = None,
 ) -> Marginals:
-    """The probability of every pairing within the gate of `candidate_gate`. Arguments and errors: see `marginal`."""
+    """The probability of every pairing within the gate of `candidate_gate`. Arguments and errors: see `marginal`.
+
+    `learned` adds what the model does not know.
+    """
     check_search(0.5 if detection is None else detection, unseen, width, margin)
     if density is not None and not 0.0 < density < math.inf:
         raise ValueError(f"density: {density} per m² is not positive")
     known, area = prediction.experience or NOTHING_SEEN, scan_area(plain(scan.points))
     belief = _belief(detection, density, len(scan), known, area)
-    parts = [_Part.of(scan, heading, belief, unseen) for heading in headings(prediction)]
+    parts = [_Part.of(scan, heading, belief, unseen, learned) for heading in headings(prediction)]
     parts = _worth_searching(parts, margin)
     kept = [part.search(width, margin) for part in parts]
     fit = [part.log_weight + one.fit + belief.prices[one.unpaired] for part, one in zip(parts, kept)]
@@ -96,11 +105,11 @@ def marginals(
     hypotheses = _joined([all_rows(one) for one in kept])
     summed = _summed(hypotheses, _joined(fit), _joined(seen), belief.weights, len(prediction))
     scores, shares, by_value, pairings, unpaired = summed
-    learned = detection is None and parts[0].visibility is not None
+    weighed = detection is None and parts[0].visibility is not None
     experience = Experience(
         _MEMORY * (known.unpaired + float(unpaired.sum())),
         _MEMORY * (known.area + area),
-        _MEMORY * by_value if learned else known.detections,
+        _MEMORY * by_value if weighed else known.detections,
     )
     effort = functools.reduce(together, [one.effort for one in kept])
     return Marginals(hypotheses, shares, scores, pairings, unpaired, effort, experience)
@@ -141,9 +150,10 @@ class _Part(NamedTuple):
     visibility: Array | None
     rates: Rates
     gate: float
+    odds: Array  # (c,) learned, of each pairing; or none
 
     @classmethod
-    def of(cls, scan: Scan, heading: Heading, belief: _Belief, unseen: float) -> _Part:
+    def of(cls, scan: Scan, heading: Heading, belief: _Belief, unseen: float, learned: Learned | None) -> _Part:
         """The search is told one λ, by what has no candidate besides, and one P_D."""
         prediction = heading.prediction
         gate = candidate_gate(prediction.confidence)
@@ -151,10 +161,11 @@ class _Part(NamedTuple):
         strange = int((candidates.starts[1:] == candidates.starts[:-1]).sum())
         rates = Rates(belief.detection, unseen, belief.density(strange))
         tree, visibility = interpretation_tree(scan, prediction, candidates), checked_visibility(prediction)
-        return cls(heading.log_weight, tree, visibility, rates, chi2_gate(2, gate))
+        odds = _SURE[:0] if learned is None else learned(tree, visibility)
+        return cls(heading.log_weight, tree, visibility, rates, chi2_gate(2, gate), odds)
 
     def search(self, width: int, margin: float) -> Kept:
-        return search(self.tree, self.visibility, self.rates, self.gate, width, margin)
+        return search(self.tree, self.visibility, self.rates, self.gate, width, margin, self.odds)
 
 
 def _worth_searching(parts: list[_Part], margin: float) -> list[_Part]:

@@ -44,7 +44,7 @@ class Kept(NamedTuple):
 
     tree: Tree
     beam: Beam
-    fit: Array  # (b,) log N(ν_H; 0, S_H)
+    fit: Array  # (b,) log N(ν_H; 0, S_H), and the odds of its pairings
     unpaired: IntArray  # (b,) measurements that they pair with nothing
     effort: Effort
 
@@ -84,14 +84,24 @@ def checked_visibility(prediction: Prediction) -> Array | None:
     return v
 
 
-def search(tree: Tree, visibility: Array | None, rates: Rates, gate: float, width: int, margin: float) -> Kept:
+def search(
+    tree: Tree,
+    visibility: Array | None,
+    rates: Rates,
+    gate: float,
+    width: int,
+    margin: float,
+    odds: Array = _NOBODY,
+) -> Kept:
     """The hypotheses of greatest density, by what is in view from the predicted pose.
+
+    `odds` (c,) of each pairing are what the model does not know of; none: nothing.
 
     Measurements whose candidates find most support (the other measurements that still have a candidate once the pose is
     updated with that one pairing) are decided first; those without a candidate are `*` in all hypotheses.
     """
     seen = _NOBODY if visibility is None else visibility[tree.rows]
-    found = _search(tree.pairings, tree.candidates.starts, seen, rates, gate, width, margin)
+    found = _search(tree.pairings, tree.candidates.starts, seen, rates, gate, width, margin, odds)
     beam, fit, unpaired, nodes, tests, cut = found
     return Kept(tree, beam, fit, unpaired, Effort(nodes, tree.candidates.tests, tests, cut))
 
@@ -167,18 +177,27 @@ def _rows(pairings: Pairings, beam: Beam, rows: IntArray, measurements: int) -> 
 
 @compiled
 def _search(
-    pairings: Pairings, starts: IntArray, visibility: Array, rates: Rates, gate: float, width: int, margin: float
+    pairings: Pairings,
+    starts: IntArray,
+    visibility: Array,
+    rates: Rates,
+    gate: float,
+    width: int,
+    margin: float,
+    odds: Array,
 ) -> tuple[Beam, Array, IntArray, int, int, bool]:
     """`Kept` but for the tree, its effort as nodes, tests and whether the beam was full; a plain tuple.
 
-    The measurements' pairings begin after those given, at `starts` (l + 1,). An empty `visibility` (u,) says nothing.
+    The measurements' pairings begin after those given, at `starts` (l + 1,). An empty `visibility` (u,) says nothing,
+    nor do empty `odds` (c,).
     """
     gains = np.full(len(pairings.slots), math.log(rates.detection))
     for c in range(len(gains) if len(visibility) > 0 else 0):
         v = visibility[pairings.slots[c]]
         gains[c] += math.log(max(v, rates.unseen)) - math.log1p(-rates.detection * v)
     levels = _levels(pairings, starts, gate)
-    prices = Prices(gains, math.log(rates.density), width, margin)
+    offered = gains + odds if len(odds) > 0 else gains
+    prices = Prices(offered, math.log(rates.density), width, margin)
     found = beam_search(pairings, levels, prices)
     beam = found.beam
     fit, unpaired = beam.score.copy(), np.empty(len(beam.score), np.int64)

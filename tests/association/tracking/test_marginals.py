@@ -40,6 +40,26 @@ def test_marginals_are_sums_over_every_hypothesis(seed):
     assert near.pairings == pytest.approx(expected, abs=0.002)
 
 
+@pytest.mark.parametrize("seed", range(40))
+def test_learned_odds_are_added_to_every_hypothesis_that_makes_their_pairing(seed):
+    scan, prediction = small_problem(2000 + seed, locality=seed % 2 == 0)
+    odds = np.random.default_rng(seed).normal(0.0, 3.0, (len(scan), len(prediction)))
+    every, log_densities = densities.every_hypothesis(scan, prediction), []
+    for rows in every:
+        own = sum(odds[i, j] for i, j in enumerate(rows) if j != UNPAIRED)
+        log_densities.append(densities.log_density(scan, prediction, rows, RATES) + own)
+    expected = summed(len(scan), len(prediction), every, log_densities)
+
+    def learned(tree, visibility):
+        assert visibility is None or len(visibility) == len(prediction)
+        return odds[tree.pairings.measured, tree.rows[tree.pairings.slots]]
+
+    found = marginals(scan, prediction, **MODEL, **WIDE, learned=learned)
+    assert found.pairings == pytest.approx(expected, abs=1e-9)
+    near = marginals(scan, prediction, **MODEL, learned=learned)
+    assert near.pairings == pytest.approx(expected, abs=0.002)  # the search follows the odds as well
+
+
 @pytest.mark.parametrize("seed", range(60))
 def test_what_is_not_known_is_integrated_out(seed):
     """λ by its Γ distribution, P_D over its values, both as the run has shown them so far."""
