@@ -9,7 +9,7 @@ import math
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import float64
+from numba import config, float64
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -18,6 +18,7 @@ from slam_gym.types import Array
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+_NUMBA: Any = config
 _LANES = 8  # doubles in a cache line
 _CAPSULE = type(np.from_dlpack(np.zeros(1)).base)
 _SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this fraction of its trace
@@ -100,7 +101,12 @@ def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:
     return float64(float64, float64, float64), generate
 
 
-_fma: Any = intrinsic(_fused)
+def _rounded_twice(a: float, b: float, c: float) -> float:
+    """What stands in for it where nothing is compiled (NUMBA_DISABLE_JIT=1, for debugging)."""
+    return a * b + c
+
+
+_fma: Any = _rounded_twice if _NUMBA.DISABLE_JIT else intrinsic(_fused)
 
 
 @compiled
