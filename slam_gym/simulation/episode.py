@@ -151,9 +151,8 @@ class Episode:
 
     def _sense(self, motion: Motion) -> None:
         world, rng = self.world, self.rng
-        self.odometry = self.sensor.odometry(motion, rng)
-        self.scan, self.truth = self.sensor.scan(world.pose, rng, world.people, world.furniture_segments)
-        self.beams = self.sensor.beams(world.pose, rng, world.people, world.furniture_segments)
+        senses = self.sensor.sense(motion, world.pose, rng, world.people, world.furniture_segments)
+        self.odometry, self.scan, self.truth, self.beams = senses
 
     def _take_in(self, step: SlamStep) -> None:
         """What follows a SLAM step: explored space, and the judgement of it all."""

@@ -10,7 +10,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, Array, IntArray
-from slam_gym.world.ray_casting import Movers, cast, hides, movers_near, range_along, sees
+from slam_gym.world.ray_casting import Movers, hides, movers_near, range_along, sees
 from slam_gym.world.wall_grid import Grid, Packed
 
 _SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
@@ -41,16 +41,25 @@ PackedSettings = tuple[float, float, float, float, float, float, float, float, f
 
 @compiled
 def in_sight(
-    walls: Packed, pose: Array, positions: Array, pull_backs: Array, moving: Moving, packed: PackedSettings
-) -> tuple[Array, IntArray]:
-    """True range and bearing (k, 2) of the features in sight, then of the people (at their near side); sources (k,)."""
+    walls: Packed,
+    pose: Array,
+    positions: Array,
+    pull_backs: Array,
+    moving: Moving,
+    packed: PackedSettings,
+    polar: Array,
+    sources: IntArray,
+) -> int:
+    """How many features are in sight, and people (at their near side).
+
+    Their true ranges and bearings are entered in the first rows of `polar` (N + p, 2), in `sources` (N + p,) what they
+    are.
+    """
     grid, settings = Grid(*walls), Settings(*packed)
     x, y = pose[0], pose[1]
     people, movers = moving[0], movers_near(x, y, settings.range, Movers(*moving))
-    count = positions.shape[0] + people.shape[0]
-    polar, sources = np.empty((count, 2)), np.empty(count, np.int64)
     k = 0
-    for i in range(count):
+    for i in range(positions.shape[0] + people.shape[0]):
         person = i - positions.shape[0]
         if person < 0:
             dx, dy, surface = positions[i, 0] - x, positions[i, 1] - y, 0.0
@@ -61,65 +70,79 @@ def in_sight(
         if abs(dx) > settings.range + surface or abs(dy) > settings.range + surface:
             continue
         distance = math.hypot(dx, dy) - surface
+        if not settings.min_range <= distance <= settings.range:
+            continue
         bearing = wrap_angle(math.atan2(dy, dx) - pose[2])
-        if not settings.min_range <= distance <= settings.range or abs(bearing) > 0.5 * settings.field_of_view:
+        if abs(bearing) > 0.5 * settings.field_of_view:
             continue
         if hides(x, y, dx, dy, short, movers) or not sees(grid, x, y, dx, dy, short):
             continue
         polar[k, 0], polar[k, 1] = distance, bearing
         sources[k] = i if person < 0 else SPURIOUS
         k += 1
-    return polar[:k], sources[:k]
+    return k
+
+
+class Measured(NamedTuple):
+    """Room for a scan, one row for each measurement that there may be."""
+
+    points: Array  # (n, 2) [m] in R
+    covariances: Array  # (n, 2, 2) [m²]
+    sizes: Array  # (n,) [m]
+    size_variances: Array  # (n,) [m²]
+    sources: IntArray  # (n,)
+
+
+PackedMeasured = tuple[Array, Array, Array, Array, IntArray]
+"""`Measured` as a plain tuple."""
 
 
 @compiled
 def measure(
     walls: Packed,
     pose: Array,
-    polar: Array,
-    sources: IntArray,
+    seen: tuple[int, Array, IntArray],
     sizes: Array,
     moving: Moving,
-    noise: Array,
+    noise: tuple[Array, Array],
     packed: PackedSettings,
-) -> tuple[Array, Array, Array, Array, IntArray]:
-    """A scan of what is in sight: points, covariances, sizes, their variances, and sources.
+    out: PackedMeasured,
+) -> int:
+    """A scan of what is `seen`, the answer of `in_sight` and its arrays, entered in `out`: its length.
 
-    `sizes` are those of all features, from which those of spurious measurements are drawn. `noise` (2, k + clutter, 3)
-    are uniform and normal random numbers: a row for each thing in sight, then one for each piece of clutter.
+    `sizes` are those of all features, from which those of spurious measurements are drawn. `noise` are uniform and
+    normal random numbers, at least (3n,) each: three for each thing in sight, then three for each piece of clutter.
     """
     grid, settings, movers = Grid(*walls), Settings(*packed), Movers(*moving)
-    uniform, normal = noise[0], noise[1]
-    k, draws = len(sources), len(uniform)
+    (k, polar, sources), (uniform, normal) = seen, noise
+    draws = len(uniform) // 3
     measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
     n = 0
     for i in range(draws):
-        size = sizes[int(uniform[i, 2] * len(sizes))]
+        size = sizes[int(uniform[3 * i + 2] * len(sizes))]
         source = sources[i] if i < k else SPURIOUS
         if i < k:
-            if uniform[i, 0] >= (settings.detection if source >= 0 else settings.person_detection):
+            if uniform[3 * i] >= (settings.detection if source >= 0 else settings.person_detection):
                 continue
             sigma = math.hypot(settings.range_sigma, settings.range_sigma_ratio * polar[i, 0])
-            distance = max(polar[i, 0] + sigma * normal[i, 0], settings.min_range)
-            bearing = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[i, 1])
+            distance = max(polar[i, 0] + sigma * normal[3 * i], settings.min_range)
+            bearing = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[3 * i + 1])
             if source >= 0:
                 size = sizes[source]
         else:  # uniform over the thin sector from the nearest range to the first surface
-            bearing = settings.field_of_view * (uniform[i, 0] - 0.5)
+            bearing = settings.field_of_view * (uniform[3 * i] - 0.5)
             free = range_along(grid, pose[0], pose[1], pose[2] + bearing, settings.range, movers)
             low = settings.min_range**2
-            distance = math.sqrt(low + uniform[i, 1] * max(free * free - low, 0.0))
+            distance = math.sqrt(low + uniform[3 * i + 1] * max(free * free - low, 0.0))
         measured[0, n], measured[1, n] = distance, bearing
-        measured[2, n] = max(size + settings.size_sigma * normal[i, 2], 0.0)
+        measured[2, n] = max(size + settings.size_sigma * normal[3 * i + 2], 0.0)
         origins[n] = source
         n += 1
-    return _sweep(measured, origins, int(n), settings)  # int: not the literal 0 as well
+    return _sweep(measured, origins, int(n), settings, Measured(*out))  # int: not the literal 0 as well
 
 
 @compiled
-def _sweep(
-    measured: Array, origins: IntArray, count: int, settings: Settings
-) -> tuple[Array, Array, Array, Array, IntArray]:
+def _sweep(measured: Array, origins: IntArray, count: int, settings: Settings, out: Measured) -> int:
     """The nearest `max_features` of the first `count` measurements (3, …), by rising bearing, made Cartesian."""
     order = np.empty(count, np.int64)
     for i in range(count):
@@ -127,20 +150,18 @@ def _sweep(
     _sort(order, count, measured[0])
     m = min(count, settings.max_features)
     _sort(order, m, measured[1])
-    points, covariances = np.empty((m, 2)), np.empty((m, 2, 2))
-    sizes, size_variances, sources = np.empty(m), np.empty(m), np.empty(m, np.int64)
     for i in range(m):
         r, bearing = measured[0, order[i]], measured[1, order[i]]
         c, s = math.cos(bearing), math.sin(bearing)
         along = settings.range_sigma**2 + (settings.range_sigma_ratio * r) ** 2
         across = (settings.bearing_sigma * r) ** 2
-        points[i, 0], points[i, 1] = r * c, r * s
-        covariances[i, 0, 0] = c * c * along + s * s * across
-        covariances[i, 1, 1] = s * s * along + c * c * across
-        covariances[i, 0, 1] = covariances[i, 1, 0] = c * s * (along - across)
-        sizes[i], size_variances[i] = measured[2, order[i]], settings.size_sigma**2
-        sources[i] = origins[order[i]]
-    return points, covariances, sizes, size_variances, sources
+        out.points[i, 0], out.points[i, 1] = r * c, r * s
+        out.covariances[i, 0, 0] = c * c * along + s * s * across
+        out.covariances[i, 1, 1] = s * s * along + c * c * across
+        out.covariances[i, 0, 1] = out.covariances[i, 1, 0] = c * s * (along - across)
+        out.sizes[i], out.size_variances[i] = measured[2, order[i]], settings.size_sigma**2
+        out.sources[i] = origins[order[i]]
+    return m
 
 
 @compiled
@@ -154,12 +175,77 @@ def _sort(order: IntArray, count: int, keys: Array) -> None:
         order[j] = index
 
 
+class Finder(NamedTuple):
+    """A `BeamSpec` for compiled functions."""
+
+    reach: float  # [m]
+    sigma: float  # [m]
+
+
 @compiled
 def noisy_ranges(
-    walls: Packed, pose: Array, bearings: Array, reach: float, moving: Moving, sigma: float, noise: Array
-) -> Array:
-    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach]."""
-    ranges = cast(walls, pose, pose[2] + bearings, reach, moving)
-    for b in range(len(ranges)):
-        ranges[b] = min(max(ranges[b] + sigma * noise[b], 0.0), reach) if ranges[b] < reach else reach
-    return ranges
+    walls: Packed, pose: Array, bearings: Array, finder: tuple[float, float], moving: Moving, noise: Array, out: Array
+) -> None:
+    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach], entered in `out`."""
+    (reach, sigma), grid, x, y = finder, Grid(*walls), pose[0], pose[1]
+    movers = movers_near(x, y, reach, Movers(*moving))
+    for b in range(len(bearings)):
+        free = range_along(grid, x, y, pose[2] + bearings[b], reach, movers)
+        out[b] = min(max(free + sigma * noise[b], 0.0), reach) if free < reach else reach
+
+
+class Wheels(NamedTuple):
+    """An `OdometrySpec`, field by field, for compiled functions."""
+
+    forward: float
+    lateral: float
+    turn_per_radian: float
+    turn_per_metre: float
+    floor: float
+    slip_forward: float
+    slip_lateral: float
+    slip_turn: float
+    slip_floor: float
+
+
+PackedWheels = tuple[float, float, float, float, float, float, float, float, float]
+"""`Wheels` as a plain tuple."""
+
+
+@compiled
+def report(packed: PackedWheels, way: Array, contact: bool, noise: Array, out: Array) -> None:
+    """The wheels' report of one tick, with three normal random numbers: rows of `out` (4, 3), motion and covariance."""
+    spec, dx, dy, turn = Wheels(*packed), way[0], way[1], way[2]
+    distance = math.hypot(dx, dy)
+    forward = spec.floor**2 + spec.forward**2 * distance
+    lateral = spec.floor**2 + spec.lateral**2 * distance
+    heading = spec.floor**2 + spec.turn_per_radian**2 * abs(turn) + spec.turn_per_metre**2 * distance
+    out[0, 0] = dx + math.sqrt(forward) * noise[0]
+    out[0, 1] = dy + math.sqrt(lateral) * noise[1]
+    out[0, 2] = turn + math.sqrt(heading) * noise[2]
+    if contact:  # what may have slipped is in the way of the wheels already
+        forward += (spec.slip_forward * distance) ** 2 + spec.slip_floor**2
+        lateral += (spec.slip_lateral * distance) ** 2 + spec.slip_floor**2
+        heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2
+    out[1:] = 0.0
+    out[1, 0], out[2, 1], out[3, 2] = forward, lateral, heading
+
+
+@compiled
+def sensed(
+    walls: Packed,
+    pose: Array,
+    seen: tuple[int, Array, IntArray],
+    sizes: Array,
+    moving: Moving,
+    noise: tuple[Array, Array],
+    settings: PackedSettings,
+    bearings: Array,
+    finder: tuple[float, float],
+    measured: PackedMeasured,
+    ranges: Array,
+) -> int:
+    """`measure` and `noisy_ranges` in one call; the normal random numbers of the beams come after those of the scan."""
+    m = measure(walls, pose, seen, sizes, moving, noise, settings, measured)
+    noisy_ranges(walls, pose, bearings, finder, moving, noise[1][len(noise[0]) :], ranges)
+    return m

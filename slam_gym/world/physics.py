@@ -14,16 +14,18 @@ from typing import Any
 import numpy as np
 import pymunk
 
-from slam_gym.geometry import relative, wrap_angle
+from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
-from slam_gym.world import boxes
+from slam_gym.world import boxes, driving
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
+from slam_gym.world.wall_grid import wall_grid
 
-_GRAVITY = 9.81  # [m/s²]
 _OVERLAP = 1e-3  # [m] that touching bodies keep, so that contacts last
 _OVERLAP_LEFT = 0.5  # fraction of any more overlap that is left after a substep
 _LEVER = 0.38  # mean distance from the centre of a square of side 1 to its points
+_SETTLED = 3  # ticks after the last touch in which pymunk still remembers it
+_FAR_AWAY = (1e6, 1e6, 0.0, 0.0)  # [m] x, y, [m/s] velocities
 _ROBOT, _PERSON, _FURNITURE = 1, 2, 4  # collision types, and categories of the shape filter
 
 
@@ -105,12 +107,17 @@ class World:
         self._touch = _Touch()
         self._space = _empty_space(self._step, self._touch)
         self._add_walls(plan.walls)
+        self._walls = wall_grid(plan.walls)
         self.furniture = plan.furniture.copy()  # (f, 5) [m, m, m, m, rad] x y length width heading, W
         self.furniture_segments = boxes.outlines(self.furniture)  # (4f, 4) [m] W its sides
         self._pieces = [self._add_furniture(box) for box in self.furniture]
         self._body = self._add_robot(start)
         self.pose = np.array([start[0], start[1], wrap_angle(start[2])])  # (3,) [m, m, rad] W
-        self._rim = (0.0, 0.0)  # [m/s, rad/s] speeds of the robot that the turning of its wheels amounts to
+        self._figures = _figures(robot, self._step, dynamics.substeps, self._body.moment)
+        self._state = np.zeros(driving.ENTRIES)  # of the robot; its body is told when it may touch something
+        self._state[: driving.VX] = start
+        driving.entered(self._state, robot.radius)
+        self._body_knows, self._alone = True, _SETTLED  # … that; ticks since anything touched the robot
         keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
         self._people = People(
             plan,
@@ -132,60 +139,62 @@ class World:
         """Drive for one tick at these fractions of the full speeds, clipped to [−1, 1]. Raises ValueError for NaN."""
         if math.isnan(forward) or math.isnan(turn):
             raise ValueError(f"action ({forward}, {turn}) is not a number")
-        speed = self.robot.max_speed * min(max(forward, -1.0), 1.0)
-        turning = self.robot.max_turn * min(max(turn, -1.0), 1.0)
+        forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
+        motion = np.empty((3, 3))
+        motion[0] = self.pose
+        if not self._drive_freely(forward, turn, motion):
+            self._drive_among_others(forward, turn, motion)
+        self.pose = motion[0]
+        return Motion(motion[1], motion[2], self._touch.robot_in_tick)
+
+    def _drive_freely(self, forward: float, turn: float, motion: Array) -> bool:
+        """The tick of a robot that touches nothing and moves nothing; False, and nothing done, where it may."""
+        if self._alone < _SETTLED or self._walkers or self._touch.furniture:
+            return False
+        figures, furniture = self._figures, self.furniture
+        free = driving.drive_freely(self._walls, furniture, figures, forward, turn, self._state, motion)
+        self._touch.robot_in_tick, self._body_knows = False, self._body_knows and not free
+        return free
+
+    def _drive_among_others(self, forward: float, turn: float, motion: Array) -> None:
+        """The tick with whatever touches, by pymunk."""
         self._touch.robot_in_tick = self._touch.robot > 0
         self._people.walk(self.dynamics.tick, self.pose[:2], self.furniture, self._rng)
         for walker, (vx, vy) in zip(self._walkers, self._people.velocities.tolist()):
             walker.velocity = (vx, vy)
-        x = y = heading = 0.0
+        if not self._body_knows:
+            self._tell_body()
+        state, body, motion[2] = self._state, self._body, 0.0
         for _ in range(self.dynamics.substeps):
-            rim, turned = self._rim[0] * self._step, self._rim[1] * self._step
-            x += rim * math.cos(heading + 0.5 * turned)
-            y += rim * math.sin(heading + 0.5 * turned)
-            heading += turned
-            self._drive(speed, turning)
+            x, y, torque = driving.push(self._figures, forward, turn, state, motion[2])
+            body.force, body.torque = (x, y), torque
             self._space.step(self._step)
+            state[: driving.VX] = *body.position, body.angle
+            driving.entered(state, self.robot.radius)
+            state[driving.VX : driving.RIM] = *body.velocity, body.angular_velocity
         if self._touch.furniture:
             self._follow_furniture()
-        before = self.pose
-        position = self._body.position
-        self.pose = np.array([position.x, position.y, wrap_angle(self._body.angle)])
-        return Motion(relative(before, self.pose), np.array([x, y, heading]), self._touch.robot_in_tick)
+        self._alone = 0 if self._touch.robot_in_tick else self._alone + 1
+        driving.end_of_tick(state, motion)
+
+    def _tell_body(self) -> None:
+        """Put the body where the robot has driven to meanwhile."""
+        x, y, heading, vx, vy, turning, _, _, *entered = self._state[: driving.BOX].tolist()
+        body = self._body
+        for place in (_FAR_AWAY, entered):  # out of the box that the tree has of it, so that it is entered anew
+            body.position, body.velocity = tuple(place[:2]), tuple(place[2:])
+            self._space.reindex_shapes_for_body(body)
+        body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (vx, vy), turning
+        self._body_knows = True
 
     def place(self, pose: Array) -> None:
         """Carry the robot to `pose` (3,) W and put it down at rest. Raises ValueError where that is not finite."""
         if np.shape(pose) != (3,) or not np.isfinite(pose).all():
             raise ValueError(f"pose must be a finite pose (3,), not {pose}")
-        self._body.position, self._body.angle = (float(pose[0]), float(pose[1])), float(pose[2])
-        self._body.velocity, self._body.angular_velocity, self._rim = (0.0, 0.0), 0.0, (0.0, 0.0)
-        self._space.reindex_shapes_for_body(self._body)
+        self._state[: driving.ENTERED] = *pose.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0
+        driving.entered(self._state, self.robot.radius)
+        self._tell_body()
         self.pose = np.array([pose[0], pose[1], wrap_angle(pose[2])])
-
-    def _drive(self, speed: float, turning: float) -> None:
-        """Push the robot towards the wheels' next speeds, as hard as their traction allows.
-
-        The push takes effect at the end of the substep, so it is aimed along the chord of the arc that the robot will
-        drive in the next one. What it would make of the robot's motion, if nothing pushed back, is what the wheels do.
-        """
-        robot, body, step = self.robot, self._body, self._step
-        rim = _towards(self._rim[0], speed, robot.max_acceleration * step)
-        spin = _towards(self._rim[1], turning, robot.max_angular_acceleration * step)
-        now = body.angular_velocity
-        grip = robot.traction * _GRAVITY * step  # [m/s] by which the wheels change the speed at most in a substep
-        limit = grip * robot.mass * robot.radius / body.moment
-        spin = now + min(max(spin - now, -limit), limit)
-        aim = body.angle + now * step + 0.5 * spin * step
-        c, s = math.cos(aim), math.sin(aim)
-        velocity = body.velocity
-        dx, dy = rim * c - velocity.x, rim * s - velocity.y
-        needed = math.hypot(dx, dy)
-        if needed > grip:
-            dx, dy = dx * grip / needed, dy * grip / needed
-            rim = (velocity.x + dx) * c + (velocity.y + dy) * s
-        body.force = (robot.mass * dx / step, robot.mass * dy / step)
-        body.torque = body.moment * (spin - now) / step
-        self._rim = (rim, spin)
 
     def _follow_furniture(self) -> None:
         """Take over where the furniture is, until all of it sleeps. Arrays handed out earlier stay as they are."""
@@ -226,7 +235,7 @@ class World:
         self._add(body, pymunk.Poly.create_box(body, (length, width)), _FURNITURE, others)
         ground = self._space.static_body
         slide, twist = pymunk.PivotJoint(ground, body, (x, y)), pymunk.GearJoint(ground, body, heading, 1.0)
-        slide.max_force = self.dynamics.furniture_friction * mass * _GRAVITY
+        slide.max_force = self.dynamics.furniture_friction * mass * driving.GRAVITY
         twist.max_force = slide.max_force * _LEVER * math.sqrt(length * width)
         for joint in (slide, twist):
             joint.max_bias = 0.0  # hold against motion, do not pull back
@@ -240,6 +249,12 @@ class World:
         shape.filter = pymunk.ShapeFilter(categories=kind, mask=collides_with)
         self._space.add(body, shape)
         return body
+
+
+def _figures(robot: RobotSpec, step: float, substeps: int, moment: float) -> driving.PackedFigures:
+    limits = robot.max_speed, robot.max_turn, robot.max_acceleration, robot.max_angular_acceleration
+    real = (robot.radius, robot.mass, moment, *limits, robot.traction)
+    return (float(step), int(substeps), *map(float, real))  # type: ignore[return-value]
 
 
 def _empty_space(step: float, touch: _Touch) -> pymunk.Space:
@@ -265,8 +280,3 @@ def _robot_lets_go(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> 
 
 def _furniture_touched(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> None:
     touch.furniture = True
-
-
-def _towards(value: float, target: float, limit: float) -> float:
-    """`value`, moved towards `target` by no more than `limit`."""
-    return value + min(max(target - value, -limit), limit)

@@ -96,6 +96,8 @@ def _disc_hit(x: float, y: float, dx: float, dy: float, disc: Array) -> float:
 @compiled
 def _entry(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
     """t in [0, 1] at which the ray enters the grid's rectangle, 0 from within; inf where it never does."""
+    if 0.0 <= x - grid.xmin < grid.cell * grid.columns and 0.0 <= y - grid.ymin < grid.cell * grid.rows:
+        return 0.0
     enter, leave = 0.0, 1.0
     pad = PADDING * grid.cell
     for axis in range(2):
@@ -155,6 +157,17 @@ def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> floa
 
 
 @compiled
+def squared_distance(x: float, y: float, segment: Array) -> float:
+    """[m²] from a point to a segment (4,)."""
+    ax, ay = segment[0] - x, segment[1] - y
+    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
+    length = ex * ex + ey * ey
+    t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0) if length > 0.0 else 0.0
+    dx, dy = ax + t * ex, ay + t * ey
+    return float(dx * dx + dy * dy)
+
+
+@compiled
 def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
     """Those that come within `reach` [m] of (x, y)."""
     discs, segments = np.empty(movers.discs.shape), np.empty(movers.segments.shape)
@@ -164,11 +177,7 @@ def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
             discs[d] = disc
             d += 1
     for segment in movers.segments:
-        ax, ay = segment[0] - x, segment[1] - y
-        ex, ey = segment[2] - segment[0], segment[3] - segment[1]
-        length = ex * ex + ey * ey
-        t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0) if length > 0.0 else 0.0
-        if (ax + t * ex) ** 2 + (ay + t * ey) ** 2 <= reach * reach:
+        if squared_distance(x, y, segment) <= reach * reach:
             segments[s] = segment
             s += 1
     return Movers(discs[:d], segments[:s])

@@ -8,12 +8,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
-from slam_gym.world.detection import PackedSettings, in_sight, measure, noisy_ranges
+from slam_gym.world.detection import (
+    Moving,
+    PackedMeasured,
+    PackedSettings,
+    PackedWheels,
+    in_sight,
+    measure,
+    noisy_ranges,
+    report,
+    sensed,
+)
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
 
@@ -96,6 +106,15 @@ def _check(spec: object, positive: tuple[str, ...] = (), probabilities: tuple[st
             raise ValueError(f"{name} must be in (0, 2π] rad, not {value}")
 
 
+class Senses(NamedTuple):
+    """What a tick has to tell, and the truth behind the scan."""
+
+    odometry: Odometry
+    scan: Scan
+    truth: Truth
+    beams: Beams
+
+
 class Sensor:
     """All senses of a robot in one floor plan. Holds no state but the plan: all noise comes from the given generator.
 
@@ -116,13 +135,40 @@ class Sensor:
         self.odometry_spec = odometry or OdometrySpec()
         *reals, max_features, _ = astuple(self.spec)
         self._settings: PackedSettings = (*map(float, reals), int(max_features))  # type: ignore[assignment]
+        self._finder = (float(self.beam_spec.range), float(self.beam_spec.sigma))
+        self._wheels: PackedWheels = tuple(map(float, astuple(self.odometry_spec)))  # type: ignore[assignment]
         self._walls = index.packed
         self._features = plan.features
-        self._pull_back = pull_back(plan.features)
+        self._positions, self._pull_back = plan.features.positions, pull_back(plan.features)
+        self._polar, self._seen = np.empty((0, 2)), np.empty(0, np.int64)
         self._no_kinds = np.full(self.spec.max_features, UNKNOWN_KIND)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
         self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
+
+    def sense(
+        self,
+        motion: Motion,
+        pose: Array,
+        rng: np.random.Generator,
+        people: Array = NO_DISCS,
+        furniture: Array = NO_SEGMENTS,
+    ) -> Senses:
+        """All that a tick has to tell, as `odometry`, `scan` and `beams` one after the other would."""
+        odometry = self.odometry(motion, rng)
+        if self.spec.kinds:  # which are drawn in between
+            return Senses(odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture))
+        moving = (people, furniture)
+        seen = self._in_sight(pose, moving)
+        draws, count = 3 * (seen[0] + rng.poisson(self.spec.clutter)), self.beam_spec.count
+        noise = rng.random(draws), rng.standard_normal(draws + count)
+        out, ranges = _room(draws // 3), np.empty(count)
+        m = sensed(
+            self._walls, pose, seen, self._sizes, moving, noise, self._settings, self._bearings, self._finder, out,
+            ranges,
+        )  # fmt: skip
+        beams = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
+        return Senses(odometry, *_answer(pose, out, m, self._no_kinds[:m].copy()), beams)
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -132,17 +178,23 @@ class Sensor:
         Furniture and people hide features, and a person is now and then taken for one (at their near side). Neither
         order nor attributes tell which measurements are spurious: their sizes are those of features of the plan.
         """
-        walls, moving, settings = self._walls, (people, furniture), self._settings
-        polar, sources = in_sight(walls, pose, self._features.positions, self._pull_back, moving, settings)
-        clutter = int(rng.poisson(self.spec.clutter))
-        noise = np.empty((2, len(sources) + clutter, 3))
-        rng.random(out=noise[0])
-        rng.standard_normal(out=noise[1])
-        points, covariances, sizes, size_variances, sources = measure(
-            walls, pose, polar, sources, self._sizes, moving, noise, settings
+        moving = (people, furniture)
+        seen = self._in_sight(pose, moving)
+        draws = 3 * (seen[0] + rng.poisson(self.spec.clutter))
+        noise, out = (rng.random(draws), rng.standard_normal(draws)), _room(draws // 3)
+        m = measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
+        kinds = self._kinds(out[4][:m], rng) if self.spec.kinds else self._no_kinds[:m].copy()
+        return _answer(pose, out, m, kinds)
+
+    def _in_sight(self, pose: Array, moving: Moving) -> tuple[int, Array, IntArray]:
+        """What is in sight, as `measure` takes it. The arrays are used again at the next look."""
+        most = len(self._positions) + len(moving[0])
+        if len(self._seen) < most:
+            self._polar, self._seen = np.empty((most, 2)), np.empty(most, np.int64)
+        k = in_sight(
+            self._walls, pose, self._positions, self._pull_back, moving, self._settings, self._polar, self._seen
         )
-        kinds = self._kinds(sources, rng) if self.spec.kinds else self._no_kinds[: len(sources)].copy()
-        return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
+        return k, self._polar, self._seen
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
         """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""
@@ -155,26 +207,24 @@ class Sensor:
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> Beams:
         """One sweep of the range finder from `pose`: noisy ranges to what comes first, the full range for nothing."""
-        spec = self.beam_spec
-        noise = rng.standard_normal(spec.count)
-        ranges = noisy_ranges(self._walls, pose, self._bearings, spec.range, (people, furniture), spec.sigma, noise)
-        return Beams(self._bearings.copy(), ranges, spec.range)
+        noise, ranges = rng.standard_normal(self.beam_spec.count), np.empty(self.beam_spec.count)
+        noisy_ranges(self._walls, pose, self._bearings, self._finder, (people, furniture), noise, ranges)
+        return Beams(self._bearings.copy(), ranges, self.beam_spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
         """The wheels' report of one tick. Its covariance grows with the motion, and more so in contact."""
-        spec, (dx, dy, turn) = self.odometry_spec, motion.wheels.tolist()
-        distance = math.hypot(dx, dy)
-        forward = spec.floor**2 + spec.forward**2 * distance
-        lateral = spec.floor**2 + spec.lateral**2 * distance
-        heading = spec.floor**2 + spec.turn_per_radian**2 * abs(turn) + spec.turn_per_metre**2 * distance
-        noise = rng.standard_normal(3).tolist()
-        dx += math.sqrt(forward) * noise[0]
-        dy += math.sqrt(lateral) * noise[1]
-        turn += math.sqrt(heading) * noise[2]
-        if motion.contact:  # what may have slipped is in `motion.wheels` already
-            forward += (spec.slip_forward * distance) ** 2 + spec.slip_floor**2
-            lateral += (spec.slip_lateral * distance) ** 2 + spec.slip_floor**2
-            heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2
-        covariance = np.zeros((3, 3))
-        covariance[0, 0], covariance[1, 1], covariance[2, 2] = forward, lateral, heading
-        return Odometry(np.array([dx, dy, turn]), covariance)
+        out = np.empty((4, 3))
+        report(self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
+        return Odometry(out[0], out[1:])
+
+
+def _room(n: int) -> PackedMeasured:
+    """For a scan of up to n measurements."""
+    return np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
+
+
+def _answer(pose: Array, out: PackedMeasured, m: int, kinds: IntArray) -> tuple[Scan, Truth]:
+    """The scan whose m measurements stand in the first rows of `out`, and the truth behind it."""
+    points, covariances, sizes, size_variances, sources = out
+    scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
+    return scan, Truth(pose.copy(), sources[:m])

@@ -5,7 +5,9 @@ import pytest
 
 from slam_gym.geometry import relative
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND
+from slam_gym.world import boxes
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
+from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.physics import DynamicsSpec, Motion, RobotSpec, World
 from slam_gym.world.ray_casting import WallIndex
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, Sensor, SensorSpec
@@ -139,3 +141,19 @@ def test_a_detector_that_cannot_tell_kinds_hands_out_the_same_scans_without_them
     plain, told = (sensor_in(plan, SensorSpec(kinds=k)).scan(POSE, np.random.default_rng(3))[0] for k in (False, True))
     assert (plain.kinds == UNKNOWN_KIND).all()
     np.testing.assert_array_equal(plain.points, told.points)
+
+
+@pytest.mark.parametrize("kinds", [False, True])
+def test_all_senses_at_once_tell_what_they_tell_one_after_the_other(kinds: bool) -> None:
+    plan = OfficeGenerator()(np.random.default_rng(3))
+    sensor = Sensor(plan, WallIndex(plan.walls), SensorSpec(kinds=kinds, clutter=1.0))
+    furniture, people = boxes.outlines(plan.furniture), np.array([[3.0, 3.0, 0.25]])
+    one, other = np.random.default_rng(4), np.random.default_rng(4)
+    for k in range(40):
+        pose, motion = np.array([0.5 * k, 0.4 * k, 0.3 * k]), motion_of(0.1, 0.01 * k, 0.02, k % 3 == 0)
+        senses = sensor.sense(motion, pose, one, people, furniture)
+        odometry, (scan, truth) = sensor.odometry(motion, other), sensor.scan(pose, other, people, furniture)
+        beams = sensor.beams(pose, other, people, furniture)
+        for given, expected in zip(senses, (odometry, scan, truth, beams)):
+            for name in expected.__slots__:
+                np.testing.assert_array_equal(getattr(given, name), getattr(expected, name))
