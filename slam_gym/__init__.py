@@ -134,5 +134,7 @@ def __dir__() -> list[str]:
 
 for _environment in ("Explore", "Associate", "Relocate"):
     _gymnasium.register(
-        id=f"slam_gym/{_environment}-v0", entry_point=f"slam_gym.envs.{_environment.lower()}:{_environment}Env"
+        id=f"slam_gym/{_environment}-v0",
+        entry_point=f"slam_gym.envs.{_environment.lower()}:{_environment}Env",
+        vector_entry_point=f"slam_gym.envs.vector:{_environment}Worlds",
     )

@@ -5,6 +5,7 @@ The main process compiles what an episode needs first (world, senses, filter), t
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import subprocess
 import sys
@@ -37,13 +38,16 @@ COMPILED = (
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 
 
-def compile_on_two_cores() -> None:
-    """Announce a compilation that is due, and start the second process for it; nothing where the cache is filled."""
-    if announce_compilation(COMPILED) and multiprocessing.parent_process() is None:
-        try:
+def compile_on_two_cores() -> bool:
+    """Announce a compilation that is due, and start the second process for it; nothing where the cache is filled.
+
+    Returns whether one is due whose result will be kept.
+    """
+    due = announce_compilation(COMPILED)
+    if due and multiprocessing.parent_process() is None:
+        with contextlib.suppress(OSError):  # no second process to be had: this one compiles everything
             subprocess.Popen([sys.executable, "-m", __name__], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        except OSError:  # no second process to be had: this one compiles everything
-            return
+    return due
 
 
 def main() -> None:

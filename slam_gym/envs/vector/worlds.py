@@ -1,0 +1,119 @@
+"""Some of the worlds of a vector, stepped one after the other in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.vector import AutoresetMode
+
+from slam_gym.envs.base import BaseEnv, Observation
+from slam_gym.envs.vector.buffers import Buffers
+from slam_gym.envs.vector.infos import Infos, enter
+
+
+class WorldError(RuntimeError):
+    """An error in one of the worlds; its cause is what was raised there."""
+
+    def __init__(self, world: int, told: str) -> None:
+        super().__init__(world, told)
+        self.world, self.told = world, told
+
+    def __str__(self) -> str:
+        return f"world {self.world}: {self.told}"
+
+
+@dataclass(frozen=True)
+class Making:
+    """How the worlds are made, and what happens at the end of an episode."""
+
+    of: type[BaseEnv]
+    arguments: Mapping[str, Any]
+    autoreset: AutoresetMode
+    max_episode_steps: int | None
+
+    def __call__(self) -> gym.Env[Any, Any]:
+        env: gym.Env[Any, Any] = self.of(**self.arguments)
+        return env if self.max_episode_steps is None else gym.wrappers.TimeLimit(env, self.max_episode_steps)
+
+
+class Worlds:
+    """The worlds numbered `rows` of a vector; `buffers` are their rows."""
+
+    def __init__(self, making: Making, rows: range, buffers: Buffers) -> None:
+        self._rows, self._autoreset, self._buffers = rows, making.autoreset, buffers
+        self._envs = [making() for _ in rows]
+
+    def reset(self, seeds: Mapping[int, int | None], options: Mapping[int, dict[str, Any] | None]) -> Infos:
+        """Begin an episode in each of the worlds that have a seed here, even if it is None."""
+        infos: Infos = {}
+        for row, world in enumerate(self._rows):
+            if world in seeds:
+                try:
+                    observation, info = self._envs[row].reset(seed=seeds[world], options=options[world])
+                except Exception as error:
+                    raise _named(world, error) from error
+                self._hand_out(row, observation, 0.0, False, False)
+                enter(infos, info, row, len(self._rows))
+        return infos
+
+    def step(self) -> Infos:
+        """Carry out the actions in the buffers; where an episode was over, begin the next as the mode has it."""
+        infos: Infos = {}
+        for row, world in enumerate(self._rows):
+            try:
+                self._step(row, infos)
+            except Exception as error:
+                raise _named(world, error) from error
+        return infos
+
+    def call(self, name: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> list[Any]:
+        """What the method or attribute of each world gives."""
+        found = []
+        for world, env in zip(self._rows, self._envs):
+            try:
+                value = env.get_wrapper_attr(name)
+                found.append(value(*arguments, **named) if callable(value) else value)
+            except Exception as error:
+                raise _named(world, error) from error
+        return found
+
+    def call_each(self, name: str, arguments: Mapping[int, Any]) -> list[Any]:
+        """What the method of each world gives for an argument of its own."""
+        return [env.get_wrapper_attr(name)(arguments[world]) for world, env in zip(self._rows, self._envs)]
+
+    def set_attr(self, name: str, values: Mapping[int, Any]) -> None:
+        """Set an attribute of each world."""
+        for world, env in zip(self._rows, self._envs):
+            env.set_wrapper_attr(name, values[world])
+
+    def close(self) -> None:
+        """Close all of them."""
+        for env in self._envs:
+            env.close()
+
+    def _step(self, row: int, infos: Infos) -> None:
+        env, buffers, count = self._envs[row], self._buffers, len(self._rows)
+        over = buffers.terminated[row] or buffers.truncated[row]
+        if over and self._autoreset is AutoresetMode.NEXT_STEP:
+            observation, info = env.reset()
+            self._hand_out(row, observation, 0.0, False, False)
+        else:
+            observation, reward, terminated, truncated, info = env.step(buffers.actions[row])
+            if (terminated or truncated) and self._autoreset is AutoresetMode.SAME_STEP:
+                enter(infos, {"final_obs": observation, "final_info": info}, row, count)
+                observation, info = env.reset()
+            self._hand_out(row, observation, float(reward), terminated, truncated)
+        enter(infos, info, row, count)
+
+    def _hand_out(self, row: int, observation: Observation, reward: float, terminated: bool, truncated: bool) -> None:
+        buffers = self._buffers
+        for name, part in buffers.observations.items():
+            part[row] = observation[name]
+        buffers.rewards[row], buffers.terminated[row], buffers.truncated[row] = reward, terminated, truncated
+
+
+def _named(world: int, error: Exception) -> WorldError:
+    return WorldError(world, f"{type(error).__name__}: {error}")
