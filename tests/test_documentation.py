@@ -1,8 +1,12 @@
 """What the pages say is so: their Python runs, their commands parse, the files and names they mention are there."""
 
 import importlib
+import importlib.util
+import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +29,7 @@ PAGES = sorted(
 IN_THE_REPOSITORY = [path for path in PAGES if path.suffix == ".md" and ROOT / "docs" not in path.parents]
 LARGEST_PICTURE = 150_000  # [bytes]
 NEEDS_DATA = "# with SLAM_GYM_DATA"  # first line of blocks that read public logs
+NEEDS_PACKAGE = re.compile(r"# with ([a-z]\w+)\n")  # likewise of blocks that need what no extra installs
 ENVIRONMENT = re.compile(r"\w+=")
 INLINE_COMMAND = re.compile(r"(time )?(python -[mc]|pip|pytest|mkdocs) ")
 
@@ -88,6 +93,8 @@ def check_command(command: list[str], complete: bool = True) -> None:
     match command:
         case ["python", "-m", "slam_gym.bench", *arguments]:
             check_benchmark(arguments)
+        case ["python", "-m", "venv", _]:
+            pass
         case ["python", "-m", name, *arguments]:
             module = importlib.import_module(name)
             assert callable(module.main)
@@ -99,7 +106,7 @@ def check_command(command: list[str], complete: bool = True) -> None:
             assert (ROOT / file).is_file(), file
         case ["pip", "install", *arguments]:
             known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-            for extra in re.findall(r"\[([\w,]+)\]", " ".join(arguments)):
+            for extra in re.findall(r"(?:\.|slam_gym)\[([\w,]+)\]", " ".join(arguments)):
                 assert set(extra.split(",")) <= set(known), f"no extra {extra}"
         case ["pytest", *arguments]:
             assert all((ROOT / path).exists() for path in arguments if path.startswith("tests")), arguments
@@ -134,6 +141,30 @@ def with_python(page: Path) -> bool:
     return page.suffix == ".md" and any(block.language == "python" for block in blocks(text_of(page)))
 
 
+def needed(block: Block) -> str:
+    """The package that a block of Python says it needs; empty for none."""
+    found = NEEDS_PACKAGE.match(block.code) if block.language == "python" else None
+    return found[1] if found else ""
+
+
+ELSEWHERE = [
+    (page, block) for page in PAGES if page.suffix == ".md" for block in blocks(text_of(page)) if needed(block)
+]
+
+
+@pytest.mark.parametrize(("page", "block"), ELSEWHERE, ids=[needed(block) for _, block in ELSEWHERE])
+def test_python_of_other_packages_runs_where_they_are(page: Path, block: Block, tmp_path: Path) -> None:
+    """In a process of its own, since such packages leave threads and servers behind."""
+    package = needed(block)
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not installed: {of(page)} says how")
+    where = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    script = tmp_path / "block.py"
+    script.write_text(block.code, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, env=where, capture_output=True, text=True)
+    assert done.returncode == 0, f"{of(page)}, line {block.line}: {done.stderr[-3000:]}"
+
+
 @pytest.mark.usefixtures("scenarios_as_before")
 @pytest.mark.parametrize("page", [page for page in PAGES if with_python(page)], ids=of)
 def test_python_runs(
@@ -143,7 +174,7 @@ def test_python_runs(
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names: dict[str, object] = {"__name__": "__main__"}
-    code = [block for block in blocks(text_of(page)) if block.language == "python"]
+    code = [block for block in blocks(text_of(page)) if block.language == "python" and not needed(block)]
     logs = [block for block in code if block.code.startswith(NEEDS_DATA)]
     for block in code:
         if block in logs:

@@ -54,7 +54,9 @@ def test_hypotheses_that_move_features_little_apart_share_a_view(seed):
         for b in range(a):
             assert np.hypot(*(apart[a] - apart[b]).T).max() >= 0.3
     # within 30 cm the edge changes by no more than this
-    assert np.abs(shared.visibility[shared.group] - exact.visibility[exact.group]).max(initial=0.0) < 3.0 * 0.3 / 4.0 + 0.1
+    assert (
+        np.abs(shared.visibility[shared.group] - exact.visibility[exact.group]).max(initial=0.0) < 3.0 * 0.3 / 4.0 + 0.1
+    )
 
 
 def test_where_all_is_known_well_there_is_one_view_that_nobody_is_asked_for_again():

@@ -1,0 +1,101 @@
+"""Observations in the form that other libraries expect: one flat vector, the mask within, or the image alone.
+
+They wrap any of the three environments, and each other: `MaskInObservation(FlatObservation(env))` is the form of
+RLlib's and TorchRL's masked policies. Whatever they change, `action_masks()` is still found by sb3-contrib.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+MASK, REST = "action_mask", "observations"
+"""Where `MaskInObservation` puts the mask, and an observation that is no Dict."""
+
+
+class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """All parts of the observation in one float32 vector, in the order of the space.
+
+    Arguments:
+        env: an environment whose observation is a Dict of Boxes.
+        image: keep images as well, scaled to [0, 1]; they are most of the numbers, and left out otherwise.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], image: bool = False) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, image=image)
+        super().__init__(env)
+        parts = _parts(env, "FlatObservation")
+        self._parts = {name: box for name, box in parts.items() if image or not _is_image(box)}
+        if not self._parts:
+            raise ValueError(
+                f"FlatObservation: there is nothing but images in {', '.join(parts)}; image=True keeps them"
+            )
+        low, high = (
+            self._flat({name: getattr(box, of) for name, box in self._parts.items()}) for of in ("low", "high")
+        )
+        self.observation_space = spaces.Box(low, high, dtype=np.float32)
+
+    def observation(self, observation: Any) -> NDArray[np.float32]:
+        return self._flat(observation)
+
+    def _flat(self, observation: Any) -> NDArray[np.float32]:
+        scales = {name: np.float32(1.0 / 255.0 if _is_image(box) else 1.0) for name, box in self._parts.items()}
+        return np.concatenate(
+            [np.asarray(observation[name], np.float32).ravel() * scales[name] for name in self._parts]
+        )
+
+
+class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """The mask of legal actions is a part of the observation, `action_mask`, (n,) int8.
+
+    A Dict gets one part more; any other observation becomes the part `observations` beside it.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        if not isinstance(env.action_space, spaces.Discrete):
+            raise ValueError(f"MaskInObservation: masks are for discrete actions, not for {env.action_space}")
+        mask = spaces.Box(0, 1, (int(env.action_space.n),), np.int8)
+        space, self._is_dict = env.observation_space, isinstance(env.observation_space, spaces.Dict)
+        parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {REST: space}
+        self.observation_space = spaces.Dict(parts | {MASK: mask})
+
+    def observation(self, observation: Any) -> dict[str, Any]:
+        mask = self.get_wrapper_attr("action_masks")().astype(np.int8)
+        return (dict(observation) if self._is_dict else {REST: observation}) | {MASK: mask}
+
+
+class ImageOnly(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """The image and nothing else, (c, h, w) uint8: for convolutional networks. Of Explore, which has one.
+
+    It does not show the goals on offer, so that it goes with `action="twist"`, or with a mask.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        images = {name: box for name, box in _parts(env, "ImageOnly").items() if _is_image(box)}
+        if len(images) != 1:
+            raise ValueError(f"ImageOnly: expected one image in the observation, found {len(images)}")
+        ((self._name, self.observation_space),) = images.items()
+
+    def observation(self, observation: Any) -> NDArray[np.uint8]:
+        image: NDArray[np.uint8] = observation[self._name]
+        return image
+
+
+def _parts(env: gym.Env[Any, Any], wrapper: str) -> dict[str, spaces.Box]:
+    """The parts of an observation. Raises ValueError where it is no Dict of Boxes."""
+    space = env.observation_space
+    if not (isinstance(space, spaces.Dict) and all(isinstance(box, spaces.Box) for box in space.spaces.values())):
+        raise ValueError(f"{wrapper}: expected a Dict of Boxes, got {space}")
+    return dict(space.spaces)  # type: ignore[arg-type]
+
+
+def _is_image(box: spaces.Box) -> bool:
+    return box.dtype == np.uint8 and len(box.shape) == 3

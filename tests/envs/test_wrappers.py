@@ -1,0 +1,76 @@
+"""Wrappers: the same numbers in another form, masks where they belong, and the checkers of Gymnasium and SB3."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+from slam_gym.envs.wrappers import FlatObservation, ImageOnly, MaskInObservation
+from tests.rollouts import bare
+
+IDS = ("Explore-v0", "Associate-v0", "Relocate-v0")
+SMALL = {"scenario": "office-small", "overrides": {"budget": 12}}
+WRAPPED = {
+    "flat": FlatObservation,
+    "flat with image": lambda env: FlatObservation(env, image=True),
+    "masked": MaskInObservation,
+    "flat and masked": lambda env: MaskInObservation(FlatObservation(env)),
+    "masked, then flat": lambda env: FlatObservation(MaskInObservation(env)),
+}
+
+
+@pytest.mark.parametrize("how", WRAPPED)
+@pytest.mark.parametrize("name", IDS)
+def test_observations_are_those_of_the_environment_in_another_form(name, how):
+    plain, env = bare(name, **SMALL), WRAPPED[how](bare(name, **SMALL))
+    whole, info = plain.reset(seed=3)
+    seen, _ = env.reset(seed=3)
+    for _ in range(3):
+        assert env.observation_space.contains(seen)
+        names = [name for name in plain.observation_space.spaces if name != "image" or how == "flat with image"]
+        parts = [whole[name].ravel() / (255.0 if whole[name].dtype == np.uint8 else 1.0) for name in names]
+        if how.startswith("flat"):
+            vector = seen["observations"] if how == "flat and masked" else seen
+            np.testing.assert_allclose(vector, np.concatenate(parts), atol=1e-6)
+        if how in ("masked", "flat and masked"):
+            np.testing.assert_array_equal(seen["action_mask"], info["action_mask"])
+        action = int(info["action_mask"].argmax())
+        (whole, _, over, _, info), (seen, *_) = plain.step(action), env.step(action)
+        if over:
+            break
+
+
+@pytest.mark.filterwarnings("ignore:.*different from the unwrapped version")
+@pytest.mark.parametrize("how", ["flat", "flat and masked"])
+def test_checkers_are_content(how):
+    check_env(WRAPPED[how](bare("Explore-v0", **SMALL)), skip_render_check=True)
+    sb3_check_env(WRAPPED[how](bare("Explore-v0", **SMALL)))
+
+
+def test_the_image_alone_is_an_image_for_convolutions():
+    env = ImageOnly(bare("Explore-v0", action="twist", **SMALL))
+    image, _ = env.reset(seed=0)
+    assert image.shape == (3, 48, 48) and image.dtype == np.uint8 and env.observation_space.contains(image)
+    sb3_check_env(env)
+
+
+def test_masks_are_found_through_wrappers_and_made_from_specs_again():
+    env = MaskInObservation(FlatObservation(gym.make("slam_gym/Explore-v0", **SMALL), image=False))
+    env.reset(seed=0)
+    assert env.get_wrapper_attr("action_masks")().any()
+    again = gym.make(env.spec)
+    assert isinstance(again, MaskInObservation) and again.observation_space == env.observation_space
+
+
+@pytest.mark.parametrize(
+    ("wrap", "name", "options", "said"),
+    [
+        (ImageOnly, "Associate-v0", {}, "expected one image in the observation, found 0"),
+        (MaskInObservation, "Explore-v0", {"action": "twist"}, "masks are for discrete actions"),
+        (lambda env: FlatObservation(FlatObservation(env)), "Explore-v0", {}, "expected a Dict of Boxes"),
+    ],
+)
+def test_what_cannot_be_wrapped_is_refused_by_name(wrap, name, options, said):
+    with pytest.raises(ValueError, match=said):
+        wrap(bare(name, scenario="office-small", **options))
