@@ -7,7 +7,7 @@ import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import gymnasium as gym
 import numpy as np
@@ -65,6 +65,10 @@ def scenario_on_floor(
 class BaseEnv(gym.Env[Observation, Any], ABC):
     """An environment whose episodes follow from the generator's state at the reset, its options, and the actions.
 
+    Where a reset has no seed, the episode has the generator that lies one jump (2¹²⁷ numbers and more) beyond that of
+    the episode before: which episodes follow a seed does not depend on what is done in them. So the next world is known
+    while an episode runs, and another process may draw it (`upcoming_world`, `draw`, `take`).
+
     A subclass says how an episode begins (`_begin`) and what an action does (`_act`), what the agent sees and is told
     (`_observe`, `_info`), when the episode is over (`_over`) and what it looks like (`_picture`). It calls `_changed`
     whenever there is something new to see.
@@ -81,9 +85,11 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self.split, self.render_mode = split, render_mode
         self._arguments = {name: value for name, value in arguments.items() if name not in ("self", "__class__")}
         self._snapshot: Snapshot | None = None
+        self._episode_generator: np.random.Generator | None = None
         self._series: tuple[int, ...] = ()
         self._failed = False  # half-way through a step
         self._site: Site | None = None
+        self._drawn: dict[int, Any] = {}  # the world that was drawn elsewhere, by its number
         self._watchers: list[Callable[[Any], None]] = []
         self._replaying = False
         self._window: Any = None
@@ -100,6 +106,9 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         super().reset(seed=seed)
         if seed is not None:
             self._series = ()
+        elif self._np_random is not None and self._np_random is self._episode_generator:
+            self._np_random = self._next_generator()
+        self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
         self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), False, []
         compile_on_two_cores()
@@ -192,6 +201,26 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         parts = copy.deepcopy((self._arguments, self._snapshot, self._np_random, self._carried_over()), memo)
         return _copy(type(self), *parts)
 
+    # -- worlds drawn ahead ------------------------------------------------------------------------------------------
+
+    def upcoming_world(self) -> int | None:
+        """The world of the next episode, if the next reset has no arguments; None where that is nothing to draw."""
+        self._started(self._snapshot)
+        kept = self._np_random, self._series
+        self._np_random = self._next_generator()
+        try:
+            return self._draw_world({})
+        finally:
+            self._np_random, self._series = kept
+
+    def draw(self, world: int) -> bytes:
+        """What takes long in a reset into this world, for `take` of an environment with the same arguments."""
+        return pickle.dumps(self._draw(world), pickle.HIGHEST_PROTOCOL)
+
+    def take(self, world: int, drawn: bytes) -> None:
+        """Keep what `draw` gave for a world until the next reset, which is faster then and otherwise the same."""
+        self._drawn = {world: pickle.loads(drawn)}
+
     # -- what a subclass provides ------------------------------------------------------------------------------------
 
     @abstractmethod
@@ -211,6 +240,10 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     @property
     @abstractmethod
     def _over(self) -> bool: ...
+
+    @abstractmethod
+    def _draw(self, world: int) -> Any:
+        """What an episode in a world needs and no other depends on: a function of the world alone."""
 
     @abstractmethod
     def _picture(self) -> Any:
@@ -254,8 +287,17 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
             raise RuntimeError("no episode yet: call reset() first")
         return part
 
+    def _next_generator(self) -> np.random.Generator:
+        """The generator of the next episode: the one of this, as it was at the reset, a jump further."""
+        assert self._snapshot is not None
+        bits = type(self.np_random.bit_generator)()
+        bits.state = self._snapshot.generator
+        return np.random.Generator(cast(Any, bits).jumped())
+
     def _survey(self, scenario: Scenario, world: int) -> Site:
         """The floor of a world; one that is the same in every episode is surveyed once."""
+        if world in self._drawn:
+            return cast(Site, self._drawn.pop(world))
         plan = scenario.generator(world_generator(self.split, world))
         if self._site is None or self._site.plan is not plan:
             self._site = survey(plan, scenario)

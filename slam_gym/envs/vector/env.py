@@ -23,9 +23,10 @@ from slam_gym.envs.vector.checks import (
     shared_out,
     worker_count,
 )
+from slam_gym.envs.vector.drawing import Drawing
 from slam_gym.envs.vector.infos import Infos, joined
 from slam_gym.envs.vector.worker import WorkerWorlds
-from slam_gym.envs.vector.worlds import Making, Worlds
+from slam_gym.envs.vector.worlds import Making, Told, Worlds
 from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.types import Array, BoolArray
 
@@ -81,6 +82,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         count = worker_count(workers, num_envs)
         self._rows = shared_out(num_envs, max(count, 1))
         self._groups: Sequence[WorkerWorlds | _Here] = []
+        self._drawing: Drawing | None = None
         if count == 0:
             self._buffers = layout.buffers(bytearray(layout.size))
             self._groups = [_Here(Worlds(making, self._rows[0], self._buffers))]
@@ -105,9 +107,9 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         which = reset_mask(options.pop(RESET_MASK, None), self.num_envs)
         seeds, of_worlds = seeds_of(seed, self.num_envs), options_of(options, self.num_envs)
         chosen = np.flatnonzero(which).tolist()
-        infos = self._all("reset", {i: seeds[i] for i in chosen}, {i: of_worlds[i] for i in chosen})
+        told = self._parts("reset", {i: seeds[i] for i in chosen}, {i: of_worlds[i] for i in chosen})
+        infos = self._take_in(told)
         self._begun |= which
-        self._remember_masks(infos)
         return self._observations(), infos
 
     def step(self, actions: Any) -> Outcome:  # type: ignore[override]
@@ -123,13 +125,12 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         """Begin a step, and return while the workers carry it out. Raises as `step`."""
         self._check_running()
         self._buffers.actions[:] = self._checked(actions)
-        for group in self._groups:
-            group.request("step")
+        for group, rows in zip(self._groups, self._rows):
+            group.request("step", {} if self._drawing is None else self._drawing.ready(rows))
 
     def step_wait(self) -> Outcome:
         """What the step that was begun came to."""
-        infos = self._joined(self._answers())
-        self._remember_masks(infos)
+        infos = self._take_in(self._answers())
         _, rewards, terminated, truncated, _ = self._buffers
         return self._observations(), rewards.copy(), terminated.copy(), truncated.copy(), infos
 
@@ -139,8 +140,9 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
 
     def close_extras(self, **_: Any) -> None:
         """End the workers, and close the worlds."""
-        for group in getattr(self, "_groups", ()):
-            group.close()
+        for part in (*self._groups, self._drawing):
+            if part is not None:
+                part.close()
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -186,6 +188,8 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             self._buffers = layout.buffers(block.memory)
             self._groups = [WorkerWorlds(making, rows, layout, block.path) for rows in self._rows]
             self._answers()
+            if self._autoreset is not AutoresetMode.DISABLED:
+                self._drawing = Drawing(making, layout, block.path)
         finally:
             block.forget()
 
@@ -199,11 +203,18 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             group.request(name, *arguments)
         return self._answers()
 
-    def _all(self, name: str, *arguments: Any) -> Infos:
-        return self._joined(self._parts(name, *arguments))
-
-    def _joined(self, parts: list[Infos]) -> Infos:
-        return joined(parts, self._rows, self.num_envs)
+    def _take_in(self, parts: list[Told]) -> Infos:
+        """The infos of all worlds; their masks are kept, and the worlds that come next drawn ahead."""
+        if self._drawing is not None:
+            for part in parts:
+                self._drawing.ask(part.upcoming)
+        infos = joined([part.infos for part in parts], self._rows, self.num_envs)
+        if "action_mask" in infos:
+            masks, told = infos["action_mask"], infos["_action_mask"]
+            if self._masks is None:
+                self._masks = np.zeros_like(masks)
+            self._masks[told] = masks[told]
+        return infos
 
     def _answers(self) -> list[Any]:
         """Of all groups; every one is fetched before the first error is raised."""
@@ -220,15 +231,6 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
     def _observations(self) -> Observation:
         shared = self._buffers.observations
         return {name: part.copy() if self._copy else part for name, part in shared.items()}
-
-    def _remember_masks(self, infos: Infos) -> None:
-        masks = infos.get("action_mask")
-        if masks is None:
-            return
-        if self._masks is None:
-            self._masks = np.zeros_like(masks)
-        told = infos["_action_mask"]
-        self._masks[told] = masks[told]
 
     def _checked(self, actions: Any) -> NDArray[Any]:
         """The actions, in the form that the buffers have. Raises as `step`."""

@@ -32,12 +32,12 @@ class WorkerWorlds:
     """`Worlds` in another process. A request is sent at once, its answer fetched by `answer`: so several work at a
     time."""
 
-    def __init__(self, making: Making, rows: range, layout: Layout, block: Path) -> None:
+    def __init__(self, making: Making, rows: range, layout: Layout, block: Path, *, niceness: int = 0) -> None:
         self._rows = rows
         start = [sys.executable, "-c", _START.format(path=[str(Path(p).resolve()) for p in sys.path])]
         self._process = subprocess.Popen(start, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self._end = weakref.finalize(self, _end, self._process)
-        self._send(cloudpickle.dumps((making, rows, layout, block)))
+        self._send(cloudpickle.dumps((making, rows, layout, block, niceness)))
 
     def request(self, name: str, *arguments: Any) -> None:
         """Have a method of the worlds called."""
@@ -98,9 +98,11 @@ def main() -> None:
     _one_thread()
     worlds: Worlds | None = None
 
-    def make(making: Making, rows: range, layout: Layout, path: Path) -> None:
+    def make(making: Making, rows: range, layout: Layout, path: Path, niceness: int) -> None:
         nonlocal worlds
-        worlds = Worlds(making, rows, layout.buffers(opened(path, layout.size)).of(rows))
+        if hasattr(os, "nice"):
+            os.nice(niceness)
+        worlds = Worlds(making, rows, layout.buffers(opened(path, layout.size)).of(rows), ahead=True)
 
     with contextlib.suppress(EOFError, BrokenPipeError):
         _serve(requests, answers, lambda request: make(*request))

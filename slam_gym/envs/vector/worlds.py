@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
@@ -39,16 +39,26 @@ class Making:
         return env if self.max_episode_steps is None else gym.wrappers.TimeLimit(env, self.max_episode_steps)
 
 
-class Worlds:
-    """The worlds numbered `rows` of a vector; `buffers` are their rows."""
+class Told(NamedTuple):
+    """What a step or a reset of a group of worlds gives beside what it writes into the buffers."""
 
-    def __init__(self, making: Making, rows: range, buffers: Buffers) -> None:
+    infos: Infos
+    upcoming: dict[int, int]  # of the worlds of the vector that began an episode: the number of the next in the split
+
+
+class Worlds:
+    """The worlds numbered `rows` of a vector; `buffers` are their rows. `ahead`: tell which worlds come next."""
+
+    def __init__(self, making: Making, rows: range, buffers: Buffers, ahead: bool = False) -> None:
+        self._ahead = ahead and making.autoreset is not AutoresetMode.DISABLED
+        self._upcoming: dict[int, int] = {}
         self._rows, self._autoreset, self._buffers = rows, making.autoreset, buffers
         self._envs = [making() for _ in rows]
 
-    def reset(self, seeds: Mapping[int, int | None], options: Mapping[int, dict[str, Any] | None]) -> Infos:
+    def reset(self, seeds: Mapping[int, int | None], options: Mapping[int, dict[str, Any] | None]) -> Told:
         """Begin an episode in each of the worlds that have a seed here, even if it is None."""
         infos: Infos = {}
+        self._upcoming = {}
         for row, world in enumerate(self._rows):
             if world in seeds:
                 try:
@@ -56,18 +66,26 @@ class Worlds:
                 except Exception as error:
                     raise _named(world, error) from error
                 self._hand_out(row, observation, 0.0, False, False)
+                self._look_ahead(row)
                 enter(infos, info, row, len(self._rows))
-        return infos
+        return Told(infos, self._upcoming)
 
-    def step(self) -> Infos:
-        """Carry out the actions in the buffers; where an episode was over, begin the next as the mode has it."""
+    def step(self, drawn: Mapping[int, tuple[int, bytes]]) -> Told:
+        """Carry out the actions in the buffers; where an episode was over, begin the next as the mode has it.
+
+        `drawn` are worlds that were drawn ahead, with their numbers in the split, for the worlds of the vector that
+        will need them.
+        """
         infos: Infos = {}
+        self._upcoming = {}
         for row, world in enumerate(self._rows):
             try:
+                if world in drawn:
+                    self._single(row).take(*drawn[world])
                 self._step(row, infos)
             except Exception as error:
                 raise _named(world, error) from error
-        return infos
+        return Told(infos, self._upcoming)
 
     def call(self, name: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> list[Any]:
         """What the method or attribute of each world gives."""
@@ -98,15 +116,30 @@ class Worlds:
         env, buffers, count = self._envs[row], self._buffers, len(self._rows)
         over = buffers.terminated[row] or buffers.truncated[row]
         if over and self._autoreset is AutoresetMode.NEXT_STEP:
-            observation, info = env.reset()
+            observation, info = self._next_episode(row)
             self._hand_out(row, observation, 0.0, False, False)
         else:
             observation, reward, terminated, truncated, info = env.step(buffers.actions[row])
             if (terminated or truncated) and self._autoreset is AutoresetMode.SAME_STEP:
                 enter(infos, {"final_obs": observation, "final_info": info}, row, count)
-                observation, info = env.reset()
+                observation, info = self._next_episode(row)
             self._hand_out(row, observation, float(reward), terminated, truncated)
         enter(infos, info, row, count)
+
+    def _next_episode(self, row: int) -> tuple[Observation, dict[str, Any]]:
+        start = self._envs[row].reset()
+        self._look_ahead(row)
+        return start
+
+    def _look_ahead(self, row: int) -> None:
+        """Tell which world comes next, so that it can be drawn ahead."""
+        if self._ahead and (world := self._single(row).upcoming_world()) is not None:
+            self._upcoming[self._rows[row]] = world
+
+    def _single(self, row: int) -> BaseEnv:
+        env = self._envs[row].unwrapped
+        assert isinstance(env, BaseEnv)
+        return env
 
     def _hand_out(self, row: int, observation: Observation, reward: float, terminated: bool, truncated: bool) -> None:
         buffers = self._buffers

@@ -21,9 +21,9 @@ def group(rows, count):
 
 def test_a_group_writes_into_its_own_rows() -> None:
     worlds, buffers = group(range(1, 3), 4)
-    infos = worlds.reset({1: 5, 2: None}, {1: {}, 2: {"world": 3}})
+    infos, _ = worlds.reset({1: 5, 2: None}, {1: {}, 2: {"world": 3}})
     buffers.actions[:] = 0.5
-    worlds.step()
+    worlds.step({})
     assert infos["_pose"].tolist() == [True, True]
     for part in buffers.observations.values():
         assert part[1:3].any() and not part[0].any() and not part[3].any()
