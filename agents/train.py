@@ -34,6 +34,7 @@ def add_training_options(p: argparse.ArgumentParser, default: Length, out: str) 
     p.add_argument("--hyperparameters", type=Path, default=HYPERPARAMETERS, metavar="FILE",
                    help="TOML (default: agents/learning/)")  # fmt: skip
     p.add_argument("--envs", type=int, help="parallel environments (default: from the hyperparameters)")
+    p.add_argument("--workers", type=int, help="processes that step them (default: as many as there are cores)")
     p.add_argument("--eval-every", type=int, default=default.eval_every, metavar="N",
                    help="decisions (default: %(default)s)")  # fmt: skip
     p.add_argument("--eval-episodes", type=int, default=default.eval_episodes, metavar="N",
@@ -51,7 +52,9 @@ def train_as_asked(
         hyper = replace(hyper, envs=a.envs)
     if not a.resume and (a.out / "checkpoint.pt").exists():
         raise ValueError(f"{a.out} holds a training already: give --resume to go on with it, or another --out")
-    plan = TrainingPlan(decision, arguments, hyper, a.seed, a.timesteps, a.eval_every, a.eval_episodes, command)
+    plan = TrainingPlan(
+        decision, arguments, hyper, a.seed, a.timesteps, a.eval_every, a.eval_episodes, command, a.workers
+    )
     return train(a.out, plan, a.resume)
 
 

@@ -50,17 +50,19 @@ class ModelSpec:
         return cls(action, shapes, actions, asdict(hyper), training)
 
 
-def save_model(path: Path, spec: ModelSpec, policy: Any) -> None:
-    """Write the file in one piece: an interrupted save leaves the previous file."""
-    content = {"format": FORMAT, "spec": json.dumps(asdict(spec)), "policy": policy.state_dict()}
+def save_model(path: Path, spec: ModelSpec, policy: Any, state: bytes = b"") -> None:
+    """Write the file in one piece: an interrupted save leaves the previous file. `state`: of the training, if any."""
+    content: dict[str, Any] = {"format": FORMAT, "spec": json.dumps(asdict(spec)), "policy": policy.state_dict()}
     content["optimizer"] = policy.optimizer.state_dict()
+    if state:
+        content["state"] = torch.frombuffer(bytearray(state), dtype=torch.uint8)
     partial = path.with_name(path.name + ".partial")
     torch.save(content, partial)
     os.replace(partial, path)
 
 
 def read_model(path: Path) -> tuple[ModelSpec, dict[str, Any]]:
-    """Spec and contents (`policy`, `optimizer`) of a model file, read without running code from it.
+    """Spec and contents of a model file (`policy`, `optimizer`; `state`, of a checkpoint), read without running code.
 
     ValueError names the file where it is missing, damaged, or not a model of this package.
     """

@@ -7,30 +7,25 @@ goes on), progress.csv, and TensorBoard logs.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import signal
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
-from threadpoolctl import threadpool_limits
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associate_episode, run_episode
 from agents.evaluation.records import Record, plain, versions
+from agents.learning.many_worlds import WorldsForLearning
 from agents.learning.model_file import ModelSpec, read_model, save_model
 from agents.learning.policies import BestBranch, PolicyAgent
 from agents.learning.ppo import Decision, Hyperparameters, make_algorithm
+from agents.learning.training_state import restore_state, state_of
 from slam_gym.metrics.statistics import interquartile_mean
 
 HELD_OUT = 5_000
@@ -43,13 +38,17 @@ EPISODE_END: dict[str, tuple[str, ...]] = {
 }
 """What is logged of an episode, from its last `info`, by what the policy decides."""
 
-MAY_CHANGE = frozenset({"command", "versions", "best", "resolution"})
+MAY_CHANGE = frozenset({"command", "versions", "best", "next_evaluation", "resolution"})
 """What a resumed training may do otherwise than before."""
 
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """What is trained, on what, and for how long."""
+    """What is trained, on what, and for how long.
+
+    A resumed training goes on as one that was not interrupted, worlds and random states included, on one machine with
+    the same versions; another number of environments is allowed, and goes on to new worlds.
+    """
 
     decision: Decision
     arguments: ExploreArguments | AssociateArguments
@@ -59,6 +58,7 @@ class TrainingPlan:
     eval_every: int = 10_000  # decisions
     eval_episodes: int = 20
     command: str = ""  # as it was typed
+    workers: int | None = None  # processes that step the worlds; None: as many as there are cores
 
 
 def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
@@ -70,17 +70,18 @@ def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
     probe.reset(seed=plan.seed)
     spec = ModelSpec.of(probe, plan.decision, plan.hyperparameters, training)
     probe.close()
-    with _vectorised(plan) as envs, _progress_bar() as progress:
+    with _many_worlds(plan) as envs, _progress_bar() as progress:
         model = make_algorithm(plan.decision, envs, plan.hyperparameters, plan.seed)
         before = _resume(model, out / "checkpoint.pt", spec) if resumed else {}
         spec.training["best"] = before.get("best", float("inf"))
-        model.set_random_seed(plan.seed + model.num_timesteps)  # a resumed run goes on to new worlds
+        spec.training["next_evaluation"] = before.get("next_evaluation", model.num_timesteps + plan.eval_every)
         model.set_logger(_open_logs(out, model.num_timesteps))
         watch = Watch(out, plan, spec, progress)
         watch.init_callback(model)
         try:
             if model.num_timesteps < plan.timesteps:
                 model.learn(plan.timesteps - model.num_timesteps, callback=watch, reset_num_timesteps=False)
+                watch.keep()
             if watch.evaluated != model.num_timesteps:
                 watch.evaluate()
             model.logger.dump(model.num_timesteps)
@@ -88,7 +89,6 @@ def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
             progress.console.print(f"interrupted; go on with the same command and --resume --out {out}")
             raise
         finally:
-            watch.save("checkpoint.pt")
             watch.save("model.pt")
             watch.close()
     return out / "model.pt"
@@ -102,23 +102,24 @@ class Watch(BaseCallback):
         self._out, self._plan, self._spec = out, plan, spec
         self._env = replace(plan.arguments, split="test").make(plan.decision)
         self._progress, self._bar = progress, progress.add_task("training", total=None)
-        self._best, self._next = float(spec.training["best"]), 0
+        self._best, self._next = float(spec.training["best"]), int(spec.training["next_evaluation"])
         self.evaluated = -1  # decisions so far at the last evaluation
 
     def _on_training_start(self) -> None:
         self._progress.update(self._bar, total=self.model._total_timesteps)
-        self._next = self.model.num_timesteps + self._plan.eval_every
 
     def _on_step(self) -> bool:
         self._progress.update(self._bar, completed=self.num_timesteps)
         return True
+
+    def _on_rollout_start(self) -> None:
+        self.keep()  # what the last rollout taught is in the weights: a training that is killed loses no more than one
 
     def _on_rollout_end(self) -> None:
         episodes = list(self.model.ep_info_buffer or [])
         for key in EPISODE_END[self._plan.decision]:
             if episodes:
                 self.logger.record(f"rollout/{key}", float(np.mean([episode[key] for episode in episodes])))
-        self.save("checkpoint.pt")  # of every rollout: a training that is killed loses no more
         if self.num_timesteps >= self._next:
             self._next += self._plan.eval_every
             self.evaluate()
@@ -139,7 +140,6 @@ class Watch(BaseCallback):
         if loss < self._best:
             self._best = loss
             self.save("best.pt")
-        self.save("checkpoint.pt")
 
     def held_out(self) -> list[Record]:
         """Figures of an episode on each of the held-out worlds."""
@@ -149,44 +149,34 @@ class Watch(BaseCallback):
         agent = PolicyAgent(policy, self._plan.decision, deterministic=self._plan.hyperparameters.deterministic)
         return [run_episode(self._env, agent, k) for k in worlds]
 
-    def save(self, name: str) -> None:
+    def keep(self) -> None:
+        """Between two rollouts: the file from which the training goes on."""
+        self.save("checkpoint.pt", state_of(self.model))
+
+    def save(self, name: str, state: bytes = b"") -> None:
         """The present weights, as a model file."""
-        training = self._spec.training | {"timesteps": self.model.num_timesteps, "best": self._best}
-        save_model(self._out / name, replace(self._spec, training=training), self.model.policy)
+        counted = {"timesteps": self.model.num_timesteps, "best": self._best, "next_evaluation": self._next}
+        spec = replace(self._spec, training=self._spec.training | counted)
+        save_model(self._out / name, spec, self.model.policy, state)
 
     def close(self) -> None:
         self._env.close()
 
 
 @contextlib.contextmanager
-def _vectorised(plan: TrainingPlan) -> Iterator[VecEnv]:
-    """The training environments, each in a process of its own; ended however the training ends."""
-    makers = [partial(_training_env, plan)] * plan.hyperparameters.envs
-    envs = SubprocVecEnv(makers) if len(makers) > 1 else DummyVecEnv(makers)
+def _many_worlds(plan: TrainingPlan) -> Iterator[WorldsForLearning]:
+    """The training environments: true returns are logged, scaled ones are learned from. Ended however it ends."""
+    hyper = plan.hyperparameters
+    worlds = plan.arguments.make_many(plan.decision, hyper.envs, plan.workers)
     try:
-        yield envs
-    except BaseException:
-        for process in getattr(envs, "processes", []):
-            process.terminate()  # close() could wait for ever for the answer to a step that was interrupted
-        raise
-    envs.close()
-
-
-def _training_env(plan: TrainingPlan) -> gym.Env[Any, Any]:
-    """One training environment: true returns are logged, scaled ones are learned from."""
-    if multiprocessing.parent_process() is not None:
-        threadpool_limits(1)  # BLAS threads on top of the processes would only get in the way
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the trainer, which ends its environments
-    monitored = Monitor(plan.arguments.make(plan.decision), info_keywords=EPISODE_END[plan.decision])
-    return gym.wrappers.TransformReward(monitored, partial(_scaled, plan.hyperparameters.reward_scale))
-
-
-def _scaled(factor: float, reward: float) -> float:
-    return factor * float(reward)
+        yield WorldsForLearning(worlds, hyper.reward_scale, EPISODE_END[plan.decision])
+    finally:
+        worlds.close()
 
 
 def _resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, Any]:
-    """Load weights, optimiser and step count of a checkpoint. ValueError where it was trained on something else."""
+    """Load weights, optimiser, step count and state of a checkpoint. ValueError where it was trained on something
+    else."""
     spec, content = read_model(path)
     for name in sorted(expected.training.keys() - MAY_CHANGE):
         was, now = spec.training.get(name), plain(expected.training[name])
@@ -198,6 +188,13 @@ def _resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, 
     model.policy.load_state_dict(content["policy"])
     model.policy.optimizer.load_state_dict(content["optimizer"])
     model.num_timesteps = int(spec.training["timesteps"])
+    if "state" in content and spec.hyperparameters["envs"] == expected.hyperparameters["envs"]:
+        try:
+            restore_state(model, bytes(content["state"].numpy()))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+    else:
+        model.set_random_seed(int(expected.training["seed"]) + model.num_timesteps)  # on to new worlds
     return spec.training
 
 

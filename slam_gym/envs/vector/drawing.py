@@ -45,5 +45,5 @@ class Drawing:
         with contextlib.suppress(RuntimeError, ValueError):  # the process has ended: then nothing is drawn ahead
             while (asked := self._asked.get()) is not None:
                 world, number = asked
-                self._worker.request("call", "draw", (number,), {})
+                self._worker.request("call", "draw", (number,), {}, range(1))
                 self._ready[world] = number, self._worker.answer()[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from slam_gym.envs.base import BaseEnv, Observation
+from slam_gym.envs.base import BaseEnv, Observation, Snapshot
 from slam_gym.envs.vector.buffers import Layout, SharedBlock
 from slam_gym.envs.vector.checks import (
     checked_actions,
@@ -158,7 +158,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
 
     def call(self, name: str, *arguments: Any, **named: Any) -> tuple[Any, ...]:
         """What the method or attribute `name` of each world gives."""
-        return tuple(value for part in self._parts("call", name, arguments, named) for value in part)
+        return self.call_in(range(self.num_envs), name, *arguments, **named)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """The attribute of each world."""
@@ -178,6 +178,17 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         if self._masks is None:
             raise RuntimeError("no episode yet: call reset() first")
         return self._masks.copy()
+
+    def call_in(self, worlds: Collection[int], name: str, *arguments: Any, **named: Any) -> tuple[Any, ...]:
+        """`call` in some worlds only; what they give, in the order of their numbers."""
+        return tuple(value for part in self._parts("call", name, arguments, named, worlds) for value in part)
+
+    def restore(self, snapshots: Sequence[Snapshot]) -> tuple[Observation, Infos]:
+        """Go on in each world from its snapshot, as `call("snapshot")` gave them; returns what the worlds last gave."""
+        given = dict(enumerate(one_each("snapshots", snapshots, self.num_envs)))
+        infos = self._take_in(self._parts("restore", given))
+        self._begun[:] = True
+        return self._observations(), infos
 
     # -- parts -------------------------------------------------------------------------------------------------------
 

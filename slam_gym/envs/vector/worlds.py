@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
-from slam_gym.envs.base import BaseEnv, Observation
+from slam_gym.envs.base import BaseEnv, Observation, Snapshot
 from slam_gym.envs.vector.buffers import Buffers
 from slam_gym.envs.vector.infos import Infos, enter
 
@@ -87,20 +87,31 @@ class Worlds:
                 raise _named(world, error) from error
         return Told(infos, self._upcoming)
 
-    def call(self, name: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> list[Any]:
-        """What the method or attribute of each world gives."""
+    def call(self, name: str, arguments: tuple[Any, ...], named: dict[str, Any], worlds: Container[int]) -> list[Any]:
+        """What the method or attribute of each of these worlds gives."""
         found = []
         for world, env in zip(self._rows, self._envs):
-            try:
-                value = env.get_wrapper_attr(name)
-                found.append(value(*arguments, **named) if callable(value) else value)
-            except Exception as error:
-                raise _named(world, error) from error
+            if world in worlds:
+                try:
+                    value = env.get_wrapper_attr(name)
+                    found.append(value(*arguments, **named) if callable(value) else value)
+                except Exception as error:
+                    raise _named(world, error) from error
         return found
 
-    def call_each(self, name: str, arguments: Mapping[int, Any]) -> list[Any]:
-        """What the method of each world gives for an argument of its own."""
-        return [env.get_wrapper_attr(name)(arguments[world]) for world, env in zip(self._rows, self._envs)]
+    def restore(self, snapshots: Mapping[int, Snapshot]) -> Told:
+        """Go on in each world from its snapshot."""
+        infos: Infos = {}
+        self._upcoming = {}
+        for row, world in enumerate(self._rows):
+            try:
+                observation, info = self._single(row).restore(snapshots[world])
+            except Exception as error:
+                raise _named(world, error) from error
+            self._hand_out(row, observation, 0.0, False, False)
+            self._look_ahead(row)
+            enter(infos, info, row, len(self._rows))
+        return Told(infos, self._upcoming)
 
     def set_attr(self, name: str, values: Mapping[int, Any]) -> None:
         """Set an attribute of each world."""

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
+from agents.learning import training
 from agents.learning.model_file import read_model
 from agents.learning.ppo import load_hyperparameters, make_algorithm
 from agents.learning.training import HELD_OUT, TrainingPlan, train
 from slam_gym.scenarios import SPLITS
+from tests.rollouts import differences
 
 TRAINING = ExploreArguments("office-small", split="train")
 
@@ -83,6 +86,53 @@ def test_a_resumed_training_goes_on_from_its_weights_and_count(trained, tmp_path
     half = len(steps) // 2
     assert steps[:half] == [2] * half and steps[half:] == [3] * half  # the optimiser's moments were kept
     assert (out / "progress_from_32.csv").exists()
+
+
+def test_a_resumed_training_is_the_one_that_was_not_interrupted(tmp_path):
+    whole, parts, action = tmp_path / "whole", tmp_path / "parts", "twist"
+    run(whole, action, timesteps=64)
+    run(parts, action, timesteps=32)
+    torch.rand(7), np.random.rand(7)  # noqa: NPY002 (somebody else draws in between)
+    run(parts, action, timesteps=64, resumed=True)
+    one, two = (read_model(folder / "checkpoint.pt") for folder in (whole, parts))
+    for part in ("policy", "state"):
+        assert not differences(one[1][part], two[1][part]), part
+    assert one[0].training["timesteps"] == two[0].training["timesteps"] == 64
+
+
+def test_a_training_that_is_interrupted_in_a_rollout_goes_on_from_the_last_one(tmp_path, monkeypatch):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    run(whole, timesteps=48)
+
+    def interrupt(self):
+        if self.num_timesteps == 24:
+            raise KeyboardInterrupt
+        return True
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(training.Watch, "_on_step", interrupt)
+        run(parts, timesteps=48)
+    assert read_model(parts / "checkpoint.pt")[0].training["timesteps"] == 16
+    run(parts, timesteps=48, resumed=True)
+    one, two = (read_model(folder / "model.pt")[1]["policy"] for folder in (whole, parts))
+    assert not differences(one, two)
+
+
+def test_another_number_of_environments_goes_on_to_new_worlds(trained, tmp_path):
+    (tmp_path / "checkpoint.pt").write_bytes((trained / "checkpoint.pt").read_bytes())
+    hyper = dataclasses.replace(short("goal"), envs=2)
+    plan = TrainingPlan("goal", TRAINING, hyper, 3, 64, eval_every=64, eval_episodes=1, workers=0)
+    train(tmp_path, plan, resumed=True)
+    assert read_model(tmp_path / "model.pt")[0].training["timesteps"] == 64
+
+
+def test_a_state_that_does_not_fit_is_refused(trained, tmp_path):
+    spec, content = read_model(trained / "checkpoint.pt")
+    content["state"] = torch.frombuffer(bytearray(b'{"worlds": []}'), dtype=torch.uint8)
+    content["spec"] = json.dumps(dataclasses.asdict(spec))
+    torch.save(content, tmp_path / "checkpoint.pt")
+    with pytest.raises(ValueError, match=r"checkpoint.pt: the state of the training does not fit"):
+        run(tmp_path, timesteps=48, resumed=True)
 
 
 def test_resuming_something_else_is_refused(trained):

@@ -121,7 +121,14 @@ def test_worlds_in_other_processes_are_those_of_this_one(spread) -> None:
         one, other = here.step(actions), spread.step(actions)
         ended += int(one[2].any())
     assert ended, "no autoreset was tried"
-    assert not differences(here.call("snapshot"), spread.call("snapshot"))
+    snapshots = spread.call("snapshot")
+    assert not differences(here.call("snapshot"), snapshots)
+    actions = legal(here, rng)
+    one = here.step(actions)
+    spread.reset(seed=1)
+    assert not differences(spread.restore(snapshots)[0], other[0])
+    other = spread.step(actions)
+    assert not differences(one, other)
 
 
 def test_a_world_can_be_asked_for_and_told(spread) -> None:
@@ -133,6 +140,7 @@ def test_a_world_can_be_asked_for_and_told(spread) -> None:
     spread.set_attr("nickname", 7)
     assert spread.get_attr("nickname") == (7, 7, 7)
     assert spread.np_random_seed == (5, 6, 7)
+    assert spread.call_in([2, 0], "get_wrapper_attr", "split") == ("train",) * 2
     with pytest.raises(ValueError, match="nickname: 2 values for 3 worlds"):
         spread.set_attr("nickname", [1, 2])
     with pytest.raises(WorldError, match="world 0: AttributeError"):

@@ -38,4 +38,4 @@ def test_an_error_has_the_number_of_its_world_and_its_cause_and_survives_picklin
     again = pickle.loads(pickle.dumps(caught.value))
     assert (again.world, str(again), again.__notes__) == (3, str(caught.value), ["from afar"])
     with pytest.raises(WorldError, match="world 2: AttributeError"):
-        worlds.call("no_such_thing", (), {})
+        worlds.call("no_such_thing", (), {}, range(4))
