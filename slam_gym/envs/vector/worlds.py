@@ -108,7 +108,7 @@ class Worlds:
                 observation, info = self._single(row).restore(snapshots[world])
             except Exception as error:
                 raise _named(world, error) from error
-            self._hand_out(row, observation, 0.0, False, False)
+            self._hand_out(row, observation, 0.0, self._single(row)._over, False)
             self._look_ahead(row)
             enter(infos, info, row, len(self._rows))
         return Told(infos, self._upcoming)
