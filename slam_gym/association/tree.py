@@ -31,6 +31,10 @@ _NO_LOCALITY = np.empty((0, 0), np.bool_)
 _NO_PATH = np.empty(0, np.int64)
 
 
+PairingArrays = tuple[IntArray, IntArray, Array, Array, Array, BoolArray, int]
+"""The fields of `Pairings`, as kernels that are called from Python take them: a plain tuple is unpacked faster."""
+
+
 class Pairings(NamedTuple):
     """What may be paired with what, as compiled functions take it: the given pairings, then those of each level.
 

@@ -20,11 +20,12 @@ from slam_gym._compile import compiled, inlined
 from slam_gym.association.tracking.path import Path, append
 from slam_gym.association.tree import (
     Innovation,
+    PairingArrays,
     Pairings,
     Pivot,
     condition,
     innovation_of,
-    may_follow,
+    is_local,
     read,
     squared,
     store,
@@ -55,6 +56,10 @@ class Beam(NamedTuple):
     joined: Path  # by node: each pairing as it joined those before it
 
 
+BeamArrays = tuple[Array, IntArray, IntArray, IntArray, IntArray, Array, Array]
+"""All arrays of a `Beam`, as it comes to Python: a named tuple of compiled code takes as long as three arrays."""
+
+
 class BeamSearch(NamedTuple):
     """What a beam search came to."""
 
@@ -71,11 +76,11 @@ class Moved(NamedTuple):
     covariances: Array  # (b, k, 2, 2) [m²]
 
 
-class _Trail(NamedTuple):
-    """What is looked at, conditioned along one hypothesis after the other: anew only from where they part."""
+class _Offer(NamedTuple):
+    """What may become of the hypotheses at a level."""
 
-    nodes: IntArray  # (P,) of the last hypothesis
-    innovations: Array  # (P + 1, 5) by the number of nodes that it is conditioned on
+    scores: Array  # (B, 1 + c) with `*`, then with each pairing on offer; −inf where it may not be or is hopeless
+    nodes: IntArray  # (B, 1 + c) of those pairings
 
 
 @compiled
@@ -83,51 +88,113 @@ def search(pairings: Pairings, levels: IntArray, prices: Prices) -> BeamSearch:
     """The best hypotheses over levels whose pairings begin and end at `levels` (l, 2), in the order of decision."""
     room = pairings.given + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
     beam, used = _begin(pairings, room)
-    trail, nodes, tests, cut = _trail(room), 0, 0, False
+    along, nodes, tests, cut = np.empty((room + 1, 5)), 0, 0, False
     for level in range(len(levels)):
         first, last = levels[level, 0], levels[level, 1]
-        offered = np.full((len(beam.score), 1 + last - first), -math.inf)
-        joins = np.zeros(offered.shape, np.int64)
-        offered[:, 0] = beam.score + prices.unpaired
-        best = offered[:, 0].max()
+        offer = _Offer(
+            np.full((len(beam.score), 1 + last - first), -math.inf),
+            np.zeros((len(beam.score), 1 + last - first), np.int64),
+        )
+        offer.scores[:, 0] = beam.score + prices.unpaired
+        best, together = offer.scores[:, 0].max(), _shared(beam)
         for c in range(first, last):
-            before, beam = -1, _with_room(beam, used + len(beam.score))
-            gain, start = prices.gains[c], innovation_of(pairings, c)
-            most = gain + _greatest_log_density(pairings, c)
-            for b in range(len(beam.score)):
-                hopeless = beam.score[b] + most <= best - prices.margin
-                if hopeless or not may_follow(pairings, beam.made[b], beam.pairings[b], c):
-                    continue
-                e = _along(pairings, beam, trail, before, b, pairings.slots[c], start)
-                score, before, tests = beam.score[b] + gain + _log_density(e), b, tests + 1
-                if score > best - prices.margin:
-                    offered[b, 1 + c - first], joins[b, 1 + c - first], best = score, used, max(best, score)
-                    _join(beam, used, b, c, e)
-                    used += 1
-        floor, full = _floor(offered, best - prices.margin, prices.width)
-        beam, cut = _next(beam, first, offered, joins, floor, prices.width), cut or full
+            beam = _with_room(beam, used + len(beam.score))
+            scores, joins = offer.scores[:, 1 + c - first], offer.nodes[:, 1 + c - first]
+            price = (prices.gains[c], prices.margin)
+            best, used, more = _pair(pairings, beam, together, along, c, price, best, scores, joins, used)
+            tests += more
+        floor, full = _floor(offer.scores, best - prices.margin, prices.width)
+        beam, cut = _next(beam, first, offer, floor, prices.width), cut or full
         nodes += len(beam.score)
     return BeamSearch(beam, nodes, tests, cut)
 
 
 @compiled
-def updated(pairings: Pairings, beam: Beam, positions: Array) -> Moved:
-    """Features after an update with each hypothesis of the beam.
+def _pair(
+    pairings: Pairings,
+    beam: Beam,
+    together: IntArray,
+    along: Array,
+    c: int,
+    price: tuple[float, float],
+    best: float,
+    scores: Array,
+    nodes: IntArray,
+    used: int,
+) -> tuple[float, int, int]:
+    """Enter scores (B,) and nodes (B,) of pairing c, at its gain and the margin, after every hypothesis that allows it.
+
+    Returns the best score, the nodes in use, and how many were tested. Hypothesis b has its first together[b] nodes in
+    common with the one before, and along[q] is the innovation of c after q nodes: both are worked out anew only from
+    where the hypotheses part.
+    """
+    gain, margin = price
+    slots, covariance, local, given = pairings.slots, pairings.covariance, pairings.local, pairings.given
+    made, path, count, score = beam.made, beam.nodes, beam.pairings, beam.score
+    pivots, w, slot = beam.joined.pivots, beam.joined.w, slots[c]
+    most = gain + greatest_log_density(pairings.noise[pairings.measured[c]])
+    valid, tests = 0, 0
+    store(along, 0, innovation_of(pairings, c))
+    for b in range(len(score)):
+        valid, p = min(valid, together[b]), count[b]
+        if score[b] + most <= best - margin or (p > given and not is_local(local, slots[made[b, given]], slot)):
+            continue
+        e, free = read(along, valid), True
+        for q in range(p):
+            free &= slots[made[b, q]] != slot
+        if not free:
+            continue
+        for q in range(valid, p):
+            d = path[b, q]
+            pivot = Pivot(slots[made[b, q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
+            e = condition(covariance, w, pivot, d, q, _LOOKED_AT, slot, e)
+            store(along, q + 1, e)
+        distance, valid, tests = squared(e), p, tests + 1
+        if score[b] + most - 0.5 * distance <= best - margin:  # most end here, before the logarithm
+            continue
+        total = score[b] + gain - 0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
+        if total > best - margin:
+            scores[b], nodes[b], best = total, used, max(best, total)
+            _join(beam.joined, used, p, c, e)
+            used += 1
+    return best, used, tests
+
+
+@compiled
+def updated(arrays: PairingArrays, beam: Beam, positions: Array) -> tuple[Array, Array]:
+    """`Moved`: features after an update with each hypothesis of the beam.
 
     positions (k, 2) are those predicted, the covariance of `pairings` (2k, 2k); slot s is feature s. What a feature
     would be measured at, free of noise, is conditioned on the path like any candidate.
     """
-    hypotheses, k, P = len(beam.score), len(positions), pairings.covariance
-    moved, left = np.empty((hypotheses, k, 2)), np.empty((hypotheses, k, 2, 2))
-    trail = _trail(beam.nodes.shape[1])
+    pairings, k, together = Pairings(*arrays), len(positions), _shared(beam)
+    P, slots, made, path = pairings.covariance, pairings.slots, beam.made, beam.nodes
+    pivots, w = beam.joined.pivots, beam.joined.w
+    moved, left = np.empty((len(made), k, 2)), np.empty((len(made), k, 2, 2))
+    along = np.empty((made.shape[1] + 1, 5))
     for j in range(k):
-        s = 2 * j
-        start = Innovation(0.0, 0.0, P[s, s], P[s, s + 1], P[s + 1, s + 1])
-        for b in range(hypotheses):
-            e, out = _along(pairings, beam, trail, b - 1, b, j, start), left[b, j]
+        s, valid = 2 * j, 0
+        store(along, 0, Innovation(0.0, 0.0, P[s, s], P[s, s + 1], P[s + 1, s + 1]))
+        for b in range(len(made)):
+            valid = min(valid, together[b])
+            e = read(along, valid)
+            for q in range(valid, beam.pairings[b]):
+                d = path[b, q]
+                pivot = Pivot(slots[made[b, q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
+                e = condition(P, w, pivot, d, q, _LOOKED_AT, j, e)
+                store(along, q + 1, e)
+            valid = beam.pairings[b]
             moved[b, j, 0], moved[b, j, 1] = positions[j, 0] - e.x, positions[j, 1] - e.y
-            out[0, 0], out[0, 1], out[1, 0], out[1, 1] = max(e.xx, 0.0), e.xy, e.xy, max(e.yy, 0.0)
-    return Moved(moved, left)
+            left[b, j, 0, 0], left[b, j, 0, 1] = max(e.xx, 0.0), e.xy
+            left[b, j, 1, 0], left[b, j, 1, 1] = e.xy, max(e.yy, 0.0)
+    return moved, left
+
+
+@inlined
+def plainly(beam: Beam) -> BeamArrays:
+    """Its arrays."""
+    joined = beam.joined
+    return beam.score, beam.pairings, beam.made, beam.nodes, joined.pairings, joined.pivots, joined.w
 
 
 @compiled
@@ -135,44 +202,28 @@ def _begin(pairings: Pairings, room: int) -> tuple[Beam, int]:
     """The hypothesis of the given pairings, and the number of nodes in use."""
     g, N = pairings.given, max(_NODES, pairings.given + 2)
     joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * room, 2)))
-    made, nodes = np.zeros((1, room), np.int64), np.zeros((1, room), np.int64)
-    beam, trail = Beam(np.zeros(1), np.zeros(1, np.int64), made, nodes, joined), _trail(room)
+    beam = Beam(
+        np.zeros(1), np.zeros(1, np.int64), np.zeros((1, room), np.int64), np.zeros((1, room), np.int64), joined
+    )
+    offer, together, used = _Offer(np.zeros((1, 1)), np.zeros((1, 1), np.int64)), np.zeros(1, np.int64), _LOOKED_AT + 1
+    along = np.empty((room + 1, 5))
+    scores, nodes = offer.scores[:, 0], offer.nodes[:, 0]
     for d in range(g):
-        e = _along(pairings, beam, trail, -1, 0, pairings.slots[d], innovation_of(pairings, d))
-        _join(beam, 1 + d, 0, d, e)
-        beam.made[0, d], beam.nodes[0, d], beam.pairings[0] = d, 1 + d, d + 1
-        beam.score[0] += _log_density(e)
-    return beam, 1 + g
+        scores[0] = -math.inf
+        _, used, _ = _pair(pairings, beam, together, along, d, (0.0, math.inf), -math.inf, scores, nodes, used)
+        beam.made[0, d], beam.nodes[0, d], beam.pairings[0], beam.score[0] = d, nodes[0], d + 1, scores[0]
+    return beam, used
 
 
 @compiled
-def _trail(room: int) -> _Trail:
-    return _Trail(np.empty(room, np.int64), np.empty((room + 1, 5)))
-
-
-@inlined
-def _along(
-    pairings: Pairings, beam: Beam, trail: _Trail, before: int, b: int, slot: int, start: Innovation
-) -> Innovation:
-    """Innovation of what depends on a feature, `start` given nothing, after the pairings of hypothesis b.
-
-    Hypothesis `before` is the one that the same was asked of last; −1: none was.
-    """
-    p, w, shared = beam.pairings[b], beam.joined.w, 0
-    if before >= 0:
-        while shared < min(p, beam.pairings[before]) and trail.nodes[shared] == beam.nodes[b, shared]:
-            shared += 1
-    else:
-        store(trail.innovations, 0, start)
-    e = read(trail.innovations, shared)
-    for q in range(shared, p):
-        node = beam.nodes[b, q]
-        v = beam.joined.pivots[node]
-        pivot = Pivot(pairings.slots[beam.made[b, q]], v[0], v[1], v[2], v[3], v[4])
-        e = condition(pairings.covariance, w, pivot, node, q, _LOOKED_AT, slot, e)
-        store(trail.innovations, q + 1, e)
-        trail.nodes[q] = node
-    return e
+def _shared(beam: Beam) -> IntArray:
+    """How many of its first nodes each hypothesis has in common with the one before, (B,)."""
+    together = np.zeros(len(beam.score), np.int64)
+    for b in range(1, len(beam.score)):
+        p = min(beam.pairings[b], beam.pairings[b - 1])
+        while together[b] < p and beam.nodes[b, together[b]] == beam.nodes[b - 1, together[b]]:
+            together[b] += 1
+    return together
 
 
 @compiled
@@ -188,12 +239,12 @@ def _with_room(beam: Beam, nodes: int) -> Beam:
 
 
 @inlined
-def _join(beam: Beam, node: int, b: int, c: int, e: Innovation) -> None:
-    """Pairing c, just looked at with innovation e after hypothesis b, becomes a node."""
-    w = beam.joined.w
-    for r in range(2 * beam.pairings[b]):
+def _join(joined: Path, node: int, p: int, c: int, e: Innovation) -> None:
+    """Pairing c, just looked at with innovation e after p others, becomes a node."""
+    w = joined.w
+    for r in range(2 * p):
         w[node, r, 0], w[node, r, 1] = w[_LOOKED_AT, r, 0], w[_LOOKED_AT, r, 1]
-    append(beam.joined, node, c, e)
+    append(joined, node, c, e)
 
 
 @compiled
@@ -206,13 +257,13 @@ def _floor(offered: Array, least: float, width: int) -> tuple[float, bool]:
             count += 1
     if count <= width:
         return least, False
-    return np.sort(scores[:count])[count - width], True
+    return np.partition(scores[:count], count - width)[count - width], True
 
 
 @compiled
-def _next(beam: Beam, first: int, offered: Array, joins: IntArray, floor: float, width: int) -> Beam:
+def _next(beam: Beam, first: int, offer: _Offer, floor: float, width: int) -> Beam:
     """The hypotheses of the next level: each that scores the floor with `*`, then with the pairings from `first` on."""
-    kept, room = 0, beam.made.shape[1]
+    kept, room, offered = 0, beam.made.shape[1], offer.scores
     score, count = np.empty(width), np.empty(width, np.int64)
     made, nodes = np.empty((width, room), np.int64), np.empty((width, room), np.int64)
     for b in range(len(offered)):
@@ -224,23 +275,13 @@ def _next(beam: Beam, first: int, offered: Array, joins: IntArray, floor: float,
                 made[kept, q], nodes[kept, q] = beam.made[b, q], beam.nodes[b, q]
             score[kept], count[kept] = offered[b, k], p
             if k > 0:
-                made[kept, p], nodes[kept, p], count[kept] = first + k - 1, joins[b, k], p + 1
+                made[kept, p], nodes[kept, p], count[kept] = first + k - 1, offer.nodes[b, k], p + 1
             kept += 1
     return Beam(score[:kept], count[:kept], made[:kept], nodes[:kept], beam.joined)
 
 
 @inlined
-def _log_density(e: Innovation) -> float:
-    """log N(e; 0, S); −inf where S is singular."""
-    distance = squared(e)
-    if distance == math.inf:
-        return -math.inf
-    return -0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
-
-
-@inlined
-def _greatest_log_density(pairings: Pairings, c: int) -> float:
-    """What log N(e; 0, S) of a pairing never exceeds, whatever it follows: S is at least the noise."""
-    noise = pairings.noise[pairings.measured[c]]
+def greatest_log_density(noise: Array) -> float:
+    """What log N(e; 0, S) of a measurement with `noise` (2, 2) never exceeds, whatever it is of: S is at least that."""
     determinant = noise[0, 0] * noise[1, 1] - noise[0, 1] * noise[0, 1]
     return -0.5 * math.log(determinant) - _LOG_TWO_PI if determinant > 0.0 else math.inf

@@ -16,6 +16,7 @@ from slam_gym._compile import compiled
 from slam_gym.association.tracking.heading import Turning, condition_errors, distance_with, join
 from slam_gym.association.tree import (
     Node,
+    PairingArrays,
     Pairings,
     Tree,
     condition,
@@ -27,9 +28,8 @@ from slam_gym.association.tree import (
     store,
     write_rows,
 )
-from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray
+from slam_gym.types import UNPAIRED, Array, Effort, IntArray
 
-_Arrays = tuple[IntArray, IntArray, Array, Array, Array, BoolArray, int]  # of `Pairings`
 _UNDECIDED = -1  # in place of a level
 
 
@@ -89,7 +89,7 @@ def complete(
 
 @compiled
 def _search_from_root(
-    arrays: _Arrays, gates: Array, node_limit: int, turning: Turning | None, rows: IntArray, out: IntArray
+    arrays: PairingArrays, gates: Array, node_limit: int, turning: Turning | None, rows: IntArray, out: IntArray
 ) -> tuple[float, int, int, bool]:
     """The best below the root, entered in `out` (m,) as `rows` (u,) of its slots.
 

@@ -47,10 +47,11 @@ def headings(prediction: Prediction) -> list[Heading]:
     n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)
     phi = 2.0 * NARROW * np.arange(-n, n + 1)
     weights = np.exp(-0.5 * (phi / spread) ** 2)
-    given = _given_heading(prediction.joint(np.arange(len(prediction))), prediction)
+    joint, slope = prediction.joint(np.arange(len(prediction))), prediction.heading_covariances / sigma**2
+    parts = _predicted(plain(prediction.positions), slope, plain(joint), sigma**2, np.array(phi))
     return [
-        Heading(math.log(weight / weights.sum()), _turned(prediction, given, turn))
-        for turn, weight in zip(phi.tolist(), weights.tolist())
+        Heading(math.log(weight / weights.sum()), _turned(prediction, turn, parts, k))
+        for k, (turn, weight) in enumerate(zip(phi.tolist(), weights.tolist()))
     ]
 
 
@@ -66,40 +67,42 @@ class _Joint:
         return _joint(self.given, self.phi, self.across, rows)
 
 
-def _given_heading(joint: Array, prediction: Prediction) -> Array:
-    across = prediction.heading_covariances.ravel()
-    return joint - np.outer(across, across) / prediction.heading_variance
-
-
-def _turned(prediction: Prediction, given: Array, phi: float) -> Prediction:
-    """The part with heading φ_k = phi."""
-    slope = plain(prediction.heading_covariances) / prediction.heading_variance
-    positions, across, covariances = _predicted(plain(prediction.positions), slope, given, phi)
+def _turned(prediction: Prediction, phi: float, parts: tuple[Array, Array, Array, Array], k: int) -> Prediction:
+    """Part number k, with heading φ_k = phi."""
+    positions, across, covariances, given = parts
     return replace(
         prediction,
-        positions=positions,
-        covariances=covariances,
-        joint=_Joint(given, phi, across),
+        positions=positions[k],
+        covariances=covariances[k],
+        joint=_Joint(given, phi, across[k]),
         heading_variance=NARROW**2,
-        heading_covariances=NARROW**2 * across,
+        heading_covariances=NARROW**2 * across[k],
     )
 
 
 @compiled
-def _predicted(positions: Array, slope: Array, given: Array, phi: float) -> tuple[Array, Array, Array]:
-    """m (k, 2), g (k, 2) and the covariances (k, 2, 2) of a part; `slope` is c/σ² (k, 2)."""
-    k, c, s = len(positions), math.cos(phi), math.sin(phi)
-    moved, across, covariances = np.empty((k, 2)), np.empty((k, 2)), np.empty((k, 2, 2))
-    for j in range(k):
-        ax, ay = slope[j, 0] - positions[j, 1], slope[j, 1] + positions[j, 0]
-        x, y = positions[j, 0] + phi * ax, positions[j, 1] + phi * ay
-        moved[j, 0], moved[j, 1] = c * x + s * y, c * y - s * x
-        across[j, 0], across[j, 1] = c * ax + s * ay + moved[j, 1], c * ay - s * ax - moved[j, 0]
-    one = np.empty(1, np.int64)
-    for j in range(k):
-        one[0] = j
-        covariances[j] = _joint(given, phi, across, one)
-    return moved, across, covariances
+def _predicted(
+    positions: Array, slope: Array, joint: Array, variance: float, headings: Array
+) -> tuple[Array, Array, Array, Array]:
+    """m (h, k, 2), g (h, k, 2) and the covariances (h, k, 2, 2) of each part, and what they have in common: the
+    covariance (2k, 2k) once the heading is known. `slope` is c/σ² (k, 2)."""
+    h, k = len(headings), len(positions)
+    moved, across, covariances = np.empty((h, k, 2)), np.empty((h, k, 2)), np.empty((h, k, 2, 2))
+    given, slopes, one = np.empty((2 * k, 2 * k)), slope.copy().reshape(2 * k), np.empty(1, np.int64)
+    for i in range(2 * k):
+        for j in range(2 * k):
+            given[i, j] = joint[i, j] - slopes[i] * slopes[j] * variance
+    for part in range(h):
+        phi = headings[part]
+        c, s, g = math.cos(phi), math.sin(phi), across[part]
+        for j in range(k):
+            ax, ay = slope[j, 0] - positions[j, 1], slope[j, 1] + positions[j, 0]
+            x, y = positions[j, 0] + phi * ax, positions[j, 1] + phi * ay
+            moved[part, j, 0], moved[part, j, 1] = c * x + s * y, c * y - s * x
+            g[j, 0], g[j, 1] = c * ax + s * ay + moved[part, j, 1], c * ay - s * ax - moved[part, j, 0]
+            one[0] = j
+            covariances[part, j] = _joint(given, phi, g, one)
+    return moved, across, covariances, given
 
 
 @compiled

@@ -16,17 +16,20 @@ from slam_gym.association.tracking.near_first import Found, near_first
 from slam_gym.association.tracking.scan_hypotheses import (
     Kept,
     Rates,
-    all_rows,
     candidate_gate,
     check_search,
     checked_visibility,
     log_densities,
     scan_area,
+    some,
     views,
 )
 from slam_gym.association.tracking.scan_hypotheses import search as hypotheses_of
 from slam_gym.association.tree import Tree, as_hypothesis
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Posterior, Prediction, Scan
+
+_TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view …
+_COUNTS = 1.0 / 3.0  # … but for those less probable than the best by no more than this fraction of the margin
 
 
 class _Ranking(NamedTuple):
@@ -70,7 +73,8 @@ def map_hypothesis(
     rates = Rates(detection, unseen, clutter_density + new_density)
 
     def search(tree: Tree) -> Found[_Ranking]:
-        return _ranked(hypotheses_of(tree, visibility, rates, chi2_gate(2, gate), width, margin), visibility, rates)
+        kept = hypotheses_of(tree, visibility, rates, chi2_gate(2, gate), width, margin)
+        return _ranked(kept, visibility, rates, _COUNTS * margin)
 
     found = near_first(scan, prediction, search, gate)
     scores, best, marginals, unpaired = found.extra
@@ -126,16 +130,23 @@ def _check_densities(clutter: float, new: float) -> None:
         raise ValueError(f"clutter_density, new_density: {clutter} and {new} per m²: neither negative, not both 0")
 
 
-def _ranked(kept: Kept, visibility: Array | None, rates: Rates) -> Found[_Ranking]:
-    """The hypotheses by their density."""
-    tree, beam = kept.tree, kept.beam
-    seen = log_densities(tree.pairings, beam, views(kept, visibility), np.array([rates.detection]), rates.unseen)
-    scores = kept.fit + math.log(rates.density) * kept.unpaired + seen[:, 0]
+def _ranked(kept: Kept, visibility: Array | None, rates: Rates, counts: float) -> Found[_Ranking]:
+    """The hypotheses by their density. Those less probable than the best by more than `counts` may share a view."""
+    scores = _log_densities(kept, visibility, rates, _TOGETHER)
+    if visibility is not None and kept.tree.prediction.view_moves:
+        chosen = np.flatnonzero(scores > scores.max() - counts)
+        scores[chosen] = _log_densities(some(kept, chosen), visibility, rates, 0.0)
     ranking = np.argsort(-scores, kind="stable")
-    rows, weights = all_rows(kept)[ranking], _fractions(scores[ranking])
-    runner_up = rows[1] if len(rows) > 1 else np.full(len(tree.given), UNPAIRED)
+    rows, weights = kept.rows[ranking], _fractions(scores[ranking])
+    runner_up = rows[1] if len(rows) > 1 else np.full(kept.rows.shape[1], UNPAIRED)
     marginals, unpaired = weights @ (rows == rows[0]), weights @ (rows == UNPAIRED)
     return Found(rows[0], kept.effort, _Ranking(scores[ranking], [rows[0], runner_up], marginals, unpaired))
+
+
+def _log_densities(kept: Kept, visibility: Array | None, rates: Rates, together: float) -> Array:
+    seen = log_densities(kept, views(kept, visibility, together), np.array([rates.detection]), rates.unseen)
+    densities: Array = kept.fit + math.log(rates.density) * kept.unpaired + seen[:, 0]
+    return densities
 
 
 def _fractions(scores: Array) -> Array:

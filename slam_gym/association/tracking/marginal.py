@@ -19,10 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import joint_distance
-from slam_gym.association.tracking.marginals import Learned, Marginals, marginals
-from slam_gym.association.tree import as_hypothesis
-from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Posterior, Prediction, Scan
+from slam_gym.association.compatibility import joint_distance, plain
+from slam_gym.association.tracking.marginals import Learned, marginals
+from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Posterior, Prediction, Scan
 
 
 def marginal(
@@ -60,32 +59,17 @@ def marginal(
         scan, prediction, detection=detection, density=density, unseen=unseen, width=width, margin=margin,
         learned=learned,
     )  # fmt: skip
-    threshold = cost / (cost + 1.0)
-    rows, probabilities = _decided(found.pairings, found.unpaired, threshold)
-    answer = as_hypothesis(prediction, rows, joint_distance(scan, prediction, rows).squared, found.effort)
+    decided = _decided(*found[:5], plain(prediction.features), cost / (cost + 1.0))
+    rows, features, probabilities, new, runner_up, own, second, total, paired = decided
+    log_density = total + math.log(own) if own > 0.0 else -math.inf
     return Hypothesis(
-        answer.features,
-        answer.joint_distance,
-        answer.dof,
-        answer.effort,
-        _posterior(found, rows, probabilities, prediction),
-        new=(rows == UNPAIRED) & (found.unpaired > threshold),
+        features,
+        joint_distance(scan, prediction, rows).squared,
+        2 * paired,
+        found.effort,
+        Posterior(log_density, own, runner_up, second, marginals=probabilities, unpaired=found.unpaired),
+        new=new,
         experience=found.experience,
-    )
-
-
-def _posterior(found: Marginals, rows: IntArray, probabilities: Array, prediction: Prediction) -> Posterior:
-    """Of the decisions `rows` (m,)."""
-    own, second = _placed(found.hypotheses, found.weights, rows)
-    runner_up = np.full(len(rows), UNPAIRED) if second.first < 0 else found.hypotheses[second.first]
-    total = float(np.logaddexp.reduce(found.log_densities))
-    return Posterior(
-        total + math.log(own.weight) if own.weight > 0.0 else -math.inf,
-        own.weight,
-        as_hypothesis(prediction, runner_up, 0.0, found.effort).features,
-        second.weight,
-        marginals=probabilities,
-        unpaired=found.unpaired,
     )
 
 
@@ -95,30 +79,68 @@ class _Place(NamedTuple):
 
 
 @compiled
-def _decided(pairings: Array, unpaired: Array, threshold: float) -> tuple[IntArray, Array]:
-    """What is paired with each measurement (m,), and the probability of that."""
-    rows, probabilities = np.full(len(unpaired), UNPAIRED), unpaired.copy()
-    for i in range(len(unpaired)):
+def _decided(
+    hypotheses: IntArray,
+    weights: Array,
+    log_densities: Array,
+    pairings: Array,
+    unpaired: Array,
+    features: IntArray,
+    threshold: float,
+) -> tuple[IntArray, IntArray, Array, BoolArray, IntArray, float, float, float, int]:
+    """Row and feature decided for each measurement (m,), its probability, and whether it is new; the features of the
+    most probable other decisions; the weights of both, the log of the sum of all densities, and how many are paired."""
+    m, paired = len(unpaired), 0
+    rows, probabilities, new = np.full(m, UNPAIRED), unpaired.copy(), np.zeros(m, np.bool_)
+    for i in range(m):
         for j in range(pairings.shape[1]):
             if pairings[i, j] > threshold:
                 rows[i], probabilities[i] = j, min(pairings[i, j], 1.0)
-    return rows, probabilities
+        paired += rows[i] != UNPAIRED
+        new[i] = rows[i] == UNPAIRED and unpaired[i] > threshold
+    own, second = _placed(hypotheses, weights, rows)
+    decided, other = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
+    for i in range(m):
+        decided[i] = features[rows[i]] if rows[i] != UNPAIRED else UNPAIRED
+        if second.first >= 0 and hypotheses[second.first, i] != UNPAIRED:
+            other[i] = features[hypotheses[second.first, i]]
+    most = log_densities.max()
+    total = most + math.log(np.exp(log_densities - most).sum())
+    return rows, decided, probabilities, new, other, own.weight, second.weight, total, paired
 
 
 @compiled
 def _placed(hypotheses: IntArray, weights: Array, rows: IntArray) -> tuple[_Place, _Place]:
     """The hypotheses that decide `rows`, and the most probable other decisions."""
     own, second, weight = _Place(-1, 0.0), _Place(-1, 0.0), np.zeros(len(weights))
+    keys = np.empty(len(weights), np.int64)
     for b in range(len(weights)):
-        first = b
+        keys[b], first = _key(hypotheses[b]), b
         for other in range(b):
-            if (hypotheses[other] == hypotheses[b]).all():
+            if keys[other] == keys[b] and _alike(hypotheses[other], hypotheses[b]):
                 first = other
                 break
         weight[first] += weights[b]
     for b in range(len(weights)):
-        if (hypotheses[b] == rows).all():
+        if _alike(hypotheses[b], rows):
             own = _Place(b, weight[b]) if own.first < 0 else own
         elif weight[b] > second.weight:
             second = _Place(b, weight[b])
     return own, second
+
+
+@compiled
+def _key(rows: IntArray) -> int:
+    """A number that few other decisions have."""
+    key = 0
+    for row in rows:
+        key = key * 1_000_003 + row
+    return key
+
+
+@compiled
+def _alike(rows: IntArray, others: IntArray) -> bool:
+    different = 0
+    for i in range(len(rows)):
+        different += rows[i] != others[i]
+    return different == 0

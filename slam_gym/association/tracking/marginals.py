@@ -24,16 +24,15 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import gammaln
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import chi2_gate, individual, plain
+from slam_gym.association.compatibility import Candidates, chi2_gate, individual, plain
+from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Heading, headings
 from slam_gym.association.tracking.near_first import together
 from slam_gym.association.tracking.scan_hypotheses import (
     Kept,
     Rates,
-    all_rows,
     candidate_gate,
     check_search,
     checked_visibility,
@@ -54,6 +53,7 @@ NOTHING_SEEN = Experience(0.0, 0.0, np.zeros(len(DETECTIONS)))
 _UNPAIRED, _AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is some .02 before anything was seen
 _MEMORY = 0.95  # what a scan counts in the next
 _SURE, _SURELY = np.zeros(1), 1e9  # log weights where P_D is given; [m²] as good as seen where λ is
+_DOUBT = 4.0  # log density by which hypotheses of another heading may be better than the first look says
 _FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
 _TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
 
@@ -94,15 +94,15 @@ def marginals(
         raise ValueError(f"density: {density} per m² is not positive")
     known, area = prediction.experience or NOTHING_SEEN, scan_area(plain(scan.points))
     belief = _belief(detection, density, len(scan), known, area)
-    parts = [_Part.of(scan, heading, belief, unseen, learned) for heading in headings(prediction)]
-    parts = _worth_searching(parts, margin)
-    kept = [part.search(width, margin) for part in parts]
-    fit = [part.log_weight + one.fit + belief.prices[one.unpaired] for part, one in zip(parts, kept)]
+    looks = [_Look.of(scan, heading, belief, unseen, learned) for heading in headings(prediction)]
+    parts, margins = _worth_searching(scan, looks, margin)
+    kept = [part.search(width, least) for part, least in zip(parts, margins)]
+    fit = [part.look.heading.log_weight + one.fit + belief.prices[one.unpaired] for part, one in zip(parts, kept)]
     seen = [
-        log_densities(one.tree.pairings, one.beam, views(one, part.visibility, _TOGETHER), belief.values, unseen)
+        log_densities(one, views(one, part.visibility, _TOGETHER), belief.values, unseen)
         for part, one in zip(parts, kept)
     ]
-    hypotheses = _joined([all_rows(one) for one in kept])
+    hypotheses = _joined([one.rows for one in kept])
     summed = _summed(hypotheses, _joined(fit), _joined(seen), belief.weights, len(prediction))
     scores, shares, by_value, pairings, unpaired = summed
     weighed = detection is None and parts[0].visibility is not None
@@ -133,47 +133,100 @@ class _Belief(NamedTuple):
 def _belief(detection: float | None, density: float | None, m: int, known: Experience, area: float) -> _Belief:
     """Of a scan of m measurements in `area` [m²]."""
     values, weights = (DETECTIONS, plain(known.detections)) if detection is None else (np.array([detection]), _SURE)
-    odds = np.exp(weights - weights.max())
-    a, b, u = _UNPAIRED + known.unpaired, _AREA + known.area + area, np.arange(m + 1)
-    if density is None:
-        prices: Any = gammaln(a + u) - (a + u) * math.log(b)
-    else:
-        a, b, prices = _SURELY * density, _SURELY, u * math.log(density)
-    return _Belief(values, weights, float(odds @ values / odds.sum()), a, b, prices)
+    a, b = _UNPAIRED + known.unpaired, _AREA + known.area + area
+    if density is not None:
+        a, b = _SURELY * density, _SURELY
+    mean, prices = _expected(values, weights, a, b, -1.0 if density is None else density, m)
+    return _Belief(values, weights, mean, a, b, prices)
+
+
+@compiled
+def _expected(values: Array, weights: Array, a: float, b: float, density: float, m: int) -> tuple[float, Array]:
+    """The mean of P_D, and the log density (m + 1,) of leaving so many measurements unpaired; a λ < 0 is not known."""
+    odds, prices = np.exp(weights - weights.max()), np.empty(m + 1)
+    for u in range(m + 1):
+        prices[u] = u * math.log(density) if density > 0.0 else math.lgamma(a + u) - (a + u) * math.log(b)
+    return (odds * values).sum() / odds.sum(), prices
+
+
+class _Look(NamedTuple):
+    """What is compatible in one narrow heading, and what a search there is told: one λ, by what has no candidate
+    besides, and one P_D."""
+
+    heading: Heading
+    candidates: Candidates
+    rates: Rates
+    gate: float
+    strange: int  # measurements without a candidate
+    prices: Array  # (m + 1,) of `_Belief`
+    learned: Learned | None
+    at_most: float  # no hypothesis of the search scores more
+
+    @classmethod
+    def of(cls, scan: Scan, heading: Heading, belief: _Belief, unseen: float, learned: Learned | None) -> _Look:
+        gate = candidate_gate(heading.prediction.confidence)
+        candidates = individual(scan, heading.prediction, gate)
+        starts = candidates.starts
+        strange = int(np.count_nonzero(starts[1:] == starts[:-1]))
+        rates = Rates(belief.detection, unseen, belief.density(strange))
+        at_most = heading.log_weight + _greatest_score(plain(scan.covariances), starts, rates[:])
+        at_most = at_most if learned is None else math.inf
+        return cls(heading, candidates, rates, chi2_gate(2, gate), strange, belief.prices, learned, at_most)
+
+    def part(self, scan: Scan) -> _Part:
+        prediction = self.heading.prediction
+        tree, visibility = interpretation_tree(scan, prediction, self.candidates), checked_visibility(prediction)
+        return _Part(self, tree, visibility, _SURE[:0] if self.learned is None else self.learned(tree, visibility))
 
 
 class _Part(NamedTuple):
     """The search in one narrow heading."""
 
-    log_weight: float
+    look: _Look
     tree: Tree
     visibility: Array | None
-    rates: Rates
-    gate: float
     odds: Array  # (c,) learned, of each pairing; or none
 
-    @classmethod
-    def of(cls, scan: Scan, heading: Heading, belief: _Belief, unseen: float, learned: Learned | None) -> _Part:
-        """The search is told one λ, by what has no candidate besides, and one P_D."""
-        prediction = heading.prediction
-        gate = candidate_gate(prediction.confidence)
-        candidates = individual(scan, prediction, gate)
-        strange = int((candidates.starts[1:] == candidates.starts[:-1]).sum())
-        rates = Rates(belief.detection, unseen, belief.density(strange))
-        tree, visibility = interpretation_tree(scan, prediction, candidates), checked_visibility(prediction)
-        odds = _SURE[:0] if learned is None else learned(tree, visibility)
-        return cls(heading.log_weight, tree, visibility, rates, chi2_gate(2, gate), odds)
-
     def search(self, width: int, margin: float) -> Kept:
-        return search(self.tree, self.visibility, self.rates, self.gate, width, margin, self.odds)
+        return search(self.tree, self.visibility, self.look.rates, self.look.gate, width, margin, self.odds)
+
+    def log_density(self, kept: Kept) -> float:
+        """The greatest of the hypotheses kept, by the one P_D and what is in view from the predicted pose."""
+        look, starred = self.look, kept.unpaired - self.look.strange
+        scores = kept.beam.score - math.log(look.rates.density) * starred + look.prices[kept.unpaired]
+        missed = 0.0 if self.visibility is None else float(np.log1p(-look.rates.detection * self.visibility).sum())
+        return look.heading.log_weight + missed + float(scores.max())
 
 
-def _worth_searching(parts: list[_Part], margin: float) -> list[_Part]:
-    """Those in which the first look finds a hypothesis that is not hopeless beside the best."""
-    if len(parts) == 1:
-        return parts
-    best = [part.log_weight + part.search(_FIRST_LOOK, margin).beam.score.max() for part in parts]
-    return [part for part, score in zip(parts, best) if score > max(best) - margin]
+def _worth_searching(scan: Scan, looks: list[_Look], margin: float) -> tuple[list[_Part], list[float]]:
+    """The parts in which a first look finds a hypothesis that is not hopeless beside the best, and the margin of each:
+    what is dropped at once scores so much less than the best of all parts."""
+    if len(looks) == 1:
+        return [looks[0].part(scan)], [margin]
+    best, found = -math.inf, []
+    for look in sorted(looks, key=lambda look: -look.at_most):
+        if look.at_most <= best - margin:
+            break
+        part = look.part(scan)
+        kept = part.search(_FIRST_LOOK, margin)
+        score = look.heading.log_weight + float(kept.beam.score.max())
+        found.append((score, part.log_density(kept), part))
+        best = max(best, score)
+    most = max(density for _, density, _ in found)
+    behind = [most - density - _DOUBT for _, density, _ in found]
+    chosen = [k for k, (score, _, _) in enumerate(found) if score > best - margin and behind[k] < margin]
+    return [found[k][2] for k in chosen], [margin - max(behind[k], 0.0) for k in chosen]
+
+
+@compiled
+def _greatest_score(noise: Array, starts: IntArray, rates: tuple[float, float, float]) -> float:
+    """What no hypothesis of a search exceeds: the best of each measurement, in view for sure and without an error."""
+    detection, _, density = rates
+    gain, unpaired, total = math.log(detection) - math.log1p(-detection), math.log(density), 0.0
+    for i in range(len(starts) - 1):
+        if starts[i + 1] > starts[i]:
+            total += max(unpaired, gain + greatest_log_density(noise[i]))
+    return total
 
 
 def _joined(arrays: list[Any]) -> Any:

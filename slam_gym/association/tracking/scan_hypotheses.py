@@ -18,10 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.tracking.beam import Beam, Prices, updated
+from slam_gym.association.compatibility import plain
+from slam_gym.association.tracking.beam import Beam, BeamArrays, Moved, Prices, plainly, updated
 from slam_gym.association.tracking.beam import search as beam_search
-from slam_gym.association.tracking.path import path_of, support_of
-from slam_gym.association.tree import Pairings, Tree
+from slam_gym.association.tracking.path import Path, path_of, support_of
+from slam_gym.association.tree import PairingArrays, Pairings, Tree, write_rows
 from slam_gym.types import UNPAIRED, Array, Effort, IntArray, Prediction
 
 _HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
@@ -44,6 +45,7 @@ class Kept(NamedTuple):
 
     tree: Tree
     beam: Beam
+    rows: IntArray  # (b, m) row of the prediction that each pairs with each measurement, or UNPAIRED
     fit: Array  # (b,) log N(ν_H; 0, S_H), and the odds of its pairings
     unpaired: IntArray  # (b,) measurements that they pair with nothing
     effort: Effort
@@ -53,7 +55,8 @@ class Views(NamedTuple):
     """What each hypothesis has in view: hypotheses of one group are taken for as good as at one place."""
 
     group: IntArray  # (b,)
-    visibility: Array  # (groups, q) of the features of the tree by slot, then of others; (0, 0) where nobody can tell
+    visibility: Array  # (groups, q) of the features of the tree and of others; (0, 0) where nobody can tell
+    columns: IntArray  # (u,) where the features of the tree are among those, by slot
 
 
 def candidate_gate(confidence: float) -> float:
@@ -79,9 +82,17 @@ def check_search(detection: float, unseen: float, width: int, margin: float) -> 
 def checked_visibility(prediction: Prediction) -> Array | None:
     """Visibility (k,) from the predicted pose; None where nobody can tell. ValueError for what is no probability."""
     v = prediction.visibility()
-    if v is not None and (v.shape != (len(prediction),) or not ((v >= 0.0) & (v <= 1.0)).all()):
+    if v is not None and not (v.shape == (len(prediction),) and _are_probabilities(plain(v))):
         raise ValueError(f"prediction.visibility: {len(prediction)} probabilities expected, got {v.tolist()}")
     return v
+
+
+@compiled
+def _are_probabilities(values: Array) -> bool:
+    faults = 0
+    for value in values:
+        faults += not 0.0 <= value <= 1.0
+    return faults == 0
 
 
 def search(
@@ -100,10 +111,21 @@ def search(
     Measurements whose candidates find most support (the other measurements that still have a candidate once the pose is
     updated with that one pairing) are decided first; those without a candidate are `*` in all hypotheses.
     """
-    seen = _NOBODY if visibility is None else visibility[tree.rows]
-    found = _search(tree.pairings, tree.candidates.starts, seen, rates, gate, width, margin, odds)
-    beam, fit, unpaired, nodes, tests, cut = found
-    return Kept(tree, beam, fit, unpaired, Effort(nodes, tree.candidates.tests, tests, cut))
+    seen = _NOBODY if visibility is None else visibility
+    found = _search(
+        tree.pairings[:], tree.candidates.starts, tree.given, tree.rows, seen, odds, rates[:], gate, width, margin
+    )
+    beam, rows, fit, unpaired, nodes, tests, cut = found
+    return Kept(
+        tree, Beam(*beam[:4], Path(*beam[4:])), rows, fit, unpaired, Effort(nodes, tree.candidates.tests, tests, cut)
+    )
+
+
+def some(kept: Kept, chosen: IntArray) -> Kept:
+    """The hypotheses `chosen` (c,), ascending."""
+    beam = kept.beam
+    fewer = Beam(beam.score[chosen], beam.pairings[chosen], beam.made[chosen], beam.nodes[chosen], beam.joined)
+    return Kept(kept.tree, fewer, kept.rows[chosen], kept.fit[chosen], kept.unpaired[chosen], kept.effort)
 
 
 def views(kept: Kept, visibility: Array | None, together: float = 0.0) -> Views:
@@ -115,85 +137,89 @@ def views(kept: Kept, visibility: Array | None, together: float = 0.0) -> Views:
     tree, beam = kept.tree, kept.beam
     group = np.zeros(len(beam.score), np.int64)
     if visibility is None:
-        return Views(group, _NOBODY_KNOWS)
+        return Views(group, _NOBODY_KNOWS, tree.rows)
     prediction, rows = tree.prediction, tree.rows
-    variances = prediction.covariances[rows]
-    if not prediction.view_moves or variances[:, (0, 1), (0, 1)].max(initial=0.0) < together**2:
-        others = np.ones(len(prediction), np.bool_)
-        others[rows] = False
-        return Views(group, np.concatenate((visibility[rows], visibility[others]))[None])
+    if not prediction.view_moves or _all_below(plain(prediction.covariances), rows, together**2):
+        return Views(group, visibility.reshape(1, -1), rows)
     possible = visibility > _HARDLY
     possible[rows] = False
     rows = np.concatenate((rows, np.flatnonzero(possible)))
     covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
-    moved = updated(tree.pairings._replace(covariance=covariance), beam, prediction.positions[rows])
+    moved = Moved(*updated(tree.pairings._replace(covariance=covariance)[:], beam, prediction.positions[rows]))
     first = _grouped(moved.positions, np.argsort(-beam.score, kind="stable"), together, group)
-    seen = np.empty((len(first), len(rows)))
-    for g, b in enumerate(first.tolist()):
-        v = prediction.visibility(moved.positions[b], moved.covariances[b])
-        assert v is not None
-        seen[g] = v
-    return Views(group, seen)
+    positions, covariances = moved.positions[first].reshape(-1, 2), moved.covariances[first].reshape(-1, 2, 2)
+    seen = prediction.visibility(positions, covariances)
+    assert seen is not None
+    return Views(group, seen.reshape(len(first), len(rows)), np.arange(len(tree.rows)))
 
 
 @compiled
-def log_densities(pairings: Pairings, beam: Beam, seen: Views, detections: Array, unseen: float) -> Array:
+def _all_below(covariances: Array, rows: IntArray, variance: float) -> bool:
+    """Whether the positions at `rows` are all predicted with less than a variance, in x and in y."""
+    for j in rows:
+        if not (covariances[j, 0, 0] < variance and covariances[j, 1, 1] < variance):
+            return False
+    return variance > 0.0
+
+
+def log_densities(kept: Kept, seen: Views, detections: Array, unseen: float) -> Array:
     """log Π P_D v_j · Π (1 − P_D v_j) of each hypothesis, for each P_D of `detections`: (b, d)."""
-    out = np.empty((len(beam.score), len(detections)))
-    groups, features = seen.visibility.shape
-    missed = np.empty((groups, features))
+    beam, slots = kept.beam, kept.tree.pairings.slots
+    return _log_densities(beam.pairings, beam.made, slots, *seen, detections, unseen)
+
+
+@compiled
+def _log_densities(
+    pairings: IntArray,
+    made: IntArray,
+    slots: IntArray,
+    group: IntArray,
+    visibility: Array,
+    columns: IntArray,
+    detections: Array,
+    unseen: float,
+) -> Array:
+    out = np.empty((len(made), len(detections)))
+    groups, features = visibility.shape
+    missed, none = np.empty((groups, features)), np.empty(max(groups, 1))
     for d in range(len(detections)):
         P = detections[d]
-        none = np.zeros(max(groups, 1))
+        none[:] = 0.0
         for g in range(groups):
             for j in range(features):
-                missed[g, j] = math.log1p(-P * seen.visibility[g, j])
+                missed[g, j] = math.log1p(-P * visibility[g, j])
                 none[g] += missed[g, j]
-        for b in range(len(beam.score)):
-            g = seen.group[b]
-            total = none[g] + beam.pairings[b] * math.log(P)
-            if groups > 0:
-                for q in range(beam.pairings[b]):
-                    j = pairings.slots[beam.made[b, q]]
-                    total += math.log(max(seen.visibility[g, j], unseen)) - missed[g, j]
-            out[b, d] = total
-    return out
-
-
-def all_rows(kept: Kept) -> IntArray:
-    """(b, m) row of the prediction that each hypothesis pairs with each measurement, or UNPAIRED."""
-    return _rows(kept.tree.pairings, kept.beam, kept.tree.rows, len(kept.tree.given))
-
-
-@compiled
-def _rows(pairings: Pairings, beam: Beam, rows: IntArray, measurements: int) -> IntArray:
-    out = np.full((len(beam.score), measurements), UNPAIRED)
-    for b in range(len(out)):
-        for q in range(beam.pairings[b]):
-            c = beam.made[b, q]
-            out[b, pairings.measured[c]] = rows[pairings.slots[c]]
+        for b in range(len(made)):
+            g = group[b]
+            out[b, d] = none[g] + pairings[b] * math.log(P)
+            for q in range(pairings[b] if groups > 0 else 0):
+                j = columns[slots[made[b, q]]]
+                out[b, d] += math.log(max(visibility[g, j], unseen)) - missed[g, j]
     return out
 
 
 @compiled
 def _search(
-    pairings: Pairings,
+    arrays: PairingArrays,
     starts: IntArray,
+    given: IntArray,
+    rows: IntArray,
     visibility: Array,
-    rates: Rates,
+    odds: Array,
+    rates_given: tuple[float, float, float],
     gate: float,
     width: int,
     margin: float,
-    odds: Array,
-) -> tuple[Beam, Array, IntArray, int, int, bool]:
+) -> tuple[BeamArrays, IntArray, Array, IntArray, int, int, bool]:
     """`Kept` but for the tree, its effort as nodes, tests and whether the beam was full; a plain tuple.
 
-    The measurements' pairings begin after those given, at `starts` (l + 1,). An empty `visibility` (u,) says nothing,
+    The measurements' pairings begin after those given, at `starts` (l + 1,). An empty `visibility` (k,) says nothing,
     nor do empty `odds` (c,).
     """
+    pairings, rates = Pairings(*arrays), Rates(*rates_given)
     gains = np.full(len(pairings.slots), math.log(rates.detection))
     for c in range(len(gains) if len(visibility) > 0 else 0):
-        v = visibility[pairings.slots[c]]
+        v = visibility[rows[pairings.slots[c]]]
         gains[c] += math.log(max(v, rates.unseen)) - math.log1p(-rates.detection * v)
     levels = _levels(pairings, starts, gate)
     offered = gains + odds if len(odds) > 0 else gains
@@ -201,13 +227,16 @@ def _search(
     found = beam_search(pairings, levels, prices)
     beam = found.beam
     fit, unpaired = beam.score.copy(), np.empty(len(beam.score), np.int64)
+    decided = np.empty((len(fit), len(given)), np.int64)
     for b in range(len(fit)):
         made = beam.pairings[b] - pairings.given
         unpaired[b] = len(starts) - 1 - made
         fit[b] -= (len(levels) - made) * prices.unpaired
         for q in range(pairings.given, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
-    return beam, fit, unpaired, found.nodes, found.tests, found.cut
+        decided[b] = UNPAIRED
+        write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
+    return plainly(beam), decided, fit, unpaired, found.nodes, found.tests, found.cut
 
 
 @compiled

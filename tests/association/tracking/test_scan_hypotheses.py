@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association.compatibility import chi2_gate, individual
-from slam_gym.association.tracking.scan_hypotheses import Rates, all_rows, search, views
+from slam_gym.association.tracking.scan_hypotheses import Rates, search, views
 from slam_gym.association.tree import interpretation_tree
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
@@ -29,13 +29,12 @@ def test_every_hypothesis_has_its_own_fit_and_view(seed):
     seen = views(found, visibility)
     assert sorted(seen.group) == list(range(len(found.fit)))
     for b in range(len(found.fit)):
-        rows = all_rows(found)[b]
+        rows = found.rows[b]
         pairs = [(i, int(j)) for i, j in enumerate(rows) if j != UNPAIRED]
         assert found.unpaired[b] == 4 - len(pairs)
         assert found.fit[b] == pytest.approx(densities.fit(scan, prediction, pairs), abs=1e-9)
         expected = densities.visibilities(scan, prediction, pairs)
-        slots = np.arange(len(found.tree.rows))
-        assert seen.visibility[seen.group[b], slots] == pytest.approx(expected[found.tree.rows[slots]], abs=1e-9)
+        assert seen.visibility[seen.group[b], seen.columns] == pytest.approx(expected[found.tree.rows], abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -48,15 +47,14 @@ def test_hypotheses_that_move_features_little_apart_share_a_view(seed):
 
     found, visibility = kept(seed, view)
     exact, shared = views(found, visibility), views(found, visibility, 0.3)
-    apart = calls[-len(shared.visibility) :]
+    apart = calls[-1].reshape(len(shared.visibility), -1, 2)
     assert len(shared.visibility) <= len(exact.visibility) and set(shared.group) == set(range(len(apart)))
     for a in range(len(apart)):
         for b in range(a):
             assert np.hypot(*(apart[a] - apart[b]).T).max() >= 0.3
     # within 30 cm the edge changes by no more than this
-    assert (
-        np.abs(shared.visibility[shared.group] - exact.visibility[exact.group]).max(initial=0.0) < 3.0 * 0.3 / 4.0 + 0.1
-    )
+    difference = np.abs(shared.visibility[shared.group] - exact.visibility[exact.group])
+    assert difference.max(initial=0.0) < 3.0 * 0.3 / 4.0 + 0.1
 
 
 def test_where_all_is_known_well_there_is_one_view_that_nobody_is_asked_for_again():
