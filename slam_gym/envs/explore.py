@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 from slam_gym.association import resolve_associator
 from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, scenario_on_floor
 from slam_gym.envs.goal_observation import GOAL_FIELDS, encode_goals
-from slam_gym.envs.observation import (
-    encode_features,
-    encode_image,
-    encode_scan,
-    encode_uncertainty,
-    observation_space,
-)
+from slam_gym.envs.observation import observation_space, observe
 from slam_gym.envs.rewards import get_reward
 from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import Scenario
@@ -33,6 +27,8 @@ from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocation import SEARCH, LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Associator, Relocator
 from slam_gym.validation import one_of
+
+_DECISIONS = 5  # the first counts of a tally: right pairings, wrong ones of three kinds, and missed ones
 
 
 class ExploreEnv(BaseEnv):
@@ -225,31 +221,25 @@ class ExploreEnv(BaseEnv):
 
     def _observe(self) -> Observation:
         episode = self.episode
-        slam_map = episode.slam.map
-        pose = slam_map.pose
-        observation: Observation = {
-            "scan": encode_scan(episode.scan, self.measurements),
-            "features": encode_features(episode.last_step.prediction),
-            "uncertainty": encode_uncertainty(slam_map.pose_covariance),
-            "budget": np.array([1.0 - episode.ticks / self.scenario.budget], np.float32),
-            "image": encode_image(episode.grid, pose, slam_map.positions),
-        }
+        slam_map, expected = episode.slam.map, episode.last_step.prediction
+        observation: Observation = observe(episode.scan, expected, slam_map, episode.grid, self.measurements)
+        observation["budget"] = np.array([1.0 - episode.ticks / self.scenario.budget], np.float32)
         if self.goal_mode:
             self._goals = goals_module.propose(self.scenario, slam_map, episode.grid, self._places, episode.tried)
-            observation["goals"] = encode_goals(self._goals, pose)
+            observation["goals"] = encode_goals(self._goals, slam_map.pose)
         return observation
 
     def _info(self) -> Info:
         episode = self.episode
-        decided = Tally(*(episode.identities.counts - self._counts_before).tolist())
+        right, *wrong, missed = (episode.identities.counts - self._counts_before)[:_DECISIONS].tolist()
         sources = np.full(self.measurements, SPURIOUS)
         sources[: len(episode.truth)] = episode.truth.sources
         info: Info = {
             "map_error": episode.map_error(),
             "coverage": episode.coverage(),
-            "pairings_right": decided.tp,
-            "pairings_wrong": decided.fp,
-            "pairings_missed": decided.fn,
+            "pairings_right": right,
+            "pairings_wrong": sum(wrong),
+            "pairings_missed": missed,
             "pose_nees": episode.nees[-1],
             "ticks": episode.ticks - self._ticks_before,
             "pose": episode.estimates[-1].copy(),

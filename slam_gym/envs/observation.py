@@ -10,7 +10,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
+from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.grid import Blocks, Cells, draw_egocentric
 from slam_gym.types import Array, Prediction, Scan
 
 Float32Array = NDArray[np.float32]
@@ -57,15 +59,59 @@ def observation_space(measurements: int, goals: tuple[int, int] | None) -> space
     return spaces.Dict(parts)
 
 
-@compiled
-def _encode(points: Array, covariances: Array, sizes: Array, rows: int) -> Float32Array:
-    """The nearest `rows` points (k, 2) with covariances (k, 2, 2) as `POINT_FIELDS`, nearest first; then zeros.
+_Points = tuple[Array, Array, Array]  # points (k, 2), their covariances (k, 2, 2) and sizes (k,)
 
-    An unknown size, NaN, shows as 0.
+
+def observe(
+    scan: Scan, prediction: Prediction, slam_map: StochasticMap, grid: ExploredGrid, measurements: int
+) -> dict[str, Any]:
+    """All that does not depend on the kind of action but the budget, for scans of at most so many `measurements`.
+
+    Measurements, and map features where they were expected before the scan, in the robot frame; standard deviations of
+    the pose; free space, walls and feature density around the robot, heading up.
+    """
+    seen, expected = np.zeros(7 * measurements, np.float32), np.zeros(7 * FEATURES, np.float32)
+    uncertainty, image = np.empty(3, np.float32), np.empty((3, PIXELS, PIXELS), np.uint8)
+    x, _, P, _, _ = slam_map.arrays
+    _observe(
+        (scan.points, scan.covariances, scan.sizes),
+        (prediction.positions, prediction.covariances, prediction.sizes),
+        x, P, slam_map.n, *grid.drawn, seen, expected, uncertainty, image,
+    )  # fmt: skip
+    return {"scan": seen, "features": expected, "uncertainty": uncertainty, "image": image}
+
+
+@compiled
+def _observe(
+    scan: _Points,
+    prediction: _Points,
+    x: Array,
+    P: Array,
+    n: int,
+    blocks: Blocks,
+    origin: Array,
+    resolution: float,
+    seen: Float32Array,
+    expected: Float32Array,
+    uncertainty: Float32Array,
+    image: Cells,
+) -> None:
+    _encode(*scan, seen)
+    _encode(*prediction, expected)
+    for i in range(3):
+        sigma = math.sqrt(max(P[i, i], 0.0))
+        uncertainty[i] = sigma / (sigma + (HEADING_SCALE if i == 2 else SIGMA_SCALE))
+    draw_egocentric(blocks, origin, resolution, x[:3], x[3 : 3 + 2 * n].reshape(n, 2), METRES, image)
+
+
+@compiled
+def _encode(points: Array, covariances: Array, sizes: Array, out: Float32Array) -> None:
+    """The nearest of the points (k, 2) with covariances (k, 2, 2) as `POINT_FIELDS`, nearest first, as many as fit.
+
+    What comes after them is left as it is. An unknown size, NaN, shows as 0.
     """
     order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2)
-    out = np.zeros(rows * 7, np.float32)
-    for place in range(min(rows, points.shape[0])):
+    for place in range(min(len(out) // 7, points.shape[0])):
         i, at = order[place], 7 * place
         sx, sy = math.sqrt(max(covariances[i, 0, 0], 0.0)), math.sqrt(max(covariances[i, 1, 1], 0.0))
         out[at] = 1.0
@@ -76,29 +122,3 @@ def _encode(points: Array, covariances: Array, sizes: Array, rows: int) -> Float
         out[at + 5] = sy / (sy + SIGMA_SCALE)
         if not math.isnan(sizes[i]):
             out[at + 6] = sizes[i] / (abs(sizes[i]) + SIZE_SCALE)
-    return out
-
-
-def encode_scan(scan: Scan, measurements: int) -> Float32Array:
-    """The measurements in the robot frame."""
-    return _encode(scan.points, scan.covariances, scan.sizes, measurements)
-
-
-def encode_features(prediction: Prediction) -> Float32Array:
-    """The nearest map features in the robot frame, where they were expected before the scan."""
-    return _encode(prediction.positions, prediction.covariances, prediction.sizes, FEATURES)
-
-
-@compiled
-def encode_uncertainty(covariance: Array) -> Float32Array:
-    """Standard deviations of the pose, squashed, from its (3, 3) covariance."""
-    out = np.zeros(3, np.float32)
-    for i in range(3):
-        sigma = math.sqrt(max(covariance[i, i], 0.0))
-        out[i] = sigma / (sigma + (HEADING_SCALE if i == 2 else SIGMA_SCALE))
-    return out
-
-
-def encode_image(grid: ExploredGrid, pose: Array, features: Array) -> NDArray[np.uint8]:
-    """(3, 48, 48): free space, walls and feature density around the robot, heading up."""
-    return grid.egocentric(pose, features, PIXELS, METRES)

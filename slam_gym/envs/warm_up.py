@@ -17,7 +17,7 @@ from slam_gym import geometry, validation
 from slam_gym._compile import announce_compilation
 from slam_gym.association import compatibility, jcbb, tree
 from slam_gym.envs import observation
-from slam_gym.mapping import covisibility, ekf, linear_algebra, measurement, update
+from slam_gym.mapping import covisibility, ekf, foresight, linear_algebra, measurement, update
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
 from slam_gym.navigation import grid, key_poses, redrawing, visibility
@@ -26,14 +26,15 @@ from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import follow
 from slam_gym.navigation.sweeps import MovableSweeps
-from slam_gym.slam import lost, slam
+from slam_gym.simulation import appraisal
+from slam_gym.slam import kernels, lost, slam
 from slam_gym.types import Array, Beams, Prediction, Scan
-from slam_gym.world import boxes, detection, ray_casting, reachability, wall_grid
+from slam_gym.world import boxes, detection, driving, ray_casting, reachability, wall_grid
 
 COMPILED = (
     geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, redrawing,
     linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
-    ray_casting, reachability, update, visibility, wall_grid,
+    ray_casting, reachability, update, visibility, wall_grid, foresight, appraisal, kernels, driving,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 

@@ -43,15 +43,37 @@ class CovisibilityGraph:
         """A copy shows its own arrays, not copies of those that are shown."""
         return self.__dict__ | {"_shown": None}
 
+    @property
+    def arrays(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Neighbours and counts (≥ n, width), degrees (≥ n,), themselves, for compiled functions."""
+        return self._neighbours, self._counts, self._degrees
+
+    def learned(self, created: int) -> None:
+        """Take over what a compiled step has made of the arrays: so many nodes have been added."""
+        self.n += created
+
+    def make_room(self, more: int) -> None:
+        """For so many more nodes, by doubling."""
+        room = len(self._degrees)
+        while self.n + more > room:
+            room *= 2
+        if room > len(self._degrees):
+            rows, self._shown = room - len(self._degrees), None
+            self._degrees = np.pad(self._degrees, (0, rows))
+            self._neighbours = np.pad(self._neighbours, ((0, rows), (0, 0)))
+            self._counts = np.pad(self._counts, ((0, rows), (0, 0)))
+
+    def widen(self, needed: int) -> None:
+        """Room for so many neighbours of each node, or more."""
+        columns = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
+        self._neighbours, self._shown = np.pad(self._neighbours, ((0, 0), (0, columns))), None
+        self._counts = np.pad(self._counts, ((0, 0), (0, columns)))
+
     def add(self, count: int) -> None:
         """Append `count` nodes without edges."""
         if count < 0:
             raise ValueError(f"count: {count} is negative")
-        while self.n + count > len(self._degrees):
-            more, self._shown = len(self._degrees), None
-            self._degrees = np.pad(self._degrees, (0, more))
-            self._neighbours = np.pad(self._neighbours, ((0, more), (0, 0)))
-            self._counts = np.pad(self._counts, ((0, more), (0, 0)))
+        self.make_room(count)
         self._degrees[self.n : self.n + count] = 0
         self.n += count
 
@@ -61,12 +83,10 @@ class CovisibilityGraph:
         Raises ValueError where a feature is not in the graph.
         """
         features = np.ascontiguousarray(features, dtype=np.int64)
-        needed = _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
+        needed = count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
         if needed > self._neighbours.shape[1]:
-            more = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
-            self._neighbours, self._shown = np.pad(self._neighbours, ((0, 0), (0, more))), None
-            self._counts = np.pad(self._counts, ((0, 0), (0, more)))
-            _count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
+            self.widen(needed)
+            count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
 
     def keep(self, kept: IntArray) -> None:
         """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1.
@@ -116,7 +136,7 @@ class CovisibilityGraph:
 
     def local_to(self, features: IntArray) -> BoolArray:
         """(n,) the features given, but for UNPAIRED, and all their neighbours. Raises ValueError as `see_together`."""
-        return _local_to(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
+        return mark_local(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
 
     def among(self, features: IntArray) -> BoolArray:
         """(j, j) which of `features` (j,) are neighbours of each other or the same; symmetric.
@@ -181,7 +201,7 @@ def _require(features: IntArray, lowest: int, n: int) -> None:
 
 
 @compiled
-def _count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
+def count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
     """Count each pair; returns the row length needed, with nothing counted if there is less."""
     _require(features, UNPAIRED, n)
     seen, k, needed = np.empty(len(features), np.int64), 0, 0
@@ -249,9 +269,12 @@ def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kep
 
 
 @compiled
-def _local_to(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+def mark_local(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+    """`CovisibilityGraph.local_to`; without any arrays of a graph, all n features are local."""
     _require(features, UNPAIRED, n)
-    local = np.zeros(n, np.bool_)
+    local = np.full(n, len(neighbours) == 0)
+    if len(neighbours) == 0:
+        return local
     for f in features:
         if f >= 0:
             local[f] = True

@@ -7,6 +7,9 @@ what lies beyond d and below the diagonal means nothing.
 `at` (≥ d,) is the state at which Jacobians are evaluated: the estimate (the same array as x), or the first estimate of
 each entry (first-estimate Jacobians, Huang, Mourikis and Roumeliotis 2010).
 
+What is known of a feature besides is in the columns of two arrays: `counted` (5, ≥ n) of integers, rows IDS to KINDS,
+and `sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown.
+
 The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ. Measurements: `update`.
 """
 
@@ -20,6 +23,12 @@ from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
+
+IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS = range(5)  # id, steps in which it was seen, first and last of them, class
+SIZES, VARIANCES = range(2)
+
+MapArrays = tuple[Array, Array, Array, IntArray, Array]
+"""x, at, P, `counted` and `sized` of a map."""
 
 
 @compiled
@@ -124,6 +133,7 @@ def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gat
     return out
 
 
+@compiled
 def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
     """Append x_F = x_R ⊕ z to the state, its covariance by linearisation; False where z or R is no good.
 
@@ -160,6 +170,16 @@ def keep(x: Array, at: Array, P: Array, kept: IntArray) -> None:
 
 
 @compiled
+def begin(
+    counted: IntArray, sized: Array, n: int, step: int, next_id: int, size: float, variance: float, kind: int
+) -> None:
+    """Enter what is known of feature n, which has just been added."""
+    counted[IDS, n], counted[SEEN, n], counted[KINDS, n] = next_id, 1, kind
+    counted[FIRST_SEEN, n] = counted[LAST_SEEN, n] = step
+    sized[SIZES, n], sized[VARIANCES, n] = size, variance
+
+
+@compiled
 def confirmed(x: Array, seen: IntArray, n: int, confirmations: int) -> Array:
     """Positions (e, 2) of the features seen in at least `confirmations` steps."""
     out, e = np.empty((n, 2)), 0
@@ -171,11 +191,11 @@ def confirmed(x: Array, seen: IntArray, n: int, confirmations: int) -> Array:
 
 
 @compiled
-def stale(seen: IntArray, first_seen: IntArray, n: int, confirmations: int, before: int) -> IntArray:
+def stale(counted: IntArray, n: int, confirmations: int, before: int) -> IntArray:
     """Features seen in fewer steps than `confirmations`, which came before step `before`."""
     out, k = np.empty(n, np.int64), 0
     for j in range(n):
-        if seen[j] < confirmations and first_seen[j] < before:
+        if counted[SEEN, j] < confirmations and counted[FIRST_SEEN, j] < before:
             out[k] = j
             k += 1
     return out[:k]
@@ -194,10 +214,7 @@ def feature_covariances(P: Array, n: int) -> Array:
 
 @compiled
 def record(
-    features: IntArray,
-    step: int,
-    measured: tuple[Array, Array, IntArray],
-    attributes: tuple[IntArray, IntArray, Array, Array, IntArray],
+    features: IntArray, step: int, measured: tuple[Array, Array, IntArray], counted: IntArray, sized: Array
 ) -> None:
     """Count the step in which `features` (m,) were seen, once each; learn their sizes and kinds from the measurements.
 
@@ -206,10 +223,10 @@ def record(
 
     Arguments:
         measured: sizes (m,), size variances (m,) and kinds (m,) of the measurements.
-        attributes: of the map's features, changed in place: number of steps in which each was seen, the last of them,
-            sizes, size variances, kinds.
+        counted, sized: of the map's features, changed in place.
     """
-    seen, last_seen, sizes, variances, kinds = attributes
+    seen, last_seen, kinds = counted[SEEN], counted[LAST_SEEN], counted[KINDS]
+    sizes, variances = sized[SIZES], sized[VARIANCES]
     measured_sizes, measured_variances, measured_kinds = measured
     for i in range(len(features)):
         f = features[i]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from slam_gym.geometry import compose
 from slam_gym.mapping.map_joining import equate, join
-from slam_gym.mapping.map_state import next_id, successor
+from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray
 
@@ -50,7 +50,7 @@ class LocalMaps:
         """Close the current map, not to be changed any more; returns a new one that has its base at the robot."""
         fresh = successor(self.current)
         self._maps.append(fresh)
-        self._first_ids.append(next_id(fresh))
+        self._first_ids.append(fresh.next_id)
         return fresh
 
     @property
@@ -73,7 +73,7 @@ class LocalMaps:
         """
         asked = np.asarray(ids, dtype=np.int64)
         numbers = np.searchsorted(self._first_ids, asked, side="right") - 1
-        if asked.size and (numbers.min() < 0 or asked.max() >= next_id(self.current)):
+        if asked.size and (numbers.min() < 0 or asked.max() >= self.current.next_id):
             raise ValueError(f"ids: {asked.tolist()} were not all given")
         return np.asarray(numbers, dtype=np.int64)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from slam_gym.mapping import ekf
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray
 
@@ -62,15 +63,21 @@ class MapState:
     next_id: int  # of the next feature
 
 
-def next_id(m: StochasticMap) -> int:
-    """The id that the next feature will be given; all ids given so far are smaller."""
-    return m._next_id
+_ROWS = {
+    "ids": ("_counted", ekf.IDS),
+    "seen": ("_counted", ekf.SEEN),
+    "first_seen": ("_counted", ekf.FIRST_SEEN),
+    "last_seen": ("_counted", ekf.LAST_SEEN),
+    "kinds": ("_counted", ekf.KINDS),
+    "sizes": ("_sized", ekf.SIZES),
+    "size_variances": ("_sized", ekf.VARIANCES),
+}  # where a map keeps the fields of `Columns`
 
 
 def state_of(m: StochasticMap) -> MapState:
     """The state of a map, as copies."""
     columns = Columns(m.ids, m.seen, m.first_seen, m.last_seen, m.sizes, m.size_variances, m.kinds)
-    return MapState(m.mean, m.covariance, columns, m.step, next_id(m))
+    return MapState(m.mean, m.covariance, columns, m.step, m.next_id)
 
 
 def map_of_state(spec: MapSpec, state: MapState) -> StochasticMap:
@@ -88,7 +95,8 @@ def map_of_state(spec: MapSpec, state: MapState) -> StochasticMap:
     m._x[3:d] = m._at[3:d] = state.mean[3:]
     m._P[:d, :d] = state.covariance
     for field in fields(state.columns):
-        getattr(m, f"_{field.name}")[:n] = getattr(state.columns, field.name)
+        rows, row = _ROWS[field.name]
+        getattr(m, rows)[row, :n] = getattr(state.columns, field.name)
     m.n, m.step, m._next_id = n, state.step, state.next_id
     return m
 

@@ -45,15 +45,15 @@ def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, fl
 
 @compiled
 def features_in_reach(
-    x: Array, at: Array, P: Array, n: int, reach: float, second_order: bool
-) -> tuple[IntArray, Array, Array, Array]:
-    """Features with ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ.
+    x: Array, at: Array, P: Array, n: int, reach: float, second_order: bool, out: tuple[IntArray, Array, Array, Array]
+) -> int:
+    """How many features have ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ.
 
-    Their indices (k,), positions h_j (k, 2), covariances H_j P H_jᵀ (k, 2, 2), and those with the robot's heading,
-    H_j P e_θ (k, 2). With `second_order`, positions and covariances are the mean and covariance to that order.
+    Entered in the first rows of `out`: their indices (n,), positions h_j (n, 2), covariances H_j P H_jᵀ (n, 2, 2), and
+    those with the robot's heading, H_j P e_θ (n, 2). With `second_order`, positions and covariances are the mean and
+    covariance to that order.
     """
-    features, k = np.empty(n, np.int64), 0
-    positions, covariances, across = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2))
+    (features, positions, covariances, across), k = out, 0
     c, s = math.cos(x[2]), math.sin(x[2])
     ca, sa = math.cos(at[2]), math.sin(at[2])
     for j in range(n):
@@ -77,7 +77,7 @@ def features_in_reach(
         if second_order:
             _bend(positions[k], covariances[k], across[k], P[2, 2])
         k += 1
-    return features[:k], positions[:k], covariances[:k], across[:k]
+    return k
 
 
 @compiled

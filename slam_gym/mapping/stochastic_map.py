@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,10 +18,11 @@ from numpy.typing import ArrayLike
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.ekf import MapArrays
+from slam_gym.mapping.foresight import foresee
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded, read_only
 from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
 from slam_gym.types import (
-    UNKNOWN_KIND,
     Array,
     BoolArray,
     IntArray,
@@ -79,16 +81,8 @@ class MapSpec:
         return not self.first_estimate_jacobians if self.error is None else self.error == "right-invariant"
 
 
-_COLUMNS = (
-    "_ids",
-    "_seen",
-    "_first_seen",
-    "_last_seen",
-    "_sizes",
-    "_size_variances",
-    "_kinds",
-)  # one entry per feature
-_NONE = np.empty(0, np.int64)
+_NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
+_STILL, _CERTAIN = np.zeros(3), np.zeros((3, 3))
 
 
 class StochasticMap:
@@ -125,9 +119,7 @@ class StochasticMap:
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
         self._at = np.zeros(side) if self.spec.first_estimate_jacobians else self._x
-        self._ids, self._seen, self._first_seen, self._last_seen = (np.zeros(capacity, np.int64) for _ in range(4))
-        self._sizes, self._size_variances = np.zeros(capacity), np.zeros(capacity)
-        self._kinds = np.full(capacity, UNKNOWN_KIND)
+        self._counted, self._sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
         self._x[:3] = self._at[:3] = start
         self._P[:3, :3] = covariance
 
@@ -187,47 +179,52 @@ class StochasticMap:
     @property
     def ids(self) -> IntArray:
         """(n,) id of each feature, never given twice."""
-        return self._ids[: self.n].copy()
+        return self._counted[ekf.IDS, : self.n].copy()
 
     @property
     def seen(self) -> IntArray:
         """(n,) number of steps in which each feature was measured, the first included."""
-        return self._seen[: self.n].copy()
+        return self._counted[ekf.SEEN, : self.n].copy()
 
     @property
     def first_seen(self) -> IntArray:
         """(n,) step in which each feature was added."""
-        return self._first_seen[: self.n].copy()
+        return self._counted[ekf.FIRST_SEEN, : self.n].copy()
 
     @property
     def last_seen(self) -> IntArray:
         """(n,) last step in which each feature was measured."""
-        return self._last_seen[: self.n].copy()
+        return self._counted[ekf.LAST_SEEN, : self.n].copy()
 
     @property
     def sizes(self) -> Array:
         """(n,) [m] intrinsic attribute, NaN where unknown."""
-        return self._sizes[: self.n].copy()
+        return self._sized[ekf.SIZES, : self.n].copy()
 
     @property
     def size_variances(self) -> Array:
         """(n,) [m²], NaN where unknown."""
-        return self._size_variances[: self.n].copy()
+        return self._sized[ekf.VARIANCES, : self.n].copy()
 
     @property
     def kinds(self) -> IntArray:
         """(n,) class that the detector reported, UNKNOWN_KIND where it never did."""
-        return self._kinds[: self.n].copy()
+        return self._counted[ekf.KINDS, : self.n].copy()
 
     @property
     def confirmed(self) -> Array:
         """(e, 2) [m] positions in B of the features that are not provisional."""
-        return ekf.confirmed(self._x, self._seen, self.n, self.spec.confirmations)
+        return ekf.confirmed(self._x, self._counted[ekf.SEEN], self.n, self.spec.confirmations)
 
     @property
     def provisional(self) -> BoolArray:
         """(n,) seen in fewer steps than confirm a feature: by default, in one only."""
-        return np.less(self._seen[: self.n], self.spec.confirmations)
+        return np.less(self._counted[ekf.SEEN, : self.n], self.spec.confirmations)
+
+    def established(self, features: IntArray) -> BoolArray:
+        """(k,) which of `features` (k,) are not provisional."""
+        often: BoolArray = self._counted[ekf.SEEN][features] >= self.spec.confirmations
+        return often
 
     # the filter
 
@@ -238,32 +235,51 @@ class StochasticMap:
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
     def prediction(
-        self, reach: float, graph: CovisibilityGraph | None = None, recent: IntArray = _NONE, view: View | None = None
+        self,
+        reach: float,
+        graph: CovisibilityGraph | None = None,
+        recent: IntArray = _NONE,
+        view_from: Callable[[Array], View] | None = None,
+        odometry: Odometry | None = None,
     ) -> Prediction:
         """Features within `reach` [m] + 3σ of the robot, as it would measure them; valid until the map next changes.
 
         Localities are those of `graph`; without it, all features are local to all. `recent` (r,) are the features that
-        recent scans paired: near are these and what is local to them. `view` is handed on.
+        recent scans paired, or UNPAIRED: near are these and what is local to them. `view_from`
+        tells what the sensor would have in view from a pose (3,) in B. With `odometry`, the robot first moves as
+        `predict` has it; raises as that does.
         """
-        features, positions, covariances, across = measurement.features_in_reach(
-            self._x, self._at, self._P, self.n, float(reach), self.spec.second_order
-        )
+        motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
+        if odometry is not None:
+            self._estimate_changes()
+        n, neighbours, degrees = self.n, _NOBODY, _NONE
+        if graph is not None:
+            neighbours, _, degrees = graph.arrays
+        counted, sized, near = np.empty((4, n), np.int64), np.empty((2, n)), np.empty(n, np.bool_)
+        positions, covariances, across = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2))
+        k = foresee(
+            self.arrays, n, self.step, odometry is not None, motion, Q, float(reach), self.spec.second_order,
+            neighbours, degrees, recent, (counted, sized, near, positions, covariances, across),
+        )  # fmt: skip
+        if k < 0:
+            raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
+        features = counted[0, :k]
         return Prediction(
             features,
-            positions,
-            covariances,
-            self._sizes[features],
-            self._size_variances[features],
-            self._kinds[features],
-            self.step - self._first_seen[features],
-            np.ones(len(features), np.bool_) if graph is None else graph.local_to(recent)[features],
-            float(self._P[2, 2]),
-            across,
+            positions[:k],
+            covariances[:k],
+            sized[ekf.SIZES, :k],
+            sized[ekf.VARIANCES, :k],
+            counted[1, :k],
+            counted[2, :k],
+            near[:k],
+            self._P.item(2, 2),
+            across[:k],
             self.spec.confidence,
             self._joint_covariance(features),
             None if graph is None else graph.among_rows(features),
-            view,
-            sightings=self._seen[features],
+            None if view_from is None else view_from(self.pose),
+            sightings=counted[3, :k],
         )
 
     def landmarks(self) -> Landmarks:
@@ -295,18 +311,17 @@ class StochasticMap:
         self._estimate_changes()
         measured, passes = (scan.points, scan.covariances), (self._passes, self.spec.settled)
         refused = update(self._x, self._at, self._P, self.n, measured, features, passes, self._invariant)
-        if refused == NO_SUCH_FEATURE:
-            raise ValueError(f"features: {features.tolist()} for a map of {self.n} features")
-        if refused == len(scan):
-            raise ValueError("the innovation covariance is singular to working precision")
         if refused != ACCEPTED:
-            raise _bad_measurement(scan, refused)
-        ekf.record(
-            features,
-            self.step,
-            (scan.sizes, scan.size_variances, scan.kinds),
-            (self._seen, self._last_seen, self._sizes, self._size_variances, self._kinds),
-        )
+            raise self.refusal(scan, features, refused)
+        ekf.record(features, self.step, (scan.sizes, scan.size_variances, scan.kinds), self._counted, self._sized)
+
+    def refusal(self, scan: Scan, features: IntArray, refused: int) -> ValueError:
+        """Why an update with these pairings was `refused` (see `mapping.update`)."""
+        if refused == NO_SUCH_FEATURE:
+            return ValueError(f"features: {features.tolist()} for a map of {self.n} features")
+        if refused == len(scan):
+            return ValueError("the innovation covariance is singular to working precision")
+        return bad_measurement(scan, refused)
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
         """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
@@ -315,15 +330,11 @@ class StochasticMap:
         """
         first = self.n
         for i in measurements:
-            if self.n == len(self._ids):
-                self._grow()
+            self.make_room(1)
             if not ekf.add(self._x, self._at, self._P, self._d, scan.points[i], scan.covariances[i]):
-                raise _bad_measurement(scan, i)
-            self._ids[self.n] = self._next_id
-            self._seen[self.n] = 1
-            self._first_seen[self.n] = self._last_seen[self.n] = self.step
-            self._sizes[self.n], self._size_variances[self.n] = scan.sizes[i], scan.size_variances[i]
-            self._kinds[self.n] = scan.kinds[i]
+                raise bad_measurement(scan, i)
+            known = float(scan.sizes[i]), float(scan.size_variances[i]), int(scan.kinds[i])
+            ekf.begin(self._counted, self._sized, self.n, self.step, self._next_id, *known)
             self._next_id += 1
             self._estimate_changes()
             self.n += 1
@@ -341,9 +352,8 @@ class StochasticMap:
         staying[features] = False
         kept = np.flatnonzero(staying)
         ekf.keep(self._x, self._at, self._P, kept)
-        for name in _COLUMNS:
-            column = getattr(self, name)
-            column[: len(kept)] = column[kept]
+        for columns in (self._counted, self._sized):
+            columns[:, : len(kept)] = columns[:, kept]
         self.n = len(kept)
         self._estimate_changes()
         return kept
@@ -353,7 +363,7 @@ class StochasticMap:
         age = self.spec.unconfirmed_age
         if age is None:
             return np.empty(0, dtype=np.int64)
-        return ekf.stale(self._seen, self._first_seen, self.n, self.spec.confirmations, self.step - age)
+        return ekf.stale(self._counted, self.n, self.spec.confirmations, self.step - age)
 
     def end_of_step(self) -> None:
         """Advance the step number."""
@@ -394,16 +404,36 @@ class StochasticMap:
     def _d(self) -> int:
         return 3 + 2 * self.n
 
-    def _grow(self) -> None:
-        """Twice the room."""
-        d, room = self._d, 2 * len(self._ids)
-        side = padded(3 + 2 * room)
+    def make_room(self, more: int) -> None:
+        """Twice the room, until there is some for so many more features."""
+        capacity = self._counted.shape[1]
+        while self.n + more > capacity:
+            capacity *= 2
+        if capacity == self._counted.shape[1]:
+            return
+        d, side = self._d, padded(3 + 2 * capacity)
         x, at, P = np.zeros(side), np.zeros(side), aligned_zeros(side, side)
         x[:d], at[:d], P[:d, :d] = self._x[:d], self._at[:d], self._P[:d, :d]
         self._x, self._at, self._P, self._shown = x, at if self.spec.first_estimate_jacobians else x, P, None
-        for name in _COLUMNS:
-            column = getattr(self, name)
-            setattr(self, name, np.concatenate([column, np.zeros_like(column)]))
+        counted, sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
+        counted[:, : self.n], sized[:, : self.n] = self._counted[:, : self.n], self._sized[:, : self.n]
+        self._counted, self._sized = counted, sized
+
+    @property
+    def arrays(self) -> MapArrays:
+        """What compiled functions work on: no copies, so whoever writes to them says so with `learned`."""
+        return self._x, self._at, self._P, self._counted, self._sized
+
+    @property
+    def next_id(self) -> int:
+        """Of the next feature; all ids given so far are smaller."""
+        return self._next_id
+
+    def learned(self, created: int) -> None:
+        """Take over what a compiled step has made of the arrays: it has added so many features, with the next ids."""
+        self._estimate_changes()
+        self.n += created
+        self._next_id += created
 
 
 class _Estimate:
@@ -442,7 +472,8 @@ def _checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]
     return at, P
 
 
-def _bad_measurement(scan: Scan, i: int) -> ValueError:
+def bad_measurement(scan: Scan, i: int) -> ValueError:
+    """That measurement i can neither update nor start a feature."""
     return ValueError(
         f"scan: measurement {i} is not finite, or its covariance is none: "
         f"point {scan.points[i].tolist()}, covariance {scan.covariances[i].tolist()}"

@@ -98,6 +98,7 @@ class Identities:
     def __init__(self) -> None:
         self.decisions: IntArray = np.empty(0, np.int64)  # (m,) `Decision` of each measurement of the last step
         self._counts: IntArray = np.zeros(len(Tally.__slots__), np.int64)
+        self._last_counts = self._counts.copy()
         self._source: IntArray = np.full(64, UNLABELLED)  # indexed by id; also of features no longer in the map
         self._oldest: IntArray = np.full(64, NO_ID)  # indexed by source: id of the oldest feature the map has of it
         self._in_map: dict[int, list[int]] = {}  # source -> ids of the features the map has of it, oldest first
@@ -112,26 +113,37 @@ class Identities:
         """Tally of all steps so far."""
         return Tally(*self._counts.tolist())
 
+    @property
+    def last(self) -> Tally:
+        """Tally of the last step."""
+        return Tally(*self._last_counts.tolist())
+
     def source_of(self, ids: IntArray) -> IntArray:
         """True feature (k,) behind map features (k,) given by id: SPURIOUS = created by a spurious measurement."""
         return self._source[ids]
 
     def update(self, step: SlamStep, truth: Truth) -> Tally:
-        """Judge the decisions of one step, then learn what it created and removed. Returns the tally of this step.
+        """As `judge`. Returns the tally of this step."""
+        self.judge(step, truth)
+        return self.last
+
+    def judge(self, step: SlamStep, truth: Truth) -> None:
+        """Judge the decisions of one step, then learn what it created and removed.
 
         Raises ValueError where step and truth do not speak of the same number of measurements.
         """
         if len(step.ids) != len(truth.sources):
             raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
-        self.decisions, counts = _judge(step.ids, step.created, truth.sources, self._source, self._oldest)
-        self._counts += counts
-        for i in step.created.nonzero()[0].tolist():
-            self._add(step.ids.item(i), truth.sources.item(i))
+        self.decisions, counts = np.empty(len(step.ids), np.int64), np.zeros(len(self._counts), np.int64)
+        started = _judge(step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions, counts)
+        self._last_counts, self._counts = counts, self._counts + counts
+        if started:
+            for i in step.created.nonzero()[0].tolist():
+                self._add(step.ids.item(i), truth.sources.item(i))
         for feature in step.returned.tolist():
             self._add(feature, self._source.item(feature))
         for feature in step.removed.tolist():
             self._remove(feature)
-        return Tally(*counts.tolist())
 
     def _add(self, feature: int, source: int) -> None:
         self._source = _grown(self._source, feature, UNLABELLED)
@@ -162,12 +174,18 @@ _RIGHT, _WRONG, _NEW, _SPURIOUS, _DISCARDED, _UNJUDGED = (int(decision) for deci
 
 @compiled
 def _judge(
-    ids: IntArray, created: BoolArray, sources: IntArray, source_of: IntArray, oldest: IntArray
-) -> tuple[IntArray, IntArray]:
-    """Decision (m,) on each measurement, and the fields of their Tally (12,): a named tuple would cost 2 µs more."""
-    decisions = np.full(len(ids), _UNJUDGED)
-    counts = np.zeros(12, np.int64)
+    ids: IntArray,
+    created: BoolArray,
+    sources: IntArray,
+    source_of: IntArray,
+    oldest: IntArray,
+    decisions: IntArray,
+    counts: IntArray,
+) -> int:
+    """Enter the `Decision` (m,) on each measurement, count the fields of their Tally (12,); how many are started."""
+    decisions[:], started = _UNJUDGED, 0
     for i in range(len(ids)):
+        started += created[i]
         source, paired = sources[i], ids[i] != NO_ID and not created[i]
         if source == UNLABELLED or (paired and source_of[ids[i]] == UNLABELLED):
             continue
@@ -187,7 +205,7 @@ def _judge(
             counts[_NEW_RIGHT if decisions[i] == _NEW else _NEW_WRONG] += 1
     mistakes = counts[_FP_WRONG] + counts[_FP_SPURIOUS] + counts[_FP_DUPLICATE] + counts[_FN]
     counts[_SCANS_EXACT] = counts[_SCANS] if mistakes == 0 else 0
-    return decisions, counts
+    return started
 
 
 @compiled

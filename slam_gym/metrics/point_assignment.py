@@ -28,14 +28,22 @@ class PointAssignment(NamedTuple):
     pairs: int
 
 
-class _Grid(NamedTuple):
-    """Cells over the true points, in which their neighbours are looked up."""
+class Index(NamedTuple):
+    """True points with cells over them, in which their neighbours are looked up."""
 
+    true: Array  # (N, 2) [m]
+    starts: IntArray  # (cells + 1,) the points of cell c are order[starts[c]:starts[c + 1]], row by row
+    order: IntArray  # (N,)
+    cutoff: float  # [m]
     x: float  # [m] lower left corner
     y: float
     cell: float  # [m] side
     width: int  # [cells]
     height: int
+
+
+PackedIndex = tuple[Array, IntArray, IntArray, float, float, float, float, int, int]
+"""An `Index` as a plain tuple, as it comes from Python and goes back there."""
 
 
 class _Pairs(NamedTuple):
@@ -73,8 +81,14 @@ def assign_points(estimated: Array, true: Array, cutoff: float, p: float) -> Poi
 
     Raises ValueError for points that are not finite.
     """
-    pairs = _pairs_within(estimated, true, cutoff)
-    ceiling = cutoff**p
+    return assign_to(estimated, Index(*indexed(true, cutoff)), p)
+
+
+@compiled
+def assign_to(estimated: Array, index: Index, p: float) -> PointAssignment:
+    """`assign_points` to true points that are indexed, for those that are asked again and again."""
+    pairs, true = _pairs_within(estimated, index), index.true
+    ceiling = index.cutoff**p
     for k in range(len(pairs.costs)):
         pairs.costs[k] = (pairs.costs[k] if p == 1.0 else pairs.costs[k] ** p) - ceiling
     true_of = _least_cost(pairs, len(true))
@@ -88,43 +102,50 @@ def assign_points(estimated: Array, true: Array, cutoff: float, p: float) -> Poi
 
 
 @compiled
-def _pairs_within(estimated: Array, true: Array, cutoff: float) -> _Pairs:
-    """All pairs closer than the cutoff, their distances [m] as costs. The first pass counts, the second fills in."""
-    grid = _grid(estimated, true, cutoff)
-    cell_starts, order = _sorted_into(grid, true)
+def _pairs_within(estimated: Array, index: Index) -> _Pairs:
+    """All pairs closer than the cutoff, their distances [m] as costs."""
+    _extent(estimated, 0), _extent(estimated, 1)  # are finite
+    true, order, cell_starts, cutoff = index.true, index.order, index.starts, index.cutoff
+    room = 0
     starts = np.zeros(len(estimated) + 1, np.int64)
     columns, distances = np.empty(0, np.int64), np.empty(0)
-    for filling in (False, True):
+    for filling in (False, True):  # the first pass counts who is in the cells around
         q = 0
         for i in range(len(estimated)):
-            x, y = (estimated[i, 0] - grid.x) / grid.cell, (estimated[i, 1] - grid.y) / grid.cell
-            if len(true) and -1.0 <= x < grid.width + 1 and -1.0 <= y < grid.height + 1:
-                left, right = max(math.floor(x) - 1, 0), min(math.floor(x) + 1, grid.width - 1)
-                for row in range(max(math.floor(y) - 1, 0), min(math.floor(y) + 2, grid.height)):
-                    first = row * grid.width
-                    for k in range(cell_starts[first + left], cell_starts[first + right + 1]):
+            x, y = (estimated[i, 0] - index.x) / index.cell, (estimated[i, 1] - index.y) / index.cell
+            if len(true) and -1.0 <= x < index.width + 1 and -1.0 <= y < index.height + 1:
+                left, right = max(math.floor(x) - 1, 0), min(math.floor(x) + 1, index.width - 1)
+                for row in range(max(math.floor(y) - 1, 0), min(math.floor(y) + 2, index.height)):
+                    first, last = cell_starts[row * index.width + left], cell_starts[row * index.width + right + 1]
+                    if not filling:
+                        room += last - first
+                        continue
+                    for k in range(first, last):
                         dx, dy = estimated[i, 0] - true[order[k], 0], estimated[i, 1] - true[order[k], 1]
                         if dx * dx + dy * dy < cutoff * cutoff:
-                            if filling:
-                                columns[q], distances[q] = order[k], math.sqrt(dx * dx + dy * dy)
+                            columns[q], distances[q] = order[k], math.sqrt(dx * dx + dy * dy)
                             q += 1
             starts[i + 1] = q
         if not filling:
-            columns, distances = np.empty(q, np.int64), np.empty(q)
-    return _Pairs(starts, columns, distances)
+            columns, distances = np.empty(room, np.int64), np.empty(room)
+    return _Pairs(starts, columns[: starts[-1]], distances[: starts[-1]])
 
 
 @compiled
-def _grid(estimated: Array, true: Array, cutoff: float) -> _Grid:
-    """O(N) cells, none smaller than the cutoff."""
-    _extent(estimated, 0), _extent(estimated, 1)  # are finite
+def indexed(true: Array, cutoff: float) -> PackedIndex:
+    """`Index` of points (N, 2), for a cutoff [m]: O(N) cells, none smaller than that.
+
+    Raises ValueError for points that are not finite, or too far apart.
+    """
     x_low, x_high = _extent(true, 0)
     y_low, y_high = _extent(true, 1)
     wide, high = x_high - x_low, y_high - y_low
     cell = max(cutoff, math.sqrt(wide / (4 * len(true) + 1) * high), wide / 1024, high / 1024)
     if not math.isfinite(cell):
         raise ValueError("the true positions are too far apart")
-    return _Grid(x_low, y_low, cell, int(wide / cell) + 1, int(high / cell) + 1)
+    width, height = int(wide / cell) + 1, int(high / cell) + 1
+    starts, order = _sorted_into(x_low, y_low, cell, width, height, true)
+    return true, starts, order, cutoff, x_low, y_low, cell, width, height
 
 
 @compiled
@@ -139,15 +160,15 @@ def _extent(points: Array, axis: int) -> tuple[float, float]:
 
 
 @compiled
-def _sorted_into(grid: _Grid, points: Array) -> tuple[IntArray, IntArray]:
+def _sorted_into(x: float, y: float, cell: float, width: int, height: int, points: Array) -> tuple[IntArray, IntArray]:
     """Counting sort of points (N, 2) into cells, row by row: starts (cells + 1,) and the points (N,) in order."""
     cells = np.empty(len(points), np.int64)
-    starts = np.zeros(grid.width * grid.height + 1, np.int64)
+    starts = np.zeros(width * height + 1, np.int64)
     for j in range(len(points)):
-        row, column = int((points[j, 1] - grid.y) / grid.cell), int((points[j, 0] - grid.x) / grid.cell)
-        cells[j] = row * grid.width + column
+        row, column = int((points[j, 1] - y) / cell), int((points[j, 0] - x) / cell)
+        cells[j] = row * width + column
         starts[cells[j] + 1] += 1
-    for k in range(grid.width * grid.height):
+    for k in range(width * height):
         starts[k + 1] += starts[k]
     order, free = np.empty(len(points), np.int64), starts.copy()
     for j in range(len(points)):

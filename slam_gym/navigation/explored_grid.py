@@ -61,6 +61,11 @@ class ExploredGrid:
         return ExploredCells(self.cells, read_only(self.origin), self.resolution)
 
     @property
+    def drawn(self) -> tuple[grid.Blocks, Array, float]:
+        """What `grid.draw_egocentric` draws: blocks of cells, themselves, their origin and the side of a cell."""
+        return self._blocks, self.origin, self.resolution
+
+    @property
     def explored_area(self) -> float:
         """Area known to be free [m²]."""
         return self._free_cells * self.resolution**2
@@ -117,5 +122,6 @@ class ExploredGrid:
         Planes: free space (255 = all of the pixel), walls (255 = a quarter of the pixel or more, walls being thin) and
         density of `features` (n, 2) in B (85 each, at most 255). The image covers `metres` × `metres` [m].
         """
-        features = np.ascontiguousarray(features)
-        return grid.egocentric(self._blocks, self.origin, self.resolution, pose, features, pixels, metres)
+        image = np.empty((3, pixels, pixels), np.uint8)
+        grid.draw_egocentric(*self.drawn, pose, np.ascontiguousarray(features), metres, image)
+        return image

@@ -195,29 +195,39 @@ def unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Array
 
 
 @compiled
-def egocentric(
-    blocks: Blocks, origin: Array, resolution: float, pose: Array, features: Array, pixels: int, metres: float
-) -> Cells:
-    """See `ExploredGrid.egocentric`. Two samples of the blocks per pixel, staggered, so that hardly a thin wall slips
-    through; block indices advance in fixed point, 16 bits behind the point."""
-    h, w = blocks.shape
+def draw_egocentric(
+    blocks: Blocks, origin: Array, resolution: float, pose: Array, features: Array, metres: float, image: Cells
+) -> None:
+    """See `ExploredGrid.egocentric`, drawn in `image` (3, pixels, pixels). Two samples of the blocks per pixel,
+    staggered, so that hardly a thin wall slips through; block indices advance in fixed point, 16 bits behind the point.
+    """
+    h, w, pixels = blocks.shape[0], blocks.shape[1], image.shape[1]
     unit, pixel = 65536.0 / (resolution * BLOCK), metres / pixels
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     step_x, step_y = int(sin * pixel * unit), int(-cos * pixel * unit)  # from a pixel to the one on its right
-    sums, image = np.zeros((pixels, pixels), dtype=np.int32), np.empty((3, pixels, pixels), dtype=np.uint8)
+    sums = np.empty(pixels, dtype=np.int32)
     for row in range(pixels):
+        sums[:] = 0
         for quarter in (0.25, 0.75):
             ahead, left = metres / 2.0 - (row + quarter) * pixel, metres / 2.0 - quarter * pixel
             x = math.floor((pose[0] + cos * ahead - sin * left - origin[0]) * unit)
             y = math.floor((pose[1] + sin * ahead + cos * left - origin[1]) * unit)
+            far_x, far_y = x + (pixels - 1) * step_x, y + (pixels - 1) * step_y
+            if max(x, far_x) < 0 or max(y, far_y) < 0 or min(x, far_x) >> 16 >= w or min(y, far_y) >> 16 >= h:
+                continue  # all of it lies outside
+            if min(x, far_x) >= 0 and min(y, far_y) >= 0 and max(x, far_x) >> 16 < w and max(y, far_y) >> 16 < h:
+                for i in range(pixels):
+                    sums[i] += blocks[y >> 16, x >> 16]
+                    x, y = x + step_x, y + step_y
+                continue
             for i in range(pixels):
                 r, c = y >> 16, x >> 16
                 if 0 <= r < h and 0 <= c < w:
-                    sums[row, i] += blocks[r, c]
+                    sums[i] += blocks[r, c]
                 x, y = x + step_x, y + step_y
         for i in range(pixels):
-            image[0, row, i] = (sums[row, i] & 255) * 255 >> 3
-            image[1, row, i] = min(255, (sums[row, i] >> 8) * 64)
+            image[0, row, i] = (sums[i] & 255) * 255 >> 3
+            image[1, row, i] = min(255, (sums[i] >> 8) * 64)
             image[2, row, i] = 0
     for j in range(features.shape[0]):
         dx, dy = features[j, 0] - pose[0], features[j, 1] - pose[1]
@@ -225,4 +235,3 @@ def egocentric(
         column = math.floor((metres / 2.0 + sin * dx - cos * dy) / pixel)
         if 0 <= row < pixels and 0 <= column < pixels:
             image[2, row, column] = min(255, image[2, row, column] + SHADE)
-    return image

@@ -12,17 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam_gym.geometry import compose, observe, relative, transform
+from slam_gym.geometry import compose, observe, transform
 from slam_gym.metrics import map_quality
-from slam_gym.metrics.consistency import pose_nees
+from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView
 from slam_gym.scenarios import Scenario
+from slam_gym.simulation.appraisal import appraise_map, appraise_pose
 from slam_gym.simulation.goals import Tried
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.simulation.kidnapping import Kidnapping
+from slam_gym.simulation.kidnapping import Kidnapping, is_right
 from slam_gym.slam.atlas import AtlasSpec, slam_of
 from slam_gym.slam.relocation import Relocate
 from slam_gym.slam.slam import SlamSpec, send
@@ -108,7 +109,7 @@ class Episode:
         self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
-        self._explored = self.grid.explored  # goes on with the grid
+        self._explored, self._cells = self.grid.explored, self.grid.cells  # go on with the grid
         self._sweeps = MovableSweeps(self.grid)
         sensor = scenario.sensor
         self._field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
@@ -117,13 +118,14 @@ class Episode:
         self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
         in_base, grid = observe(self.base, site.cells), self.grid
         self._places = map_quality.cells_of(in_base, grid.cells.shape, grid.origin, grid.resolution)
+        self._indexed = indexed(self.targets, 2.0 * scenario.prior_sigma)
         self.poses: list[Array] = []  # true, in W, one per tick
         self.estimates: list[Array] = []  # in B
         self.nees: list[float] = []  # of the pose; NaN in a second map, whose place in B nobody claims to know
         self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
         self.tried = Tried()  # frontiers that were driven to and are frontiers still
         self.ticks = -1  # the first look, from where the robot stands, is no tick
-        self._error, self._error_at = 1.0, -1  # map error, and the tick that it is of
+        self._appraised, self._appraised_at = (1.0, 0.0), -1  # map error and coverage, and the tick that they are of
         self._sense(_AT_REST)
         self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
 
@@ -156,12 +158,10 @@ class Episode:
 
     def _take_in(self, step: SlamStep) -> None:
         """What follows a SLAM step: explored space, and the judgement of it all."""
-        self.last_step, self.tally = step, self._judged.last_tally
+        self.last_step = step
         if not self.slam.doubted:  # from a pose that cannot be right, walls would be drawn where none are
             self._explore(step.ids)
         self._log(self.truth.pose)
-        estimate, slam = compose(self.base, self.estimates[-1]), self.slam
-        self.kidnapping.judge(self.ticks, estimate, self.poses[-1], slam.relocations, slam.lost)
 
     def _view_from(self, pose: Array) -> Callable[[Array, Array], Array]:
         """`Prediction.view` from a pose (3,) in B, as far as walls are known."""
@@ -178,12 +178,13 @@ class Episode:
             self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
 
     def _log(self, true_pose: Array) -> None:
-        pose = self.slam.map.pose
+        estimate, slam, (x, _, P, _, _) = np.empty(3), self.slam, self.slam.map.arrays
+        nees, distance, turn = appraise_pose(x, P, self.base, true_pose, estimate)
         self.ticks += 1
         self.poses.append(true_pose)
-        self.estimates.append(pose)
-        nees = pose_nees(pose, self.slam.map.pose_covariance, relative(self.base, true_pose))
-        self.nees.append(nees if math.isfinite(nees) and len(self.slam.maps) == 1 else math.nan)
+        self.estimates.append(estimate)
+        self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
+        self.kidnapping.judge(self.ticks, is_right(distance, turn), slam.relocations, slam.lost)
 
     @property
     def over(self) -> bool:
@@ -197,14 +198,24 @@ class Episode:
 
     def map_error(self) -> float:
         """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
-        if self._error_at != self.ticks:  # rewards and info both ask for it
-            self._error_at = self.ticks
-            self._error = map_quality.map_error(self.landmarks, self.targets, self.scenario.prior_sigma)
-        return self._error
+        return self._appraise()[0]
 
     def coverage(self) -> float:
         """Share of the reachable cells that are known to the explored grid, each looked up where it truly lies."""
-        return map_quality.coverage(self.grid.cells, self._places)
+        return self._appraise()[1]
+
+    def _appraise(self) -> tuple[float, float]:
+        """Map error and coverage, once a tick: rewards and info both ask for them."""
+        if self._appraised_at != self.ticks:
+            self._appraised_at, m = self.ticks, self.slam.map
+            if len(self.slam.maps) == 1:
+                self._appraised = appraise_map(
+                    m.arrays, m.n, m.spec.confirmations, self.base, self._indexed, self._cells, self._places
+                )
+            else:
+                error = map_quality.error_of(self.landmarks, self._indexed)
+                self._appraised = error, map_quality.coverage(self._cells, self._places)
+        return self._appraised
 
 
 def turned(base: Array, covariance: Array) -> Array:

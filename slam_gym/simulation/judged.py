@@ -68,7 +68,7 @@ class JudgedSlam:
         return self._judge(step, truth)
 
     def _judge(self, step: SlamStep, truth: Truth) -> SlamStep:
-        self.last_tally = self.identities.update(step, truth)
+        self.identities.judge(step, truth)
         return step
 
     def _associator(self, truth: Truth) -> Associator:

@@ -39,9 +39,8 @@ class Kidnapping:
         where = _place_been(trail, self._spec.distance, rng) if self._spec.inside else _place_not_been(trail, cells)
         return np.append(where, rng.uniform(-math.pi, math.pi))
 
-    def judge(self, tick: int, estimate: Array, true: Array, relocations: int, lost: bool) -> None:
-        """Look at the pose (3,) that the map has at the end of a tick, beside the true one, both in W."""
-        right = pose_is_right(estimate, true)
+    def judge(self, tick: int, right: bool, relocations: int, lost: bool) -> None:
+        """Note down whether the pose that the map has at the end of a tick is right."""
         if relocations > self._relocations:
             self._relocations = relocations
             self.right, self.wrong = self.right + right, self.wrong + (not right)
@@ -52,7 +51,12 @@ class Kidnapping:
 def pose_is_right(estimate: Array, true: Array) -> bool:
     """Whether two poses (3,) of one frame are the same, but for `POSITION` and `HEADING`."""
     error = relative(true, estimate)
-    return math.hypot(error[0], error[1]) <= POSITION and abs(float(error[2])) <= HEADING
+    return is_right(math.hypot(error[0], error[1]), abs(float(error[2])))
+
+
+def is_right(distance: float, turn: float) -> bool:
+    """Whether a pose that is off by so much [m], [rad] is."""
+    return distance <= POSITION and turn <= HEADING
 
 
 def _place_been(been: Array, distance: float, rng: np.random.Generator) -> Array:

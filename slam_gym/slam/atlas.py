@@ -96,9 +96,9 @@ class AtlasSlam(RelocatingSlam):
         """(k, 2) ids of features that became one in the last step, the one that is kept first."""
         return self._fused.copy()
 
-    def predict_features(self, scan: Scan) -> Prediction:
+    def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """As `Slam` does, without old features that are ambiguous."""
-        prediction = super().predict_features(scan)
+        prediction = super().predict_features(scan, odometry)
         if self.atlas.loops is None or prediction.near.all():
             return prediction
         hidden = self._ambiguous(prediction)
@@ -181,7 +181,7 @@ class AtlasSlam(RelocatingSlam):
             self.left.append(Left(m, self.covisibility))
         self.map, self.covisibility = successor(m), CovisibilityGraph()
         self.map.place(m.pose, np.zeros((3, 3)))
-        self._recent.clear()
+        self._recent.fill(UNPAIRED)
         self.tracker.forget()
         return m.ids
 

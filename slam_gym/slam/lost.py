@@ -103,7 +103,7 @@ class Tracker:
 
         Where nobody tells what is in view, one pairing will do: the rest may be new ground.
         """
-        paired = _pairings_with(prediction.features[established], hypothesis.features)
+        paired = _pairings_with(prediction.features, established, hypothesis.features)
         enough = max(_EXPLAINED, self.fraction) * len(hypothesis.features)
         return paired >= enough or (prediction.view is None and paired > 0)
 
@@ -123,13 +123,13 @@ class Tracker:
 
 
 @compiled
-def _pairings_with(features: IntArray, decisions: IntArray) -> int:
-    """How many of the decisions (m,) are one of the features (k,)."""
+def _pairings_with(features: IntArray, chosen: BoolArray, decisions: IntArray) -> int:
+    """How many of the decisions (m,) are one of the `chosen` (k,) of the features (k,)."""
     count = 0
     for decision in decisions:
         if decision != UNPAIRED:
-            for feature in features:
-                if feature == decision:
+            for row in range(len(features)):
+                if chosen[row] and features[row] == decision:
                     count += 1
                     break
     return count

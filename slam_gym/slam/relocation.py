@@ -30,7 +30,7 @@ from slam_gym.types import (
     Scan,
     SlamStep,
 )
-from slam_gym.validation import check_hypothesis
+from slam_gym.validation import check_hypothesis, check_scan
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
@@ -77,13 +77,13 @@ class RelocatingSlam(Slam):
 
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
         """The step of `Slam`, unless its scan is doubted. Raises as `Slam.step`."""
-        step = super().asking_step(odometry, scan)
-        prediction = next(step)
+        check_scan(scan)
+        prediction = self.predict_features(scan, odometry)
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
         if prediction.view is None:
             self.tracker.look(scan.points)
-        if not self.tracker.doubts(prediction, hypothesis, ~self.map.provisional[prediction.features]):
-            return send(step, hypothesis)
+        if not self.tracker.doubts(prediction, hypothesis, self.map.established(prediction.features)):
+            return self._learn(scan, prediction, hypothesis)
         found = self.relocate(self, scan) if self.lost else None
         if found is None:
             return self._learn_nothing(prediction, scan)

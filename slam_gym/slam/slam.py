@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import has_compatible
+from slam_gym.association.compatibility import chi2_gate
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement
+from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
 from slam_gym.types import (
-    NO_ID,
     UNPAIRED,
     Array,
     Associator,
@@ -79,10 +77,12 @@ class Slam:
         self.view_from = view_from
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
-        self._recent: deque[IntArray] = deque(maxlen=self.spec.recent)  # features seen in each of the last scans
+        self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, in turns
+        self._learned = 0  # scans
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
         self._warned = False
+        self._passes, self._invariant = self.spec.map.passes, self.spec.map.right_invariant
 
     def __repr__(self) -> str:
         return f"Slam: {self.map!r}"
@@ -103,31 +103,19 @@ class Slam:
         """
         check_scan(scan)
         # predict
-        self.map.predict(odometry)
-        prediction = self.predict_features(scan)
+        prediction = self.predict_features(scan, odometry)
         # associate
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
-        self._experience = hypothesis.experience or self._experience
-        # update
-        self.map.update(scan, hypothesis.features)
-        # add
-        new = self.new_features(scan, prediction, hypothesis)
-        created = self._add(scan, new) if len(new) else _NO_FEATURES
-        # maintain
-        seen = _Seen(*_seen(hypothesis.features, new, created, self.map.ids))
-        self._remember(seen.features, len(created))
-        removed = self._forget()
-        self.map.end_of_step()
-        return SlamStep(prediction, hypothesis, seen.ids, seen.created, removed)
+        # update, add, maintain
+        return self._learn(scan, prediction, hypothesis)
 
-    def predict_features(self, scan: Scan) -> Prediction:
-        """What `scan` should show from the predicted pose, with the localities to search first."""
-        recent = np.concatenate(self._recent) if self._recent else _NO_FEATURES
-        graph = self.covisibility if self.spec.locality else None
-        if self.spec.reach is None:
-            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
-        view = None if self.view_from is None else self.view_from(self.map.pose)
-        prediction = self.map.prediction(self.reach, graph, recent, view)
+    def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
+        """What `scan` should show from the pose predicted by `odometry`, with the localities to search first."""
+        graph, reach = self.covisibility if self.spec.locality else None, self.spec.reach
+        if reach is None:
+            reach = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
+        prediction = self.map.prediction(reach, graph, self._recent.ravel(), self.view_from, odometry)
+        self._farthest = reach
         return prediction if self._experience is None else replace(prediction, experience=self._experience)
 
     @property
@@ -160,29 +148,65 @@ class Slam:
         """None, as `lost`."""
         return 0
 
-    def new_features(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> IntArray:
-        """Measurements (a,) that start a feature, by the associator's own word or by the rule of the step.
+    def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
+        """Update with the pairings, add what is new, maintain: see `slam.kernels`.
 
-        A gate of confidence γ turns away 1 − γ of the right pairings, and each would start a duplicate: where scans
-        come by the hundred, the rule deserves a wider gate (`new_confidence`) than the pairings do.
+        New is what the associator says, or what the rule of the step has. A gate of confidence γ turns away 1 − γ of
+        the right pairings, and each would start a duplicate: where scans come by the hundred, the rule deserves a wider
+        gate (`new_confidence`) than the pairings do.
         """
-        if hypothesis.new is not None:
-            return np.flatnonzero(hypothesis.new)
-        left = np.flatnonzero(hypothesis.features == UNPAIRED)
-        if not len(left):
-            return left
-        given = self.spec.new_confidence
-        confidence = prediction.confidence if given is None else given
-        return left[~has_compatible(scan, prediction, confidence, measurements=left)]
+        self._experience = hypothesis.experience or self._experience
+        m, graph, count, features = self.map, self.covisibility, len(scan.points), hypothesis.features
+        m.make_room(count)
+        graph.make_room(count)
+        recent, ids = self._turn(count), np.empty(count, np.int64)
+        told = hypothesis.new is not None
+        created = np.array(hypothesis.new) if told else np.empty(count, np.bool_)
+        ended = kernels.NARROW
+        while ended == kernels.NARROW:
+            ended, what, added = kernels.learn(
+                m.arrays, m.n, m.step, m.next_id, graph.arrays, recent,
+                (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, told, created,
+                (prediction.positions, prediction.covariances), self._settings(prediction), ids,
+            )  # fmt: skip
+            if ended == kernels.NARROW:
+                graph.widen(what)
+        m.learned(added)
+        graph.learned(added)
+        if ended != kernels.DONE:
+            raise self._refusal(ended, what, scan, features)
+        if added and self.spec.reach is not None:
+            self._warn_of_reach(scan, created, self.spec.reach)
+        self._learned += 1
+        removed = self._forget() if what else _NO_FEATURES
+        m.end_of_step()
+        return SlamStep(prediction, hypothesis, ids, created, removed)
 
-    def _add(self, scan: Scan, new: IntArray) -> IntArray:
-        """Start a feature from each of the `new` measurements (a,); their indices in the map."""
-        if self.spec.reach is not None:
-            self._warn_of_reach(scan, new, self.spec.reach)
-        return self.map.add(scan, new)
+    def _settings(self, prediction: Prediction) -> tuple[int, float, bool, float, int, int]:
+        """What `kernels.learn` takes as its settings."""
+        spec, given = self.spec.map, self.spec.new_confidence
+        gate = chi2_gate(2, prediction.confidence if given is None else given)
+        before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
+        return self._passes, float(spec.settled), self._invariant, gate, spec.confirmations, before
 
-    def _warn_of_reach(self, scan: Scan, new: IntArray, reach: float) -> None:
-        """Once, where one of the `new` measurements (a,) starts a feature so far away that it is never found again."""
+    def _refusal(self, ended: int, what: int, scan: Scan, features: IntArray) -> ValueError:
+        """Why `kernels.learn` did not come to its end."""
+        if ended == kernels.REFUSED:
+            return self.map.refusal(scan, features, what)
+        if ended == kernels.NOT_ADDED:
+            return bad_measurement(scan, what)
+        return ValueError(f"scan.covariances[{what}] leaves the innovation covariance singular")
+
+    def _turn(self, count: int) -> IntArray:
+        """Where to enter the features of this scan of so many measurements, in place of those of the oldest one."""
+        rows, width = self._recent.shape
+        if count > width:
+            self._recent = np.pad(self._recent, ((0, 0), (0, count - width)), constant_values=UNPAIRED)
+        row: IntArray = self._recent[self._learned % rows]
+        return row
+
+    def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
+        """Once, where one of the `new` measurements (m,) starts a feature so far away that it is never found again."""
         beyond = 0.0 if self._warned else _farthest(scan.points[new], scan.covariances[new], -6.0)
         if beyond <= reach:
             return
@@ -193,17 +217,9 @@ class Slam:
             stacklevel=4,
         )
 
-    def _remember(self, features: IntArray, created: int) -> None:
-        """What this scan saw together; the last of the `features` (s,) are `created`."""
-        self.covisibility.add(created)
-        self.covisibility.see_together(features)
-        self._recent.append(features)
-
     def _forget(self) -> IntArray:
         """Drop features that were never confirmed; everything indexed by feature is renumbered. Returns their ids."""
         unconfirmed = self.map.unconfirmed()
-        if not len(unconfirmed):
-            return _NO_FEATURES
         removed, became = self.map.ids[unconfirmed], np.full(self.map.n, UNPAIRED)
         kept = self.map.remove(unconfirmed)
         self.covisibility.keep(kept)
@@ -213,9 +229,7 @@ class Slam:
 
     def _renumber(self, became: IntArray) -> None:
         """What is remembered by feature follows the map, in which each of n features `became` (n,) another, or none."""
-        for position, features in enumerate(self._recent):
-            still = became[features]
-            self._recent[position] = still[still != UNPAIRED]
+        self._recent = np.append(became, UNPAIRED)[self._recent]
 
 
 def answered(step: AskingStep, scan: Scan, associate: Associator) -> SlamStep:
@@ -231,28 +245,6 @@ def send(step: AskingStep, hypothesis: Hypothesis) -> SlamStep:
         done: SlamStep = end.value
         return done
     raise RuntimeError("the step asked twice")
-
-
-class _Seen(NamedTuple):
-    features: IntArray  # (s,) map features that the scan updated or started
-    ids: IntArray  # (m,) id of the feature behind each measurement, or NO_ID
-    created: BoolArray  # (m,) the measurement started it
-
-
-@compiled
-def _seen(
-    features: IntArray, new: IntArray, created: IntArray, map_ids: IntArray
-) -> tuple[IntArray, IntArray, BoolArray]:
-    """`_Seen`, from the hypothesis `features` (m,) and the features `created` (a,) from the measurements `new` (a,)."""
-    behind, made = features.copy(), np.zeros(len(features), np.bool_)
-    for k in range(len(new)):
-        behind[new[k]], made[new[k]] = created[k], True
-    seen, ids, s = np.empty(len(features), np.int64), np.full(len(features), NO_ID), 0
-    for i in range(len(features)):
-        if behind[i] != UNPAIRED:
-            seen[s], ids[i] = behind[i], map_ids[behind[i]]
-            s += 1
-    return seen[:s], ids, made
 
 
 @compiled

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from slam_gym.mapping.map_state import Columns, map_of_state, next_id, state_of, successor
+from slam_gym.mapping.map_state import Columns, map_of_state, state_of, successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNKNOWN_KIND, Odometry
 from tests.mapping.small_maps import KEEP, mapped
@@ -27,7 +27,7 @@ def used_map() -> StochasticMap:
 def assert_same(a: StochasticMap, b: StochasticMap) -> None:
     for name in ("mean", "covariance", *COLUMNS, "step"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
-    assert next_id(a) == next_id(b)
+    assert a.next_id == b.next_id
 
 
 def test_taken_apart_and_put_together_it_is_the_same_map_and_stays_so() -> None:
@@ -63,11 +63,11 @@ def test_an_empty_map_has_a_state_too() -> None:
 def test_a_successor_is_empty_and_its_ids_and_steps_go_on() -> None:
     m = used_map()
     fresh = successor(m)
-    assert fresh.n == 0 and fresh.step == m.step and next_id(fresh) == next_id(m) and fresh.spec == m.spec
+    assert fresh.n == 0 and fresh.step == m.step and fresh.next_id == m.next_id and fresh.spec == m.spec
     np.testing.assert_array_equal(fresh.pose, np.zeros(3))
     np.testing.assert_array_equal(fresh.pose_covariance, np.zeros((3, 3)))
     fresh.add(make_scan(np.ones((1, 2)), np.eye(2)[None]), np.array([0]))
-    assert fresh.ids[0] == next_id(m) > m.ids.max()
+    assert fresh.ids[0] == m.next_id > m.ids.max()
 
 
 def columns(**given) -> Columns:

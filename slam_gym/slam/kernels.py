@@ -1,0 +1,133 @@
+"""The half of `Slam.asking_step` that follows the associator's answer, in one compiled call."""
+
+from __future__ import annotations
+
+from slam_gym._compile import compiled
+from slam_gym.mapping import ekf
+from slam_gym.mapping.covisibility import count_pairs
+from slam_gym.mapping.ekf import MapArrays
+from slam_gym.mapping.update import ACCEPTED, update
+from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray
+
+DONE, NARROW, REFUSED, SINGULAR, NOT_ADDED = range(5)  # what `learn` answers
+
+_Scan = tuple[Array, Array, Array, Array, IntArray]  # points, covariances, sizes, size variances, kinds
+_Settings = tuple[int, float, bool, float, int, int]
+# iterations; σ that settles them; right-invariant; χ² gate of a new feature; sightings that confirm; step before which
+# a feature must have been confirmed
+
+
+@compiled
+def learn(
+    arrays: MapArrays,
+    n: int,
+    step: int,
+    next_id: int,
+    graph: tuple[IntArray, IntArray, IntArray],
+    recent: IntArray,
+    scan: _Scan,
+    features: IntArray,
+    told: bool,
+    new: BoolArray,
+    expected: tuple[Array, Array],
+    settings: _Settings,
+    ids: IntArray,
+) -> tuple[int, int, int]:
+    """Update the map with the pairings of a scan, add features, and remember what was seen together.
+
+    There must be room for as many more features as the scan has measurements.
+
+    Arguments:
+        arrays, n, step, next_id: of the map.
+        graph: neighbours and counts (≥ n, width) and degrees (≥ n,) of its covisibility, changed in place.
+        recent: (≥ m,) is told the features that the scan has updated or started, and UNPAIRED.
+        features: (m,) decisions; where they are `told` as well, `new` (m,) start a feature, otherwise those that are
+            unpaired and compatible with none of the features `expected`, positions (k, 2) and covariances (k, 2, 2).
+        ids: (m,) is told the feature behind each measurement, or NO_ID; `new` (m,) which of them have begun.
+
+    Returns how it ended, what there is to say about that, and the number of features added: DONE and the number of
+    features that are due to be removed; NARROW and the width that the graph needs, nothing changed; REFUSED and the
+    answer of `update`, nothing changed; SINGULAR or NOT_ADDED and the measurement from which no feature can be started.
+    """
+    (x, at, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
+    points, covariances, sizes, variances, kinds = scan
+    iterations, settled, invariant, gate, confirmations, before = settings
+    m, added, s = len(features), 0, 0
+    width = _width_needed(degrees, features)
+    if width > neighbours.shape[1]:
+        return NARROW, width, 0
+    # update
+    refused = update(x, at, P, n, (points, covariances), features, (iterations, settled), invariant)
+    if refused != ACCEPTED:
+        return REFUSED, refused, 0
+    ekf.record(features, step, (sizes, variances, kinds), counted, sized)
+    # add
+    if not told:
+        singular = _fit_nothing(points, covariances, features, expected, gate, new)
+        if singular != UNPAIRED:
+            return SINGULAR, singular, 0
+    for i in range(m):
+        behind = features[i]
+        if new[i]:
+            behind = n + added
+            if not ekf.add(x, at, P, 3 + 2 * behind, points[i], covariances[i]):
+                return NOT_ADDED, i, added
+            ekf.begin(counted, sized, behind, step, next_id + added, sizes[i], variances[i], kinds[i])
+            degrees[behind] = 0
+            added += 1
+        ids[i] = NO_ID
+        if behind != UNPAIRED:
+            recent[s], ids[i] = behind, counted[ekf.IDS, behind]
+            s += 1
+    # maintain
+    count_pairs(neighbours, counts, degrees, n + added, recent[:s])
+    recent[s:] = UNPAIRED
+    due = 0
+    for j in range(n + added):
+        due += counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before
+    return DONE, due, added
+
+
+@compiled
+def _width_needed(degrees: IntArray, features: IntArray) -> int:
+    """Neighbours that a node may have once all of the scan's features have been seen together."""
+    most = 0
+    for feature in features:
+        if feature != UNPAIRED:
+            most = max(most, degrees[feature])
+    return most + len(features)
+
+
+@compiled
+def _fit_nothing(
+    points: Array, noise: Array, features: IntArray, expected: tuple[Array, Array], gate: float, new: BoolArray
+) -> int:
+    """Enter in `new` (m,) which unpaired measurements are compatible with nothing; one where S is singular, or −1."""
+    for i in range(len(features)):
+        new[i] = False
+        if features[i] != UNPAIRED:
+            continue
+        fits = _fits(points[i], noise[i], expected, gate)
+        if fits < 0:
+            return i
+        new[i] = fits == 0
+    return UNPAIRED
+
+
+@compiled
+def _fits(point: Array, noise: Array, expected: tuple[Array, Array], gate: float) -> int:
+    """1 if one of the features `expected` is individually compatible, 0 if none is, −1 where S is singular."""
+    (positions, covariances), found = expected, 0
+    for j in range(len(positions)):
+        x, y = point[0] - positions[j, 0], point[1] - positions[j, 1]
+        xx, yy = covariances[j, 0, 0] + noise[0, 0], covariances[j, 1, 1] + noise[1, 1]
+        # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings
+        if x * x >= gate * xx or y * y >= gate * yy:
+            continue
+        xy = covariances[j, 0, 1] + noise[0, 1]
+        determinant = xx * yy - xy * xy
+        if not determinant > 0.0:
+            return -1
+        if (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant < gate:
+            found = 1
+    return found
