@@ -14,6 +14,7 @@ import numpy as np
 
 from slam_gym.geometry import compose, observe, transform
 from slam_gym.metrics import map_quality
+from slam_gym.metrics.association import Tally
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
 from slam_gym.navigation.sweeps import MovableSweeps
@@ -185,6 +186,11 @@ class Episode:
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
         self.kidnapping.judge(self.ticks, is_right(distance, turn), slam.relocations, slam.lost)
+
+    @property
+    def tally(self) -> Tally:
+        """The decisions of the last step."""
+        return self._judged.last_tally
 
     @property
     def over(self) -> bool:

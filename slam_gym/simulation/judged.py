@@ -9,8 +9,8 @@ from slam_gym.association import true_association
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.slam.asked import asked
-from slam_gym.slam.slam import AskingStep, answered
-from slam_gym.types import Associator, Odometry, Scan, SlamStep, Truth
+from slam_gym.slam.slam import AskingStep, send
+from slam_gym.types import Associator, Hypothesis, Odometry, Prediction, Scan, SlamStep, Truth
 
 CEILING = "true_association"
 """The associator that is handed the truth. It is known by this name alone: no callable ever gets to see the truth."""
@@ -57,10 +57,19 @@ class JudgedSlam:
         """The decisions so far."""
         return self.identities.total
 
+    @property
+    def last_tally(self) -> Tally:
+        """The decisions of the last step."""
+        return self.identities.last
+
     def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
         """One SLAM step, judged. Raises as `Slam.step`."""
-        step = answered(self.slam.asking_step(odometry, scan), scan, self._associator(truth))
-        return self._judge(step, truth)
+        asking = self.slam.asking_step(odometry, scan)
+        return self._judge(send(asking, self.associate(scan, next(asking), truth)), truth)
+
+    def associate(self, scan: Scan, prediction: Prediction, truth: Truth) -> Hypothesis:
+        """What the associator says; `CEILING` is told the truth."""
+        return self._associator(truth)(scan, prediction)
 
     def asking_step(self, odometry: Odometry, scan: Scan, truth: Truth) -> AskingStep:
         """The same where somebody outside associates: see `slam_gym.slam.slam.AskingStep`."""

@@ -121,14 +121,15 @@ def test_watchers_see_every_tick_also_within_goals() -> None:
 def test_a_lying_truth_changes_no_observation_and_no_reward(associator, action, steps, monkeypatch) -> None:
     env = explore("office", action=action, associator=associator, reward="a_opt", locality="covisibility")
     honest = list(episode(env, steps, seed=2))
-    scan = Sensor.scan
+    sense = Sensor.sense
 
     def lie(self, *args):
-        seen, truth = scan(self, *args)
+        senses = sense(self, *args)
+        truth = senses.truth
         names = np.random.default_rng(0).permutation(1 + len(self._features)) - 1  # of SPURIOUS, too
-        return seen, Truth(truth.pose + np.array([3.0, -2.0, 1.0]), names[truth.sources + 1])
+        return senses._replace(truth=Truth(truth.pose + np.array([3.0, -2.0, 1.0]), names[truth.sources + 1]))
 
-    monkeypatch.setattr(Sensor, "scan", lie)
+    monkeypatch.setattr(Sensor, "sense", lie)
     lied_to = list(episode(env, steps, seed=2))
     for one, other in zip(honest, lied_to, strict=True):
         assert not differences(one[:4], other[:4])

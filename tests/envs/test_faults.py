@@ -88,15 +88,15 @@ def test_twists_may_come_as_any_pair(right) -> None:
 
 def spoiled(monkeypatch: pytest.MonkeyPatch, spoil) -> None:
     """From now on every scan with a measurement is spoiled."""
-    scan = Sensor.scan
+    sense = Sensor.sense
 
-    def spoiled_scan(self, *args):
-        seen, truth = scan(self, *args)
-        if len(seen):
-            spoil(seen)
-        return seen, truth
+    def spoiled_senses(self, *args):
+        senses = sense(self, *args)
+        if len(senses.scan):
+            spoil(senses.scan)
+        return senses
 
-    monkeypatch.setattr(Sensor, "scan", spoiled_scan)
+    monkeypatch.setattr(Sensor, "sense", spoiled_senses)
 
 
 @pytest.mark.parametrize(

@@ -62,15 +62,15 @@ def test_it_happens_once_when_it_is_due_and_never_without_a_spec() -> None:
 
 def test_a_robot_has_recovered_when_its_pose_is_right_and_it_is_not_lost() -> None:
     kidnapping, here, elsewhere = Kidnapping(KidnappingSpec(), 10), np.zeros(3), np.array([3.0, 0.0, 0.0])
-    kidnapping.judge(4, here, here, 0, False)
+    kidnapping.judge(4, pose_is_right(here, here), 0, False)
     assert kidnapping.recovered is None  # nothing has happened yet
     kidnapping.destination(5, TRAIL, CELLS, np.random.default_rng(0))
-    kidnapping.judge(5, elsewhere, here, 0, False)
-    kidnapping.judge(6, here, here, 0, True)  # by chance, and it does not know
+    kidnapping.judge(5, pose_is_right(elsewhere, here), 0, False)
+    kidnapping.judge(6, pose_is_right(here, here), 0, True)  # by chance, and it does not know
     assert kidnapping.recovered is None
-    kidnapping.judge(7, elsewhere, here, 1, False)
-    kidnapping.judge(8, here, here, 2, False)
-    kidnapping.judge(9, elsewhere, here, 2, False)
+    kidnapping.judge(7, pose_is_right(elsewhere, here), 1, False)
+    kidnapping.judge(8, pose_is_right(here, here), 2, False)
+    kidnapping.judge(9, pose_is_right(elsewhere, here), 2, False)
     assert (kidnapping.recovered, kidnapping.right, kidnapping.wrong) == (8, 1, 1)
 
 

@@ -4,10 +4,15 @@ One process, one thread, compiled beforehand. Episodes on test worlds are driven
 frontier, planned outside the clock); only `env.step` is timed. Every step is the whole tick: physics, scan, beams,
 odometry, EKF with full covariance, JCBB, covisibility, explored grid, map error, observation, info. The parts are timed
 in a second pass by wrapping their calls, which adds about a microsecond to each.
+
+Machines differ, and what else they do: between the steps, so that whatever it is falls on all of them, steps are timed
+of Gymnasium's CartPole, of MiniGrid's empty room if that is installed, and one symmetric rank-20 product with 203
+columns by BLAS, which is the floor of what an update of 100 features with ten pairings takes.
 """
 
 from __future__ import annotations
 
+import importlib
 import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,46 +20,99 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
+from scipy.linalg.blas import dsyrk
+
 from slam_gym.bench.exploration import explore, explorer
 from slam_gym.bench.records import Record, column, means, medians
 from slam_gym.bench.report import Report
 from slam_gym.bench.timing import timed
 from slam_gym.envs import explore as explore_module
-from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.envs.explore import ExploreEnv
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.simulation.episode import Episode
+from slam_gym.simulation.judged import JudgedSlam
+from slam_gym.slam.atlas import AtlasSlam
+from slam_gym.slam.slam import Slam
 from slam_gym.world.physics import World
 from slam_gym.world.sensor import Sensor
 
 SMALL = 100  # features: the headline is of steps in maps of up to so many
 PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "physics": ((World, "tick"),),
-    "scan": ((Sensor, "scan"),),
-    "beams": ((Sensor, "beams"),),
-    "odometry": ((Sensor, "odometry"),),
-    "EKF predict": ((StochasticMap, "predict"),),
-    "EKF predict features": ((StochasticMap, "prediction"),),
-    "EKF update": ((StochasticMap, "update"),),
-    "EKF add, remove": ((StochasticMap, "add"), (StochasticMap, "unconfirmed"), (StochasticMap, "remove")),
-    "covisibility": tuple((CovisibilityGraph, name) for name in ("local_to", "add", "see_together", "keep")),
+    "odometry, scan, beams": ((Sensor, "sense"),),
+    "EKF predict, features in reach": ((StochasticMap, "prediction"),),
+    "ambiguous features": ((AtlasSlam, "_ambiguous"),),
+    "association": ((JudgedSlam, "associate"),),
+    "EKF update, new features, covisibility": ((Slam, "_learn"),),
+    "loops": ((AtlasSlam, "_close"),),
+    "decisions judged": ((Identities, "judge"),),
     "explored grid": ((MovableSweeps, "enter"),),
-    "decisions judged": ((Identities, "update"),),
-    "map error, coverage": ((Episode, "map_error"), (Episode, "coverage")),
-    "observation": tuple((explore_module, f"encode_{name}") for name in ("scan", "features", "uncertainty", "image")),
+    "pose, map error, coverage": ((Episode, "_log"), (Episode, "_appraise")),
+    "observation": ((explore_module, "observe"),),
+    "info": ((ExploreEnv, "_info"),),
 }
 _EDGES = (0, 25, 50, 75, 100, 125, 150, 200, 300, 500, 1000)  # of the classes of map size
 _FEWEST = 50  # steps that a class is shown from
 
 
-def drive(env: Any, episodes: int, seed: int) -> list[Record]:
-    """Time [µs] and number of mapped features of every step of explorations of test worlds 0, 1, …"""
-    return [
-        {"µs": step.microseconds, "features": env.episode.slam.map.n}
-        for number in range(episodes)
-        for step in explore(env, seed + number, world=number)
-    ]
+def drive(env: Any, episodes: int, seed: int, beside: Callable[[], object] | None = None) -> list[Record]:
+    """Time [µs] and number of mapped features of every step of explorations of test worlds 0, 1, …
+
+    `beside` is called after every step.
+    """
+    steps = []
+    for number in range(episodes):
+        for step in explore(env, seed + number, world=number):
+            steps.append({"µs": step.microseconds, "features": env.episode.slam.map.n})
+            if beside is not None:
+                beside()
+    return steps
+
+
+class Peers:
+    """What steps are compared with, each timed once in a call."""
+
+    def __init__(self) -> None:
+        self._calls: dict[str, Callable[[], object]] = {"CartPole": _stepped("CartPole-v1")}
+        try:
+            importlib.import_module("minigrid")  # registers its environments
+            self._calls["MiniGrid"] = _stepped("MiniGrid-Empty-8x8-v0")
+        except ImportError:
+            pass
+        W = np.asfortranarray(np.random.default_rng(0).standard_normal((203, 20)))
+        P = np.eye(203, order="F")
+        self._calls["rank-20 product, 203 columns"] = partial(dsyrk, -1.0, W, beta=1.0, c=P, overwrite_c=True)
+        self._taken: dict[str, list[float]] = {name: [] for name in self._calls}
+
+    def __call__(self) -> None:
+        for name, call in self._calls.items():
+            self._taken[name].append(timed(call).microseconds)
+
+    def table(self, step: float) -> list[Record]:
+        """Medians [µs] beside that of a `step`, and how many of them a step takes."""
+        rows = {"step": step} | {name: float(np.median(taken)) for name, taken in self._taken.items()}
+        return [
+            {"what": name, "median µs": µs, "a second": 1e6 / µs, "in a step": step / µs, "ratio": µs / step}
+            for name, µs in rows.items()
+        ]
+
+
+def _stepped(name: str) -> Callable[[], object]:
+    """A random step of an environment without its wrappers, which is reset when need be."""
+    env = gym.make(name).unwrapped
+    env.reset(seed=0)
+    actions = itertools.cycle(env.action_space.sample() for _ in range(97))
+
+    def step() -> None:
+        _, _, terminated, truncated, _ = env.step(next(actions))
+        if terminated or truncated:
+            env.reset()
+
+    return step
 
 
 @contextmanager
@@ -98,14 +156,14 @@ def by_size(steps: Sequence[Record]) -> list[Record]:
 def by_part(spent: Mapping[str, float], steps: Sequence[Record]) -> list[Record]:
     """Where the time of a step goes."""
     total = float(column(steps, "µs").sum())
-    parts = {**spent, "association and the rest": total - sum(spent.values())}
+    parts = {**spent, "the rest": total - sum(spent.values())}
     return [{"part": part, "µs a step": µs / len(steps), "of the step": µs / total} for part, µs in parts.items()]
 
 
 def run(
     report: Report, *, episodes: int = 5, scenario: str = "office", associator: str = "jcbb", seed: int = 0
 ) -> None:
-    """Two passes over the same episodes: whole steps, and their parts.
+    """Two passes over the same episodes: whole steps beside their peers, and their parts.
 
     Arguments:
         episodes: test worlds 0 … N−1
@@ -115,7 +173,11 @@ def run(
     """
     env = explorer(scenario, split="test", associator=associator)
     drive(env, 1, seed)  # compiles
-    report.table("Steps by the size of the map", by_size(drive(env, episodes, seed)), "step")
+    peers = Peers()
+    steps = drive(env, episodes, seed, peers)
+    report.table("Steps by the size of the map", by_size(steps), "step")
+    small = medians([step for step in steps if step["features"] <= SMALL], "µs")["µs"]
+    report.table(f"Steps in maps of up to {SMALL} features beside others", peers.table(small), "step_peers")
     spent: dict[str, float] = defaultdict(float)
     with timed_parts(spent):
         steps = drive(env, episodes, seed)

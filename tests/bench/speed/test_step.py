@@ -28,7 +28,7 @@ def test_classes_of_size_hold_their_steps():
 def test_parts_add_up_to_the_whole():
     rows = by_part({"scan": 30.0, "physics": 50.0}, [{"µs": 60.0, "features": 1}, {"µs": 40.0, "features": 1}])
     assert sum(row["of the step"] for row in rows) == pytest.approx(1.0)
-    assert {row["part"]: row["µs a step"] for row in rows}["association and the rest"] == 10.0
+    assert {row["part"]: row["µs a step"] for row in rows}["the rest"] == 10.0
 
 
 def test_every_part_of_a_step_is_met(monkeypatch, tmp_path, capsys):
@@ -38,4 +38,4 @@ def test_every_part_of_a_step_is_met(monkeypatch, tmp_path, capsys):
     main(["step", "--episodes", "1", "--scenario", "hall", "--out", str(tmp_path)])
     with (tmp_path / "step_parts.csv").open(encoding="utf-8") as file:
         parts = {row["part"]: float(row["µs a step"]) for row in csv.DictReader(file)}
-    assert parts.keys() - {"association and the rest"} == PARTS.keys() and np.min(list(parts.values())) > 0.0
+    assert parts.keys() - {"the rest"} == PARTS.keys() and np.min(list(parts.values())) > 0.0
