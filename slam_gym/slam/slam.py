@@ -15,6 +15,7 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement
 from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
+from slam_gym.slam.looks import Looks
 from slam_gym.types import (
     UNPAIRED,
     Array,
@@ -53,6 +54,7 @@ class SlamSpec:
     lost_fraction: float = 0.3  # a scan that pairs less of the features that should be in view is doubted …
     lost_scans: int = 5  # … and so many of them in a row have lost the robot
     min_expected: int = 3  # features that should be in view, without which no scan is doubted
+    repeat: tuple[float, float] | None = None  # [m] to drive or [rad] to turn until a feature is learned from again
 
     def __post_init__(self) -> None:
         if self.reach is not None and not 0.0 < self.reach < math.inf:
@@ -64,6 +66,8 @@ class SlamSpec:
         for name in ("recent", "lost_scans", "min_expected"):
             if getattr(self, name) < 1:
                 raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is less than 1")
+        if self.repeat is not None and not (len(self.repeat) == 2 and min(self.repeat) > 0.0):
+            raise ValueError(f"SlamSpec.repeat: expected a length and an angle > 0, or None, got {self.repeat}")
 
 
 class Slam:
@@ -82,6 +86,7 @@ class Slam:
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
         self._warned = False
+        self._looks = None if self.spec.repeat is None else Looks(*self.spec.repeat)
         self._passes, self._invariant = self.spec.map.passes, self.spec.map.right_invariant
 
     def __repr__(self) -> str:
@@ -107,7 +112,12 @@ class Slam:
         # associate
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
         # update, add, maintain
-        return self._learn(scan, prediction, hypothesis)
+        if self._looks is None:
+            return self._learn(scan, prediction, hypothesis)
+        self._looks.move(odometry)
+        step = self._learn(self._looks.discounted(scan, hypothesis.features, self.map.ids), prediction, hypothesis)
+        self._looks.learned(step)
+        return step
 
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """What `scan` should show from the pose predicted by `odometry`, with the localities to search first."""
