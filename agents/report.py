@@ -30,6 +30,8 @@ def write_report(folder: Path) -> Path:
     Raises ValueError where it holds none, or nothing finished yet.
     """
     results = read_results(folder)
+    if results.kind.name not in REPORTS:
+        raise ValueError(f"{folder} belongs to the {results.kind.name}, which makes its own page")
     path = folder / "report.html"
     write_whole(path, page(REPORTS[results.kind.name](results, folder), results.content))
     return path

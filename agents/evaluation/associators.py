@@ -97,12 +97,12 @@ class Metered:
         }
 
 
-def metered(associator: str) -> tuple[Metered, Associator | str]:
+def metered(associator: str | Associator) -> tuple[Metered, Associator | str]:
     """A meter, and what to associate with: the metered associator, or the name of the one that is told the truth,
     which nothing may stand in for and whose meter stays empty."""
     if associator == CEILING:
         return Metered(ASSOCIATORS[CEILING]), CEILING
-    meter = Metered(find_associator(associator))
+    meter = Metered(find_associator(associator) if isinstance(associator, str) else associator)
     return meter, meter
 
 

@@ -19,7 +19,7 @@ from agents.evaluation.records import Record
 from slam_gym.association.tracking.policy import Policy
 from slam_gym.envs.vector.env import ManyWorlds
 from slam_gym.slam.relocation import SEARCH
-from slam_gym.types import Associator
+from slam_gym.types import Associator, Relocator
 
 EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
 
@@ -50,11 +50,16 @@ class ExploreArguments(_Arguments):
     relocation: str | None = SEARCH  # the search that finds a lost robot again
 
     def make(
-        self, action: str, render_mode: str | None = None, associator: Associator | None = None
+        self,
+        action: str,
+        render_mode: str | None = None,
+        associator: Associator | str | None = None,
+        relocation: Relocator | str | None = None,
     ) -> gym.Env[Any, Any]:
-        """The environment; a callable may stand in for the associator. ValueError, with the known names, for what it
-        does not know."""
-        given = self.plain if associator is None else self.plain | {"associator": associator}
+        """The environment; others may stand in for the associator and for the search that finds a lost robot.
+        ValueError, with the known names, for what it does not know."""
+        others = {"associator": associator, "relocation": relocation}
+        given = self.plain | {name: other for name, other in others.items() if other is not None}
         return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **given)
 
     def make_many(self, action: str, count: int, workers: int | None = None) -> ManyWorlds:

@@ -16,7 +16,7 @@ from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSlam
 from slam_gym.slam.relocation import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, Truth
+from slam_gym.types import NO_ID, UNPAIRED, Array, Associator, BoolArray, IntArray, Truth
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class MappedLog:
         return np.where(self.ids == NO_ID, UNPAIRED, self.identities.source_of(np.maximum(self.ids, 0)))
 
 
-def map_log(log: Recording, associator: str, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
-    """Map a log with the associator of that name, and find the robot by that search where it is lost.
+def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
+    """Map a log with an associator, by name or itself, and find the robot by that search where it is lost.
 
     `true_association` is told the identities, and so is its map: every labelled feature goes in when it is first seen,
     without having to be confirmed, and nothing else does. It is what is left of the error once no association is

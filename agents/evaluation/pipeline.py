@@ -45,7 +45,8 @@ DRIVERS = Kind("drivers", "agent", "episodes")
 ASSOCIATORS = Kind("associators", "associator", "records")
 SUITE = Kind("suite", "associator", "records")
 RECORDINGS = Kind("recordings", "associator", "records")
-KINDS = {kind.name: kind for kind in (DRIVERS, ASSOCIATORS, SUITE, RECORDINGS)}
+LEADERBOARD = Kind("leaderboard", "entry", "records")
+KINDS = {kind.name: kind for kind in (DRIVERS, ASSOCIATORS, SUITE, RECORDINGS, LEADERBOARD)}
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from agents.suite.reliability import binned
 from agents.suite.relocation_problems import OUTCOMES, judge_relocation, relocation_problems
 from slam_gym.association import resolve_relocator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Experiment, get_level
-from slam_gym.types import Effort, Hypothesis, IntArray
+from slam_gym.types import Associator, Effort, Hypothesis, IntArray, Relocator
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,20 @@ class WorldTask:
         return tuple(Key(name, self.setting, self.episode) for name in self.asked)
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
-        level = get_level(self.setting)
-        answer = self._relocate if level.experiment == RELOCATION else self._associate
+        level, names = get_level(self.setting), [key.name for key in wanted]
         about = {"setting": self.setting, "episode": self.episode, "experiment": level.experiment, "knob": level.knob}
-        found = answer([key.name for key in wanted])
+        if level.experiment == RELOCATION:
+            found = self.relocate({name: resolve_relocator(name) for name in names})
+        else:
+            found = self.associate({name: find_associator(name) for name in names})
         return [{"associator": name} | about | record for name, record in found.items()]
 
-    def _associate(self, names: Sequence[str]) -> dict[str, Record]:
-        asked = {name: find_associator(name) for name in names}
-        judged: dict[str, list[Judgement]] = {name: [] for name in names}
-        answers: dict[str, list[Hypothesis]] = {name: [] for name in names}
+    def associate(self, asked: Mapping[str, Associator]) -> dict[str, Record]:
+        """What associators make of the problems of the world, by their names."""
+        judged: dict[str, list[Judgement]] = {name: [] for name in asked}
+        answers: dict[str, list[Hypothesis]] = {name: [] for name in asked}
         right: list[IntArray] = []
-        efforts: dict[str, list[_Spent]] = {name: [] for name in names}
+        efforts: dict[str, list[_Spent]] = {name: [] for name in asked}
         for problem in problems(TwoLaps(get_level(self.setting), self.episode, self.split), self.problems):
             right.append(problem.truth.right)
             for name, associate in asked.items():
@@ -62,20 +64,20 @@ class WorldTask:
             name: association_record(judged[name])
             | _effort_record(efforts[name])
             | {"reliability": binned(answers[name], right)}
-            for name in names
+            for name in asked
         }
 
-    def _relocate(self, names: Sequence[str]) -> dict[str, Record]:
-        asked: dict[str, Callable[..., Any]] = {name: resolve_relocator(name) for name in names}
-        outcomes: dict[str, Counter[str]] = {name: Counter() for name in names}
-        efforts: dict[str, list[_Spent]] = {name: [] for name in names}
+    def relocate(self, asked: Mapping[str, Relocator]) -> dict[str, Record]:
+        """What relocators make of the problems of the world, by their names."""
+        outcomes: dict[str, Counter[str]] = {name: Counter() for name in asked}
+        efforts: dict[str, list[_Spent]] = {name: [] for name in asked}
         for problem in relocation_problems(get_level(self.setting), self.episode, self.problems, self.split):
             for name, search in asked.items():
                 start = time.perf_counter()
                 found = search(problem.scan, problem.landmarks, problem.locality)
                 efforts[name].append(_Spent(found.effort, time.perf_counter() - start))
                 outcomes[name][judge_relocation(found, problem.pose)] += 1
-        return {name: relocation_record(outcomes[name]) | _effort_record(efforts[name]) for name in names}
+        return {name: relocation_record(outcomes[name]) | _effort_record(efforts[name]) for name in asked}
 
 
 class _Spent(NamedTuple):

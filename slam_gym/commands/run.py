@@ -33,6 +33,7 @@ COMMANDS: dict[str, Command] = {
     "train": Command("agents.train", "a driver by reinforcement learning"),
     "train-associate": Command("agents.train_associate", "an associator by reinforcement learning"),
     "export-decisions": Command("agents.export_decisions", "association decisions as training data"),
+    "leaderboard": Command("agents.leaderboard", "an entry through the frozen protocol, ranked among all"),
     "report": Command("agents.report", "the report of a finished evaluation, once more"),
     "play": Command("agents.play", "drive with the keyboard"),
     "bench": Command("slam_gym.bench.runner", "the benchmarks behind the published figures"),

@@ -8,7 +8,7 @@ from slam_gym.bench.report import Report
 from slam_gym.bench.runner import FailedError, main
 from slam_gym.bench.soak.soak import growth, run, soak
 
-EXTREME = (0, 1, 5, 7, 8, 13, 14, 29)  # numbers of cases: all three environments, six kinds of settings
+EXTREME = (0, 1, 5, 8, 14, 29)  # numbers of cases: all three environments, five kinds of settings
 
 
 @pytest.mark.parametrize("number", EXTREME)
