@@ -112,16 +112,13 @@ class Slam:
         # associate
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
         # update, add, maintain
-        if self._looks is None:
-            return self._learn(scan, prediction, hypothesis)
-        self._looks.move(odometry)
-        step = self._learn(self._looks.discounted(scan, hypothesis.features, self.map.ids), prediction, hypothesis)
-        self._looks.learned(step)
-        return step
+        return self._learn(scan, prediction, hypothesis)
 
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """What `scan` should show from the pose predicted by `odometry`, with the localities to search first."""
         graph, reach = self.covisibility if self.spec.locality else None, self.spec.reach
+        if self._looks is not None and odometry is not None:
+            self._looks.move(odometry)
         if reach is None:
             reach = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
         prediction = self.map.prediction(reach, graph, self._recent.ravel(), self.view_from, odometry)
@@ -159,6 +156,15 @@ class Slam:
         return 0
 
     def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
+        """Update, add and maintain; what repeats earlier looks tells nothing (see `slam.looks`)."""
+        if self._looks is None:
+            return self._take_in(scan, prediction, hypothesis)
+        scan = self._looks.discounted(scan, hypothesis.features, self.map.ids)
+        step = self._take_in(scan, prediction, hypothesis)
+        self._looks.learned(step)
+        return step
+
+    def _take_in(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Update with the pairings, add what is new, maintain: see `slam.kernels`.
 
         New is what the associator says, or what the rule of the step has. A gate of confidence γ turns away 1 − γ of

@@ -5,7 +5,9 @@ import pytest
 
 from slam_gym.geometry import observe
 from slam_gym.metrics.consistency import pose_nees
+from slam_gym.slam.atlas import AtlasSlam
 from slam_gym.slam.looks import Looks
+from slam_gym.slam.relocation import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, Effort, Hypothesis, Odometry, Prediction, Scan, SlamStep
 
@@ -31,8 +33,10 @@ def _variance(slam: Slam) -> float:
 
 
 class TestSlam:
-    def test_a_look_from_the_same_place_is_reported_but_tells_nothing(self):
-        slam = Slam(SlamSpec(repeat=(0.5, 0.5)))
+    @pytest.mark.parametrize("atlas", [False, True])
+    def test_a_look_from_the_same_place_is_reported_but_tells_nothing(self, atlas):
+        spec = SlamSpec(repeat=(0.5, 0.5))
+        slam = AtlasSlam(spec, relocate_by("gcbb")) if atlas else Slam(spec)
         first = slam.step(_drive(), _look(_MARKS))
         before = _variance(slam)
         again = slam.step(_drive(), _look(_MARKS + 0.01))
