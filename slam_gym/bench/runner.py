@@ -33,6 +33,7 @@ class Benchmark(NamedTuple):
 BENCHMARKS = {
     "corridor": Benchmark("consistency.corridor", "reference experiment: associators in the corridor, 40 seeds"),
     "step": Benchmark("speed.step", "Explore-v0 steps per second against map size; where the time of a step goes"),
+    "vector": Benchmark("speed.vector", "many worlds at once beside one; what a reset costs the others"),
     "jcbb": Benchmark("speed.jcbb", "JCBB at loop closure beside scipy's linear assignment on the same gated problem"),
     "prior": Benchmark("speed.prior", "all searches with a prior at loop closure: what they get right, time"),
     "update": Benchmark("speed.update", "joint EKF update against one symmetric rank-20 product"),

@@ -20,10 +20,11 @@ from slam_gym.envs import observation
 from slam_gym.mapping import covisibility, ekf, foresight, linear_algebra, measurement, update
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
-from slam_gym.navigation import grid, key_poses, redrawing, visibility
+from slam_gym.navigation import grid, key_poses, polyline, redrawing, visibility
 from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
+from slam_gym.navigation.polyline import length_left, points_ahead
 from slam_gym.navigation.pursuit import follow
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.simulation import appraisal
@@ -32,8 +33,8 @@ from slam_gym.types import Array, Beams, Prediction, Scan
 from slam_gym.world import boxes, detection, driving, ray_casting, reachability, wall_grid
 
 COMPILED = (
-    geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, redrawing,
-    linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
+    geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, polyline,
+    redrawing, linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
     ray_casting, reachability, update, visibility, wall_grid, foresight, appraisal, kernels, driving,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
@@ -61,7 +62,10 @@ def main() -> None:
     explored.egocentric(pose, points)
     field = distance_field(explored, pose[:2], 0.25)
     explored.expected_area(explored.frontiers(field.reachable).centres, 6.0)
-    follow(pose, field.path(field.nearest(points[0])))
+    path = field.path(field.nearest(points[0]))
+    follow(pose, path)
+    field.lengths_to(points_ahead(path, pose[:2], 0.2))
+    length_left(path, pose[:2])
     mean, covariance = np.concatenate([pose, points.ravel()]), 0.01 * np.eye(7)
     expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full((2, 3), 0.01))
 

@@ -47,8 +47,10 @@ def _features_in_sight(x: Array, packed: tuple[Cells, Array, float], places: Arr
     explored, out = ExploredCells(*packed), np.zeros(places.shape[0], np.int64)
     for q in range(places.shape[0]):
         for j in range((len(x) - 3) // 2):
-            near = math.hypot(x[3 + 2 * j] - places[q, 0], x[4 + 2 * j] - places[q, 1]) <= reach
-            if near and _in_sight(explored, places[q], x[3 + 2 * j : 5 + 2 * j]):
+            dx, dy = x[3 + 2 * j] - places[q, 0], x[4 + 2 * j] - places[q, 1]
+            if abs(dx) > reach or abs(dy) > reach:  # most of them, and cheaper than the root
+                continue
+            if math.hypot(dx, dy) <= reach and _in_sight(explored, places[q], x[3 + 2 * j : 5 + 2 * j]):
                 out[q] += 1
     return out
 
@@ -72,7 +74,10 @@ def _in_view(x: Array, explored: ExploredCells, place: Array, reach: float) -> I
     n = (len(x) - 3) // 2
     near, distances, k = np.empty(n, np.int64), np.empty(n), 0
     for j in range(n):
-        distance = math.hypot(x[3 + 2 * j] - place[0], x[4 + 2 * j] - place[1])
+        dx, dy = x[3 + 2 * j] - place[0], x[4 + 2 * j] - place[1]
+        if abs(dx) > reach or abs(dy) > reach:  # most of them, and cheaper than the root
+            continue
+        distance = math.hypot(dx, dy)
         if distance <= reach:
             near[k], distances[k] = j, distance
             k += 1

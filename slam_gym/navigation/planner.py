@@ -51,6 +51,10 @@ class DistanceField:
         cell = self.cell(point)
         return math.inf if cell is None else float(self.lengths[cell])
 
+    def lengths_to(self, points: Array) -> Array:
+        """`length_to` each of `points` (q, 2), (q,)."""
+        return _lengths_to(self.lengths, self.origin, self.resolution, points)
+
     def nearest(self, point: Array) -> Array:
         """Centre (2,) in B of the reachable cell nearest to `point` (2,); the start where no cell is reachable."""
         rows, columns = np.nonzero(self.reachable)
@@ -131,6 +135,16 @@ def _window(grid: ExploredGrid, within: Array) -> tuple[Cells, Array]:
 def _cell_of(point: Array, origin: Array, resolution: float, shape: tuple[int, ...]) -> tuple[int, int] | None:
     column, row = (float(point[0]) - origin[0]) / resolution, (float(point[1]) - origin[1]) / resolution
     return (int(row), int(column)) if 0.0 <= row < shape[0] and 0.0 <= column < shape[1] else None
+
+
+@compiled
+def _lengths_to(lengths: Array, origin: Array, resolution: float, points: Array) -> Array:
+    out = np.full(points.shape[0], math.inf)
+    for q in range(points.shape[0]):
+        column, row = (points[q, 0] - origin[0]) / resolution, (points[q, 1] - origin[1]) / resolution
+        if 0.0 <= row < lengths.shape[0] and 0.0 <= column < lengths.shape[1]:
+            out[q] = lengths[int(row), int(column)]
+    return out
 
 
 @compiled

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym.navigation.explored_grid import FREE, ExploredGrid
 from slam_gym.navigation.planner import distance_field
+from slam_gym.navigation.polyline import length_left, on_path, points_ahead
 from slam_gym.navigation.pursuit import PursuitSpec, follow
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances
@@ -18,6 +18,7 @@ from slam_gym.types import Array
 ARRIVED = 0.4  # [m] from the goal
 REPLAN = 10  # [ticks] at most between looks at whether the path still holds
 KEEP = 1.1  # a path is kept until a fresh one is shorter by more than this factor
+APART = 0.2  # [m] between the points at which a path is looked at
 AHEAD, AROUND = 15.0, 6.0  # [m] of a path that are planned anew, and of the space around them
 NEAR_ENOUGH = 1.5  # [m] from a goal that cannot be reached any more, where a place that can be takes its stead
 STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] no nearer than this in so many ticks: lost
@@ -69,7 +70,7 @@ def _drive(episode: Episode, goal: Array, frontier: bool) -> Iterator[Command]:
             if len(path) == 0 or seen:
                 break
             goal = path[-1]  # another one nearby, where that asked for is no longer open
-        left = _length_left(path, pose[:2])
+        left = length_left(path, pose[:2])
         nearest, since = (left, 0) if left < nearest - STUCK_DISTANCE else (nearest, since + 1)
         if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
             break
@@ -90,7 +91,7 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
     round an obstacle that cost the same would take turns, and the robot would go neither. Only the next stretch of it
     is planned anew, so that a plan takes as long in a large building as in a small one.
     """
-    if len(path) and _free(episode.grid, _ahead(path, pose[:2])):
+    if len(path) and _free(episode.grid, points_ahead(path, pose[:2], APART)):
         stretch, rest = _next_stretch(path, pose[:2])
         fresh = _stretch_anew(episode, pose, stretch)
         if fresh is stretch:
@@ -115,21 +116,22 @@ def _stretch_anew(episode: Episode, pose: Array, stretch: Array) -> Array:
     field = distance_field(episode.grid, pose[:2], clearance, within)
     fresh = field.path(stretch[-1])
     if len(fresh):
-        open_ = all(math.isfinite(field.length_to(point)) for point in _ahead(stretch, pose[:2]))
-        if open_ and _length_left(stretch, pose[:2]) < KEEP * _length_left(fresh, pose[:2]):
+        open_ = np.isfinite(field.lengths_to(points_ahead(stretch, pose[:2], APART))).all()
+        if open_ and length_left(stretch, pose[:2]) < KEEP * length_left(fresh, pose[:2]):
             return stretch
     return fresh
 
 
 def _next_stretch(path: Array, position: Array) -> tuple[Array, Array]:
     """The next `AHEAD` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`; the waypoints then."""
-    at, steps = _on_path(path, position), np.diff(path, axis=0)
-    ends = np.cumsum(at.lengths[at.segment :]) - at.covered
+    at, steps = on_path(path, position), np.diff(path, axis=0)
+    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    ends = np.cumsum(lengths[at.segment :]) - at.covered
     last = int(np.searchsorted(ends, AHEAD))
     if last >= len(ends):
         return path[at.segment :], path[:0]
     end = at.segment + last
-    cut = path[end + 1] - (ends[last] - AHEAD) / max(at.lengths[end], 1e-9) * steps[end]
+    cut = path[end + 1] - (ends[last] - AHEAD) / max(lengths[end], 1e-9) * steps[end]
     return np.concatenate([path[at.segment : end + 1], cut[None]]), path[end + 1 :]
 
 
@@ -139,42 +141,6 @@ def _free(grid: ExploredGrid, points: Array) -> bool:
     return bool((grid.cells[rows, columns] == FREE).all())
 
 
-def _ahead(path: Array, position: Array) -> Array:
-    """Points (q, 2) along the path from the waypoint nearest to `position`, 0.2 m apart."""
-    rest = path[int(np.argmin(((path - position) ** 2).sum(axis=1))) :]
-    if len(rest) < 2:
-        return rest
-    lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rest, axis=0).T))])
-    along = np.arange(0.0, lengths[-1], 0.2)
-    return np.column_stack([np.interp(along, lengths, rest[:, axis]) for axis in range(2)])
-
-
 def _out_of_date(episode: Episode, goal: Array) -> bool:
     """What was to be seen from the frontier has been seen on the way."""
     return float(episode.grid.expected_area(goal[None], episode.scenario.beams.range)[0]) < WORTH_SEEING
-
-
-def _length_left(path: Array, position: Array) -> float:
-    """[m] to the point of the path (p, 2), p ≥ 2, that is nearest to `position` (2,), and along it from there."""
-    at = _on_path(path, position)
-    return float(at.gap + at.lengths[at.segment :].sum() - at.covered)
-
-
-class _OnPath(NamedTuple):
-    """The point of a path that is nearest to some position."""
-
-    segment: int  # that it lies on
-    covered: float  # [m] from the beginning of the segment
-    gap: float  # [m] to the position
-    lengths: Array  # (p − 1,) [m] of all segments
-
-
-def _on_path(path: Array, position: Array) -> _OnPath:
-    """Where a path (p, 2), p ≥ 2, is nearest to `position` (2,)."""
-    steps = np.diff(path, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
-    along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
-    along = np.minimum(np.maximum(along, 0.0), 1.0)
-    gaps = np.hypot(*(position - path[:-1] - along[:, None] * steps).T)
-    nearest = int(np.argmin(gaps))
-    return _OnPath(nearest, along[nearest] * lengths[nearest], gaps[nearest], lengths)

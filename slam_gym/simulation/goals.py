@@ -122,9 +122,9 @@ def propose(
         if len(ends):
             break
     seen = places.candidates()
-    seen = seen[[np.isfinite(reached.length_to(place)) for place in seen]] if len(seen) else seen
+    seen = seen[np.isfinite(reached.lengths_to(seen))]
     spots = np.concatenate([here[None], ends, seen])
-    lengths = np.array([0.0] + [reached.length_to(spot) for spot in spots[1:]])
+    lengths = np.concatenate([[0.0], reached.lengths_to(spots[1:])])
     ways = _in_sight_on_the_way(scenario, slam_map, grid, reached, spots)
     reductions = _reductions(scenario, slam_map, grid, spots, lengths * ways.blind)
     back = 1 + len(ends) + _best_revisits(seen, reductions[1 + len(ends) :], lengths[1 + len(ends) :])
@@ -151,7 +151,7 @@ def _ends(grid: ExploredGrid, field: DistanceField, reach: float, tried: Tried) 
     if len(centres) == 0:
         return centres
     areas = grid.expected_area(centres, reach)
-    lengths = np.array([field.length_to(centre) for centre in centres])
+    lengths = field.lengths_to(centres)
     worth = (areas >= WORTH_SEEING) & np.isfinite(lengths)
     centres, areas, lengths, times = centres[worth], areas[worth], lengths[worth], tried.times(centres[worth])
     if len(centres) == 0:

@@ -308,3 +308,13 @@ def test_points_along_a_path_lie_on_it_at_even_spaces():
     lengths = np.array([field.length_to(point) for point in points])
     assert (np.diff(lengths) >= gaps - 1e-9).all() and lengths[0] < 1.5
     assert field.along(np.array([-50.0, 0.0]), 1.0).shape == (0, 2)
+
+
+def test_lengths_to_many_points_are_those_to_each() -> None:
+    rng = np.random.default_rng(0)
+    grid = grid_of(random_cells(rng))
+    field = distance_field(grid, grid.origin + 1.0, 0.0)
+    points = grid.origin + rng.uniform(-1.0, 9.0, (200, 2))
+    expected = [field.length_to(point) for point in points]
+    assert np.isinf(expected).any() and np.isfinite(expected).any()
+    np.testing.assert_array_equal(field.lengths_to(points), expected)
