@@ -51,3 +51,17 @@ def test_a_straight_line_by_hand() -> None:
     assert length_left(path, np.array([1.0, 2.0])) == 2.0 + 3.0 + 3.0
     assert len(points_ahead(path, np.zeros(2), 0.5)) == 14
     assert math.isclose(length_left(path, np.array([4.0, 3.0])), 0.0, abs_tol=1e-12)
+
+
+def test_the_length_left_is_measured_along_the_path() -> None:
+    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
+    for position, left in [
+        ((0, 0), 7.0),
+        ((1, 0), 6.0),
+        ((3.9, 0), 3.1),
+        ((4, 2), 1.0),
+        ((2, 0.5), 5.5),
+        ((4, 4), 1.0),
+    ]:
+        assert length_left(path, np.array(position, float)) == pytest.approx(left)
+    assert length_left(np.zeros((2, 2)), np.array([0.3, 0.4])) == pytest.approx(0.5)

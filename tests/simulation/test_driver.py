@@ -87,20 +87,6 @@ def test_a_goal_is_given_up_by_a_robot_that_cannot_move() -> None:
     assert env.step(slot)[-1]["ticks"] == STUCK_TICKS + 1
 
 
-def test_the_length_left_is_measured_along_the_path() -> None:
-    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
-    for position, left in [
-        ((0, 0), 7.0),
-        ((1, 0), 6.0),
-        ((3.9, 0), 3.1),
-        ((4, 2), 1.0),
-        ((2, 0.5), 5.5),
-        ((4, 4), 1.0),
-    ]:
-        assert driver._length_left(path, np.array(position, float)) == pytest.approx(left)
-    assert driver._length_left(np.zeros((2, 2)), np.array([0.3, 0.4])) == pytest.approx(0.5)
-
-
 def test_a_goal_that_no_path_leads_to_costs_one_tick_at_rest() -> None:
     env, calls = explore("office"), []
     env.reset(seed=0)
