@@ -17,6 +17,7 @@ import nbformat
 import pytest
 
 from slam_gym.bench.runner import BENCHMARKS, parser_for
+from slam_gym.commands.run import COMMANDS
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.world.floor_plan_file import load_floor_plan
 
@@ -112,6 +113,10 @@ def check_command(command: list[str], complete: bool = True) -> None:
             assert all((ROOT / path).exists() for path in arguments if path.startswith("tests")), arguments
         case ["jupyter", "nbconvert", *arguments]:
             assert all((ROOT / path).is_file() for path in arguments if path.endswith(".ipynb")), arguments
+        case ["slam-gym", name, *_]:
+            assert name in COMMANDS, name
+        case ["evo_ape" | "evo_rpe" | "evo_traj", "tum", first, *rest]:
+            assert all(path.endswith(".tum") for path in (first, *rest) if "/" in path), rest
         case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:
             pass
         case _:

@@ -71,7 +71,7 @@ def test_matlab_files(tmp_path, inputs, count) -> None:
         "groundtruth": np.array([[1.0, 0.0, 0.0, 0.5]]),
         "measurement": rows,
     }
-    few = inputs if inputs >= 1000 else inputs // 20
+    few = inputs if inputs >= 1000 else inputs // 10
     wholes = [_matlab(tables, do_compression=packed) for packed in (False, True)]
     path = tmp_path / "groups.mat"
     count(attack(stationary, path, damaged(*wholes), few - few // 3))
