@@ -231,7 +231,7 @@ class Prediction:
     def rows(self, kept: IntArray) -> Prediction:
         """Of the features in the rows `kept` (j,) alone."""
         local = None if self.local is None else _ChosenRows(self.local, kept)
-        chosen = {name: getattr(self, name)[kept] for name in _BY_ROW}
+        chosen = {name: getattr(self, name).take(kept, axis=0) for name in _BY_ROW}
         if self.sightings is not None:
             chosen["sightings"] = self.sightings[kept]
         return replace(self, **chosen, joint=_ChosenRows(self.joint, kept), local=local)

@@ -37,6 +37,7 @@ BENCHMARKS = {
     "jcbb": Benchmark("speed.jcbb", "JCBB at loop closure beside scipy's linear assignment on the same gated problem"),
     "prior": Benchmark("speed.prior", "all searches with a prior at loop closure: what they get right, time"),
     "update": Benchmark("speed.update", "joint EKF update against one symmetric rank-20 product"),
+    "scale": Benchmark("speed.scale", "a step and its memory against map size, to 5 000 features"),
     "locality": Benchmark("locality.effort", "relocation under each locality against the bound of the source"),
     "locality --tracking": Benchmark("locality.tracking", "what locality saves JCBB in exploration"),
     "associate": Benchmark("feature_index.associate", "relocation by the feature index: time, success beside cliques"),

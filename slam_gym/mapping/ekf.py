@@ -77,6 +77,13 @@ def symmetric(P: Array, d: int) -> Array:
 
 
 @compiled
+def copy_upper(P: Array, d: int, out: Array) -> None:
+    """Enter the upper triangle of P[:d, :d] in `out`: memory of the lower one is never touched, and so never taken."""
+    for i in range(d):
+        out[i, i:d] = P[i, i:d]
+
+
+@compiled
 def covariance_of(P: Array, features: IntArray) -> Array:
     """(2k, 2k) of the features (k,), from the upper triangle of P."""
     k = len(features)
@@ -90,13 +97,10 @@ def covariance_of(P: Array, features: IntArray) -> Array:
 
 
 @compiled
-def relative_areas(P: Array, reference: int, features: IntArray) -> Array:
-    """(k,) √det(P_jj + P_rr − P_jr − P_rj) of the features j (k,) and the reference r."""
-    out = np.empty(len(features))
-    for k in range(len(features)):
-        xx, xy, yy = _difference(P, 3 + 2 * reference, 3 + 2 * features[k])
-        out[k] = math.sqrt(max(xx * yy - xy * xy, 0.0))
-    return out
+def relative_area(P: Array, reference: int, feature: int) -> float:
+    """[m²] √det(P_jj + P_rr − P_jr − P_rj) of the feature j and the reference r to know it from."""
+    xx, xy, yy = _difference(P, 3 + 2 * reference, 3 + 2 * feature)
+    return math.sqrt(max(xx * yy - xy * xy, 0.0))
 
 
 @compiled

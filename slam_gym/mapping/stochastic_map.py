@@ -162,13 +162,6 @@ class StochasticMap:
         """
         return ekf.covariance_of(self._P, self._existing(features))
 
-    def relative_areas(self, reference: int, features: IntArray) -> Array:
-        """(k,) [m²] √det of the covariance of F_j − F_r, for `features` j (k,) and a `reference` r to know them from.
-
-        Raises ValueError where a feature does not exist.
-        """
-        return ekf.relative_areas(self._P, int(self._existing(np.array([reference]))[0]), self._existing(features))
-
     def distances_between(self, first: IntArray, second: IntArray, gate: float) -> Array:
         """(a, b) D² of F_i − F_j for features i of `first` (a,) and j of `second` (b,); inf where it exceeds `gate`.
 
@@ -413,7 +406,8 @@ class StochasticMap:
             return
         d, side = self._d, padded(3 + 2 * capacity)
         x, at, P = np.zeros(side), np.zeros(side), aligned_zeros(side, side)
-        x[:d], at[:d], P[:d, :d] = self._x[:d], self._at[:d], self._P[:d, :d]
+        x[:d], at[:d] = self._x[:d], self._at[:d]
+        ekf.copy_upper(self._P, d, P)
         self._x, self._at, self._P, self._shown = x, at if self.spec.first_estimate_jacobians else x, P, None
         counted, sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
         counted[:, : self.n], sized[:, : self.n] = self._counted[:, : self.n], self._sized[:, : self.n]

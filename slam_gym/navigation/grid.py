@@ -217,7 +217,7 @@ def draw_egocentric(
                 continue  # all of it lies outside
             if min(x, far_x) >= 0 and min(y, far_y) >= 0 and max(x, far_x) >> 16 < w and max(y, far_y) >> 16 < h:
                 for i in range(pixels):
-                    sums[i] += blocks[y >> 16, x >> 16]
+                    sums[i] += blocks[np.uint64(y >> 16), np.uint64(x >> 16)]  # of no sign, or it would be tested
                     x, y = x + step_x, y + step_y
                 continue
             for i in range(pixels):

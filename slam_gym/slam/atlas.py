@@ -25,6 +25,7 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import equate
 from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.slam import kernels
 from slam_gym.slam.loops import NO_PAIRS, LoopSpec, find_loop, parts_of, recent_part
 from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
 from slam_gym.slam.relocation import Relocate, RelocatingSlam
@@ -99,26 +100,20 @@ class AtlasSlam(RelocatingSlam):
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """As `Slam` does, without old features that are ambiguous."""
         prediction = super().predict_features(scan, odometry)
-        if self.atlas.loops is None or prediction.near.all():
+        if self.atlas.loops is None:
             return prediction
-        hidden = self._ambiguous(prediction)
-        return prediction.rows(np.delete(np.arange(len(prediction)), hidden)) if len(hidden) else prediction
-
-    def _ambiguous(self, prediction: Prediction) -> IntArray:
-        """Rows of features that are near none of those lately paired, and in whose gates others are to be expected.
-
-        How well they are known is asked from the feature amid those that are near: what the robot does not know of its
-        own place is the same for all.
-        """
-        far, near = np.flatnonzero(~prediction.near), np.flatnonzero(prediction.near)
-        if not len(near):
-            return far[:0]
-        away = prediction.positions[near] - prediction.positions[near].mean(axis=0)
-        amid = int(prediction.features[near[np.argmin((away**2).sum(axis=1))]])
-        areas = self.map.relative_areas(amid, prediction.features[far])  # gates are π χ² of that, the view π reach²
-        others = len(prediction) * chi2_gate(2, prediction.confidence) * areas / self.reach**2
-        rows: IntArray = far[others > self.atlas.ambiguous]
-        return rows
+        k = len(prediction)
+        kept, worth = np.empty(k, np.int64), k * chi2_gate(2, prediction.confidence) / self.reach**2
+        left = kernels.unambiguous(
+            prediction.near,
+            prediction.positions,
+            prediction.features,
+            self.map.arrays,
+            worth,
+            self.atlas.ambiguous,
+            kept,
+        )
+        return prediction if left == k else prediction.rows(kept[:left])
 
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
         """The step of `RelocatingSlam`, then what the atlas makes of it. Raises as `Slam.step`."""

@@ -1,6 +1,8 @@
-"""The half of `Slam.asking_step` that follows the associator's answer, in one compiled call."""
+"""What `Slam.asking_step` does after the associator's answer, and an atlas before it, in one compiled call each."""
 
 from __future__ import annotations
+
+import math
 
 from slam_gym._compile import compiled
 from slam_gym.mapping import ekf
@@ -131,3 +133,31 @@ def _fits(point: Array, noise: Array, expected: tuple[Array, Array], gate: float
         if (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant < gate:
             found = 1
     return found
+
+
+@compiled
+def unambiguous(
+    near: BoolArray, positions: Array, features: IntArray, arrays: MapArrays, worth: float, most: float, kept: IntArray
+) -> int:
+    """Rows of a prediction but for features near none of those lately paired, in whose gates others are to be expected.
+
+    How well they are known is asked from the feature amid those that are near: what the robot does not know of its own
+    place is the same for all. `worth` is the number of others in a gate for each [m²] of √det of the covariance, of
+    which an old feature may have at `most` so many. The rows are entered in `kept` (k,); returns their number.
+    """
+    x = y = 0.0
+    around = 0
+    for row in range(len(near)):
+        if near[row]:
+            x, y, around = x + positions[row, 0], y + positions[row, 1], around + 1
+    amid, least = UNPAIRED, math.inf
+    for row in range(len(near)):
+        u, v = positions[row, 0] - x / around, positions[row, 1] - y / around
+        if near[row] and u * u + v * v < least:
+            amid, least = features[row], u * u + v * v
+    count = 0
+    for row in range(len(near)):
+        if amid == UNPAIRED or near[row] or not worth * ekf.relative_area(arrays[2], amid, features[row]) > most:
+            kept[count] = row
+            count += 1
+    return count

@@ -80,8 +80,9 @@ def parts_of(m: StochasticMap, graph: CovisibilityGraph, spec: LoopSpec) -> Part
     Older features are individually compatible with one of the recent part under the inflated covariance; a feature of
     the recent part that none is compatible with is still searched for, as part of its shape.
     """
-    recent = recent_part(m, graph, spec)
-    older = np.setdiff1d(np.flatnonzero(~m.provisional & (m.last_seen < m.step - spec.recent)), recent)
+    recent, old = recent_part(m, graph, spec), ~m.provisional & (m.last_seen < m.step - spec.recent)
+    old[recent] = False
+    older = np.flatnonzero(old)
     if len(recent) < spec.min_pairs or len(older) < spec.min_pairs:
         return None
     gate = spec.inflation**2 * chi2_gate(2, spec.confidence)

@@ -34,6 +34,8 @@ def find_twins(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> IntAr
         one, other = int(lately[row]), int(known[column])
         if _are_twins(m, graph, one, other, D[row, column] < gate):
             pairs.append((min(one, other), max(one, other)))
+    if not pairs:
+        return np.empty((0, 2), np.int64)
     return _one_to_one(np.unique(np.array(pairs, np.int64).reshape(-1, 2), axis=0))
 
 

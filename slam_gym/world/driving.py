@@ -161,7 +161,7 @@ def _walls_within(grid: Grid, x: float, y: float, reach: float) -> bool:
         for column in range(first, last + 1):
             cell = row * grid.columns + column
             for k in range(grid.starts[cell], grid.starts[cell + 1]):
-                if squared_distance(x, y, grid.walls[grid.members[k]]) < reach * reach:
+                if squared_distance(x, y, grid.walls, grid.members[k]) < reach * reach:
                     return True
     return False
 

@@ -71,9 +71,12 @@ def pull_back(features: Features) -> Array:
 
 
 @compiled
-def _segment_hit(x: float, y: float, dx: float, dy: float, segment: Array) -> float:
-    """t in [0, 1] at which (x, y) + t (dx, dy) crosses a segment (4,), ends included; inf where it does not."""
-    ax, ay, bx, by = segment[0] - x, segment[1] - y, segment[2] - x, segment[3] - y
+def _segment_hit(x: float, y: float, dx: float, dy: float, segments: Array, s: int) -> float:
+    """t in [0, 1] at which (x, y) + t (dx, dy) crosses row s of segments (…, 4), ends included; inf where it does not.
+
+    A row on its own would be counted as a user of the whole array, which costs as much as the rest.
+    """
+    ax, ay, bx, by = segments[s, 0] - x, segments[s, 1] - y, segments[s, 2] - x, segments[s, 3] - y
     if (dx * ay - dy * ax) * (dx * by - dy * bx) > 0.0:  # both ends on one side of the ray
         return math.inf
     ex, ey = bx - ax, by - ay
@@ -134,7 +137,7 @@ def _wall_hit(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
     while 0 <= column < grid.columns and 0 <= row < grid.rows:
         c = row * grid.columns + column
         for k in range(grid.starts[c], grid.starts[c + 1]):
-            nearest = min(nearest, _segment_hit(x, y, dx, dy, grid.walls[grid.members[k]]))
+            nearest = min(nearest, _segment_hit(x, y, dx, dy, grid.walls, grid.members[k]))
         leave = min(next_x, next_y)
         if nearest <= leave or leave > 1.0:
             break
@@ -152,15 +155,15 @@ def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> floa
     for d in range(movers.discs.shape[0]):
         nearest = min(nearest, _disc_hit(x, y, dx, dy, movers.discs[d]))
     for s in range(movers.segments.shape[0]):
-        nearest = min(nearest, _segment_hit(x, y, dx, dy, movers.segments[s]))
+        nearest = min(nearest, _segment_hit(x, y, dx, dy, movers.segments, s))
     return nearest
 
 
 @compiled
-def squared_distance(x: float, y: float, segment: Array) -> float:
-    """[m²] from a point to a segment (4,)."""
-    ax, ay = segment[0] - x, segment[1] - y
-    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
+def squared_distance(x: float, y: float, segments: Array, s: int) -> float:
+    """[m²] from a point to row s of segments (…, 4)."""
+    ax, ay = segments[s, 0] - x, segments[s, 1] - y
+    ex, ey = segments[s, 2] - segments[s, 0], segments[s, 3] - segments[s, 1]
     length = ex * ex + ey * ey
     t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0) if length > 0.0 else 0.0
     dx, dy = ax + t * ex, ay + t * ey
@@ -176,9 +179,9 @@ def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
         if math.hypot(disc[0] - x, disc[1] - y) <= reach + disc[2]:
             discs[d] = disc
             d += 1
-    for segment in movers.segments:
-        if squared_distance(x, y, segment) <= reach * reach:
-            segments[s] = segment
+    for k in range(len(movers.segments)):
+        if squared_distance(x, y, movers.segments, k) <= reach * reach:
+            segments[s] = movers.segments[k]
             s += 1
     return Movers(discs[:d], segments[:s])
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.ekf import relative_area
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import FEJ, KEEP, STILL, h, landmarks, mapped
@@ -314,7 +315,7 @@ def test_what_is_told_of_some_features_is_that_of_the_whole_map() -> None:
     np.testing.assert_array_equal(m.covariance_of(chosen), P[np.ix_(entries, entries)])
     first, second = np.array([4, 0, 8]), np.array([0, 3, 5, 6])
     gate = 1e4
-    found, areas = m.distances_between(first, second, gate), m.relative_areas(4, second)
+    found, areas = m.distances_between(first, second, gate), [relative_area(m.arrays[2], 4, j) for j in second]
     for b, j in enumerate(second):
         for a, i in enumerate(first):
             if i == j:
@@ -334,7 +335,6 @@ def test_features_that_do_not_exist_are_not_told_of() -> None:
     for ask in (
         lambda: m.covariance_of(np.array([m.n])),
         lambda: m.distances_between(some, np.array([-1]), 1.0),
-        lambda: m.relative_areas(m.n, some),
     ):
         with pytest.raises(ValueError, match="features"):
             ask()

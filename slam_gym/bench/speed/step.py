@@ -35,6 +35,7 @@ from slam_gym.metrics.association import Identities
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import JudgedSlam
+from slam_gym.slam import kernels
 from slam_gym.slam.atlas import AtlasSlam
 from slam_gym.slam.slam import Slam
 from slam_gym.world.physics import World
@@ -45,7 +46,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "physics": ((World, "tick"),),
     "odometry, scan, beams": ((Sensor, "sense"),),
     "EKF predict, features in reach": ((StochasticMap, "prediction"),),
-    "ambiguous features": ((AtlasSlam, "_ambiguous"),),
+    "ambiguous features": ((kernels, "unambiguous"),),
     "association": ((JudgedSlam, "associate"),),
     "EKF update, new features, covisibility": ((Slam, "_learn"),),
     "loops": ((AtlasSlam, "_close"),),
