@@ -3,96 +3,112 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
-from numpy.typing import NDArray
 
 from agents.cli import add_explore_options, explore_arguments, program, run_main
-from agents.drivers.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
-from agents.evaluation.episodes import agent_seed, reset_arguments
+from agents.drivers.base import AGENTS, Agent, Info, make_agent, visible
+from agents.evaluation.associators import SIMPLEST_FIRST
+from agents.evaluation.episodes import ExploreArguments, agent_seed, reset_arguments, run_episode
+from agents.player import Controls, Screen, SearchSwitch, Switch
+from slam_gym.simulation.judged import CEILING
 
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world
   ← → or A D   turn                     R   this world again
-  Esc          quit
+  left stick   both                     C   another associator, from the next scan on
+  Esc          quit                     L   relocation on or off
 
 You see the truth in the background. The robot knows only what it has drawn over it: the floor that its range finder
 has swept, and features with their ellipses of uncertainty. Drive where it has not been, to map more; come back to
-where it has been, to make the ellipses shrink."""
+where it has been, to make the ellipses shrink. At the end you are held against information gain, in the same world."""
+KEYS = "arrows or WASD drive   C associator   L relocation   R again   N next world   Esc quit"
+RIVAL = "information_gain"
 
 
-class Keyboard:
-    """The human's hands: which keys are down, and what they ask for."""
+@dataclass
+class Game:
+    """What is played, and what the player may switch while it runs."""
 
-    name = "you"
-    action: ActionKind = "twist"
+    arguments: ExploreArguments
+    agent: Agent
+    controls: Controls
+    switch: Switch
+    search: SearchSwitch
+    rivals: dict[int, float] = field(default_factory=dict)  # world → map error of information gain
 
-    def __init__(self) -> None:
-        import pygame  # extra `render`; the environment's window delivers the keys
+    def make(self) -> gym.Env[Any, Any]:
+        """The environment, with the switches in it."""
+        associator = None if self.told else self.switch
+        return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.search)
 
-        self._pygame = pygame
-        self._keys = {
-            "forward": (pygame.K_UP, pygame.K_w), "backward": (pygame.K_DOWN, pygame.K_s),
-            "left": (pygame.K_LEFT, pygame.K_a), "right": (pygame.K_RIGHT, pygame.K_d),
-        }  # fmt: skip
-        self._down: set[int] = set()
+    @property
+    def told(self) -> bool:
+        """The truth associates, which nothing may stand in for."""
+        return self.arguments.associator == CEILING
 
-    def reset(self, seed: int) -> None:
-        self._down.clear()
+    def rival(self, world: int) -> float:
+        """What information gain makes of a world, with the scenario's associator."""
+        if world not in self.rivals:
+            rival = make_agent(RIVAL)
+            env = self.arguments.make(rival.action)
+            self.rivals[world] = float(run_episode(env, rival, world)["map_error"])
+            env.close()
+        return self.rivals[world]
 
-    def act(self, observation: Observation, info: Info) -> NDArray[np.float32]:
-        held = {name: bool(self._down.intersection(keys)) for name, keys in self._keys.items()}
-        forward, turn = held["forward"] - held["backward"], held["left"] - held["right"]
-        return np.array([forward, turn], np.float32)
-
-    def has_window(self) -> bool:
-        """Whether there is a display for the environment's window to appear on."""
-        return self._pygame.display.get_driver() not in ("dummy", "offscreen")
-
-    def poll(self) -> str | None:
-        """Take in what happened at the keyboard; "quit", "next" or "again" where that was asked for."""
-        pygame = self._pygame
-        asked = {pygame.K_ESCAPE: "quit", pygame.K_n: "next", pygame.K_r: "again"}
-        wish = None
-        for event in pygame.event.get():
-            if event.type == pygame.QUIT:
-                return "quit"
-            if event.type == pygame.KEYDOWN:
-                self._down.add(event.key)
-                wish = asked.get(event.key, wish)
-            elif event.type == pygame.KEYUP:
-                self._down.discard(event.key)
-        return wish
+    def lines(self, env: gym.Env[Any, Any], verdict: str = "") -> list[str]:
+        """What stands under the picture."""
+        episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
+        relocation = "on" if self.search.on else "off"
+        now = (
+            f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
+            f"coverage {episode.coverage():.0%}   {CEILING if self.told else self.switch.name}   relocation {relocation}"
+        )
+        return [now, *([verdict] if verdict else []), KEYS]
 
 
-def play(env: gym.Env[Any, Any], agent: Agent, keyboard: Keyboard, world: int, steps: int | None = None) -> str:
+def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: int | None = None) -> str:
     """One world; the wish that ended it. At the end of the budget the picture stays until a key tells what is next."""
     observation, info = env.reset(**reset_arguments(world))
-    agent.reset(agent_seed(world))
-    if not keyboard.has_window():
+    game.agent.reset(agent_seed(world))
+    _show(game, env, screen)
+    if not screen.window.is_visible:
         print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
-    taken, ended = 0, False
+    taken, ended, verdict = 0, False, ""
     while steps is None or taken < steps:
-        wish = keyboard.poll()
-        if wish is not None:
+        wish = game.controls.poll()
+        if wish == "associator":
+            game.switch.next()
+        elif wish == "relocation":
+            game.search.on = not game.search.on
+        elif wish is not None:
             return wish
         if ended:
-            env.render()
+            _show(game, env, screen, verdict)
             continue
-        observation, _, ended, _, info = env.step(agent.act(observation, visible(info)))
+        observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
         taken += 1
         if ended:
-            print(_verdict(world, info))
+            verdict = _verdict(game, world, info)
+            print(verdict)
+        _show(game, env, screen, verdict)
     return "quit"
 
 
-def _verdict(world: int, info: Info) -> str:
-    quality = info["map_quality"]
+def _show(game: Game, env: gym.Env[Any, Any], screen: Screen, verdict: str = "") -> None:
+    picture: Any = env.render()
+    screen.show(picture, game.lines(env, verdict))
+
+
+def _verdict(game: Game, world: int, info: Info) -> str:
+    quality, rival = info["map_quality"], game.rival(world)
+    own = float(quality["map_error"])
+    who = "you beat it" if own < rival else "it is ahead" if own > rival else "a draw"
     return (
-        f"world {world}: map error {quality['map_error']:.3f} (1 = empty map, 0 = perfect), coverage "
-        f"{quality['coverage']:.0%}, {quality['precision']:.1%} of the pairings right; N next world, R again, Esc quits"
+        f"world {world}: map error {own:.3f} (0 is perfect), coverage {quality['coverage']:.0%}, "
+        f"{quality['precision']:.1%} of the pairings right; information gain {rival:.3f}: {who}"
     )
 
 
@@ -109,16 +125,21 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
     watched = make_agent(a.agent, a.model) if a.agent else None
-    env = explore_arguments(a, split="train").make(watched.action if watched else "twist", render_mode="human")
-    keyboard = Keyboard()
-    print(HELP if watched is None else f"watching {watched.name}; N next world, R again, Esc quits")
+    arguments, controls = explore_arguments(a, split="train"), Controls()
+    probe: Any = arguments.make("twist").unwrapped  # refuses what nobody knows; has the scenario's associator
+    first = [] if probe.associator == CEILING else [probe.associator]
+    switch = Switch([*first, *SIMPLEST_FIRST])
+    game = Game(arguments, watched or controls, controls, switch, SearchSwitch(arguments.relocation))
+    env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))
+    print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
     world, wish = a.world, "again"
     try:
         while wish != "quit":
             world += wish == "next"
-            wish = play(env, watched or keyboard, keyboard, world, a.steps)
+            wish = play(game, env, screen, world, a.steps)
     finally:
         env.close()
+        screen.window.close()
     return 0
 
 

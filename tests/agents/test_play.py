@@ -1,23 +1,17 @@
-"""Playing without a display: keys drive the robot, and end the game."""
+"""Playing without a display: keys drive the robot, switch what helps it, and end the game."""
 
 import numpy as np
 import pytest
 
 from agents.evaluation.episodes import ExploreArguments
-from agents.play import Keyboard, main, play
+from agents.play import Game, main, play
+from agents.player import Controls, Screen, SearchSwitch, Switch
 
 pygame = pytest.importorskip("pygame")
+DOWN, UP = pygame.KEYDOWN, pygame.KEYUP
 
 
-@pytest.fixture
-def env(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = ExploreArguments("office-small", split="train").make("twist", render_mode="human")
-    yield env
-    env.close()
-
-
-class Script(Keyboard):
+class Script(Controls):
     """A keyboard on which keys go down and up at given polls."""
 
     def __init__(self, *events):
@@ -37,29 +31,61 @@ class Script(Keyboard):
         return self.actions[-1]
 
 
-DOWN, UP = pygame.KEYDOWN, pygame.KEYUP
+@pytest.fixture
+def play_with(monkeypatch):
+    """Play a script for some steps: the wish that ended it, the game and its environment."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    open_now = []
+
+    def run(controls, steps, budget=300):
+        arguments = ExploreArguments("office-small", (("budget", budget),), split="train")
+        game = Game(arguments, controls, controls, Switch(["jcbb", "nearest_neighbour"]), SearchSwitch("gcbb"))
+        env, screen = game.make(), Screen(1000.0)
+        open_now.extend((env, screen.window))
+        return play(game, env, screen, 0, steps), game, env
+
+    yield run
+    for each in open_now:
+        each.close()
 
 
-def test_held_keys_drive_the_robot(env):
-    keyboard = Script(
+def test_held_keys_drive_the_robot(play_with):
+    controls = Script(
         (1, [(DOWN, pygame.K_UP)]), (3, [(DOWN, pygame.K_a)]), (5, [(UP, pygame.K_UP)]), (7, [(UP, pygame.K_a)])
     )
-    assert play(env, keyboard, keyboard, 0, steps=8) == "quit"
+    wish, _, env = play_with(controls, 8)
     expected = [[0, 0], [1, 0], [1, 0], [1, 1], [1, 1], [0, 1], [0, 1], [0, 0]]
-    np.testing.assert_array_equal(keyboard.actions, expected)
+    assert wish == "quit"
+    np.testing.assert_array_equal(controls.actions, expected)
     assert np.hypot(*env.unwrapped.episode.slam.map.pose[:2]) > 0.05
 
 
 @pytest.mark.parametrize(("key", "wish"), [(pygame.K_n, "next"), (pygame.K_r, "again"), (pygame.K_ESCAPE, "quit")])
-def test_keys_end_the_world(env, key, wish):
-    keyboard = Script((2, [(DOWN, key)]))
-    assert play(env, keyboard, keyboard, 0, steps=50) == wish
-    assert len(keyboard.actions) == 2
+def test_keys_end_the_world(play_with, key, wish):
+    controls = Script((2, [(DOWN, key)]))
+    assert play_with(controls, 50)[0] == wish
+    assert len(controls.actions) == 2
 
 
-def test_closing_the_window_ends_the_game(env):
-    keyboard = Script((1, [(pygame.QUIT, 0)]))
-    assert play(env, keyboard, keyboard, 0, steps=50) == "quit"
+def test_closing_the_window_ends_the_game(play_with):
+    assert play_with(Script((1, [(pygame.QUIT, 0)])), 50)[0] == "quit"
+
+
+def test_associator_and_relocation_are_switched_while_the_robot_drives(play_with):
+    controls = Script((2, [(DOWN, pygame.K_c)]), (3, [(DOWN, pygame.K_l)]))
+    wish, game, env = play_with(controls, 6)
+    assert wish == "quit" and game.switch.name == "nearest_neighbour" and not game.search.on
+    shown = game.lines(env)
+    assert "tick 6 of 300" in shown[0] and "nearest_neighbour" in shown[0] and "relocation off" in shown[0]
+    assert len(controls.actions) == 6
+
+
+def test_at_the_end_the_player_is_held_against_information_gain(play_with, capsys):
+    wish, game, env = play_with(Script((9, [(DOWN, pygame.K_n)])), 50, budget=5)
+    said = capsys.readouterr().out
+    assert wish == "next" and "world 0: map error" in said and f"information gain {game.rivals[0]:.3f}:" in said
+    own = env.unwrapped.episode.map_error()
+    assert ("it is ahead" if own > game.rivals[0] else "you beat it" if own < game.rivals[0] else "a draw") in said
 
 
 class Spinner:
@@ -74,6 +100,7 @@ class Spinner:
 
 def test_an_agent_is_watched(monkeypatch, capsys):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    assert main(["--scenario", "office-small", "--agent", f"{__name__}:Spinner", "--steps", "3"]) == 0
+    line = ["--scenario", "office-small", "--associator", "true_association", "--steps", "3"]
+    assert main([*line, "--agent", f"{__name__}:Spinner"]) == 0
     said = capsys.readouterr().out
     assert "spinner" in said and "no display" in said

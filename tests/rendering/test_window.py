@@ -29,3 +29,15 @@ def test_a_window_opens_closes_and_opens_again() -> None:
         window.close()
         window.close()
         assert not pygame.display.get_init()
+
+
+def test_a_picture_is_scaled_to_a_resizable_window_in_its_proportions() -> None:
+    window, surface = Window("test", fps=1000.0, resizable=True), pygame.Surface((30, 20), depth=32)
+    surface.fill((255, 0, 0))
+    window.show(surface)
+    window._window = pygame.display.set_mode((120, 40), pygame.RESIZABLE)  # as if the user had drawn at its corner
+    window.show(surface)
+    shown = pixels(pygame.display.get_surface())
+    assert tuple(shown[20, 60]) == (255, 0, 0) and tuple(shown[20, 10]) == tuple(shown[20, 110]) == (0, 0, 0)
+    assert not window.is_visible  # on the display of the tests
+    window.close()
