@@ -62,9 +62,10 @@ class Game:
         """What stands under the picture."""
         episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
         relocation = "on" if self.search.on else "off"
+        associator = CEILING if self.told else self.switch.name
         now = (
             f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
-            f"coverage {episode.coverage():.0%}   {CEILING if self.told else self.switch.name}   relocation {relocation}"
+            f"coverage {episode.coverage():.0%}   {associator}   relocation {relocation}"
         )
         return [now, *([verdict] if verdict else []), KEYS]
 
