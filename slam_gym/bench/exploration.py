@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 import slam_gym  # noqa: F401  (registers the environments)
-from slam_gym.bench.timing import timed
+from slam_gym.bench.timing import THREAD, timed
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import follow
 from slam_gym.types import Array
@@ -23,7 +23,7 @@ REPLAN = 20  # [steps]
 class Step(NamedTuple):
     """One step of an exploration."""
 
-    microseconds: float  # in `env.step`
+    microseconds: float  # of the processor, in `env.step`
     info: dict[str, Any]
 
 
@@ -38,7 +38,7 @@ def explore(env: Any, seed: int, world: int | None = None) -> Iterator[Step]:
     pilot, over, step = Pilot(seed), False, 0
     while not over:
         action = pilot.action(env.episode, step)
-        (_, _, over, _, info), taken = timed(env.step, action)
+        (_, _, over, _, info), taken = timed(env.step, action, clock=THREAD)
         yield Step(taken, info)
         step += 1
 

@@ -49,7 +49,7 @@ class CovisibilityGraph:
         return self._neighbours, self._counts, self._degrees
 
     def learned(self, created: int) -> None:
-        """Take over what a compiled step has made of the arrays: so many nodes have been added."""
+        """Take over what a compiled step has made of the arrays: so many nodes were added, or removed where < 0."""
         self.n += created
 
     def make_room(self, more: int) -> None:
@@ -94,7 +94,7 @@ class CovisibilityGraph:
         Raises ValueError, the graph unchanged, where they are not ascending nodes of it.
         """
         kept = np.ascontiguousarray(kept, dtype=np.int64)
-        _keep(self._neighbours, self._counts, self._degrees, self.n, kept)
+        keep_nodes(self._neighbours, self._counts, self._degrees, self.n, kept)
         self.n = len(kept)
 
     def followed_by(self, other: CovisibilityGraph) -> CovisibilityGraph:
@@ -251,7 +251,7 @@ def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: In
 
 
 @compiled
-def _keep(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kept: IntArray) -> None:
+def keep_nodes(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kept: IntArray) -> None:
     for i in range(len(kept)):
         if kept[i] < 0 or kept[i] >= n or (i > 0 and kept[i] <= kept[i - 1]):
             raise ValueError("kept: not the ascending indices of nodes in the graph")

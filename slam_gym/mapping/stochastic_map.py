@@ -424,10 +424,10 @@ class StochasticMap:
         return self._next_id
 
     def learned(self, created: int) -> None:
-        """Take over what a compiled step has made of the arrays: it has added so many features, with the next ids."""
+        """Take over what a compiled step has made of the arrays: so many features were added, or removed where < 0."""
         self._estimate_changes()
         self.n += created
-        self._next_id += created
+        self._next_id += max(created, 0)
 
 
 class _Estimate:

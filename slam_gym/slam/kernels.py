@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from slam_gym._compile import compiled
 from slam_gym.mapping import ekf
-from slam_gym.mapping.covisibility import count_pairs
+from slam_gym.mapping.covisibility import count_pairs, keep_nodes
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.update import ACCEPTED, update
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray
@@ -88,6 +90,34 @@ def learn(
     for j in range(n + added):
         due += counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before
     return DONE, due, added
+
+
+@compiled
+def forget(
+    arrays: MapArrays,
+    n: int,
+    graph: tuple[IntArray, IntArray, IntArray],
+    confirmations: int,
+    before: int,
+    became: IntArray,
+    removed: IntArray,
+) -> None:
+    """Marginalise features out of the map that were not confirmed in time, those that `learn` tells are due.
+
+    `became` (n,) is told the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those that are gone.
+    """
+    (x, at, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
+    kept, left, gone = np.empty(n - len(removed), np.int64), 0, 0
+    for j in range(n):
+        if counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before:
+            became[j], removed[gone] = UNPAIRED, counted[ekf.IDS, j]
+            gone += 1
+        else:
+            became[j], kept[left] = left, j
+            counted[:, left], sized[:, left] = counted[:, j], sized[:, j]
+            left += 1
+    ekf.keep(x, at, P, kept)
+    keep_nodes(neighbours, counts, degrees, n, kept)
 
 
 @compiled

@@ -178,12 +178,12 @@ class Slam:
         recent, ids = self._turn(count), np.empty(count, np.int64)
         told = hypothesis.new is not None
         created = np.array(hypothesis.new) if told else np.empty(count, np.bool_)
-        ended = kernels.NARROW
+        ended, settings = kernels.NARROW, self._settings(prediction)
         while ended == kernels.NARROW:
             ended, what, added = kernels.learn(
                 m.arrays, m.n, m.step, m.next_id, graph.arrays, recent,
                 (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, told, created,
-                (prediction.positions, prediction.covariances), self._settings(prediction), ids,
+                (prediction.positions, prediction.covariances), settings, ids,
             )  # fmt: skip
             if ended == kernels.NARROW:
                 graph.widen(what)
@@ -194,7 +194,7 @@ class Slam:
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
-        removed = self._forget() if what else _NO_FEATURES
+        removed = self._forget(what, *settings[-2:]) if what else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed)
 
@@ -233,13 +233,13 @@ class Slam:
             stacklevel=4,
         )
 
-    def _forget(self) -> IntArray:
-        """Drop features that were never confirmed; everything indexed by feature is renumbered. Returns their ids."""
-        unconfirmed = self.map.unconfirmed()
-        removed, became = self.map.ids[unconfirmed], np.full(self.map.n, UNPAIRED)
-        kept = self.map.remove(unconfirmed)
-        self.covisibility.keep(kept)
-        became[kept] = np.arange(len(kept))
+    def _forget(self, due: int, confirmations: int, before: int) -> IntArray:
+        """Drop the features that are due; everything indexed by feature is renumbered. Returns their ids."""
+        m, graph = self.map, self.covisibility
+        became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
+        kernels.forget(m.arrays, m.n, graph.arrays, confirmations, before, became, removed)
+        m.learned(-due)
+        graph.learned(-due)
         self._renumber(became)
         return removed
 

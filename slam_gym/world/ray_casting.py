@@ -72,10 +72,7 @@ def pull_back(features: Features) -> Array:
 
 @compiled
 def _segment_hit(x: float, y: float, dx: float, dy: float, segments: Array, s: int) -> float:
-    """t in [0, 1] at which (x, y) + t (dx, dy) crosses row s of segments (…, 4), ends included; inf where it does not.
-
-    A row on its own would be counted as a user of the whole array, which costs as much as the rest.
-    """
+    """t in [0, 1] at which (x, y) + t (dx, dy) crosses row s of segments (…, 4), or its ends; inf where it does not."""
     ax, ay, bx, by = segments[s, 0] - x, segments[s, 1] - y, segments[s, 2] - x, segments[s, 3] - y
     if (dx * ay - dy * ax) * (dx * by - dy * bx) > 0.0:  # both ends on one side of the ray
         return math.inf

@@ -5,9 +5,10 @@ frontier, planned outside the clock); only `env.step` is timed. Every step is th
 odometry, EKF with full covariance, JCBB, covisibility, explored grid, map error, observation, info. The parts are timed
 in a second pass by wrapping their calls, which adds about a microsecond to each.
 
-Machines differ, and what else they do: between the steps, so that whatever it is falls on all of them, steps are timed
-of Gymnasium's CartPole, of MiniGrid's empty room if that is installed, and one symmetric rank-20 product with 203
-columns by BLAS, which is the floor of what an update of 100 features with ten pairings takes.
+Times are those of the processor in this thread. Machines differ, and so does what else they do: between the steps, so
+that whatever it is falls on all of them, steps are timed of Gymnasium's CartPole, of MiniGrid's empty room if that is
+installed, and one symmetric rank-20 product with 203 columns by BLAS, which is the floor of what an update of 100
+features with ten pairings takes.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from scipy.linalg.blas import dsyrk
 from slam_gym.bench.exploration import explore, explorer
 from slam_gym.bench.records import Record, column, means, medians
 from slam_gym.bench.report import Report
-from slam_gym.bench.timing import timed
+from slam_gym.bench.timing import THREAD, timed
 from slam_gym.envs import explore as explore_module
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -57,6 +58,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "info": ((ExploreEnv, "_info"),),
 }
 _EDGES = (0, 25, 50, 75, 100, 125, 150, 200, 300, 500, 1000)  # of the classes of map size
+_BURST = 10  # calls of a peer in turn
 _FEWEST = 50  # steps that a class is shown from
 
 
@@ -75,7 +77,7 @@ def drive(env: Any, episodes: int, seed: int, beside: Callable[[], object] | Non
 
 
 class Peers:
-    """What steps are compared with, each timed once in a call."""
+    """What steps are compared with, each timed as it runs by itself: a few times, one right after the other."""
 
     def __init__(self) -> None:
         self._calls: dict[str, Callable[[], object]] = {"CartPole": _stepped("CartPole-v1")}
@@ -91,7 +93,7 @@ class Peers:
 
     def __call__(self) -> None:
         for name, call in self._calls.items():
-            self._taken[name].append(timed(call).microseconds)
+            self._taken[name].append(timed(_often, call, clock=THREAD).microseconds / _BURST)
 
     def table(self, step: float) -> list[Record]:
         """Medians [µs] beside that of a `step`, and how many of them a step takes."""
@@ -100,6 +102,11 @@ class Peers:
             {"what": name, "median µs": µs, "a second": 1e6 / µs, "in a step": step / µs, "ratio": µs / step}
             for name, µs in rows.items()
         ]
+
+
+def _often(call: Callable[[], object]) -> None:
+    for _ in range(_BURST):
+        call()
 
 
 def _stepped(name: str) -> Callable[[], object]:
@@ -122,7 +129,7 @@ def timed_parts(spent: dict[str, float]) -> Iterator[None]:
 
     def wrapped(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **named: Any) -> Any:
-            answer, microseconds = timed(partial(function, *arguments, **named))
+            answer, microseconds = timed(partial(function, *arguments, **named), clock=THREAD)
             spent[name] += microseconds
             return answer
 
