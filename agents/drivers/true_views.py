@@ -1,0 +1,135 @@
+"""What there is to see in a building whose plan is known: from every place, and on every way between places.
+
+Truth: only drivers that say so by their name use it (`agents.drivers.clairvoyant`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
+from slam_gym._compile import compiled
+from slam_gym.simulation.episode import Site
+from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.world.ray_casting import pull_back, sees
+from slam_gym.world.wall_grid import Grid, Packed
+
+Bits = NDArray[np.uint64]
+"""(…, w) sets of features, one bit each, 64 to a word."""
+
+_SURE = 0.95  # of the sensor's range, up to which a feature is seen often enough to be mapped
+_SPACING = 1.2  # [m] between viewpoints
+_MOST = 160  # viewpoints; larger buildings have them farther apart
+_STEP = 1.5  # times the distance of neighbouring cells: up to that two cells are neighbours, across corners too
+
+
+class Ways(NamedTuple):
+    """The shortest ways from some cells to all cells, and what is seen on them."""
+
+    lengths: Array  # (s, c) [m]; inf where none leads
+    seen: Bits  # (s, c, w) from the cells of the way, both ends included
+
+
+class TrueViews:
+    """Views of one building: `cells` (c, 2) [m] in W, the `viewpoints` (v,) among them, and the `ways` from those."""
+
+    def __init__(self, site: Site, sensor_range: float) -> None:
+        self.cells = site.cells
+        plan = site.plan
+        features = plan.features.positions
+        self.seen = _seen_from(
+            site.index.packed, features, pull_back(plan.features), self.cells, _SURE * sensor_range, site.observable
+        )
+        self._graph = _graph(self.cells)
+        self.viewpoints = _spread(self.cells)
+        self.ways = self.ways_from(self.viewpoints)
+
+    def ways_from(self, sources: IntArray) -> Ways:
+        """The ways from `sources` (s,), indices of cells."""
+        lengths, before = dijkstra(self._graph, indices=sources, return_predecessors=True)
+        return Ways(lengths, _along(np.argsort(lengths, axis=1), before, self.seen, lengths))
+
+    def nearest(self, points: Array) -> IntArray:
+        """(q,) indices of the cells nearest to `points` (q, 2) in W."""
+        out: IntArray = ((self.cells[None] - points[:, None]) ** 2).sum(axis=2).argmin(axis=1)
+        return out
+
+
+def bits_of(chosen: BoolArray) -> Bits:
+    """The set (w,) of the features that are `chosen` (n,)."""
+    words = np.zeros(max(1, -(-len(chosen) // 64)), np.uint64)
+    for i in np.flatnonzero(chosen):
+        words[i >> 6] |= np.uint64(1) << np.uint64(i & 63)
+    return words
+
+
+def _spread(cells: Array) -> IntArray:
+    """Cells far from each other, (v,): each next one is the farthest from all before."""
+    chosen, gaps = [0], np.hypot(*(cells - cells[0]).T)
+    while len(chosen) < _MOST and gaps.max() > _SPACING:
+        chosen.append(int(gaps.argmax()))
+        gaps = np.minimum(gaps, np.hypot(*(cells - cells[chosen[-1]]).T))
+    return np.array(chosen, np.int64)
+
+
+def _graph(cells: Array) -> sparse.csr_matrix:
+    """Neighbouring cells, eight around each, joined by their distance."""
+    low = cells.min(axis=0)
+    gaps = np.abs(np.diff(np.unique(cells[:, 0])))
+    side = float(gaps[gaps > 1e-6].min()) if (gaps > 1e-6).any() else 1.0
+    columns, rows = np.rint((cells - low) / side).astype(np.int64).T
+    index = np.full((rows.max() + 3, columns.max() + 3), -1)
+    index[rows + 1, columns + 1] = np.arange(len(cells))
+    starts, ends, lengths = [], [], []
+    for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        other = index[rows + 1 + dr, columns + 1 + dc]
+        joined = other >= 0
+        if dr and dc:  # not between two corners
+            joined &= (index[rows + 1 + dr, columns + 1] >= 0) & (index[rows + 1, columns + 1 + dc] >= 0)
+        starts.append(np.flatnonzero(joined))
+        ends.append(other[joined])
+        lengths.append(np.full(int(joined.sum()), side * math.hypot(dr, dc)))
+    one, two, length = np.concatenate(starts), np.concatenate(ends), np.concatenate(lengths)
+    shape = (len(cells), len(cells))
+    return sparse.csr_matrix(
+        (np.concatenate([length, length]), (np.concatenate([one, two]), np.concatenate([two, one]))), shape=shape
+    )
+
+
+@compiled
+def _seen_from(
+    packed: Packed, features: Array, pull_backs: Array, cells: Array, reach: float, counted: BoolArray
+) -> Bits:
+    """(c, w) the features that count and that no wall hides from each cell."""
+    grid = Grid(*packed)
+    out = np.zeros((cells.shape[0], max(1, (features.shape[0] + 63) // 64)), np.uint64)
+    for i in range(features.shape[0]):
+        if not counted[i]:
+            continue
+        bit = np.uint64(1) << np.uint64(i & 63)
+        for c in range(cells.shape[0]):
+            x, y, dx, dy = cells[c, 0], cells[c, 1], features[i, 0] - cells[c, 0], features[i, 1] - cells[c, 1]
+            if dx * dx + dy * dy <= reach * reach and sees(grid, x, y, dx, dy, pull_backs[i]):
+                out[c, i >> 6] |= bit
+    return out
+
+
+@compiled
+def _along(order: IntArray, before: NDArray[np.int32], seen: Bits, lengths: Array) -> Bits:
+    """(s, c, w) what is seen on the ways, cell by cell from the nearest on."""
+    out = np.zeros((order.shape[0], seen.shape[0], seen.shape[1]), np.uint64)
+    for s in range(order.shape[0]):
+        for i in range(order.shape[1]):
+            c = order[s, i]
+            if lengths[s, c] == math.inf:
+                break
+            for w in range(seen.shape[1]):
+                out[s, c, w] = seen[c, w]
+                if before[s, c] >= 0:
+                    out[s, c, w] |= out[s, before[s, c], w]
+    return out
