@@ -11,7 +11,7 @@ from agents.drivers.information_gain import InformationGain
 from agents.drivers.tours import best_tour, gained
 from agents.drivers.true_views import TrueViews, bits_of
 from slam_gym.envs.goal_observation import unsquash_goals
-from slam_gym.geometry import transform
+from slam_gym.geometry import compose, observe, transform
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import Array
 
@@ -23,7 +23,8 @@ class TourSpec:
     look: float = 32.0  # [ticks] to turn round once
     tours: int = 48  # tried from each goal
     noise: float = 0.4  # of the logarithm of what a viewpoint promises
-    early: float = 0.1  # a feature seen at once is worth so much more than one seen at the end
+    drift: bool = True
+    early: float = 0.2  # a feature seen at once is worth so much more than one seen at the end
 
 
 class Clairvoyant:
@@ -70,23 +71,34 @@ class Clairvoyant:
         first = views.ways_from(here)
         cells = views.nearest(places)
         values = np.full(len(legal), -np.inf)
+        noise, worth = self._noise, self._worth()
         for k in np.flatnonzero(legal):
             cell = cells[k]
             length = max(first.lengths[0, cell], goals["path"][k])
             ticks = spec.look if k == LOOK_AROUND else spec.overhead + length / spec.speed
             if ticks > left:
                 continue_ = left / ticks
-                values[k] = continue_ * gained(known, first.seen[0, cell])
+                values[k] = continue_ * gained(known, first.seen[0, cell], worth)
                 continue
             seen = first.seen[0, cell]
             now = known | seen
-            found = gained(known, seen) * (1.0 + spec.early * (left - ticks) / left)
+            found = gained(known, seen, worth) * (1.0 + spec.early * (left - ticks) / left)
             starts = spec.overhead + views.ways.lengths[:, cell] / spec.speed
             values[k] = found + best_tour(
                 starts, np.ascontiguousarray(views.ways.seen[:, cell]), self._ticks, self._legs, left - ticks, now,
-                self._noise, spec.early * (left - ticks) / left,
+                worth, noise, spec.early * (left - ticks) / left,
             )  # fmt: skip
         return values
+
+    def _worth(self) -> Array:
+        """(n,) by how much each feature would lower the sum of errors, mapped from a pose as wrong as the present one."""
+        episode = self._episode
+        true = episode.site.plan.features.positions
+        if not self._spec.drift:
+            return np.ones(len(true))
+        mapped = transform(compose(episode.base, episode.estimates[-1]), observe(episode.poses[-1], true))
+        off = np.hypot(*(mapped - true).T) / episode.scenario.prior_sigma
+        return 1.0 - np.minimum(off, 2.0)
 
     def _known(self):
         episode = self._episode

@@ -14,6 +14,7 @@ from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, lega
 from slam_gym.envs.goal_observation import unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
+from slam_gym.types import Array
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,14 @@ class GainSpec:
     speed: float = 0.08  # [m/tick] along a path, turns included
     overhead: float = 5.0  # [ticks] to set off and to stop
     look: float = 32.0  # [ticks] to turn round once
+
+
+def rates(goals: dict[str, Array], spec: GainSpec) -> Array:
+    """(k,) [m² per tick] that each of the goals, as `unsquash_goals` gives them, takes out of the map."""
+    ticks = np.maximum(spec.overhead + goals["path"] / spec.speed, 1.0)
+    ticks[LOOK_AROUND] = spec.look
+    out: Array = (2.0 * spec.prior_sigma**2 * spec.density * goals["area"] + goals["reduction"]) / ticks
+    return out
 
 
 class InformationGain:
@@ -42,14 +51,12 @@ class InformationGain:
         self._looked, self._revisited = Tried(), Tried()
 
     def act(self, observation: Observation, info: Info) -> int:
-        goals, spec = unsquash_goals(observation["goals"]), self._spec
-        ticks = np.maximum(spec.overhead + goals["path"] / spec.speed, 1.0)
-        ticks[LOOK_AROUND] = spec.look
-        gain = 2.0 * spec.prior_sigma**2 * spec.density * goals["area"] + goals["reduction"]
+        goals = unsquash_goals(observation["goals"])
+        rate = rates(goals, self._spec)
         places = transform(np.asarray(info["pose"], float), np.column_stack([goals["x"], goals["y"]]).astype(float))
-        gain /= 1.0 + np.where(goals["revisit"] > 0.5, self._revisited.times(places), 0)
-        gain[LOOK_AROUND] *= self._looked.times(places[:1])[0] == 0
-        chosen = int(np.argmax(np.where(legal_goals(info), gain / ticks, -np.inf)))
+        rate /= 1.0 + np.where(goals["revisit"] > 0.5, self._revisited.times(places), 0)
+        rate[LOOK_AROUND] *= self._looked.times(places[:1])[0] == 0
+        chosen = int(np.argmax(np.where(legal_goals(info), rate, -np.inf)))
         if chosen == LOOK_AROUND:
             self._looked.add(places[LOOK_AROUND])
         elif goals["revisit"][chosen] > 0.5:

@@ -23,17 +23,22 @@ def popcount(word: np.uint64) -> int:
 
 
 @compiled
-def gained(seen: Bits, more: Bits) -> int:
-    """How many features of `more` (w,) are not among those `seen` (w,)."""
-    count = 0
+def gained(seen: Bits, more: Bits, worth: Array) -> float:
+    """What the features of `more` (w,) that are not among those `seen` (w,) are `worth` (n,) together."""
+    total, one = 0.0, np.uint64(1)
     for w in range(len(seen)):
-        count += popcount(more[w] & ~seen[w])
-    return count
+        word = more[w] & ~seen[w]
+        while word:
+            lowest = word & (~word + one)
+            total += worth[64 * w + popcount(lowest - one)]
+            word ^= lowest
+    return total
 
 
 @compiled
 def best_tour(
-    first_ticks: Array, first_seen: Bits, ticks: Array, legs: Bits, left: float, seen: Bits, noise: Array, early: float
+    first_ticks: Array, first_seen: Bits, ticks: Array, legs: Bits, left: float, seen: Bits, worth: Array, noise: Array,
+    early: float,
 ) -> float:
     """What the best of some tours through viewpoints brings: features, each worth `early` more the earlier it is seen.
 
@@ -47,13 +52,13 @@ def best_tour(
         at, rest, total = -1, left, 0.0
         power = 0.6 + 0.2 * (tour % 4)
         while True:
-            chosen, top, found = -1, 0.0, 0
+            chosen, top, found = -1, 0.0, 0.0
             for v in range(noise.shape[1]):
                 cost = first_ticks[v] if at < 0 else ticks[at, v]
                 if cost > rest:
                     continue
-                gain = gained(now, first_seen[v] if at < 0 else legs[at, v])
-                if gain == 0:
+                gain = gained(now, first_seen[v] if at < 0 else legs[at, v], worth)
+                if gain <= 0.0:
                     continue
                 score = gain / cost**power * noise[tour, v]
                 if score > top:
