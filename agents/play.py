@@ -11,7 +11,7 @@ import gymnasium as gym
 from agents.cli import add_explore_options, explore_arguments, program, run_main
 from agents.drivers.base import AGENTS, Agent, Info, make_agent, visible
 from agents.evaluation.associators import SIMPLEST_FIRST
-from agents.evaluation.episodes import ExploreArguments, agent_seed, reset_arguments, run_episode
+from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
 from agents.player import Controls, Screen, SearchSwitch, Switch
 from slam_gym.simulation.judged import CEILING
 
@@ -72,8 +72,7 @@ class Game:
 
 def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: int | None = None) -> str:
     """One world; the wish that ended it. At the end of the budget the picture stays until a key tells what is next."""
-    observation, info = env.reset(**reset_arguments(world))
-    game.agent.reset(agent_seed(world))
+    observation, info = begin_episode(env, game.agent, world)
     _show(game, env, screen)
     if not screen.window.is_visible:
         print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")

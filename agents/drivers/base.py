@@ -41,6 +41,8 @@ AGENTS: dict[str, str] = {
     "lawnmower": "agents.drivers.lawnmower:Lawnmower",
     "information_gain": "agents.drivers.information_gain:InformationGain",
     "information_gain_no_revisits": "agents.drivers.information_gain:InformationGainNoRevisits",
+    "learned": "agents.drivers.learned:LearnedDriver",
+    "clairvoyant": "agents.drivers.clairvoyant:Clairvoyant",
     "ppo": "agents.learning.policies:PolicyAgent",
 }
 

@@ -1,4 +1,7 @@
-"""A driver that knows the building: the upper reference. It knows the plan and where it truly is, not the noise."""
+"""The driver that knows the building: the upper reference among drivers, as `true_association` is among associators.
+
+It is shown the plan, where it truly is, and which features its map holds. What it does not know is the noise to come.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from agents.drivers.information_gain import InformationGain
 from agents.drivers.tours import best_tour, gained
-from agents.drivers.true_views import TrueViews, bits_of
+from agents.drivers.true_views import Bits, TrueViews, Ways, bits_of
 from slam_gym.envs.goal_observation import unsquash_goals
 from slam_gym.geometry import compose, observe, transform
 from slam_gym.simulation.episode import Episode
@@ -18,92 +21,94 @@ from slam_gym.types import Array
 
 @dataclass(frozen=True)
 class TourSpec:
+    """How long ways take, and how hard tours are looked for."""
+
     speed: float = 0.09  # [m/tick] along a path
     overhead: float = 6.0  # [ticks] of a leg: to turn, to set off and to stop
     look: float = 32.0  # [ticks] to turn round once
-    tours: int = 48  # tried from each goal
-    noise: float = 0.4  # of the logarithm of what a viewpoint promises
-    drift: bool = True
-    early: float = 0.2  # a feature seen at once is worth so much more than one seen at the end
+    tours: int = 32  # tried from each goal
+    noise: float = 0.4  # σ of the logarithm of a factor on what each viewpoint promises, drawn for each tour
+    early: float = 0.2  # a feature that is mapped at once counts so much more than one at the end: plans may fail
+    enough: float = 0.5  # [features] a plan that promises less is none
 
 
 class Clairvoyant:
-    """The goal from which the best tour over the true rooms, in the ticks that are left, maps most features."""
+    """The goal from which the best tour over the true rooms, in the ticks that are left, maps most features.
+
+    Where no goal leads to anything more, it drives as information gain does.
+    """
 
     name = "clairvoyant"
     action: ActionKind = "goal"
 
     def __init__(self, spec: TourSpec | None = None) -> None:
         self._spec = spec or TourSpec()
-        self._fallback = InformationGain()
-
-    def behold(self, episode: Episode) -> None:
-        self._episode = episode
-        self._views = TrueViews(episode.site, episode.scenario.sensor.range)
-        ways, spec = self._views.ways, self._spec
-        ends = self._views.viewpoints
-        self._ticks = spec.overhead + ways.lengths[:, ends] / spec.speed
-        self._legs = np.ascontiguousarray(ways.seen[:, ends])
-        rng = np.random.default_rng(0)
-        self._noise = np.exp(spec.noise * rng.standard_normal((spec.tours, len(ends))))
-        self._noise[:4] = 1.0
+        self._without_plan = InformationGain()
+        self._episode: Episode | None = None
 
     def reset(self, seed: int) -> None:
-        self._fallback.reset(seed)
+        self._without_plan.reset(seed)
+
+    def behold(self, episode: Episode) -> None:
+        """Be shown the truth behind an episode that has just begun."""
+        spec, rng = self._spec, np.random.default_rng(0)
+        self._episode = episode
+        self._views = views = TrueViews(episode.site, episode.scenario.sensor.range)
+        self._ticks = spec.overhead + views.ways.lengths[:, views.viewpoints] / spec.speed
+        self._legs = np.ascontiguousarray(views.ways.seen[:, views.viewpoints])
+        self._chance = np.exp(spec.noise * rng.standard_normal((spec.tours, len(views.viewpoints))))
 
     def act(self, observation: Observation, info: Info) -> int:
-        values = self.values(observation, info)
-        chosen = int(np.argmax(values))
-        fallback = self._fallback.act(observation, info)
-        if values[chosen] - values[LOOK_AROUND] < 0.5 and values[chosen] < 1.0:
-            return fallback
-        return chosen
+        values, otherwise = self.values(observation, info), self._without_plan.act(observation, info)
+        return int(np.argmax(values)) if values.max() > self._spec.enough else otherwise
 
     def values(self, observation: Observation, info: Info) -> Array:
-        """(SLOTS,) features that will be mapped at the end beyond those mapped now; −inf where not legal."""
-        episode, spec, views = self._episode, self._spec, self._views
-        goals, legal = unsquash_goals(observation["goals"]), legal_goals(info)
-        left = float(episode.scenario.budget - episode.ticks)
-        pose = episode.poses[-1]
-        places = transform(pose, np.column_stack([goals["x"], goals["y"]]).astype(float))
-        known = self._known()
-        here = views.nearest(pose[None, :2])
-        first = views.ways_from(here)
-        cells = views.nearest(places)
+        """(SLOTS,) by how many features the map should be better in the end, by each goal; −inf where not legal.
+
+        Raises RuntimeError before the truth was shown.
+        """
+        if self._episode is None:
+            raise RuntimeError("the clairvoyant driver has not been shown an episode: call behold(episode)")
+        goals, legal, here = unsquash_goals(observation["goals"]), legal_goals(info), self._episode.poses[-1]
+        places = transform(here, np.column_stack([goals["x"], goals["y"]]))
+        there, ways = self._views.nearest(places), self._views.ways_from(self._views.nearest(here[None, :2]))
+        ticks = self._spec.overhead + np.maximum(ways.lengths[0, there], goals["path"]) / self._spec.speed
+        ticks[LOOK_AROUND] = self._spec.look
+        known, worth = self._known(), self._worth()
         values = np.full(len(legal), -np.inf)
-        noise, worth = self._noise, self._worth()
         for k in np.flatnonzero(legal):
-            cell = cells[k]
-            length = max(first.lengths[0, cell], goals["path"][k])
-            ticks = spec.look if k == LOOK_AROUND else spec.overhead + length / spec.speed
-            if ticks > left:
-                continue_ = left / ticks
-                values[k] = continue_ * gained(known, first.seen[0, cell], worth)
-                continue
-            seen = first.seen[0, cell]
-            now = known | seen
-            found = gained(known, seen, worth) * (1.0 + spec.early * (left - ticks) / left)
-            starts = spec.overhead + views.ways.lengths[:, cell] / spec.speed
-            values[k] = found + best_tour(
-                starts, np.ascontiguousarray(views.ways.seen[:, cell]), self._ticks, self._legs, left - ticks, now,
-                worth, noise, spec.early * (left - ticks) / left,
-            )  # fmt: skip
+            values[k] = self._value(int(there[k]), float(ticks[k]), ways, known, worth)
         return values
 
-    def _worth(self) -> Array:
-        """(n,) by how much each feature would lower the sum of errors, mapped from a pose as wrong as the present one."""
-        episode = self._episode
-        true = episode.site.plan.features.positions
-        if not self._spec.drift:
-            return np.ones(len(true))
-        mapped = transform(compose(episode.base, episode.estimates[-1]), observe(episode.poses[-1], true))
-        off = np.hypot(*(mapped - true).T) / episode.scenario.prior_sigma
-        return 1.0 - np.minimum(off, 2.0)
+    def _value(self, cell: int, ticks: float, way: Ways, known: Bits, worth: Array) -> float:
+        """What the way to a cell brings, and the best tour from there."""
+        assert self._episode is not None
+        spec, ways = self._spec, self._views.ways
+        left = float(self._episode.scenario.budget - self._episode.ticks)
+        found = gained(known, way.seen[0, cell], worth)
+        if ticks >= left:
+            return found * left / ticks
+        early = spec.early * (left - ticks) / left
+        starts = spec.overhead + ways.lengths[:, cell] / spec.speed
+        first = np.ascontiguousarray(ways.seen[:, cell])
+        seen = known | way.seen[0, cell]
+        more = best_tour(starts, first, self._ticks, self._legs, left - ticks, seen, worth, self._chance, early)
+        return found * (1.0 + early) + more
 
-    def _known(self):
-        episode = self._episode
-        mapped = np.zeros(len(episode.site.plan.features), np.bool_)
-        for m in episode.slam.maps:
-            sources = episode.identities.source_of(m.ids[~m.provisional])
+    def _known(self) -> Bits:
+        """The features that the map holds already."""
+        assert self._episode is not None
+        mapped = np.zeros(len(self._episode.site.plan.features), np.bool_)
+        for part in self._episode.slam.maps:
+            sources = self._episode.identities.source_of(part.ids[~part.provisional])
             mapped[sources[sources >= 0]] = True
         return bits_of(mapped)
+
+    def _worth(self) -> Array:
+        """(n,) by how much each feature lowers N · E where it is mapped from a pose that is as wrong as now: 1 at best,
+        −1 where it ends up so far off that it is missing still, and false besides."""
+        episode = self._episode
+        assert episode is not None
+        true = episode.site.plan.features.positions
+        mapped = transform(compose(episode.base, episode.estimates[-1]), observe(episode.poses[-1], true))
+        return 1.0 - np.minimum(np.hypot(*(mapped - true).T) / episode.scenario.prior_sigma, 2.0)

@@ -16,7 +16,7 @@ from slam_gym.types import Array
 _REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal in which the image is summed up
 _AROUND = tuple(f"{what} within {reach}" for reach in _REACHES for what in ("free", "wall", "features", "unknown"))
 OWN = (
-    "is look around", "is frontier", "is revisit", "x", "y", "path", "area", "reduction", "in view", "log rate",
+    "is look around", "is frontier", "is revisit", "distance", "cosine of the bearing", "path", "area", "reduction", "in view", "log rate",
     "beyond the image", "fraction of the time left", *_AROUND,
 )  # fmt: skip
 COMMON = (
@@ -52,7 +52,8 @@ def tokens_of(observation: Observation, used: float) -> Tokens:
     own = np.zeros((len(places), len(OWN)))
     own[LOOK_AROUND, 0] = 1.0
     own[:, 1], own[:, 2] = goals["frontier"], goals["revisit"]
-    own[:, 3:5] = places / 10.0
+    distances = np.hypot(*places.T)
+    own[:, 3], own[:, 4] = distances / 10.0, places[:, 0] / np.maximum(distances, 0.1)
     own[:, 5] = goals["path"] / 10.0
     own[:, 6], own[:, 7], own[:, 8] = goals["area"] / 50.0, 10.0 * goals["reduction"], goals["in_view"] / 5.0
     own[:, 9] = np.log10(rate + 1e-3)

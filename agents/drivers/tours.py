@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
 
+from agents.drivers.true_views import Bits
 from slam_gym._compile import compiled
 from slam_gym.types import Array
-
-Bits = NDArray[np.uint64]
 
 
 @compiled
@@ -37,39 +33,58 @@ def gained(seen: Bits, more: Bits, worth: Array) -> float:
 
 @compiled
 def best_tour(
-    first_ticks: Array, first_seen: Bits, ticks: Array, legs: Bits, left: float, seen: Bits, worth: Array, noise: Array,
+    first: Array,
+    first_seen: Bits,
+    ticks: Array,
+    legs: Bits,
+    left: float,
+    seen: Bits,
+    worth: Array,
+    chance: Array,
     early: float,
 ) -> float:
-    """What the best of some tours through viewpoints brings: features, each worth `early` more the earlier it is seen.
+    """What the best of some tours through viewpoints brings: the `worth` (n,) of new features, each of which counts up
+    to `early` more the earlier it is seen.
 
-    `first_ticks` (v,), `first_seen` (v, w): legs from the start; `ticks` (v, v), `legs` (v, v, w): between viewpoints.
-    `left` [ticks] is what is left, `seen` (w,) what is known. A tour takes the leg that gains most per tick, times
-    exp(`noise` (tours, v)) of its end.
+    `first` (v,) [ticks] and `first_seen` (v, w) are the legs from the start, `ticks` (v, v) and `legs` (v, v, w) those
+    between viewpoints; `left` [ticks] is what is left, `seen` (w,) what is known. There are as many tours as rows of
+    `chance` (tours, v).
     """
-    best, now, words = 0.0, np.empty_like(seen), len(seen)
-    for tour in range(noise.shape[0]):
-        now[:] = seen
-        at, rest, total = -1, left, 0.0
+    best = 0.0
+    for tour in range(chance.shape[0]):
         power = 0.6 + 0.2 * (tour % 4)
-        while True:
-            chosen, top, found = -1, 0.0, 0.0
-            for v in range(noise.shape[1]):
-                cost = first_ticks[v] if at < 0 else ticks[at, v]
-                if cost > rest:
-                    continue
-                gain = gained(now, first_seen[v] if at < 0 else legs[at, v], worth)
-                if gain <= 0.0:
-                    continue
-                score = gain / cost**power * noise[tour, v]
-                if score > top:
-                    chosen, top, found = v, score, gain
-            if chosen < 0:
-                break
-            rest -= first_ticks[chosen] if at < 0 else ticks[at, chosen]
-            more = first_seen[chosen] if at < 0 else legs[at, chosen]
-            for w in range(words):
-                now[w] |= more[w]
-            total += found * (1.0 + early * rest / max(left, 1.0))
-            at = chosen
-        best = max(best, total)
+        brought = _tour(first, first_seen, ticks, legs, left, seen.copy(), worth, chance[tour], power, early)
+        best = max(best, brought)
     return best
+
+
+@compiled
+def _tour(
+    first: Array,
+    first_seen: Bits,
+    ticks: Array,
+    legs: Bits,
+    left: float,
+    seen: Bits,
+    worth: Array,
+    chance: Array,
+    power: float,
+    early: float,
+) -> float:
+    """A tour that goes on with the leg of the most gain / ticks^`power`, times the `chance` (v,) of its end."""
+    costs, views, rest, total = first, first_seen, left, 0.0
+    while True:
+        chosen, top, found = -1, 0.0, 0.0
+        for v in range(len(chance)):
+            if costs[v] > rest:
+                continue
+            gain = gained(seen, views[v], worth)
+            if gain > 0.0 and gain / costs[v] ** power * chance[v] > top:
+                chosen, top, found = v, gain / costs[v] ** power * chance[v], gain
+        if chosen < 0:
+            return total
+        rest -= costs[chosen]
+        for w in range(len(seen)):
+            seen[w] |= views[chosen, w]
+        total += found * (1.0 + early * rest / max(left, 1.0))
+        costs, views = ticks[chosen], legs[chosen]

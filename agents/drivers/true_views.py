@@ -24,12 +24,12 @@ Bits = NDArray[np.uint64]
 
 _SURE = 0.95  # of the sensor's range, up to which a feature is seen often enough to be mapped
 _SPACING = 1.2  # [m] between viewpoints
-_MOST = 160  # viewpoints; larger buildings have them farther apart
-_STEP = 1.5  # times the distance of neighbouring cells: up to that two cells are neighbours, across corners too
+_VIEWPOINTS = (24, 160)  # at least and at most; larger buildings have fewer, farther apart,
+_WORDS = 4_000_000  # so that what is seen on all ways takes no more of these if it can
 
 
 class Ways(NamedTuple):
-    """The shortest ways from some cells to all cells, and what is seen on them."""
+    """The shortest ways from some cells to all cells, and what is seen on them: the same there and back."""
 
     lengths: Array  # (s, c) [m]; inf where none leads
     seen: Bits  # (s, c, w) from the cells of the way, both ends included
@@ -46,7 +46,8 @@ class TrueViews:
             site.index.packed, features, pull_back(plan.features), self.cells, _SURE * sensor_range, site.observable
         )
         self._graph = _graph(self.cells)
-        self.viewpoints = _spread(self.cells)
+        most = int(np.clip(_WORDS // self.seen.size, *_VIEWPOINTS))
+        self.viewpoints = _spread(self.cells, most)
         self.ways = self.ways_from(self.viewpoints)
 
     def ways_from(self, sources: IntArray) -> Ways:
@@ -68,37 +69,32 @@ def bits_of(chosen: BoolArray) -> Bits:
     return words
 
 
-def _spread(cells: Array) -> IntArray:
+def _spread(cells: Array, most: int) -> IntArray:
     """Cells far from each other, (v,): each next one is the farthest from all before."""
     chosen, gaps = [0], np.hypot(*(cells - cells[0]).T)
-    while len(chosen) < _MOST and gaps.max() > _SPACING:
+    while len(chosen) < most and gaps.max() > _SPACING:
         chosen.append(int(gaps.argmax()))
         gaps = np.minimum(gaps, np.hypot(*(cells - cells[chosen[-1]]).T))
     return np.array(chosen, np.int64)
 
 
 def _graph(cells: Array) -> sparse.csr_matrix:
-    """Neighbouring cells, eight around each, joined by their distance."""
-    low = cells.min(axis=0)
-    gaps = np.abs(np.diff(np.unique(cells[:, 0])))
-    side = float(gaps[gaps > 1e-6].min()) if (gaps > 1e-6).any() else 1.0
-    columns, rows = np.rint((cells - low) / side).astype(np.int64).T
-    index = np.full((rows.max() + 3, columns.max() + 3), -1)
-    index[rows + 1, columns + 1] = np.arange(len(cells))
+    """Neighbouring cells, eight around each, joined by their distance; across a corner only past two other cells."""
+    across = np.diff(np.unique(cells[:, 0]))
+    side = float(across.min()) if len(across) else 1.0
+    columns, rows = np.rint((cells - cells.min(axis=0)) / side).astype(np.int64).T + 1
+    index = np.full((rows.max() + 2, columns.max() + 2), -1)
+    index[rows, columns] = np.arange(len(cells))
     starts, ends, lengths = [], [], []
-    for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        other = index[rows + 1 + dr, columns + 1 + dc]
-        joined = other >= 0
-        if dr and dc:  # not between two corners
-            joined &= (index[rows + 1 + dr, columns + 1] >= 0) & (index[rows + 1, columns + 1 + dc] >= 0)
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        other = index[rows + down, columns + right]
+        joined = (other >= 0) & (index[rows + down, columns] >= 0) & (index[rows, columns + right] >= 0)
         starts.append(np.flatnonzero(joined))
         ends.append(other[joined])
-        lengths.append(np.full(int(joined.sum()), side * math.hypot(dr, dc)))
-    one, two, length = np.concatenate(starts), np.concatenate(ends), np.concatenate(lengths)
-    shape = (len(cells), len(cells))
-    return sparse.csr_matrix(
-        (np.concatenate([length, length]), (np.concatenate([one, two]), np.concatenate([two, one]))), shape=shape
-    )
+        lengths.append(np.full(int(joined.sum()), side * math.hypot(down, right)))
+    one, two, length = (np.concatenate(parts) for parts in (starts, ends, lengths))
+    half = sparse.csr_matrix((length, (one, two)), shape=(len(cells), len(cells)))
+    return half + half.T
 
 
 @compiled

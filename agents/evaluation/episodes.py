@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 
 import slam_gym  # noqa: F401  (registers the environments)
 from agents.drivers.base import Agent, visible
+from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.records import Record
 from slam_gym.association.tracking.policy import Policy
 from slam_gym.envs.vector.env import ManyWorlds
@@ -123,6 +124,16 @@ CURVE = ("ticks", "map_error", "coverage")
 CURVE_STEP = 10  # [ticks] between points of a curve: every step of a twist episode would be too many
 
 
+def begin_episode(env: gym.Env[Any, Any], agent: Agent, episode: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Reset environment and agent for the i-th episode; the first observation and info. The clairvoyant driver is shown
+    the truth here, and known by its class: no other agent ever gets to see it."""
+    observation, info = env.reset(**reset_arguments(episode))
+    agent.reset(agent_seed(episode))
+    if isinstance(agent, Clairvoyant):
+        agent.behold(env.unwrapped.episode)  # type: ignore[attr-defined]
+    return observation, info
+
+
 def run_episode(
     env: gym.Env[Any, Any], agent: Agent, episode: int, watch: Callable[[gym.Env[Any, Any]], None] | None = None
 ) -> Record:
@@ -132,8 +143,7 @@ def run_episode(
     reset), all of `map_quality`, map_lost; and `curve`, lists of equal length over the decisions: ticks, map_error,
     coverage.
     """
-    observation, info = env.reset(**reset_arguments(episode))
-    agent.reset(agent_seed(episode))
+    observation, info = begin_episode(env, agent, episode)
     if watch is not None:
         env.unwrapped.watch(watch)  # type: ignore[attr-defined]
     curve = {name: [float(info[name]) if name != "ticks" else 0] for name in CURVE}

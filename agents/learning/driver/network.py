@@ -36,7 +36,7 @@ class Block(nn.Module):
 
 
 class GoalNetwork(nn.Module):
-    """Tokens (b, k, f), gaps (b, k, k) between the goals, greedy scores (b, k) → scores (b, k), −1e9 where not legal."""
+    """Tokens (b, k, f), gaps (b, k, k) between goals, greedy scores (b, k) → scores (b, k), −1e9 where not legal."""
 
     def __init__(self, size: Size) -> None:
         super().__init__()
