@@ -1,4 +1,4 @@
-"""Evaluate agents on the same test worlds: `python -m agents.evaluate` drives the classical baselines on `office`.
+"""Evaluate agents on the same test worlds: `python -m agents.evaluate` compares those of `SHOWN` on `office`.
 
 Writes into OUT: episodes.jsonl (--resume goes on from it), episodes.csv, results.json, report.html and films/.
 """
@@ -19,7 +19,7 @@ from agents.cli import (
     results_folder,
     run_main,
 )
-from agents.drivers.base import AGENTS, BASELINES
+from agents.drivers.base import AGENTS, SHOWN
 from agents.evaluation.drivers import driver_evaluation, drivers_of, kidnappings, tables
 from agents.evaluation.pipeline import carry_out
 from agents.evaluation.tables import print_table
@@ -29,8 +29,8 @@ EPISODES = 40
 
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog=program("agents.evaluate"), description="Evaluate agents on the same test worlds.")
-    p.add_argument("--agents", nargs="+", default=list(BASELINES), metavar="NAME", help=f"of {', '.join(AGENTS)}, or "
-                   f"module:Class (default: {' '.join(BASELINES)})")  # fmt: skip
+    p.add_argument("--agents", nargs="+", default=list(SHOWN), metavar="NAME", help=f"of {', '.join(AGENTS)}, or "
+                   f"module:Class (default: {' '.join(SHOWN)})")  # fmt: skip
     p.add_argument("--model", nargs="+", default=[], metavar="FILE", help="model of a learned agent; several files are "
                    "several training seeds of it, pooled")  # fmt: skip
     p.add_argument("--trust", action="store_true", help="allow model files that can run code when read (SB3's .zip)")

@@ -49,6 +49,10 @@ AGENTS: dict[str, str] = {
 BASELINES = ("random", "nearest_frontier", "lawnmower", "information_gain")
 """The classical ones: they need no model file."""
 
+SHOWN = (*BASELINES, "learned", "clairvoyant")
+"""Whom an evaluation compares unless it is told otherwise: with them the one that ships trained, and the one that is
+shown the truth."""
+
 LOOK_AROUND = 0
 """The goal that is always legal."""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from agents.drivers.goal_tokens import TOKEN_FIELDS, Tokens
 from slam_gym.types import Array, BoolArray
 
-Arrays = dict[str, NDArray[np.float32]]
+Arrays = Mapping[str, NDArray[Any]]
 
 GAP = 5.0  # [m] the unit of distances between goals
 _EPSILON = 1e-5  # of the layer norms, as torch has it
@@ -20,13 +21,14 @@ _EPSILON = 1e-5  # of the layer norms, as torch has it
 class Size(NamedTuple):
     """Of the network; its number of goals is that of the observation."""
 
-    width: int = 64
+    width: int = 32
     heads: int = 4
     layers: int = 2
+    members: int = 3  # networks that were trained alike, whose mean counts
 
 
 def shapes(size: Size) -> dict[str, tuple[int, ...]]:
-    """The arrays of a network of some size."""
+    """The arrays of a network of some size, of all members together."""
     w, fields = size.width, len(TOKEN_FIELDS)
     out: dict[str, tuple[int, ...]] = {
         "greed": (), "shift": (fields,), "scale": (fields,), "embed.weight": (w, fields), "embed.bias": (w,),
@@ -39,7 +41,8 @@ def shapes(size: Size) -> dict[str, tuple[int, ...]]:
             "narrow.bias": (w,),
         }  # fmt: skip
         out |= {f"blocks.{i}.{name}": shape for name, shape in parts.items()}
-    return out | {"last.weight": (w,), "last.bias": (w,), "score.weight": (1, w), "score.bias": (1,)}
+    out |= {"last.weight": (w,), "last.bias": (w,), "score.weight": (1, w), "score.bias": (1,)}
+    return {name: (size.members, *shape) for name, shape in out.items()}
 
 
 def greedy_score(rates: Array) -> Array:
@@ -55,13 +58,20 @@ def gaps_between(places: Array) -> Array:
 
 
 def scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Array:
-    """(k,) a score for each goal; −inf where it is not legal."""
+    """(k,) a score for each goal: by how many hundredths of E it beats the others; −inf where it is not legal."""
+    members = ({name: array[i] for name, array in arrays.items()} for i in range(size.members))
+    found: Array = np.mean([_scores(member, size, tokens, legal) for member in members], axis=0)
+    return np.where(legal, found, -np.inf)
+
+
+def _scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Array:
+    """(k,) those of one member."""
     x = _linear(arrays, "embed", (tokens.fields - arrays["shift"]) * arrays["scale"])
     gaps = gaps_between(tokens.places)
     for i in range(size.layers):
         x = _block(arrays, f"blocks.{i}", x, gaps, legal, size.heads)
     residual = _linear(arrays, "score", _normed(arrays, "last", x))[:, 0]
-    return np.where(legal, float(arrays["greed"]) * greedy_score(tokens.rates) + residual, -np.inf)
+    return float(arrays["greed"]) * greedy_score(tokens.rates) + residual
 
 
 def _block(arrays: Arrays, name: str, x: Array, gaps: Array, legal: BoolArray, heads: int) -> Array:

@@ -16,8 +16,8 @@ from slam_gym.types import Array
 _REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal in which the image is summed up
 _AROUND = tuple(f"{what} within {reach}" for reach in _REACHES for what in ("free", "wall", "features", "unknown"))
 OWN = (
-    "is look around", "is frontier", "is revisit", "distance", "cosine of the bearing", "path", "area", "reduction", "in view", "log rate",
-    "beyond the image", "fraction of the time left", *_AROUND,
+    "is look around", "is frontier", "is revisit", "distance", "cosine of the bearing", "path", "area", "reduction",
+    "in view", "log rate", "beyond the image", "fraction of the time left", *_AROUND,
 )  # fmt: skip
 COMMON = (
     "budget", "log ticks left", "ticks used", "sigma x", "sigma y", "sigma heading", "frontiers", "area in all",

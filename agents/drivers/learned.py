@@ -9,7 +9,7 @@ import numpy as np
 from agents.drivers.base import ActionKind, Info, Observation, legal_goals
 from agents.drivers.goal_network import Size, scores, shapes
 from agents.drivers.goal_tokens import TOKEN_FIELDS, tokens_of
-from slam_gym.weights import load
+from slam_gym.weights import Weights, load
 
 VERSION = 1  # of the tokens: weights trained on others are refused
 SIZE = Size()
@@ -21,8 +21,10 @@ class LearnedDriver:
     name = "learned"
     action: ActionKind = "goal"
 
-    def __init__(self, weights: str | Path = "driver") -> None:
-        self._arrays = load(weights, VERSION, TOKEN_FIELDS, shapes(SIZE)).arrays
+    def __init__(self, weights: str | Path | Weights = "driver") -> None:
+        """`weights`: a name in `slam_gym.weights`, the path of a file, or themselves. Raises ValueError as `load`."""
+        given = weights if isinstance(weights, Weights) else load(weights, VERSION, TOKEN_FIELDS, shapes(SIZE))
+        self._arrays = given.arrays
         self.reset(0)
 
     def reset(self, seed: int) -> None:

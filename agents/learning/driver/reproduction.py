@@ -1,0 +1,117 @@
+"""The training of the learned driver, from worlds to weights."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import joblib
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.drivers.goal_network import Size
+from agents.drivers.goal_tokens import TOKEN_FIELDS
+from agents.drivers.learned import SIZE, VERSION
+from agents.evaluation.parallel import run_all
+from agents.learning.driver.examples import Drive, Examples, together
+from agents.learning.driver.network import GoalNetwork
+from agents.learning.driver.training import Training, fit, regrets
+from agents.reproduce import figure
+from slam_gym.types import Array
+from slam_gym.weights import Card, Weights
+
+SCENARIOS = (
+    "office", "aliased", "hall", "crowd", "drift-2", "drift-3", "office-small", "drift-1", "aliased-drift",
+    "hall-drift", "crowd-drift", "sparse",
+)  # fmt: skip
+FIRST_WORLD, HELD_OUT = 10_000, 5  # of the train split; every fifth is held out
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How many episodes are driven, a scenario after the other, and how often networks are trained on them."""
+
+    scenarios: Sequence[str] = SCENARIOS
+    episodes: Sequence[int] = (500,)  # driven by information gain or the teacher; the second number on by the learner
+    seeds: Sequence[int] = (0, 1, 2, 3, 4)  # the first three's networks ship
+    size: Size = SIZE
+    training: Training = field(default_factory=Training)
+    jobs: int = field(default_factory=joblib.cpu_count)
+
+
+QUICK = Plan(scenarios=("office-small", "hall"), episodes=(6, 2), seeds=(0, 1, 2), training=Training(epochs=4), jobs=1)
+
+
+def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
+    """Weights of the first networks; the figures of the card are those of all seeds."""
+    plan = QUICK if quick else Plan()
+    rounds: list[tuple[int, Examples]] = []
+    found, first = None, FIRST_WORLD
+    for count in plan.episodes:
+        rounds += drive(plan, range(first, first + count), found, say)
+        first, found = first + count, trained(plan, rounds, command, say)
+    assert found is not None
+    return found
+
+
+def drive(
+    plan: Plan, worlds: Sequence[int], weights: Weights | None, say: Callable[[str], None]
+) -> list[tuple[int, Examples]]:
+    """(world, its states) of each of the worlds."""
+    began = time.perf_counter()
+    teacher = 0.5 if weights is None else 0.2
+    drives = [Drive(plan.scenarios[world % len(plan.scenarios)], world, weights, teacher) for world in worlds]
+    found = sorted(run_all([_Numbered(d) for d in drives], plan.jobs), key=lambda pair: pair[0])
+    say(f"{len(found)} episodes, {sum(len(e) for _, e in found)} states, {time.perf_counter() - began:.0f} s")
+    return found
+
+
+@dataclass(frozen=True)
+class _Numbered:
+    drive: Drive
+
+    def __call__(self) -> tuple[int, Examples]:
+        return self.drive.world, self.drive.run()
+
+
+def trained(plan: Plan, rounds: Sequence[tuple[int, Examples]], command: str, say: Callable[[str], None]) -> Weights:
+    """Weights and card, from the states."""
+    held_out = together(examples for world, examples in rounds if _is_held_out(world))
+    train = together(examples for world, examples in rounds if not _is_held_out(world))
+    networks, regret = [], []
+    for seed in plan.seeds:
+        networks.append(fit(train, plan.size, replace(plan.training, seed=seed)))
+        regret.append(regrets(networks[-1:], held_out).learned)
+        say(f"seed {seed}: a choice loses {regret[-1].mean():.3f} hundredths of E on held-out worlds")
+    shipped = networks[: plan.size.members]
+    mean, own = regrets(shipped, held_out), regrets(shipped, train)
+    say(f"mean of {len(shipped)}: {mean.learned.mean():.3f}; the greedy driver: {mean.greedy.mean():.3f}")
+    metrics = {
+        "regret held out, of one network [.01 E]": _figure(regret),
+        "regret held out [.01 E]": _figure([mean.learned]),
+        "regret trained on [.01 E]": _figure([own.learned]),
+        "regret held out, of the greedy driver [.01 E]": _figure([mean.greedy]),
+        "states": figure([float(len(train) + len(held_out))]),
+    }
+    card = Card(VERSION, TOKEN_FIELDS, {}, tuple(plan.scenarios), tuple(plan.seeds), command, metrics)
+    return Weights(card, stacked(shipped))
+
+
+def _figure(regrets_of_seeds: Sequence[Array]) -> dict[str, float]:
+    """As `figure`, of means over states, and no narrower than what other states of the same kind would give."""
+    found = figure([float(own.mean()) for own in regrets_of_seeds])
+    error = 3.0 * float(np.mean([own.std() / len(own) ** 0.5 for own in regrets_of_seeds]))
+    low, high = found["estimate"] - error, found["estimate"] + error
+    return found | {"low": min(found["low"], low), "high": max(found["high"], high)}
+
+
+def stacked(networks: Sequence[GoalNetwork]) -> dict[str, NDArray[Any]]:
+    """The arrays of all members, one before the other."""
+    arrays = [network.arrays() for network in networks]
+    return {name: np.stack([own[name] for own in arrays]) for name in arrays[0]}
+
+
+def _is_held_out(world: int) -> bool:
+    return world % HELD_OUT == 0
