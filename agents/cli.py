@@ -55,6 +55,12 @@ def add_floor_options(group: Any) -> None:
     group.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
 
 
+def add_rerun_option(group: Any) -> None:
+    """--rerun FILE|spawn."""
+    group.add_argument("--rerun", metavar="FILE", help="write first episodes for Rerun's viewer into FILE (.rrd), or "
+                       "spawn it (needs rerun-sdk)")  # fmt: skip
+
+
 def search_or_none(text: str) -> str | None:
     """The name of a search; `none` is none."""
     return None if text == "none" else text

@@ -11,6 +11,7 @@ from pathlib import Path
 from agents.cli import (
     add_execution_options,
     add_explore_options,
+    add_rerun_option,
     command_line,
     execution,
     explore_arguments,
@@ -36,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--trust", action="store_true", help="allow model files that can run code when read (SB3's .zip)")
     p.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="per agent (default: %(default)s)")
     p.add_argument("--no-films", dest="films", action="store_false", help="leave the films out")
+    add_rerun_option(p)
     add_execution_options(p, "results/WORLD-TIME")
     add_explore_options(p, "office")
     return p
@@ -53,6 +55,10 @@ def main(argv: list[str]) -> int:
             from agents.reports.film import make_films  # ffmpeg and pygame are needed for films only
 
             make_films(drivers, arguments, out, how)
+        if a.rerun:
+            from agents.reports.rerun_log import Drive, log_drives
+
+            log_drives(a.rerun, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
     except KeyboardInterrupt:
         how.console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from agents.cli import (
     add_execution_options,
     add_floor_options,
     add_override_option,
+    add_rerun_option,
     command_line,
     execution,
     program,
@@ -24,9 +26,9 @@ from agents.cli import (
     run_main,
     search_or_none,
 )
-from agents.drivers.base import AGENTS
+from agents.drivers.base import AGENTS, make_agent
 from agents.evaluation import associators, recordings
-from agents.evaluation.associators import SIMPLEST_FIRST, associator_evaluation, shipped
+from agents.evaluation.associators import SIMPLEST_FIRST, associator_evaluation, metered, shipped
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Results, carry_out
 from agents.evaluation.recordings import Log, logs_of, recording_evaluation
@@ -64,6 +66,7 @@ def _add_loop_options(p: argparse.ArgumentParser) -> None:
     loop.add_argument("--scenarios", nargs="+", metavar="NAME", help=f"of {', '.join(SCENARIOS)}, or levels of the "
                       f"suite such as clutter/2 (default {' '.join(LOOPS)}; on a floor plan {ON_A_FLOOR})")  # fmt: skip
     add_floor_options(loop)
+    add_rerun_option(loop)
     add_override_option(loop)
     loop.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="a scenario (default: %(default)s)")
     loop.add_argument("--driver", default="information_gain", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
@@ -105,6 +108,7 @@ class Plan(NamedTuple):
 
     evaluation: Evaluation
     tables: Callable[[Results], list[Table]]
+    log: Callable[[str], None] | None = None  # writes drives for Rerun's viewer
 
 
 def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
@@ -114,7 +118,15 @@ def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
     world = {"split": a.split, "floor_plan": plan, "resolution": a.resolution}
     loops = [ExploreArguments(name, tuple(a.overrides), **world) for name in dict.fromkeys(scenarios)]
     names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation or [None, SEARCH]))
-    return Plan(associator_evaluation(names, loops, a.driver, a.episodes, searches), associators.tables)
+
+    def log(target: str) -> None:
+        """The first scenario, with the last of the searches."""
+        from agents.reports.rerun_log import Drive, log_drives
+
+        first = replace(loops[0], relocation=searches[-1])
+        log_drives(target, [Drive(name, first, make_agent(a.driver), metered(name)[1]) for name in names])
+
+    return Plan(associator_evaluation(names, loops, a.driver, a.episodes, searches), associators.tables, log)
 
 
 def suite_plan(a: argparse.Namespace, out: Path) -> Plan:
@@ -137,7 +149,7 @@ def recording_plan(a: argparse.Namespace, out: Path) -> Plan:
 
 
 OPTIONS: dict[str, tuple[str, ...]] = {
-    "association": ("scenarios", "floor_plan", "resolution", "overrides", "episodes", "driver", "relocation"),
+    "association": ("scenarios", "floor_plan", "resolution", "overrides", "episodes", "driver", "relocation", "rerun"),
     "suite": ("quick", "experiments", "relocators", "worlds", "problems"),
     "recording": ("data", "robots", "every", "merge", "clean", "reference", "relocation"),
 }
@@ -168,6 +180,8 @@ def main(argv: list[str]) -> int:
     try:
         plan = planned(a, out)
         results = carry_out(plan.evaluation, out, how)
+        if a.rerun and plan.log:
+            plan.log(a.rerun)
     except KeyboardInterrupt:
         how.console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise

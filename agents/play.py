@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.cli import add_explore_options, explore_arguments, program, run_main
+from agents.cli import add_explore_options, add_rerun_option, explore_arguments, program, run_main
 from agents.drivers.base import AGENTS, Agent, Info, make_agent, visible
 from agents.evaluation.associators import SIMPLEST_FIRST
 from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
@@ -118,6 +118,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--model", metavar="FILE", help="model of a learned agent")
     p.add_argument("--world", type=int, default=0, metavar="K", help="of the training worlds (default: %(default)s)")
     p.add_argument("--steps", type=int, metavar="N", help="stop after so many steps")
+    add_rerun_option(p)
     add_explore_options(p, "office")
     return p
 
@@ -132,6 +133,10 @@ def main(argv: list[str]) -> int:
     game = Game(arguments, watched or controls, controls, switch, SearchSwitch(arguments.relocation))
     env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))
     print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
+    if a.rerun:
+        from agents.reports.rerun_log import RerunLog
+
+        env.unwrapped.watch(RerunLog(a.rerun, game.agent.name))  # type: ignore[attr-defined]
     world, wish = a.world, "again"
     try:
         while wish != "quit":
