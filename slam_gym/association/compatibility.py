@@ -147,17 +147,28 @@ def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> JointD
 
     Raises ValueError where S_H is not positive definite.
     """
-    paired = np.flatnonzero(rows != UNPAIRED)
-    dof = 2 * len(paired)
+    chosen = _paired(rows)
+    dof = 2 * len(chosen)
     if not dof:
         return JointDistance(0.0, 0)
-    joint = prediction.joint(rows[paired])
+    joint = prediction.joint(chosen)
     squared = _joint_distance(
         plain(scan.points), plain(scan.covariances), plain(prediction.positions), rows, plain(joint)
     )
     if math.isnan(squared):
         raise ValueError(f"innovation covariance of the pairings {rows.tolist()} is not positive definite")
     return JointDistance(squared, dof)
+
+
+@compiled
+def _paired(rows: IntArray) -> IntArray:
+    """The rows that are not UNPAIRED."""
+    chosen, count = np.empty(len(rows), np.int64), 0
+    for row in rows:
+        if row != UNPAIRED:
+            chosen[count] = row
+            count += 1
+    return chosen[:count]
 
 
 @compiled
@@ -188,7 +199,7 @@ def _joint_distance(points: Array, noise: Array, positions: Array, rows: IntArra
 
 
 @compiled
-def _fault(points: Array, noise: Array, positions: Array, covariances: Array) -> tuple[int, int]:
+def _bad_measurement(points: Array, noise: Array) -> tuple[int, int]:
     """(index into _FAULTS, entry) of the first bad number; (0, −1) where all are good."""
     for i in range(points.shape[0]):
         if not math.isfinite(points[i, 0] + points[i, 1]):
@@ -196,11 +207,6 @@ def _fault(points: Array, noise: Array, positions: Array, covariances: Array) ->
         a, b, d = noise[i, 0, 0], noise[i, 0, 1], noise[i, 1, 1]
         if not (a >= 0.0 and d >= 0.0 and a * d - b * b >= -1e-9 * a * d and math.isfinite(a + d)):
             return 2, i
-    for j in range(positions.shape[0]):
-        if not math.isfinite(positions[j, 0] + positions[j, 1]):
-            return 3, j
-        if not (0.0 <= covariances[j, 0, 0] < math.inf and 0.0 <= covariances[j, 1, 1] < math.inf):
-            return 4, j
     return 0, -1
 
 
@@ -215,14 +221,17 @@ def _individual(
     gate: float,
 ) -> tuple[int, int, IntArray, IntArray, IntArray, Array, Array, IntArray, int]:
     """`_Gated`, as a plain tuple."""
-    fault, where = _fault(points, noise, positions, covariances)
-    offered = _offered(points, noise, positions, covariances, measurements, eligible, gate)
+    fault, where = _bad_measurement(points, noise)
+    offered, bad_feature, entry = _offered(points, noise, positions, covariances, measurements, eligible, gate)
+    if fault == 0 and bad_feature > 0:
+        fault, where = bad_feature, entry
     count, room = 0, len(measurements) * len(offered)
     starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(room, np.int64)
     slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
     for level in range(len(measurements) if fault == 0 else 0):
         i = measurements[level]
-        for j in offered:
+        for o in range(len(offered)):
+            j = offered[o]
             x, y = points[i, 0] - positions[j, 0], points[i, 1] - positions[j, 1]
             xx, yy = covariances[j, 0, 0] + noise[i, 0, 0], covariances[j, 1, 1] + noise[i, 1, 1]
             # D² ≥ ν_x² / S_xx and likewise in y: this settles most pairings
@@ -241,11 +250,11 @@ def _individual(
                 slots[place], distances[place] = slots[place - 1], distances[place - 1]
                 innovations[place, 0], innovations[place, 1] = innovations[place - 1, 0], innovations[place - 1, 1]
                 place -= 1
-            measured[count], slots[place], distances[place] = i, j, distance
+            measured[count], slots[place], distances[place] = i, o, distance
             innovations[place, 0], innovations[place, 1] = x, y
             count += 1
         starts[level + 1] = count
-    rows = _number_distinct(slots[:count], len(positions))
+    rows = offered[_number_distinct(slots[:count], len(offered))]
     tests = len(measurements) * len(offered)
     return fault, where, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, tests
 
@@ -259,10 +268,10 @@ def _offered(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
-) -> IntArray:
+) -> tuple[IntArray, int, int]:
     """Eligible rows whose gate reaches into the box around the measurements: the others are compatible with none.
 
-    An empty `eligible` stands for all rows.
+    An empty `eligible` stands for all rows. Then the first bad number of all features, as in `_bad_measurement`.
     """
     left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
     most_x, most_y = 0.0, 0.0
@@ -272,14 +281,18 @@ def _offered(
         most_x, most_y = max(most_x, noise[i, 0, 0]), max(most_y, noise[i, 1, 1])
     offered, count = np.empty(len(positions), np.int64), 0
     for j in range(len(positions)):
+        px, py, xx, yy = positions[j, 0], positions[j, 1], covariances[j, 0, 0], covariances[j, 1, 1]
+        if not math.isfinite(px + py):
+            return offered[:0], 3, j
+        if not (0.0 <= xx < math.inf and 0.0 <= yy < math.inf):
+            return offered[:0], 4, j
         if len(eligible) > 0 and not eligible[j]:
             continue
-        x = max(left - positions[j, 0], positions[j, 0] - right, 0.0)
-        y = max(bottom - positions[j, 1], positions[j, 1] - top, 0.0)
-        if x * x < gate * (covariances[j, 0, 0] + most_x) and y * y < gate * (covariances[j, 1, 1] + most_y):
+        x, y = max(left - px, px - right, 0.0), max(bottom - py, py - top, 0.0)
+        if x * x < gate * (xx + most_x) and y * y < gate * (yy + most_y):
             offered[count] = j
             count += 1
-    return offered[:count]
+    return offered[:count], 0, -1
 
 
 @compiled

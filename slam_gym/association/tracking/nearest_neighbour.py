@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slam_gym._compile import compiled
 from slam_gym.association.compatibility import individual, joint_distance
 from slam_gym.association.tree import as_hypothesis
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Prediction, Scan
@@ -16,9 +17,7 @@ def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     Raises ValueError as `individual` does.
     """
     candidates = individual(scan, prediction)
-    rows = np.full(len(scan.points), UNPAIRED)
-    some = candidates.starts[1:] > candidates.starts[:-1]
-    rows[some] = candidates.rows[candidates.slots[candidates.starts[:-1][some]]]
+    rows = _nearest(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
     return _answer(scan, prediction, rows, candidates.tests)
 
 
@@ -28,12 +27,30 @@ def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
     Raises ValueError as `individual` does.
     """
     candidates = individual(scan, prediction)
-    rows = np.full(len(scan.points), UNPAIRED)
-    alone = np.flatnonzero(np.diff(candidates.starts) == 1)
-    slots = candidates.slots[candidates.starts[alone]]
-    wanted_once = np.bincount(candidates.slots, minlength=len(candidates.rows))[slots] == 1
-    rows[alone[wanted_once]] = candidates.rows[slots[wanted_once]]
+    rows = _mutual(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
     return _answer(scan, prediction, rows, candidates.tests)
+
+
+@compiled
+def _nearest(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
+    """(m,) row of the first candidate of each measurement."""
+    out = np.full(m, UNPAIRED)
+    for i in range(m):
+        if starts[i] < starts[i + 1]:
+            out[i] = rows[slots[starts[i]]]
+    return out
+
+
+@compiled
+def _mutual(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
+    """(m,) row of the only candidate of each measurement, where that is nobody else's."""
+    out, wanted = np.full(m, UNPAIRED), np.zeros(len(rows), np.int64)
+    for slot in slots:
+        wanted[slot] += 1
+    for i in range(m):
+        if starts[i] + 1 == starts[i + 1] and wanted[slots[starts[i]]] == 1:
+            out[i] = rows[slots[starts[i]]]
+    return out
 
 
 def _answer(scan: Scan, prediction: Prediction, rows: IntArray, tests: int) -> Hypothesis:
