@@ -52,6 +52,7 @@ from slam_gym.validation import check_scan
 
 _GONE = -1  # new number of a feature that is dropped
 _EMPTY = -1  # head of a grid cell without features
+_POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
 _FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
 _NO_LOCALITY = (np.empty(0, np.int64), np.empty(0, np.int64))
 
@@ -182,7 +183,7 @@ class FeatureIndex:
         confidence: float = 0.99,
         min_pairings: int | None = None,
         exhaustive: bool = False,
-        node_limit: int = 20_000_000,
+        node_limit: int | None = None,
     ) -> Relocation:
         """The pose that explains most measurements, if it explains enough and no other explains as many.
 
@@ -191,7 +192,12 @@ class FeatureIndex:
         (`usual_pairings`); one pairing less is reported as ambiguous, and what explains less than that is not looked
         for. The search ends once no pose is unseen that explains as many measurements as the best. Unless `exhaustive`,
         it also ends with one pairing more than needed and no other place found that looks alike: none that explains all
-        but k/3 − 1 of the same k measurements. `node_limit` bounds the poses verified.
+        but k/3 − 1 of the same k measurements.
+
+        `node_limit` bounds the work, as so many poses verified: fits, and features gone through where the index does
+        not reach, count as several. Default: 20 000 and 3 for each feature, some three times what it takes to refuse a
+        scan of 20 measurements from elsewhere. Where it is met, `effort.limit_hit` says so, and the answer is what was
+        found until then.
 
         Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or landmarks or
         locality of another number of features.
@@ -219,7 +225,7 @@ class FeatureIndex:
             search_gates(len(scan), confidence),
             min_pairings,
             len(scan) + 1 if exhaustive else min_pairings + 1,
-            node_limit,
+            _POSES + _POSES_EACH * self.n if node_limit is None else node_limit,
         )
         best = int(np.argmin(squares)) if pairings else 0
         decisions = features[best] if pairings else np.full(len(scan), UNPAIRED)
@@ -334,7 +340,7 @@ def indexed(
     *,
     confidence: float = 0.99,
     min_pairings: int | None = None,
-    node_limit: int = 20_000_000,
+    node_limit: int | None = None,
 ) -> Relocation:
     """`FeatureIndex.relocate` in an index built for the occasion: for maps that are small, or looked up once."""
     index = FeatureIndex(landmarks)

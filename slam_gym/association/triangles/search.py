@@ -16,10 +16,9 @@ from slam_gym._compile import compiled
 from slam_gym.association.triangles.pose import FIT, Look, Store, StoreArrays
 from slam_gym.association.triangles.seeds import is_indexed, try_triple
 from slam_gym.association.triangles.store import largest_variance
-from slam_gym.association.triangles.verify import ALIKE, ALL, LIKELY, LIMIT, MODE, Found
+from slam_gym.association.triangles.verify import ALIKE, ALL, LIMIT, MODE, Found
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
-_MANY = 5  # measurements that may be missed; where it is more, poses are first tried by likelihood
 _WIDE = 1e12  # [m] put on top of the radius of triples too wide for the index
 KEPT = 16  # hypotheses remembered: the best and those that tie with it
 
@@ -32,11 +31,11 @@ def search(
     gates: Array,
     needed: int,
     decisive: int,
-    node_limit: int,
+    work_limit: int,
 ) -> tuple[int, IntArray, Array, Array, IntArray]:
     """All hypotheses with most pairings, at least `needed` − 1 of them.
 
-    Returns the number of pairings; decisions (h, m), fits (h, 12) and D² (h,) of the hypotheses; effort (6,). With
+    Returns the number of pairings; decisions (h, m), fits (h, 12) and D² (h,) of the hypotheses; effort (7,). With
     `needed` pairings or more, there are no others with as many but what the gates turn away; with `decisive` ones, no
     others that explain all but (pairings / 3 − 1) of the same measurements: places that look alike.
     """
@@ -47,15 +46,11 @@ def search(
         np.full((KEPT, FIT), math.nan),
         np.zeros(KEPT),
         np.array([max(needed - 1, 3) - 1, 0, ALL]),
-        np.zeros(6, np.int64),
-        np.array([needed, node_limit, decisive]),
+        np.zeros(7, np.int64),
+        np.array([needed, work_limit, decisive]),
     )
     done = np.zeros(m * (m - 1) * (m - 2) // 6, np.bool_)
     groups, whole, beyond = max(m // 5, 1), m, m  # no pose is unseen that explains more than `beyond`
-    if m - needed > _MANY:
-        found.state[MODE] = LIKELY
-        _try_groups(look, store, found, groups, False, done)
-        found.state[MODE] = ALL
     while m > 2 and beyond >= _wanted(found) and found.spent[LIMIT] == 0 and not _decided(found):
         groups = min(max(groups, _enough(found)), whole - 1)
         loose = _wanted(found) == 2 * groups + 2
@@ -88,43 +83,38 @@ def _enough(found: Found) -> int:
 
 @compiled
 def _try_groups(look: Look, store: Store, found: Found, groups: int, loose: bool, done: BoolArray) -> bool:
-    """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them.
-
-    Where poses are given up on likelihood, the triples are not held to be `done`, and those too wide are left out.
-    """
+    """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them."""
     triples, indexed = _triples(look, store, groups, loose, done)
-    likely = found.state[MODE] == LIKELY
-    for t in range(indexed if likely else len(triples)):
+    for t in range(len(triples)):
         for triple in triples[t : t + 1] if t < indexed else _instead_of(look, store, triples[t], found, done):
             try_triple(look, store, triple, found)
-            done[_number(triple)] = not likely
-        done[_number(triples[t])] = not likely
-        if found.spent[LIMIT] > 0 or _decided(found) or (_enough(found) > groups and not likely):
+            done[_number(triple)] = True
+        done[_number(triples[t])] = True
+        if found.spent[LIMIT] > 0 or _decided(found) or _enough(found) > groups:
             return False
     return True
 
 
 @compiled
 def _instead_of(look: Look, store: Store, triple: IntArray, found: Found, done: BoolArray) -> IntArray:
-    """What to look up instead of a triple too wide for the index: its shortest side with other third measurements.
+    """What to look up instead of a triple too wide for the index: two of it, each time with another third measurement.
 
-    Of m measurements a hypothesis leaves out m − k at most, so of m − k + 1 thirds it has one. Only where the index
-    reaches fewer are the features gone through.
+    Of m measurements a hypothesis leaves out m − k at most, so of m − k + 1 thirds it has one, whichever two stand for
+    the triple with each of them. Only where the index reaches fewer are the features gone through.
     """
-    m = len(look.points)
-    a, b, least = triple[0], triple[1], math.inf
-    for k in range(3):
-        i, l = triple[k], triple[(k + 1) % 3]
-        apart = math.hypot(look.points[i, 0] - look.points[l, 0], look.points[i, 1] - look.points[l, 1])
-        if apart < least:
-            a, b, least = i, l, apart
-    thirds, radii, count = np.empty((m, 3), np.int64), np.empty(m), 0
+    m, count = len(look.points), 0
+    thirds, radii, other = np.empty((m, 3), np.int64), np.empty(m), np.empty(3, np.int64)
     for i in range(m):
-        third = thirds[count]
-        third[0], third[1], third[2] = a, b, i
-        if i != a and i != b and is_indexed(look, store, third):
-            radii[count] = _longest_first(look.points, third)
-            count += 1
+        if i == triple[0] or i == triple[1] or i == triple[2]:
+            continue
+        least = math.inf
+        for k in range(3):
+            other[0], other[1], other[2] = triple[k], triple[(k + 1) % 3], i
+            if is_indexed(look, store, other):
+                radius = _longest_first(look.points, other)
+                if radius < least:
+                    thirds[count], radii[count], least = other, radius, radius
+        count += least < math.inf
     if count <= m - _wanted(found):
         return triple.copy().reshape(1, 3)
     chosen, number = np.empty((m, 3), np.int64), 0

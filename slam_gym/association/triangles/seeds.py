@@ -21,9 +21,13 @@ from slam_gym.association.triangles.store import (
     Small,
     cell_number,
     features_around,
+    features_between,
 )
-from slam_gym.association.triangles.verify import BINARY, LIMIT, TRIES, Found, Seed, verify
+from slam_gym.association.triangles.verify import BINARY, LIMIT, TRIES, Found, Seed, spend, verify
 from slam_gym.types import Array, IntArray
+
+_PER_TRIANGLE, _PER_FEATURE = 0.02, 0.25
+"""Poses that take as long as the comparison of a triangle of the index, and as the look at a feature without it."""
 
 
 @compiled
@@ -109,7 +113,7 @@ def try_triple(look: Look, store: Store, triple: IntArray, found: Found) -> None
             seed.sides[k], seed.doubts[k] = _side(look.points, look.noise, i, l)
         if indexed and seed.sides[0] + 2.0 * margin >= longest:
             like, compared = _matches(store.cells, store.pool, store.settings, look.gates[0], seed.sides, seed.doubts)
-            found.spent[BINARY] += compared
+            spend(found, BINARY, compared, _PER_TRIANGLE * compared)
             verify(look, store, seed, like, variance, inertia, found)
         elif not indexed and seed.sides[0] <= min(seed.sides[1], seed.sides[2]):
             _visit_features(look, store, seed, variance, inertia, margin, found)
@@ -169,8 +173,9 @@ def _visit_features(
 ) -> None:
     """Verify all triangles of the map that agree with the seed, feature by feature: for sides beyond those indexed."""
     positions, n = store.positions, int(store.settings[FEATURES])
-    around, beside = np.empty(n, np.int64), np.empty(n, np.int64)
-    side, outer = seed.sides[0], seed.sides[0] + margin
+    around, beside, grid = np.empty(n, np.int64), np.empty(n, np.int64), store.settings[SIDE]
+    side = seed.sides[0]
+    inner, outer = max(side - margin, 0.0), side + margin
     along = (side * side + seed.sides[2] ** 2 - seed.sides[1] ** 2) / (2.0 * side)
     across = math.sqrt(max(seed.sides[2] ** 2 - along * along, 0.0))
     near, one = 2.0 * margin * max(1.0, seed.sides[2] / side), np.empty((1, 3), np.int32)
@@ -178,18 +183,16 @@ def _visit_features(
         if found.spent[LIMIT] > 0:
             return
         x, y = positions[i, 0], positions[i, 1]
-        count = features_around(store.heads, store.following, store.settings[SIDE], positions, x, y, outer, around)
-        found.spent[BINARY] += count
+        count, compared = features_between(store.heads, store.following, grid, positions, i, inner, outer, around)
+        spend(found, BINARY, compared, _PER_FEATURE * compared)
         for p in range(count):
             j = around[p]
             ux, uy = positions[j, 0] - x, positions[j, 1] - y
             length = math.hypot(ux, uy)
-            if j == i or length < side - margin or length == 0.0:
+            if length == 0.0:
                 continue
             cx, cy = x + (along * ux - across * uy) / length, y + (along * uy + across * ux) / length
-            thirds = features_around(
-                store.heads, store.following, store.settings[SIDE], positions, cx, cy, near, beside
-            )
+            thirds = features_around(store.heads, store.following, grid, positions, cx, cy, near, beside)
             for q in range(thirds):
                 l = beside[q]
                 a = math.hypot(positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1])

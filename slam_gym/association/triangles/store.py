@@ -162,6 +162,34 @@ def features_around(
 
 
 @compiled
+def features_between(
+    heads: Small, following: Small, side: float, positions: Array, i: int, inner: float, outer: float, found: IntArray
+) -> tuple[int, int]:
+    """Write the features whose distance to feature i is from `inner` to `outer` [m] into `found`, which has room for
+    all; returns how many, and how many were looked at."""
+    mask, count, compared, x, y = len(heads) - 1, 0, 0, positions[i, 0], positions[i, 1]
+    bottom, left = math.floor((y - outer) / side), math.floor((x - outer) / side)
+    rows = min(math.floor((y + outer) / side) - bottom, mask) + 1
+    columns = min(math.floor((x + outer) / side) - left, mask) + 1
+    low, high = inner * inner, outer * outer
+    whole = rows <= mask and columns <= mask  # no cell stands for several places
+    for row in range(bottom, bottom + rows):
+        dy = max(abs(row * side - y), abs((row + 1) * side - y))
+        for column in range(left, left + columns):
+            dx = max(abs(column * side - x), abs((column + 1) * side - x))
+            if whole and dx * dx + dy * dy < low:  # all of the cell is too near
+                continue
+            j = int(heads[row & mask, column & mask])
+            while j >= 0:
+                square, compared = (positions[j, 0] - x) ** 2 + (positions[j, 1] - y) ** 2, compared + 1
+                if low <= square <= high and j != i:
+                    found[count] = j
+                    count += 1
+                j = int(following[j])
+    return count, compared
+
+
+@compiled
 def side_code(details: Array, j: int, l: int, dx: float, dy: float) -> int:
     """Code of the standard deviation of the distance between two features, rounded up."""
     xx, xy, yy = details[j, 0] + details[l, 0], details[j, 1] + details[l, 1], details[j, 2] + details[l, 2]

@@ -13,17 +13,15 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.triangles.pose import FIT, Look, Store, alike, is_local, pair_around, settle
-from slam_gym.association.triangles.store import PAINTED, POWER, SIDE, SIZE, Bits, Small, is_painted
+from slam_gym.association.triangles.store import POWER, SIDE, SIZE, Bits, Small, is_painted
 from slam_gym.types import UNPAIRED, Array, IntArray
 
-NODES, BINARY, TRIES, LEAVES, JOINT, LIMIT = 0, 1, 2, 3, 4, 5  # of `spent`
+NODES, BINARY, TRIES, LEAVES, JOINT, LIMIT, WORK = 0, 1, 2, 3, 4, 5, 6  # of `spent`
 MODE = 2  # of `state`
-ALL, LIKELY, ALIKE = 0, 1, 2
-"""What of a pose is tested: that it may explain enough of the scan; the same, but given up on the likelihood of what it
-misses (Wald's sequential test); that it explains all but pairings / 3 − 1 of what the best explains."""
-
-_LEAST = 0.45  # share of the other measurements that a right pose explains, in that test, at least
-_GIVEN_UP = -1.8  # log of the share of right poses that the test may lose
+_LEAF = 30.0  # poses that take as long as fitting and pairing one hypothesis
+ALL, ALIKE = 0, 1
+"""What of a pose is tested: that it may explain enough of the scan; that it explains all but pairings / 3 − 1 of what
+the best explains."""
 
 
 class Seed(NamedTuple):
@@ -45,8 +43,17 @@ class Found(NamedTuple):
     fits: Array  # (h, 12)
     squares: Array  # (h,) D²
     state: IntArray  # (3,) pairings of the best, or one less than what is worth recording; number of hypotheses; mode
-    spent: IntArray  # (6,)
-    limits: IntArray  # (3,) pairings needed, most nodes, pairings that chance need not be feared for
+    spent: IntArray  # (7,)
+    limits: IntArray  # (3,) pairings needed, most work [poses], pairings that chance need not be feared for
+
+
+@compiled
+def spend(found: Found, what: int, amount: int, work: float) -> None:
+    """Count an effort, which is as much `work` as so many poses take; too much of it in all, and the limit is hit."""
+    found.spent[what] += amount
+    found.spent[WORK] += int(work)
+    if found.spent[WORK] > found.limits[1]:
+        found.spent[LIMIT] = 1
 
 
 @compiled
@@ -56,9 +63,8 @@ def verify(
     """Hold the poses that the triangles (t, 3) imply against the whole scan: bitmaps first, then the exact tests."""
     if len(triangles) == 0:
         return
-    found.spent[NODES] += len(triangles)
-    if found.spent[NODES] > found.limits[1]:
-        found.spent[LIMIT] = 1
+    spend(found, NODES, len(triangles), len(triangles))
+    if found.spent[LIMIT] > 0:
         return
     order, allowed = seed.order, len(look.points) - found.state[0] - (found.state[1] == 0)
     if found.state[MODE] == ALIKE:
@@ -76,28 +82,11 @@ def verify(
         seed.around,
         triangles,
         allowed,
-        _evidence(store.settings, seed, order, found),
     )
     for at in range(len(chosen)):
+        if found.spent[LIMIT] > 0:
+            return
         _examine(look, store, seed, triangles[chosen[at]], poses[chosen[at]], variance, inertia, found)
-
-
-@compiled
-def _evidence(settings: Array, seed: Seed, order: IntArray, found: Found) -> Array:
-    """What a hit and a miss of each test of `order` say for a pose, (tests, 2): log-likelihood ratios right / chance.
-
-    Measurements that no bitmap covers are not tested. All 0 where poses are not to be given up by likelihood.
-    """
-    tests, m = 0, len(order) + 3
-    while tests < min(m - 3, 62) and seed.levels[order[tests]] < 2:
-        tests += 1
-    evidence = np.zeros((tests, 2))
-    if found.state[MODE] == LIKELY:
-        right = max((found.limits[0] - 3.0) / (m - 3.0), _LEAST)
-        for p in range(tests):
-            chance = min(max(settings[PAINTED + seed.levels[order[p]]], 1e-3), right)
-            evidence[p, 0], evidence[p, 1] = math.log(right / chance), math.log((1.0 - right) / (1.0 - chance))
-    return evidence
 
 
 @compiled
@@ -114,33 +103,32 @@ def _promising(
     around: Array,
     triangles: Small,
     allowed: int,
-    evidence: Array,
 ) -> tuple[IntArray, Array]:
     """Which triangles imply a pose at which no more than `allowed` measurements find nothing; all poses (x, y, c, s).
 
     The first bitmap tests, as many as it takes to give a pose up, are made of every pose without a branch, so that the
     processor waits for many places of the bitmap at a time; the rest are made one after another of those still left.
     """
-    poses, tests, whole = _implied_poses(positions, corners, offsets, triangles), len(evidence), len(triangles)
+    poses, tests, whole, count = _implied_poses(positions, corners, offsets, triangles), 0, len(triangles), 0
     chosen, missing = np.empty(whole + 1, np.int64), np.empty(whole + 1, np.int64)
-    left, trust = np.empty(whole + 1, np.int64), np.empty(whole + 1)
-    first, total, count = 0, 0.0, 0
-    while first < min(tests, allowed + 1) and total >= _GIVEN_UP:
-        total, first = total + evidence[first, 1], first + 1
+    left = np.empty(whole + 1, np.int64)
+    while tests < min(len(order), 62) and levels[order[tests]] < 2:
+        tests += 1
+    first = min(tests, allowed + 1)
     power, per_metre = int(settings[POWER]), 1.0 / settings[SIZE]
     behind = 1 << (2 * power)  # the coarse bitmap follows the fine one
     for at in range(whole):
         x, y, c, s = poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3]
-        misses, which, total = 0, 0, 0.0
+        misses, which = 0, 0
         for p in range(first):
             k = order[p]
             px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
             level = levels[k]
             scale = per_metre if level == 0 else 0.5 * per_metre
             miss = 1 - is_painted(bits, behind * level, power - level, px * scale, py * scale)
-            misses, which, total = misses + miss, which | miss << p, total + evidence[p, miss]
-        chosen[count], missing[count], left[count], trust[count] = at, which, allowed - misses, total
-        count += (misses <= allowed) & (total >= _GIVEN_UP)
+            misses, which = misses + miss, which | miss << p
+        chosen[count], missing[count], left[count] = at, which, allowed - misses
+        count += misses <= allowed
     for p in range(first, tests):
         whole, count, k = count, 0, order[p]
         level = levels[k]
@@ -150,9 +138,8 @@ def _promising(
             x, y, c, s = poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3]
             px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
             miss = 1 - is_painted(bits, behind * level, power - level, px * scale, py * scale)
-            chosen[count], missing[count] = at, missing[q] | miss << p
-            left[count], trust[count] = left[q] - miss, trust[q] + evidence[p, miss]
-            count += (left[count] >= 0) & (trust[count] >= _GIVEN_UP)
+            chosen[count], missing[count], left[count] = at, missing[q] | miss << p, left[q] - miss
+            count += left[count] >= 0
     kept = 0
     for q in range(count):
         at = chosen[q]
@@ -257,7 +244,7 @@ def _examine(
         return
     for k in range(3):
         decisions[corners[k]] = features[k]
-    found.spent[LEAVES] += 1
+    spend(found, LEAVES, 1, _LEAF)
     pairings, square = settle(look, store, features[0], wanted, decisions, fit, found.spent)
     if pairings >= wanted:
         _record(found, decisions, fit, square, pairings)

@@ -232,3 +232,15 @@ def test_bad_input_is_refused_by_name() -> None:
         FeatureIndex(reach=-1.0)
     with pytest.raises(ValueError, match="kept"):
         index.keep(np.array([3, 1]))
+
+
+def test_a_crowd_of_likenesses_ends_at_the_default_limit_and_says_so():
+    """On a lattice every pose looks like every other: there are more of them than are worth verifying."""
+    lattice = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
+    landmarks = Landmarks.from_points(lattice, sigma=0.05)
+    scan = Scan.from_points(np.random.default_rng(0).uniform(-4.0, 4.0, (20, 2)), sigma=0.05)
+    index = FeatureIndex(landmarks)
+    bounded, short = index.relocate(scan, min_pairings=9), index.relocate(scan, min_pairings=9, node_limit=50)
+    assert bounded.effort.limit_hit and short.effort.limit_hit
+    assert short.effort.nodes < bounded.effort.nodes < 40_000
+    assert not index.relocate(scan, min_pairings=20).effort.limit_hit

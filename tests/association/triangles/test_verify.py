@@ -26,7 +26,7 @@ def _verified(index: FeatureIndex, scan: Scan, corners: Array, triangles: Array,
         np.full((16, FIT), np.nan),
         np.zeros(16),
         np.array([5, 0, ALL]),
-        np.zeros(6, np.int64),
+        np.zeros(7, np.int64),
         np.array([6, nodes, m + 1]),
     )
     seed, variance, inertia = _arrange(look, store, corners)
@@ -63,5 +63,5 @@ def test_nothing_is_verified_beyond_the_limit_of_nodes() -> None:
     index = FeatureIndex(landmarks_at(truth))
     assert _verified(index, scan, corners, triangles, 3).spent[LIMIT] == 1
     assert _verified(index, scan, corners, triangles, 3).state[1] == 0
-    enough = _verified(index, scan, corners, triangles, 4)
-    assert enough.spent[LIMIT] == 0 and enough.state[1] == 1  # four times the same, recorded once
+    enough = _verified(index, scan, corners, triangles, 34)
+    assert enough.spent[LIMIT] == 0 and enough.state[1] == 1  # four times the same, recorded once; a fit counts 30
