@@ -83,6 +83,18 @@ def test_it_drives_by_its_weights_and_the_same_way_each_time():
     assert contrary.act(observation, info) != chosen[0]
 
 
+def test_it_looks_around_and_goes_back_once_to_a_place_while_there_is_anything_else():
+    observation, info = scene()
+    shipped = load("driver", VERSION, TOKEN_FIELDS, shapes(SIZE))
+    for sign in (1.0, -1.0):  # whatever it prefers
+        turned = {name: sign * shipped.arrays[name] for name in ("greed", "score.weight", "score.bias")}
+        agent = LearnedDriver(Weights(shipped.card, shipped.arrays | turned))
+        chosen = [agent.act(observation, info) for _ in range(6)]
+        assert chosen.count(0) <= 1 and chosen.count(11) <= 1 and chosen[-1] == 1
+        agent.reset(0)
+        assert agent.act(observation, info) == chosen[0]
+
+
 def test_only_looking_around_on_offer():
     observation, info = offered()
     shown = scene()[0] | {"goals": observation["goals"]}
