@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
+from slam_gym.bench.soak.checks import check_map
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Odometry, Scan
 from slam_gym.validation import check_hypothesis, check_scan, one_of
 
 
@@ -195,3 +197,25 @@ def test_an_argument_that_nobody_knows_is_refused_with_those_that_are_known() ->
     one_of("reward", None, ("a_opt", None))
     with pytest.raises(ValueError, match=r"^reward='money'; known: a_opt, d_opt, None$"):
         one_of("reward", "money", ("a_opt", "d_opt", None))
+
+
+def test_measurements_of_any_scale_within_the_bound_leave_a_map_positive_semi_definite():
+    """Scales from 1e-12 to 1e12 m², each measurement up to the bound of the condition number; pairings are given."""
+    rng, places = np.random.default_rng(0), np.array([[1.0, 0.0], [2.0, 1.0], [0.0, 3.0], [3.0, -2.0], [-2.0, 2.0]])
+    for _ in range(40):
+        slam_map, span = StochasticMap(), rng.uniform(0.0, 12.0)
+        slam_map.add(Scan.from_points(places, sigma=10.0 ** rng.uniform(-3.0, 1.0)), np.arange(5))
+        for _ in range(6):
+            slam_map.predict(Odometry(np.array([0.1, 0.0, 0.01]), np.diag(10.0 ** rng.uniform(-span, span / 4, 3))))
+            low = 10.0 ** rng.uniform(-span, span, 5)
+            high = np.minimum(low * 10.0 ** rng.uniform(0.0, 11.5, 5), 1e12)
+            turn = rng.uniform(0.0, 7.0, 5)
+            axes = np.stack([np.stack([np.cos(turn), -np.sin(turn)], 1), np.stack([np.sin(turn), np.cos(turn)], 1)], 1)
+            scales = np.stack([low, np.maximum(high, low)], 1)
+            covariances = (axes * scales[:, None]) @ axes.swapaxes(1, 2)
+            scan = Scan.from_points(places, 0.5 * (covariances + covariances.swapaxes(1, 2)))
+            check_scan(scan)
+            slam_map.update(scan, np.where(rng.random(5) < 0.6, np.arange(5), UNPAIRED))
+            check_map(slam_map)
+    with pytest.raises(ValueError, match="condition number above"):
+        check_scan(Scan.from_points([[1.0, 0.0]], np.diag([1e-12, 1e12])))

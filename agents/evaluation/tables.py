@@ -149,6 +149,8 @@ def _as_interval(value: Value, digits: int) -> Interval:
     return value if isinstance(value, Interval) else Interval(*[round(float(value), digits)] * 3)
 
 
+_NAMES = 12  # characters that names have in any case; longer ones are wrapped where the terminal is narrow
+
 # -- as text -------------------------------------------------------------------------------------------------------
 
 
@@ -183,21 +185,32 @@ def number(value: float, digits: int, signed: bool = False) -> str:
 
 
 def print_table(table: Table, console: Console) -> None:
-    """The table on the terminal, each interval under its estimate; less of it where the terminal is narrow."""
-    shown = _terminal_table(table, narrow=False)
-    unlimited = console.options.update(max_width=10_000)
-    if Measurement.get(console, unlimited, shown).maximum > console.width:
-        shown = _terminal_table(table, narrow=True)
+    """The table on the terminal, each interval under its estimate; where the terminal is narrow less of it, and where
+    that is still too wide in pieces, one below the other."""
+    columns, narrow = list(table.columns), False
+    if _width(table, columns, narrow, console) > console.width:
+        columns, narrow = [column for column in columns if not column.optional], True
     console.print(table.title, style="bold", markup=False, highlight=False, soft_wrap=True)
-    console.print(shown)
+    while columns:
+        count = len(columns)
+        while count > 1 and _width(table, columns[:count], narrow, console) > console.width:
+            count -= 1
+        console.print(_terminal_table(table, columns[:count], narrow))
+        columns = columns[count:]
     console.print(table.caption, style="dim", markup=False, highlight=False)
 
 
-def _terminal_table(table: Table, narrow: bool) -> RichTable:
-    """`narrow`: no optional columns, intervals only of what has three digits, and then one digit less, as `.12–.34`."""
-    columns = [column for column in table.columns if not (narrow and column.optional)]
+def _width(table: Table, columns: Sequence[Column], narrow: bool, console: Console) -> int:
+    """What some of the columns would take; `narrow` with the names wrapped as far as they may be."""
+    unlimited, names = console.options.update(max_width=10_000), _NAMES if narrow else None
+    return Measurement.get(console, unlimited, _terminal_table(table, columns, narrow, names)).maximum
+
+
+def _terminal_table(table: Table, columns: Sequence[Column], narrow: bool, names: int | None = None) -> RichTable:
+    """`narrow`: intervals only of what has three digits, and then one digit less, as `.12–.34`; `names`: their width
+    at most, else as there is room."""
     shown = RichTable(box=box.SIMPLE_HEAD, padding=(0, 0 if narrow else 1), show_edge=False)
-    shown.add_column(table.corner, min_width=12)
+    shown.add_column(table.corner, min_width=_NAMES, max_width=names)
     for column in columns:
         shown.add_column(column.title, justify="right", no_wrap=True)
     for name, row in table.rows.items():

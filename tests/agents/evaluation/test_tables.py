@@ -91,3 +91,12 @@ def test_a_table_says_what_the_terminal_has_room_for(width, capsys):
         assert "0.12" in text and ".06–.23" in text and "0.123" not in text and "rest" not in text
     else:
         assert "0.123" in text and "0.057–0.234" in text and "rest" in text
+
+
+def test_headers_are_never_cut_a_table_that_is_too_wide_goes_on_below(capsys):
+    columns = [Column(f"scenario-{k}", f"scenario-{k}", 3, "lower") for k in range(9)]
+    row = {column.key: Interval(0.123, 0.101, 0.234) for column in columns}
+    print_table(Table("Map error", "associator", columns, {"marginal + gcbb": row}), Console(width=80))
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 80 and "…" not in text
+    assert all(f"scenario-{k}" in text for k in range(9)) and text.count("associator") == text.count("marginal") == 2
