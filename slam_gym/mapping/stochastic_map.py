@@ -82,6 +82,7 @@ class MapSpec:
 
 
 _NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
+_LARGE = 512  # features
 _STILL, _CERTAIN = np.zeros(3), np.zeros((3, 3))
 
 
@@ -92,7 +93,7 @@ class StochasticMap:
         spec: settings.
         pose: (3,) [m, m, rad] of the robot at the start, in B; the origin by default.
         pose_covariance: (3, 3) of that pose; zero by default.
-        capacity: features to make room for at first; grows by doubling.
+        capacity: features to make room for at first; grows as needed.
 
     Raises ValueError where an argument has the wrong shape, is not finite or is no covariance.
     """
@@ -398,10 +399,10 @@ class StochasticMap:
         return 3 + 2 * self.n
 
     def make_room(self, more: int) -> None:
-        """Twice the room, until there is some for so many more features."""
+        """Room for so many more features: twice as much, or a quarter more where memory counts."""
         capacity = self._counted.shape[1]
         while self.n + more > capacity:
-            capacity *= 2
+            capacity = 2 * capacity if capacity < _LARGE else capacity + capacity // 4
         if capacity == self._counted.shape[1]:
             return
         d, side = self._d, padded(3 + 2 * capacity)

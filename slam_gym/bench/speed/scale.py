@@ -1,7 +1,7 @@
 """What a step of SLAM costs, and the memory that the map takes, against its size.
 
-The filter is exact at every size: one covariance of all features, of which the upper triangle is kept. An update of k
-pairings takes 2k multiplications for each of its entries, so that time and memory grow with n². Every step is the
+The filter is exact at every size: one covariance of all features, of which the upper triangle is worked on. An update
+of k pairings takes 2k multiplications for each of its entries, so that time and memory grow with n². Every step is the
 whole of `Slam.step` with JCBB, in a map of one feature per 6 m²; in turns with it, one symmetric rank-2k product by
 BLAS on a matrix as large as the covariance is timed, which is the least that such an update takes.
 """
@@ -17,13 +17,14 @@ from scipy.linalg.blas import dsyrk
 from scipy.spatial import cKDTree
 
 from slam_gym.association import jcbb
-from slam_gym.bench.records import Record
+from slam_gym.bench.records import Record, means, medians
 from slam_gym.bench.report import Report
 from slam_gym.bench.runner import UsageError
 from slam_gym.bench.speed.update import PAIRINGS, REACH, STILL, mapped
 from slam_gym.bench.timing import THREAD, timed
 from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import Edges, graph_of
+from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Scan
 
@@ -39,7 +40,7 @@ def resident() -> float:
 
 def large_slam(features: int, rng: np.random.Generator) -> Slam:
     """A robot in the middle of a map of so many features, neighbours seen together."""
-    slam = Slam(SlamSpec(reach=REACH))
+    slam = Slam(SlamSpec(reach=REACH, map=MapSpec(unconfirmed_age=None)))  # all of them were seen but once
     slam.map = mapped(features, rng)
     pairs = cKDTree(slam.map.positions).query_pairs(REACH, output_type="ndarray").astype(np.int64)
     slam.covisibility = graph_of(features, Edges(pairs, np.full(len(pairs), 3)))
@@ -55,13 +56,15 @@ def measure(features: int, steps: int, rng: np.random.Generator) -> Record:
     taken = []
     for _ in range(steps + 1):
         scan = Scan.from_points(points + 0.01 * rng.standard_normal(points.shape), sigma=0.03)
-        taken.append(timed(slam.step, STILL, scan, jcbb, clock=THREAD))
+        one = timed(slam.step, STILL, scan, jcbb, clock=THREAD)
+        taken.append({"µs": one.microseconds, "pairings": one.answer.hypothesis.pairings})
     held, d = resident() - before, 3 + 2 * features
-    pairings = [step.answer.hypothesis.pairings for step in taken]
+    if slam.map.n != features:
+        raise RuntimeError(f"{features} features have become {slam.map.n}")
     factor, product = rng.normal(size=(2 * PAIRINGS, d)).T, np.zeros((d, d), order="F")
     multiply = partial(dsyrk, -1.0, factor, beta=1.0, c=product, overwrite_c=True)
     products = [timed(multiply, clock=THREAD) for _ in range(_PRODUCTS)]
-    step = float(np.median([one.microseconds for one in taken[1:]]))
+    step = medians(taken[1:], "µs")["µs"]
     least = float(np.median([one.microseconds for one in products]))
     return {
         "features": features,
@@ -69,7 +72,7 @@ def measure(features: int, steps: int, rng: np.random.Generator) -> Record:
         "steps/s": 1e6 / step,
         "dsyrk ms": 1e-3 * least,
         "step / dsyrk": step / least,
-        "pairings": float(np.mean(pairings)),
+        **means(taken, "pairings"),
         "triangle MB": 4e-6 * d * d,
         "memory MB": held,
     }
