@@ -9,12 +9,13 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from agents.cli import add_explore_options, command_line, explore_arguments, program, require_positive, run_main
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.learning.distributed import connect
 from agents.learning.ppo import HYPERPARAMETERS, Decision, load_hyperparameters
-from agents.learning.training import TrainingPlan, train
+from agents.learning.training import Backend, TrainingPlan, train
 
 
 class Length(NamedTuple):
@@ -34,7 +35,9 @@ def add_training_options(p: argparse.ArgumentParser, default: Length, out: str) 
     p.add_argument("--hyperparameters", type=Path, default=HYPERPARAMETERS, metavar="FILE",
                    help="TOML (default: agents/learning/)")  # fmt: skip
     p.add_argument("--envs", type=int, help="parallel environments (default: from the hyperparameters)")
-    p.add_argument("--workers", type=int, help="processes that step them (default: as many as there are cores)")
+    p.add_argument("--workers", type=int, help="processes or actors that step them (default: one a core)")
+    p.add_argument("--backend", default="local", choices=get_args(Backend),
+                   help="who collects: workers here, or Ray actors (default: %(default)s)")  # fmt: skip
     p.add_argument("--eval-every", type=int, default=default.eval_every, metavar="N",
                    help="decisions (default: %(default)s)")  # fmt: skip
     p.add_argument("--eval-episodes", type=int, default=default.eval_episodes, metavar="N",
@@ -52,9 +55,10 @@ def train_as_asked(
         hyper = replace(hyper, envs=a.envs)
     if not a.resume and (a.out / "checkpoint.pt").exists():
         raise ValueError(f"{a.out} holds a training already: give --resume to go on with it, or another --out")
-    plan = TrainingPlan(
-        decision, arguments, hyper, a.seed, a.timesteps, a.eval_every, a.eval_episodes, command, a.workers
-    )
+    if a.backend == "ray":
+        connect()
+    lengths = a.timesteps, a.eval_every, a.eval_episodes
+    plan = TrainingPlan(decision, arguments, hyper, a.seed, *lengths, command, a.workers, a.backend)
     return train(a.out, plan, a.resume)
 
 
