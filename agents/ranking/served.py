@@ -26,7 +26,7 @@ from slam_gym.association import resolve_relocator
 from slam_gym.types import Hypothesis, Landmarks, Locality, Prediction, Relocation, Scan
 
 Role = Literal["agent", "associator", "relocator"]
-TIMEOUT = 120.0  # [s] for one answer; the first of a process compiles
+TIMEOUT = 600.0  # [s] for one answer: the first of a process compiles, on a busy machine for minutes
 _ASKED = ("joint", "local", "view")  # what a prediction computes only when it is asked to
 _SENT = tuple(f.name for f in fields(Prediction) if f.name not in _ASKED)
 
