@@ -58,7 +58,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "info": ((ExploreEnv, "_info"),),
 }
 _EDGES = (0, 25, 50, 75, 100, 125, 150, 200, 300, 500, 1000)  # of the classes of map size
-_BURST = 10  # calls of a peer in turn
+_BURST = 40  # steps, and calls of a peer, in turns
 _FEWEST = 50  # steps that a class is shown from
 
 
@@ -77,7 +77,10 @@ def drive(env: Any, episodes: int, seed: int, beside: Callable[[], object] | Non
 
 
 class Peers:
-    """What steps are compared with, each timed as it runs by itself: a few times, one right after the other."""
+    """What steps are compared with, each timed as it runs by itself: many times, one right after the other.
+
+    In turns with as many steps, since what runs in between has to be fetched anew, by the step as by its peers.
+    """
 
     def __init__(self) -> None:
         self._calls: dict[str, Callable[[], object]] = {"CartPole": _stepped("CartPole-v1")}
@@ -89,10 +92,12 @@ class Peers:
         W = np.asfortranarray(np.random.default_rng(0).standard_normal((203, 20)))
         P = np.eye(203, order="F")
         self._calls["rank-20 product, 203 columns"] = partial(dsyrk, -1.0, W, beta=1.0, c=P, overwrite_c=True)
+        self._steps = 0
         self._taken: dict[str, list[float]] = {name: [] for name in self._calls}
 
     def __call__(self) -> None:
-        for name, call in self._calls.items():
+        self._steps += 1
+        for name, call in self._calls.items() if self._steps % _BURST == 0 else ():
             self._taken[name].append(timed(_often, call, clock=THREAD).microseconds / _BURST)
 
     def table(self, step: float) -> list[Record]:
