@@ -1,4 +1,4 @@
-"""Train what ships from nothing: `python -m agents.reproduce driver [--quick] [--out DIR]`.
+"""Train what ships from nothing: `python -m agents.reproduce driver|associator|acceptance [--quick] [--out DIR]`.
 
 Writes DIR/NAME.npz and its card, and shows each figure of the training beside that of the card that ships, with the
 interval that it should lie in. `--quick` takes a small part of the worlds: it shows that the training runs and learns,
@@ -19,6 +19,8 @@ from slam_gym import weights
 from slam_gym.weights import Weights
 
 TARGETS: dict[str, str] = {
+    "acceptance": "agents.learning.acceptance.reproduction:reproduce",
+    "associator": "agents.learning.associator.reproduction:reproduce",
     "driver": "agents.learning.driver.reproduction:reproduce",
 }
 """What ships, by the name of its weights, and the function that trains it: (quick, command, say) → `Weights`."""

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
         indexed,
         ipjc,
         jcbb,
+        learned_associator,
+        learned_relocation,
         map_hypothesis,
         marginal,
         max_clique,
@@ -57,8 +59,8 @@ __version__ = "0.1.0"
 _WHERE = {
     "association": (
         "ASSOCIATORS", "RELOCATORS", "from_policy", "gcbb", "global_nearest_neighbour", "indexed", "ipjc", "jcbb",
-        "map_hypothesis", "marginal", "max_clique", "nearest_neighbour", "one_point_ransac", "random_sampling",
-        "relocator_from_policy", "singles", "spectral", "true_association",
+        "learned_associator", "learned_relocation", "map_hypothesis", "marginal", "max_clique", "nearest_neighbour",
+        "one_point_ransac", "random_sampling", "relocator_from_policy", "singles", "spectral", "true_association",
     ),
     "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
     "recordings.catalogue": ("open_recordings",),
@@ -102,6 +104,8 @@ __all__ = [
     "indexed",
     "ipjc",
     "jcbb",
+    "learned_associator",
+    "learned_relocation",
     "map_hypothesis",
     "marginal",
     "max_clique",

@@ -210,6 +210,7 @@ class Prediction:
     view_moves: bool = True  # `view` holds for other positions, too; False where the predicted pose is poorly known
     experience: Experience | None = None  # of the associator, from its last hypothesis of this run that had any
     sightings: IntArray | None = None  # (k,) number of scans that updated or started each feature; None: nobody counts
+    provisional: BoolArray | None = None  # (k,) seen too seldom for the map to believe in it; None: nobody tells
 
     def __len__(self) -> int:
         return len(self.features)
@@ -232,8 +233,9 @@ class Prediction:
         """Of the features in the rows `kept` (j,) alone."""
         local = None if self.local is None else _ChosenRows(self.local, kept)
         chosen = {name: getattr(self, name).take(kept, axis=0) for name in _BY_ROW}
-        if self.sightings is not None:
-            chosen["sightings"] = self.sightings[kept]
+        for name in _BY_ROW_IF_ANY:
+            if getattr(self, name) is not None:
+                chosen[name] = getattr(self, name)[kept]
         return replace(self, **chosen, joint=_ChosenRows(self.joint, kept), local=local)
 
     def without_locality(self) -> Prediction:
@@ -278,6 +280,7 @@ _BY_ROW = (
     "near",
     "heading_covariances",
 )  # fields of a prediction with a row for each feature
+_BY_ROW_IF_ANY = ("sightings", "provisional")  # … where they are there
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ ABOUT = {
     "ipjc": "searches as JCBB does, but tests a set after moving the pose to where it puts the robot.",
     "map_hypothesis": "searches for the most probable set, in which a pairing must be likelier than clutter.",
     "marginal": "pairs only what is probable enough over all sets of pairings, by the cost of a mistake.",
+    "learned": "decides as `marginal` does, by odds that a network has learned besides: sizes, rivals, clutter.",
     CEILING: "is told the truth: the ceiling.",
 }
 _WORDS = (

@@ -141,6 +141,7 @@ def tables(results: Results) -> list[Table]:
         scores = association.scores()
         rows = {name: scores[name] for name in association.ranked}
         found.append(Table(f"association suite, {about}", "associator", score_columns(association), rows))
+        found += reliability.promise_tables(association.records)
         found += reliability.tables(association.records)
     if relocation.records:
         title = f"kidnapped: searches without a prior, {about}"

@@ -16,7 +16,7 @@ from agents.evaluation.pipeline import SUITE, Evaluation
 from agents.evaluation.records import Key, Record
 from agents.suite.numbers import numbers
 from agents.suite.problems import Judgement, TwoLaps, ask, judge, problems
-from agents.suite.reliability import binned
+from agents.suite.reliability import binned, promised
 from agents.suite.relocation_problems import OUTCOMES, judge_relocation, relocation_problems
 from slam_gym.association import resolve_relocator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Experiment, get_level
@@ -64,6 +64,7 @@ class WorldTask:
             name: association_record(judged[name])
             | _effort_record(efforts[name])
             | {"reliability": binned(answers[name], right)}
+            | promised(answers[name], right)
             for name in asked
         }
 

@@ -11,6 +11,8 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from slam_gym.association.learned.acceptance import learned_relocation
+from slam_gym.association.learned.associator import learned_associator
 from slam_gym.association.relocation.consistency_graph import max_clique, spectral
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.policy import (
@@ -47,6 +49,8 @@ __all__ = [
     "indexed",
     "ipjc",
     "jcbb",
+    "learned_associator",
+    "learned_relocation",
     "map_hypothesis",
     "marginal",
     "max_clique",
@@ -65,6 +69,7 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
     "global_nearest_neighbour": global_nearest_neighbour,
     "ipjc": ipjc,
     "jcbb": jcbb,
+    "learned": learned_associator,
     "map_hypothesis": map_hypothesis,
     "marginal": marginal,
     "nearest_neighbour": nearest_neighbour,
@@ -77,6 +82,7 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
 RELOCATORS: dict[str, Relocator] = {
     "gcbb": gcbb,
     "indexed": indexed,
+    "learned": learned_relocation,
     "max_clique": max_clique,
     "random_sampling": random_sampling,
     "spectral": spectral,

@@ -34,6 +34,7 @@ COMMANDS: dict[str, Command] = {
     "train-associate": Command("agents.train_associate", "an associator by reinforcement learning"),
     "export-decisions": Command("agents.export_decisions", "association decisions as training data"),
     "leaderboard": Command("agents.leaderboard", "an entry through the frozen protocol, ranked among all"),
+    "reproduce": Command("agents.reproduce", "train from nothing what ships"),
     "report": Command("agents.report", "the report of a finished evaluation, once more"),
     "gallery": Command("agents.gallery", "films of the same worlds by scenario and associator, on one page"),
     "play": Command("agents.play", "drive with the keyboard"),

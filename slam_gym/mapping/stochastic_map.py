@@ -274,6 +274,7 @@ class StochasticMap:
             None if graph is None else graph.among_rows(features),
             None if view_from is None else view_from(self.pose),
             sightings=counted[3, :k],
+            provisional=np.less(counted[3, :k], self.spec.confirmations),
         )
 
     def landmarks(self) -> Landmarks:

@@ -34,6 +34,7 @@ def marginal(
     unseen: float = 0.05,
     width: int = 100,
     margin: float = 12.0,
+    provisional_cost: float | None = None,
     learned: Learned | None = None,
 ) -> Hypothesis:
     """Every pairing whose marginal probability makes it worth the risk, and every feature that is new as surely.
@@ -49,17 +50,24 @@ def marginal(
         detection: P_D; None: weighed by what the run has shown.
         density: [1/m²] λ of what is not in the map; None: likewise.
         unseen, width, margin: as in `map_hypothesis`.
+        provisional_cost: of a wrong pairing with a feature that the map does not believe in yet, which spoils less, and
+            has to be paired if it is ever to be believed in; None: `cost`.
         learned: log odds of pairings that the model does not know of (see `association.learned`).
 
-    Raises ValueError as `map_hypothesis`, and for a cost that is less than 1 or not finite.
+    Raises ValueError as `map_hypothesis`, and for costs that are less than 1 or not finite.
     """
-    if not 1.0 <= cost < math.inf:
-        raise ValueError(f"cost: {cost} is not a finite number of at least 1")
+    for name, price in (("cost", cost), ("provisional_cost", provisional_cost)):
+        if price is not None and not 1.0 <= price < math.inf:
+            raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     found = marginals(
         scan, prediction, detection=detection, density=density, unseen=unseen, width=width, margin=margin,
         learned=learned,
     )  # fmt: skip
-    decided = _decided(*found[:5], plain(prediction.features), cost / (cost + 1.0))
+    threshold = cost / (cost + 1.0)
+    thresholds = np.full(len(prediction), threshold)
+    if provisional_cost is not None and prediction.provisional is not None:
+        thresholds[prediction.provisional] = provisional_cost / (provisional_cost + 1.0)
+    decided = _decided(*found[:5], plain(prediction.features), thresholds, threshold)
     rows, features, probabilities, new, runner_up, own, second, total, paired = decided
     log_density = total + math.log(own) if own > 0.0 else -math.inf
     return Hypothesis(
@@ -86,15 +94,18 @@ def _decided(
     pairings: Array,
     unpaired: Array,
     features: IntArray,
+    thresholds: Array,
     threshold: float,
 ) -> tuple[IntArray, IntArray, Array, BoolArray, IntArray, float, float, float, int]:
     """Row and feature decided for each measurement (m,), its probability, and whether it is new; the features of the
-    most probable other decisions; the weights of both, the log of the sum of all densities, and how many are paired."""
+    most probable other decisions; the weights of both, the log of the sum of all densities, and how many are paired.
+
+    `thresholds` (k,) are those of pairing each row, `threshold` that of starting a feature."""
     m, paired = len(unpaired), 0
     rows, probabilities, new = np.full(m, UNPAIRED), unpaired.copy(), np.zeros(m, np.bool_)
     for i in range(m):
         for j in range(pairings.shape[1]):
-            if pairings[i, j] > threshold:
+            if pairings[i, j] > thresholds[j]:
                 rows[i], probabilities[i] = j, min(pairings[i, j], 1.0)
         paired += rows[i] != UNPAIRED
         new[i] = rows[i] == UNPAIRED and unpaired[i] > threshold

@@ -1,12 +1,13 @@
 """Decisions by their probability, counted and summed."""
 
+import dataclasses
 import json
 import math
 
 import numpy as np
 import pytest
 
-from agents.suite.reliability import EDGES, binned, by_associator, tables, together
+from agents.suite.reliability import EDGES, binned, by_associator, promise_tables, promised, tables, together
 from agents.suite.worlds import WorldTask
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 
@@ -28,6 +29,24 @@ def test_every_decision_falls_into_one_bin():
     assert (whole["decisions"][k], whole["predicted"][k], whole["right"][k]) == (4, pytest.approx(0.95), 0.5)
     assert math.isnan(whole["right"][3]) and whole["right"][0] == 1.0 and whole["right"][-1] == 1.0
     json.dumps(bins)
+
+
+def test_the_best_hypothesis_is_held_to_its_promise():
+    """The best one may not be the one decided for: then it is the runner-up."""
+    sure, refusing = answer([3, UNPAIRED], [0.9, 0.9]), answer([UNPAIRED, UNPAIRED], [0.6, 0.9])
+    posterior = Posterior(0.0, 0.2, np.array([3, UNPAIRED]), 0.7, np.zeros(2), np.zeros(2))
+    refusing = dataclasses.replace(refusing, posterior=posterior)
+    right = [np.array([3, UNPAIRED]), np.array([3, UNPAIRED])]
+    assert promised([sure, refusing], right) == {"promised": pytest.approx(0.6), "kept": 1.0}
+    assert promised([sure, refusing], [np.array([4, UNPAIRED]), right[1]])["kept"] == 0.5
+    silent = promised([Hypothesis(np.array([1]), 0.0, 2, Effort())], [np.array([1])])
+    assert all(math.isnan(value) for value in silent.values())
+    about = {"experiment": "drift", "episode": 0}
+    records = [
+        {"associator": "own", "setting": f"drift/{k}", **about, **promised([sure], [right[0]])} for k in range(2)
+    ] + [{"associator": "jcbb", "setting": "drift/0", **about, **silent}]
+    (table,) = promise_tables(records)
+    assert list(table.rows) == ["drift", "drift/0", "drift/1"] and "own" in table.title
 
 
 def test_who_says_nothing_has_no_table():

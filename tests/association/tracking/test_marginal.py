@@ -1,5 +1,6 @@
 """What is decided by marginals, and what is told of it."""
 
+import dataclasses
 import itertools
 import math
 
@@ -82,6 +83,17 @@ def test_experience_goes_with_the_run_and_is_nobody_elses():
     assert fresh.step(odometry, scan, "marginal").prediction.experience is None
 
 
+def test_a_wrong_pairing_with_a_provisional_feature_may_cost_less():
+    prediction = Prediction.from_gaussian([[0.0, 0.0], [1.0, 0.0]], 0.05 * np.eye(4))
+    scan = Scan.from_points([[0.4, 0.0]], sigma=0.05)
+    p = marginals(scan, prediction).pairings[0]
+    assert 0.6 < p[0] < 0.9  # worth it at a cost of 1, not at 10
+    for provisional, price, expected in ((True, 1.0, 0), (True, 10.0, UNPAIRED), (False, 1.0, UNPAIRED)):
+        told = dataclasses.replace(prediction, provisional=np.array([provisional, False]))
+        assert marginal(scan, told, provisional_cost=price).features.tolist() == [expected]
+        assert marginal(scan, told).features.tolist() == [UNPAIRED]
+
+
 def test_a_measurement_between_two_features_is_refused():
     """JCBB takes the nearer one."""
     prediction = Prediction.from_gaussian([[0.0, 0.0], [1.0, 0.0]], 0.1 * np.eye(4))
@@ -117,6 +129,7 @@ def test_of_two_features_at_one_place_none_is_paired():
     [
         {"cost": 0.9},
         {"cost": math.inf},
+        {"provisional_cost": 0.9},
         {"detection": 1.0},
         {"detection": math.nan},
         {"density": 0.0},

@@ -1,0 +1,61 @@
+"""The learned associator: `marginal` with learned log odds added to every pairing.
+
+The search, the joint density of the innovations and the decision by marginals stay what they are. A small network adds
+what that model does not know: whether sizes and kinds agree, how much else competes, how often a feature was seen, how
+much of the scan is strange. Its weights ship (`slam_gym.weights`); `python -m agents.reproduce associator` trains them.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam_gym.association.learned.inputs import INPUTS, VERSION, inputs_of
+from slam_gym.association.learned.network import Network, log_odds, network_of, shapes_for
+from slam_gym.association.tracking.marginal import marginal
+from slam_gym.association.tree import Tree
+from slam_gym.types import Array, Hypothesis, Prediction, Scan
+from slam_gym.weights import load
+
+WEIGHTS = "associator"
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedOdds:
+    """Log odds of the pairings of a tree, by a network."""
+
+    network: Network
+
+    def __call__(self, tree: Tree, visibility: Array | None) -> Array:
+        pairings = tree.pairings
+        return log_odds(self.network, inputs_of(tree, visibility), pairings.measured, pairings.slots)
+
+
+@functools.cache
+def learned_odds(weights: str | Path = WEIGHTS) -> LearnedOdds:
+    """The odds by weights that ship, or by a `.npz` of one's own. Raises ValueError as `slam_gym.weights.load`."""
+    found = load(weights, VERSION, INPUTS, shapes_for(len(INPUTS)))
+    return LearnedOdds(network_of({name: np.asarray(array) for name, array in found.arrays.items()}))
+
+
+def learned_associator(
+    scan: Scan,
+    prediction: Prediction,
+    *,
+    cost: float = 10.0,
+    provisional_cost: float = 3.0,
+    weights: str | Path = WEIGHTS,
+    width: int = 100,
+) -> Hypothesis:
+    """As `marginal`, which explains costs and `width`; with the log odds of `weights` besides.
+
+    The network knows that what was seen once may be clutter. Probabilities that say so are calibrated, but a robot that
+    went by them at full cost would never confirm what is new: hence the lower `provisional_cost`.
+
+    Raises ValueError as `marginal`, and as `slam_gym.weights.load` where there are no such weights.
+    """
+    least, odds = min(cost, provisional_cost), learned_odds(weights)
+    return marginal(scan, prediction, cost=cost, provisional_cost=least, width=width, learned=odds)

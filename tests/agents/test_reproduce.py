@@ -1,0 +1,34 @@
+"""The command that trains what ships from nothing."""
+
+import pytest
+
+from agents.reproduce import compared, figure, main
+from slam_gym import weights
+from slam_gym.association.learned.associator import learned_odds
+
+
+def test_the_associator_is_trained_from_nothing(tmp_path, capsys):
+    assert main(["associator", "--quick", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "seed 1: cross-entropy" in said and "wrote" in said
+    shipped = weights.card_of("associator")
+    found = weights.load(tmp_path / "associator.npz", shipped.version, shipped.inputs, shipped.shapes)
+    metrics = found.card.metrics
+    ours, model = (metrics[f"cross-entropy held out{of}"]["estimate"] for of in ("", ", the model alone"))
+    assert ours < model  # a few scans, and it is better than the model already
+    assert learned_odds(tmp_path / "associator.npz").network.first.shape[1] == len(shipped.inputs)
+
+
+def test_figures_are_held_against_the_card():
+    card = {"loss": figure([1.0, 1.1, 0.9])}
+    assert card["loss"]["low"] == pytest.approx(0.7) and card["loss"]["high"] == pytest.approx(1.3)
+    inside, outside, new = compared({"loss": {"estimate": 1.2}, "other": {"estimate": 3.0}}, card)[0], compared(
+        {"loss": {"estimate": 1.4}}, card
+    )[0], compared({"other": {"estimate": 3.0}}, card)[0]  # fmt: skip
+    assert "OUTSIDE" not in inside and "OUTSIDE" in outside and new == "other: 3"
+
+
+def test_the_recordings_have_to_be_there(monkeypatch, tmp_path):
+    monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
+    with pytest.raises(ValueError, match="SLAM_GYM_DATA is not set"):
+        main(["associator", "--out", str(tmp_path)])
