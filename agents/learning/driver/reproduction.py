@@ -37,6 +37,7 @@ class Plan:
     episodes: Sequence[int] = (500,)  # driven by information gain or the teacher; the second number on by the learner
     seeds: Sequence[int] = (0, 1, 2, 3, 4)  # the first three's networks ship
     size: Size = SIZE
+    prudence: float = 6.0  # added to what greed counts: the teacher can leave for later what it knows, others cannot
     training: Training = field(default_factory=Training)
     jobs: int = field(default_factory=joblib.cpu_count)
 
@@ -96,7 +97,8 @@ def trained(plan: Plan, rounds: Sequence[tuple[int, Examples]], command: str, sa
         "states": figure([float(len(train) + len(held_out))]),
     }
     card = Card(VERSION, TOKEN_FIELDS, {}, tuple(plan.scenarios), tuple(plan.seeds), command, metrics)
-    return Weights(card, stacked(shipped))
+    arrays = stacked(shipped)
+    return Weights(card, arrays | {"greed": arrays["greed"] + np.float32(plan.prudence)})
 
 
 def _figure(regrets_of_seeds: Sequence[Array]) -> dict[str, float]:
