@@ -2,7 +2,8 @@
 
 numba keys a cached function by its own file only, so editing a function that it calls in another file would bring the
 old result back. Here each module caches into a folder named by a hash of its source and of all modules of the package
-that it imports, directly or not. The folders lie in the user's cache directory, or in `NUMBA_CACHE_DIR` if that is set.
+that it imports, directly or not, and of what code is compiled by and for: numba, the interpreter, the processor. The
+folders lie in the user's cache directory, or in `NUMBA_CACHE_DIR` if that is set.
 """
 
 from __future__ import annotations
@@ -19,13 +20,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding
 import numba
 
 F = TypeVar("F", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(r"^\s*(?:from (slam_gym[\w.]*) import ([^\n(]*|\([^)]*\))|import (slam_gym[\w.]*))", re.MULTILINE)
-_STALE_AFTER = 14 * 24 * 3600  # [s] folders of other versions are removed when untouched for so long
+_TARGET = f"{numba.__version__} {sys.implementation.cache_tag} {llvmlite.binding.get_host_cpu_name()}"
+_STALE_AFTER = 3 * 24 * 3600  # [s] folders of other versions are removed when untouched for so long
 
 
 @functools.cache
@@ -60,7 +63,7 @@ def cache_folder() -> Path:
 @functools.cache
 def _folder(path: Path) -> Path | None:
     """Cache folder of a module, made if need be; None where it cannot be written (then nothing is cached)."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(_TARGET.encode())
     for source in sorted(_closure(path)):
         digest.update(source.read_bytes())
     folder = cache_folder() / digest.hexdigest()[:20]
@@ -89,7 +92,8 @@ def announce_compilation(modules: Iterable[ModuleType]) -> bool:
     due = any(folder is None or not any(folder.rglob("*.nbi")) for folder in folders)
     if due:
         kept = "at every start: the cache folder is not writable" if None in folders else "once, then cached"
-        print(f"slam_gym: compiling its inner loops, up to half a minute ({kept}) …", file=sys.stderr, flush=True)
+        long = "half a minute, or two if the machine is busy"
+        print(f"slam_gym: compiling its inner loops, {long} ({kept}) …", file=sys.stderr, flush=True)
     _forget_old_versions()
     return due and None not in folders
 

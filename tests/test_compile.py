@@ -24,6 +24,20 @@ def test_an_empty_cache_is_announced_once(tmp_path) -> None:
     assert announced.count("compiling") == 1 and "once, then cached" in announced
 
 
+def test_what_another_interpreter_has_compiled_is_no_use_to_this_one(tmp_path) -> None:
+    fill = (
+        "from slam_gym import _compile\n"
+        "for module in COMPILED:\n"
+        "    (_compile._folder(_compile.Path(module.__file__)) / 'kernel.nbi').touch()\n"
+    )
+    ask, other = "print(announce_compilation(COMPILED))", "import sys; sys.implementation.cache_tag = 'other-1'\n"
+    run(fill, NUMBA_CACHE_DIR=str(tmp_path))
+    assert run(ask, NUMBA_CACHE_DIR=str(tmp_path))[0] == "False\n"
+    command = [sys.executable, "-c", other + PRELUDE + ask]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
+    assert subprocess.run(command, capture_output=True, text=True, env=environment, check=True).stdout == "True\n"
+
+
 def test_without_compilation_an_episode_is_the_same_but_for_rounding():
     """`NUMBA_DISABLE_JIT=1` is how to step through the inner loops in a debugger."""
     script = (

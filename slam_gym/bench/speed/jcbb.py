@@ -16,13 +16,13 @@ filling of the dense matrix (`whole`). It answers an easier question: each pairi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from slam_gym.association import jcbb
+from slam_gym.association import ASSOCIATORS, jcbb
 from slam_gym.association.compatibility import Candidates, chi2_gate, individual
 from slam_gym.bench.records import Record, column, means, medians
 from slam_gym.bench.report import Report
@@ -37,9 +37,10 @@ from slam_gym.bench.speed.loop_closure import (
     closure_scan,
     mapped_field,
 )
-from slam_gym.bench.timing import fastest
+from slam_gym.bench.timing import THREAD, fastest
 from slam_gym.types import Array, IntArray
 
+CEILING = "true_association"
 _FORBIDDEN = 1e6  # price of an incompatible pairing
 
 
@@ -97,6 +98,26 @@ def summary(problems: Iterable[ClosureScan]) -> Record:
     return row | {"JCBB / whole": row["JCBB"] / row["whole"]}
 
 
+def beside_jcbb(scans: Sequence[ClosureScan], repeats: int = 5) -> list[Record]:
+    """Processor time [µs] of every associator, and how many times JCBB's it is, each on the same scans."""
+    times = {
+        name: np.array([fastest(search, one.scan, one.prediction, repeats=repeats, clock=THREAD) for one in scans])
+        for name, search in ASSOCIATORS.items()
+        if name != CEILING
+    }
+    ratios = {name: taken / times["jcbb"] for name, taken in times.items()}
+    return [
+        {
+            "search": name,
+            "median": float(np.median(taken)),
+            "× JCBB": float(np.median(ratios[name])),
+            "of all together": float(taken.sum() / times["jcbb"].sum()),
+            "at worst": float(ratios[name].max()),
+        }
+        for name, taken in sorted(times.items(), key=lambda item: float(np.median(item[1])))
+    ]
+
+
 def run(
     report: Report,
     *,
@@ -126,4 +147,9 @@ def run(
     field = mapped_field(30, rng)
     tracked = summary(closure_scan(field, 12, TRACKED, rng) for _ in range(problems))
     rows.append({"workload": "tracking", "n": 30, "m": 12, **tracked})
+    large = mapped_field(max(features), rng)
+    for workload, sigma in (("tracking", TRACKED), ("loop closure", CARRIED)):
+        drawn = [closure_scan(large, m, sigma, rng) for _ in range(min(problems, 30))]
+        title = f"Every associator, {workload}, {m} × {max(features)} [µs]"
+        report.table(title, beside_jcbb(drawn), f"jcbb_{workload[:4]}")
     report.table("JCBB beside linear assignment (compact, dense, whole) [µs]", rows, "jcbb")
