@@ -43,7 +43,6 @@ class AtlasSpec:
     loops: LoopSpec | None = field(default_factory=LoopSpec)  # None: they are not looked for
     ambiguous: float = 0.5  # other features expected in the gate of an old one from which it is left to the loops
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
-    drifted: float = 0.1  # [rad] σ of the heading from which being lost is no surprise, and no reason for another map
     rejoin: int = 5  # [scans] from one attempt to recognise a map before to the next
 
     def __post_init__(self) -> None:
@@ -51,8 +50,6 @@ class AtlasSpec:
             raise ValueError(f"AtlasSpec.ambiguous: {self.ambiguous} is no number > 0")
         if self.patience is not None and self.patience < 0:
             raise ValueError(f"AtlasSpec.patience: {self.patience} is negative")
-        if not self.drifted > 0.0:
-            raise ValueError(f"AtlasSpec.drifted: {self.drifted} is no angle > 0")
         if self.rejoin < 1:
             raise ValueError(f"AtlasSpec.rejoin: {self.rejoin} is less than 1")
 
@@ -161,18 +158,11 @@ class AtlasSlam(RelocatingSlam):
         before = [(later.get(kept, kept), gone) for kept, gone in self._fused.tolist()]
         self._fused = np.array(before + ids.tolist(), np.int64).reshape(-1, 2)
 
-    def _learn_nothing(self, prediction: Prediction, scan: Scan, doubted: Hypothesis) -> SlamStep:
-        """The step of a scan that is not believed: once there were too many, another map begins with it.
-
-        A robot that knows how far it has drifted may see what it does not expect: it has a place in its map, a poor
-        one, and goes on from there, so that a loop can still say better.
-        """
+    def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
+        """The step of a scan that is not believed: once there were too many, another map begins with it."""
         patience = self.atlas.patience
         if patience is None or not self.lost or self._lost_for < patience:
-            return super()._learn_nothing(prediction, scan, doubted)
-        if self.map.pose_covariance[2, 2] > self.atlas.drifted**2:
-            self.tracker.forget()
-            return self._learn(scan, prediction, doubted)
+            return super()._learn_nothing(prediction, scan)
         removed = self._begin()
         nothing = Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
         step = super(RelocatingSlam, self).asking_step(_STILL, scan)

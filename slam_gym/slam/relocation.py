@@ -86,7 +86,7 @@ class RelocatingSlam(Slam):
             return self._learn(scan, prediction, hypothesis)
         found = self.relocate(self, scan) if self.lost else None
         if found is None:
-            return self._learn_nothing(prediction, scan, hypothesis)
+            return self._learn_nothing(prediction, scan)
         return self._go_on_from(found, scan)
 
     def _renumber(self, became: IntArray) -> None:
@@ -104,8 +104,8 @@ class RelocatingSlam(Slam):
         next(step)
         return send(step, hypothesis)
 
-    def _learn_nothing(self, prediction: Prediction, scan: Scan, _doubted: Hypothesis) -> SlamStep:
-        """The step of a scan whose hypothesis is not believed: the map stays as the odometry left it."""
+    def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
+        """The step of a scan that is not believed: the map stays as the odometry left it."""
         m, none = len(scan), np.empty(0, np.int64)
         self.map.end_of_step()
         hypothesis = Hypothesis(np.full(m, UNPAIRED), 0.0, 0, Effort())

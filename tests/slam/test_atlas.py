@@ -149,20 +149,6 @@ def test_without_patience_there_is_one_map_only() -> None:
     assert slam.lost and slam.maps == (slam.map,)
 
 
-@pytest.mark.parametrize(("sigma", "maps"), [(0.02, 2), (0.5, 1)])
-def test_a_robot_that_knows_how_far_it_has_drifted_starts_no_second_map_and_goes_on_in_its_own(sigma, maps) -> None:
-    """Carried away with a heading that it holds to be known, or to be poor: nothing else differs."""
-    log, slam = loop_drive(0, 160, 100, 0.014), AtlasSlam(SPEC, nobody, view_from)
-    for k, (odometry, scan, _) in enumerate(log.steps):
-        if k == 100:
-            slam.map.place(slam.map.pose, np.diag([0.01, 0.01, sigma**2]))
-        slam.step(odometry, scan)
-        if len(slam.maps) > 1:
-            break
-    assert len(slam.maps) == maps
-    assert slam.map.last_seen.max() >= 105  # it learns again
-
-
 def test_a_map_too_small_to_be_recognised_is_dropped() -> None:
     log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(LoopSpec(min_pairs=100), patience=0)
     slam = AtlasSlam(SPEC, nobody, view_from, spec)
@@ -177,7 +163,7 @@ def test_slam_of_makes_what_its_arguments_say() -> None:
         slam_of(SPEC, atlas=AtlasSpec())
 
 
-@pytest.mark.parametrize("wrong", [{"ambiguous": 0.0}, {"patience": -1}, {"rejoin": 0}, {"drifted": 0.0}])
+@pytest.mark.parametrize("wrong", [{"ambiguous": 0.0}, {"patience": -1}, {"rejoin": 0}])
 def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         AtlasSpec(**wrong)  # type: ignore[arg-type]
