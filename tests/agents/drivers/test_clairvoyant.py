@@ -38,9 +38,22 @@ def test_values_promise_no_more_than_there_is_and_nothing_once_all_is_mapped():
 class Curious(NearestFrontier):
     """Would like to be shown the truth as well."""
 
+    shown = None
+
     def behold(self, episode):
-        raise AssertionError("the truth was shown to a driver that is not the clairvoyant one")
+        self.shown = episode
+
+
+class Heir(Clairvoyant):
+    shown = None
+
+    def behold(self, episode):
+        self.shown = episode
 
 
 def test_nobody_else_is_shown_the_truth():
-    begin_episode(SMALL.make("goal"), Curious(), 0)
+    env, curious, heir = SMALL.make("goal"), Curious(), Heir()
+    begin_episode(env, curious, 0)
+    assert curious.shown is None
+    begin_episode(env, heir, 0)
+    assert heir.shown is env.unwrapped.episode

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.bench.runner import main
-from slam_gym.bench.speed.sight import DOOR, PLACES, ROOM, floor, interior_poses, sight_calls
+from slam_gym.bench.speed.sight import BEAMS, DOOR, PLACES, ROOM, floor, interior_poses, sight_calls
 
 
 @pytest.mark.parametrize(("rows", "columns", "segments"), [(5, 5, 100), (25, 50, 5000)])
@@ -28,8 +28,11 @@ def test_places_are_in_rooms_with_neighbours_all_around_and_away_from_walls():
 def test_everything_seen_is_seen_from_every_place():
     rng = np.random.default_rng(0)
     calls = sight_calls(floor(4, 4), interior_poses(4, 4, rng), rng)
-    for call in calls.values():
-        call(0), call(PLACES + 3)
+    for name in (f"{BEAMS} beams", "features in range"):
+        np.testing.assert_array_equal(calls[name](3), calls[name](PLACES + 3))
+    assert calls["features in range"](3).any()
+    scan, _ = calls["Sensor.scan"](PLACES + 3)
+    assert len(scan) > 0 and calls["Sensor.beams"](PLACES + 3).ranges.min() > 0.0
 
 
 def test_the_command_has_both_floors_and_a_tick(monkeypatch, capsys):
