@@ -58,17 +58,6 @@ def inverse(a: Array) -> Array:
 
 
 @compiled
-def inverse_jacobian(a: Array) -> Array:
-    """∂(⊖a)/∂a, (3, 3)."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    j = np.zeros((3, 3))
-    j[0, 0], j[0, 1], j[0, 2] = -c, -s, s * a[0] - c * a[1]
-    j[1, 0], j[1, 1], j[1, 2] = s, -c, c * a[0] + s * a[1]
-    j[2, 2] = -1.0
-    return j
-
-
-@compiled
 def relative(a: Array, b: Array) -> Array:
     """⊖a ⊕ b: pose b seen from pose a, both given in one frame."""
     return compose(inverse(a), b)
@@ -86,17 +75,6 @@ def transform(pose: Array, points: Array) -> Array:
 
 
 @compiled
-def transform_jacobians(pose: Array, point: Array) -> tuple[Array, Array]:
-    """∂(pose ⊕ point)/∂pose (2, 3) and /∂point (2, 2)."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    jp, jx = np.zeros((2, 3)), np.empty((2, 2))
-    jp[0, 0], jp[0, 2] = 1.0, -s * point[0] - c * point[1]
-    jp[1, 1], jp[1, 2] = 1.0, c * point[0] - s * point[1]
-    jx[0, 0], jx[0, 1], jx[1, 0], jx[1, 1] = c, -s, s, c
-    return jp, jx
-
-
-@compiled
 def observe(pose: Array, points: Array) -> Array:
     """⊖pose ⊕ points: points (m, 2) of the outer frame as seen from `pose`, (m, 2)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -106,18 +84,6 @@ def observe(pose: Array, points: Array) -> Array:
         out[i, 0] = c * dx + s * dy
         out[i, 1] = -s * dx + c * dy
     return out
-
-
-@compiled
-def observe_jacobians(pose: Array, point: Array) -> tuple[Array, Array]:
-    """∂(⊖pose ⊕ point)/∂pose (2, 3) and /∂point (2, 2): the H of a point feature."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy = point[0] - pose[0], point[1] - pose[1]
-    jp, jx = np.empty((2, 3)), np.empty((2, 2))
-    jp[0, 0], jp[0, 1], jp[0, 2] = -c, -s, -s * dx + c * dy
-    jp[1, 0], jp[1, 1], jp[1, 2] = s, -c, -c * dx - s * dy
-    jx[0, 0], jx[0, 1], jx[1, 0], jx[1, 1] = c, s, -s, c
-    return jp, jx
 
 
 @compiled

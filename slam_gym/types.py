@@ -238,10 +238,6 @@ class Prediction:
                 chosen[name] = getattr(self, name)[kept]
         return replace(self, **chosen, joint=_ChosenRows(self.joint, kept), local=local)
 
-    def without_locality(self) -> Prediction:
-        """The same, with all features local to all."""
-        return replace(self, near=np.ones(len(self), np.bool_), local=None)
-
     @classmethod
     def from_gaussian(
         cls,

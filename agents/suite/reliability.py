@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -23,9 +23,6 @@ COLUMNS = (
 _PROMISE = ("promised", "kept")
 PROMISE_COLUMNS = (Column("promised", "probability", 3), Column("kept", "right", 3))
 _CEILING = "mean probability of the best hypothesis of a scan, and how often it is right"
-
-Bins = Mapping[str, Sequence[float]]
-"""By bin: `decisions`, the sum of what was `predicted` for them, and how many were `right`."""
 
 
 def binned(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> dict[str, list[float]]:

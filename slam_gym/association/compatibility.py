@@ -134,14 +134,6 @@ def individual(
     return Candidates(measurements, *gated[2:])
 
 
-def has_compatible(
-    scan: Scan, prediction: Prediction, confidence: float | None = None, *, measurements: IntArray | None = None
-) -> BoolArray:
-    """Which of `measurements` (default: all) have an individually compatible feature at all, (l,)."""
-    starts = individual(scan, prediction, confidence, measurements=measurements).starts
-    return np.greater(starts[1:], starts[:-1])
-
-
 def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> JointDistance:
     """D²_H of the hypothesis that pairs measurement i with row rows[i] (m,), or UNPAIRED.
 

@@ -28,8 +28,6 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntAr
 
 _NO_COVARIANCE = np.empty((0, 0))
 _NO_LOCALITY = np.empty((0, 0), np.bool_)
-_NO_PATH = np.empty(0, np.int64)
-
 
 PairingArrays = tuple[IntArray, IntArray, Array, Array, Array, BoolArray, int]
 """The fields of `Pairings`, as kernels that are called from Python take them: a plain tuple is unpacked faster."""

@@ -48,7 +48,6 @@ class ExploredGrid:
         touched = np.empty(shape[0] * shape[1], dtype=np.int32)
         self._layers: grid.PackedLayers = (self._cells, evidence, self._blocks, sweeps, hits, crossings, touched)
         self._sweep = 0  # number of the last one
-        self._free_cells = 0
 
     @property
     def cells(self) -> Cells:
@@ -65,11 +64,6 @@ class ExploredGrid:
         """What `grid.draw_egocentric` draws: blocks of cells, themselves, their origin and the side of a cell."""
         return self._blocks, self.origin, self.resolution
 
-    @property
-    def explored_area(self) -> float:
-        """Area known to be free [m²]."""
-        return self._free_cells * self.resolution**2
-
     def integrate(self, pose: Array, beams: Beams, movable: bool = False) -> None:
         """Enter one sweep of the range finder, taken at the estimated `pose` (3,) in B.
 
@@ -78,7 +72,7 @@ class ExploredGrid:
         Raises ValueError for a pose that is not finite.
         """
         self._sweep += 1
-        self._free_cells += grid.integrate(
+        grid.integrate(
             self._layers, self._sweep, movable, self.origin, self.resolution, pose, beams.bearings, beams.ranges,
             beams.max_range,
         )  # fmt: skip
@@ -90,7 +84,7 @@ class ExploredGrid:
         changes what a cell was seen to be, its class follows from all movable sweeps that it is in, in whatever order.
         """
         first, self._sweep = self._sweep + 1, self._sweep + 2 * len(before)
-        self._free_cells += redrawing.redraw(
+        redrawing.redraw(
             self._layers, first, self.origin, self.resolution, (before, after, beams.ranges), beams.bearings,
             beams.max_range,
         )  # fmt: skip

@@ -119,8 +119,8 @@ def trace(
 
 
 @compiled
-def reclassify(layers: Layers, cell: int, after: int) -> int:
-    """Give the cell of that flat index another class; returns the change in the number of free cells."""
+def reclassify(layers: Layers, cell: int, after: int) -> None:
+    """Give the cell of that flat index another class."""
     w = layers.cells.shape[1]
     row, column = cell // w, cell % w
     before = layers.cells[row, column]
@@ -128,7 +128,6 @@ def reclassify(layers: Layers, cell: int, after: int) -> int:
     freed = int(after == FREE) - int(before == FREE)
     walled = int(after == WALL) - int(before == WALL)
     layers.blocks[row // BLOCK, column // BLOCK] += freed + 256 * walled
-    return freed
 
 
 @compiled
@@ -142,14 +141,14 @@ def integrate(
     bearings: Array,
     ranges: Array,
     max_range: float,
-) -> int:
-    """Enter one sweep of beams: see `ExploredGrid.integrate`. Returns the change in free cells.
+) -> None:
+    """Enter one sweep of beams: see `ExploredGrid.integrate`.
 
     A sweep that is `counted` can be told apart later in the cells that it is in.
     """
     if not math.isfinite(pose[0] + pose[1] + pose[2]):
         raise ValueError("pose: expected finite numbers")
-    layers, freed = Layers(*packed), 0
+    layers = Layers(*packed)
     cells, evidence, touched = layers.cells.ravel(), layers.evidence.ravel(), layers.touched
     hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
     echoes, end = trace(layers, sweep, origin, resolution, pose, bearings, ranges, max_range)
@@ -166,8 +165,7 @@ def integrate(
         evidence[cell] = weight
         after = FREE if weight < 0 else WALL
         if weight != 0 and cells[cell] != after:
-            freed += reclassify(layers, cell, after)
-    return freed
+            reclassify(layers, cell, after)
 
 
 @compiled

@@ -24,11 +24,11 @@ def redraw(
     moved: tuple[Array, Array, Array],
     bearings: Array,
     max_range: float,
-) -> int:
+) -> None:
     """Move sweeps: `moved` are their poses so far (k, 3), their new poses (k, 3), and their ranges (k, b).
 
     A pose that is NaN stands for a sweep that is not in the grid. The numbers of sweeps from `first_sweep` to
-    `first_sweep` + 2k − 1 are used up. Returns the change in free cells.
+    `first_sweep` + 2k − 1 are used up.
     """
     layers, (before, after, ranges) = Layers(*packed), moved
     size, sweep, changed, touched = layers.cells.size, first_sweep, 0, layers.touched
@@ -51,18 +51,17 @@ def redraw(
                     hits[cell] += change
                 else:
                     crossings[cell] += change
-    freed = 0
     for i in range(changed):
         cell = journal[i]
         if hits[cell] != old_hits[i] or crossings[cell] != old_crossings[i]:
-            freed += _made_anew(layers, cell, int(hits[cell]), int(crossings[cell]))
-    return freed
+            _made_anew(layers, cell, int(hits[cell]), int(crossings[cell]))
 
 
 @compiled
-def _made_anew(layers: Layers, cell: int, hits: int, crossings: int) -> int:
-    """Evidence and class of a cell from the sweeps in it alone; returns the change in the number of free cells."""
+def _made_anew(layers: Layers, cell: int, hits: int, crossings: int) -> None:
+    """Evidence and class of a cell from the sweeps in it alone."""
     weight = int(HIT) * hits + int(MISS) * crossings
     layers.evidence.ravel()[cell] = min(SATURATION, max(-SATURATION, weight))
     after = UNKNOWN if hits + crossings == 0 else (WALL if weight > 0 else FREE)
-    return reclassify(layers, cell, after) if layers.cells.ravel()[cell] != after else 0
+    if layers.cells.ravel()[cell] != after:
+        reclassify(layers, cell, after)

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from slam_gym.geometry import relative
 from slam_gym.scenarios import KidnappingSpec
 from slam_gym.types import Array
 
@@ -46,12 +45,6 @@ class Kidnapping:
             self.right, self.wrong = self.right + right, self.wrong + (not right)
         if self.happened is not None and self.recovered is None and right and not lost:
             self.recovered = tick
-
-
-def pose_is_right(estimate: Array, true: Array) -> bool:
-    """Whether two poses (3,) of one frame are the same, but for `POSITION` and `HEADING`."""
-    error = relative(true, estimate)
-    return is_right(math.hypot(error[0], error[1]), abs(float(error[2])))
 
 
 def is_right(distance: float, turn: float) -> bool:

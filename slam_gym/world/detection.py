@@ -175,16 +175,13 @@ def _sort(order: IntArray, count: int, keys: Array) -> None:
         order[j] = index
 
 
-class Finder(NamedTuple):
-    """A `BeamSpec` for compiled functions."""
-
-    reach: float  # [m]
-    sigma: float  # [m]
+Finder = tuple[float, float]
+"""Reach [m] and sigma [m] of a `BeamSpec`, for compiled functions."""
 
 
 @compiled
 def noisy_ranges(
-    walls: Packed, pose: Array, bearings: Array, finder: tuple[float, float], moving: Moving, noise: Array, out: Array
+    walls: Packed, pose: Array, bearings: Array, finder: Finder, moving: Moving, noise: Array, out: Array
 ) -> None:
     """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach], entered in `out`."""
     (reach, sigma), grid, x, y = finder, Grid(*walls), pose[0], pose[1]
@@ -241,7 +238,7 @@ def sensed(
     noise: tuple[Array, Array],
     settings: PackedSettings,
     bearings: Array,
-    finder: tuple[float, float],
+    finder: Finder,
     measured: PackedMeasured,
     ranges: Array,
 ) -> int:

@@ -51,17 +51,10 @@ PackedFigures = tuple[float, int, float, float, float, float, float, float, floa
 """`Figures` as a plain tuple."""
 
 
-class Push(NamedTuple):
-    """What the wheels do to the body during a substep."""
-
-    x: float  # [N] in W
-    y: float  # [N]
-    torque: float  # [N m]
-
-
 @compiled
 def push(packed: PackedFigures, forward: float, turn: float, state: Array, wheels: Array) -> tuple[float, float, float]:
-    """Push the robot towards the wheels' next speeds, as hard as their traction allows: `Push`.
+    """Push the robot towards the wheels' next speeds, as hard as their traction allows: force (x, y) [N] in W, torque
+    [N m].
 
     The push takes effect at the end of the substep, so it is aimed along the chord of the arc that the robot will drive
     in the next one. What it would make of the robot's motion, if nothing pushed back, is what the wheels do: their

@@ -17,6 +17,7 @@ from slam_gym.slam.slam import Slam
 from slam_gym.world.corridor import walk_round
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
+from tests.oracles import association as oracles
 from tests.rollouts import differences, explore, short
 
 INFO = ["look", "hidden", "score", "map_error", "action_mask", "truth"]
@@ -199,7 +200,7 @@ def test_map_error_is_paid_as_explore_pays_it():
         (nearest_neighbour, "individual"),
         (singles, "individual"),
         (jcbb, "individual"),
-        (lambda scan, prediction: jcbb(scan, prediction.without_locality()), "joint"),
+        (lambda scan, prediction: jcbb(scan, oracles.without_locality(prediction)), "joint"),
     ],
 )
 def test_classical_associators_reach_the_same_map_through_the_environment(associator, compatibility):

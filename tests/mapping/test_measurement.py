@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.geometry import observe_jacobians
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import FEJ, h, mapped, numerical
+from tests.oracles.geometry import observe_jacobians
 from tests.oracles.map import make_scan
 
 

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.geometry import observe, transform_jacobians
+from slam_gym.geometry import observe
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.types import Beams
+from tests.oracles.geometry import transform_jacobians
 
 BOUNDS = np.array([-6.0, -4.0, 7.0, 5.0])
 BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
@@ -26,7 +27,7 @@ def centres(virtual):
 
 
 def observed_by_hand(virtual, pose, covariance, beams, sigma):
-    """The covariances that `observe` should leave, cell by cell with the Jacobians of geometry."""
+    """The covariances that `observe` should leave, cell by cell with the Jacobians written out."""
     out = virtual.covariances.copy()
     half_gap = abs(beams.bearings[1] - beams.bearings[0]) / 2
     for index in np.ndindex(out.shape[:2]):

@@ -15,6 +15,11 @@ from scipy.stats import chi2
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Prediction, Scan
 
 
+def without_locality(prediction: Prediction) -> Prediction:
+    """The same, with all features local to all."""
+    return dataclasses.replace(prediction, near=np.ones(len(prediction), np.bool_), local=None)
+
+
 def problem(
     rng: np.random.Generator,
     m: int,

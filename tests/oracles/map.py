@@ -7,21 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym.geometry import (
-    compose,
-    compose_jacobians,
-    observe,
-    observe_jacobians,
-    transform,
-    transform_jacobians,
-    wrap_angle,
-)
+from slam_gym.geometry import compose, compose_jacobians, observe, transform, wrap_angle
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNPAIRED, Array, IntArray, Odometry, Scan
+from tests.oracles.geometry import observe_jacobians, transform_jacobians
 
 
 class TextbookMap:
-    """x and P in full; Jacobians from `geometry`; Joseph form. Known associations, no bookkeeping."""
+    """x and P in full; Jacobians from `oracles.geometry`; Joseph form. Known associations, no bookkeeping."""
 
     def __init__(self, pose: Array, pose_covariance: Array, first_estimate_jacobians: bool = False) -> None:
         self.x, self.P, self.fej = pose.copy(), pose_covariance.copy(), first_estimate_jacobians

@@ -1,6 +1,7 @@
 """A robot that is carried away: what is done to it, what it notices, and how it finds back."""
 
 import functools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,14 +9,19 @@ import pytest
 
 from slam_gym.association import gcbb
 from slam_gym.envs.explore import ExploreEnv
-from slam_gym.geometry import compose
+from slam_gym.geometry import compose, relative
 from slam_gym.scenarios import KidnappingSpec, Scenario
-from slam_gym.simulation.kidnapping import HEADING, POSITION, Kidnapping, pose_is_right
+from slam_gym.simulation.kidnapping import HEADING, POSITION, Kidnapping, is_right
 from slam_gym.slam.relocation import relocate_by
 from slam_gym.types import Array, Landmarks, Locality, Relocation, Scan
 from tests.rollouts import differences, explore, short
 
 BUDGET = 300
+
+
+def pose_is_right(estimate: Array, true: Array) -> bool:
+    x, y, turn = relative(true, estimate).tolist()
+    return is_right(math.hypot(x, y), abs(turn))
 
 
 def kidnapped(**settings) -> Scenario:

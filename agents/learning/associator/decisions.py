@@ -17,7 +17,6 @@ from slam_gym.types import UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Pre
 
 WIDTH, MARGIN = 150, 16.0  # of the search: wider than that which decides, for it is still to learn
 _MOST = 80  # hypotheses of a scan that are kept
-_EPS = 1e-12
 
 
 class Decisions(NamedTuple):

@@ -81,7 +81,7 @@ def test_with_locality_what_is_near_is_decided_first(seed):
         ranking = hypotheses(scan, prediction, ~near, first, related)
     check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking)
     apart = hypotheses(scan, prediction, np.ones(len(prediction), bool), [UNPAIRED] * len(scan), None)
-    check(map_hypothesis(scan, prediction.without_locality(), **MODEL, **WIDE), prediction, apart)
+    check(map_hypothesis(scan, oracles.without_locality(prediction), **MODEL, **WIDE), prediction, apart)
 
 
 def test_the_problems_above_are_hard_enough():

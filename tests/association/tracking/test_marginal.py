@@ -9,7 +9,7 @@ import pytest
 from scipy.special import logsumexp
 
 from slam_gym.association import jcbb, marginal
-from slam_gym.association.compatibility import has_compatible
+from slam_gym.association.compatibility import individual
 from slam_gym.association.tracking.marginals import marginals
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Odometry, Prediction, Scan
@@ -112,7 +112,8 @@ def test_what_is_new_is_told_from_the_others_although_the_gates_are_wide():
     scan = Scan.from_points(seen + np.array([0.5, 0.4]), sigma=0.02)
     answer = marginal(scan, prediction)
     assert answer.features.tolist() == [0, 1, 2, 3, UNPAIRED]
-    assert answer.new.tolist() == [False] * 4 + [True] and has_compatible(scan, prediction)[4]
+    assert answer.new.tolist() == [False] * 4 + [True]
+    assert (individual(scan, prediction).measured == 4).any()
 
 
 def test_of_two_features_at_one_place_none_is_paired():

@@ -19,7 +19,7 @@ def test_jcbb_with_locality(seed):
         oracles.jcbb(scan, prediction, confidence)[0],
     )
     oracles.check(
-        jcbb(scan, prediction.without_locality()),
+        jcbb(scan, oracles.without_locality(prediction)),
         scan,
         prediction,
         oracles.jcbb(scan, prediction, confidence, locality=False)[0],
@@ -33,4 +33,4 @@ def test_a_locality_that_holds_everything_changes_nothing(seed):
         prediction, near=np.ones(len(prediction), np.bool_), local=lambda rows: np.ones((len(rows),) * 2, bool)
     )
     answer = jcbb(scan, everything)
-    assert answer.features.tolist() == jcbb(scan, prediction.without_locality()).features.tolist()
+    assert answer.features.tolist() == jcbb(scan, oracles.without_locality(prediction)).features.tolist()
