@@ -54,8 +54,8 @@ class Clairvoyant:
         spec, rng = self._spec, np.random.default_rng(0)
         self._episode = episode
         self._views = views = TrueViews(episode.site, episode.scenario.sensor.range)
-        self._ticks = spec.overhead + views.ways.lengths[:, views.viewpoints] / spec.speed
-        self._legs = np.ascontiguousarray(views.ways.seen[:, views.viewpoints])
+        ticks = spec.overhead + views.ways.lengths[:, views.viewpoints] / spec.speed
+        self._between = ticks, np.ascontiguousarray(views.ways.seen[:, views.viewpoints])
         self._chance = np.exp(spec.noise * rng.standard_normal((spec.tours, len(views.viewpoints))))
 
     def act(self, observation: Observation, info: Info) -> int:
@@ -89,10 +89,8 @@ class Clairvoyant:
         if ticks >= left:
             return found * left / ticks
         early = spec.early * (left - ticks) / left
-        starts = spec.overhead + ways.lengths[:, cell] / spec.speed
-        first = np.ascontiguousarray(ways.seen[:, cell])
-        seen = known | way.seen[0, cell]
-        more = best_tour(starts, first, self._ticks, self._legs, left - ticks, seen, worth, self._chance, early)
+        start = spec.overhead + ways.lengths[:, cell] / spec.speed, np.ascontiguousarray(ways.seen[:, cell])
+        more = best_tour(start, self._between, left - ticks, known | way.seen[0, cell], worth, self._chance, early)
         return found * (1.0 + early) + more
 
     def _known(self) -> Bits:

@@ -31,48 +31,31 @@ def gained(seen: Bits, more: Bits, worth: Array) -> float:
     return total
 
 
+Legs = tuple[Array, Bits]
+"""How long ways take [ticks], to viewpoints (…, v), and what is seen on them, (…, v, w)."""
+
+
 @compiled
-def best_tour(
-    first: Array,
-    first_seen: Bits,
-    ticks: Array,
-    legs: Bits,
-    left: float,
-    seen: Bits,
-    worth: Array,
-    chance: Array,
-    early: float,
-) -> float:
+def best_tour(start: Legs, between: Legs, left: float, seen: Bits, worth: Array, chance: Array, early: float) -> float:
     """What the best of some tours through viewpoints brings: the `worth` (n,) of new features, each of which counts up
     to `early` more the earlier it is seen.
 
-    `first` (v,) [ticks] and `first_seen` (v, w) are the legs from the start, `ticks` (v, v) and `legs` (v, v, w) those
-    between viewpoints; `left` [ticks] is what is left, `seen` (w,) what is known. There are as many tours as rows of
-    `chance` (tours, v).
+    Legs lead from the `start` to each viewpoint, and `between` any two of them; `left` [ticks] is what is left, `seen`
+    (w,) what is known. There are as many tours as rows of `chance` (tours, v).
     """
     best = 0.0
     for tour in range(chance.shape[0]):
         power = 0.6 + 0.2 * (tour % 4)
-        brought = _tour(first, first_seen, ticks, legs, left, seen.copy(), worth, chance[tour], power, early)
-        best = max(best, brought)
+        best = max(best, _tour(start, between, left, seen.copy(), worth, chance[tour], power, early))
     return best
 
 
 @compiled
 def _tour(
-    first: Array,
-    first_seen: Bits,
-    ticks: Array,
-    legs: Bits,
-    left: float,
-    seen: Bits,
-    worth: Array,
-    chance: Array,
-    power: float,
-    early: float,
+    start: Legs, between: Legs, left: float, seen: Bits, worth: Array, chance: Array, power: float, early: float
 ) -> float:
     """A tour that goes on with the leg of the most gain / ticks^`power`, times the `chance` (v,) of its end."""
-    costs, views, rest, total = first, first_seen, left, 0.0
+    (costs, views), (ticks, legs), rest, total = start, between, left, 0.0
     while True:
         chosen, top, found = -1, 0.0, 0.0
         for v in range(len(chance)):

@@ -26,9 +26,6 @@ from slam_gym._compile import compiled, inlined
 from slam_gym.association.compatibility import Candidates, joint_gates, plain
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
 
-_NO_COVARIANCE = np.empty((0, 0))
-_NO_LOCALITY = np.empty((0, 0), np.bool_)
-
 PairingArrays = tuple[IntArray, IntArray, Array, Array, Array, BoolArray, int]
 """The fields of `Pairings`, as kernels that are called from Python take them: a plain tuple is unpacked faster."""
 
@@ -138,12 +135,12 @@ def interpretation_tree(
         rows, slots = np.concatenate((fixed, rows)), np.concatenate((np.arange(g), slots + g))
         measured = np.concatenate((paired, measured))
         innovations = np.concatenate((scan.points[paired] - prediction.positions[fixed], innovations))
-    related = _NO_LOCALITY
+    related = np.empty((0, 0), np.bool_)
     if local:
         if prediction.local is None:
             raise ValueError("local: the prediction has no locality")
         related = prediction.local(rows)
-    covariance = prediction.joint(rows) if len(rows) else _NO_COVARIANCE
+    covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
     pairings = Pairings(slots, measured, innovations, plain(scan.covariances), covariance, related, g)
     gates = joint_gates(g + len(candidates.measurements), prediction.confidence)
     return Tree(scan, prediction, candidates, given, rows, pairings, gates)

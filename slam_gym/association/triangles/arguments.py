@@ -12,7 +12,7 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.triangles.map import first_bad_feature
 from slam_gym.association.triangles.verify import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import UNKNOWN_KIND, Array, Effort, IntArray
+from slam_gym.types import UNKNOWN_KIND, Array, Effort, IntArray, Scan
 
 
 def check_features(positions: Array, covariances: Array) -> None:
@@ -42,6 +42,11 @@ def kinds_as_numbers(kinds: ArrayLike | None) -> Array | float:
     if kinds is None:
         return math.nan
     return np.where(np.equal(kinds, UNKNOWN_KIND), math.nan, kinds)
+
+
+def attributes_of(scan: Scan) -> Array:
+    """Size [m], its variance [m²] and kind (m, 3) of each measurement, NaN where unknown."""
+    return np.column_stack([scan.sizes, scan.size_variances, kinds_as_numbers(scan.kinds)])
 
 
 @functools.lru_cache(maxsize=1024)

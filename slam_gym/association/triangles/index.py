@@ -17,7 +17,14 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.acceptance import min_pairings as least_by_rule
 from slam_gym.association.relocation.acceptance import with_margin
 from slam_gym.association.relocation.location import locate
-from slam_gym.association.triangles.arguments import check_features, effort_of, kinds_as_numbers, pose_of, search_gates
+from slam_gym.association.triangles.arguments import (
+    attributes_of,
+    check_features,
+    effort_of,
+    kinds_as_numbers,
+    pose_of,
+    search_gates,
+)
 from slam_gym.association.triangles.map import (
     chance_tubes,
     crowding,
@@ -212,14 +219,8 @@ class FeatureIndex:
             if other is not None and len(other) != self.n:
                 raise ValueError(f"{name}: of {len(other)} features, the index of {self.n}")
         places = _NO_LOCALITY if locality is None else (locality.starts, locality.members)
-        attributes = np.empty((len(scan), 3))
-        attributes[:, 0], attributes[:, 1], attributes[:, 2] = (
-            scan.sizes,
-            scan.size_variances,
-            kinds_as_numbers(scan.kinds),
-        )
         pairings, features, fits, squares, spent = search(
-            (np.ascontiguousarray(scan.points), np.ascontiguousarray(scan.covariances), attributes),
+            (np.ascontiguousarray(scan.points), np.ascontiguousarray(scan.covariances), attributes_of(scan)),
             places,
             self._store(),
             search_gates(len(scan), confidence),
@@ -261,15 +262,9 @@ class FeatureIndex:
 
     def _store(self) -> StoreArrays:
         return (
-            self._positions,
-            self._details,
-            self._heads,
-            self._following,
-            self._cells,
-            self._pool,
-            self._bits,
+            self._positions, self._details, self._heads, self._following, self._cells, self._pool, self._bits,
             self._settings,
-        )
+        )  # fmt: skip
 
     def _make_room(self, features: int) -> None:
         """Twice the room, and tables anew, until so many features fit."""
@@ -314,16 +309,9 @@ class FeatureIndex:
             self._painted = self.n
         while True:
             enter_triangles(
-                self._cells,
-                self._pool,
-                self._heads,
-                self._following,
-                self._positions,
-                self._details,
-                self._settings,
-                self._progress,
-                self.n,
-            )
+                self._cells, self._pool, self._heads, self._following, self._positions, self._details, self._settings,
+                self._progress, self.n,
+            )  # fmt: skip
             if self._progress[0] == self.n:
                 return
             ready, triangles = max(int(self._progress[0]), 1), int(self._progress[2])

@@ -18,7 +18,7 @@ from slam_gym.association import true_association
 from slam_gym.association.compatibility import joint_distance
 from slam_gym.bench.records import Record
 from slam_gym.bench.report import Report
-from slam_gym.metrics.statistics import Interval
+from slam_gym.metrics.statistics import Interval, bootstrap_interval
 from slam_gym.scenarios import Scenario, get_scenario, world_generator
 from slam_gym.scenarios.drift import DRIFT
 from slam_gym.simulation.episode import Episode, survey
@@ -77,15 +77,17 @@ def _rows_of(count: int, measured: IntArray, rows: IntArray) -> IntArray:
     return out
 
 
-def ratio(sums: Array, resamples: int = 2000) -> Interval:
+def ratio(sums: Array) -> Interval:
     """Ratio of the sums of two columns (r, 2), with its 95 % bootstrap interval over the r episodes."""
     if not sums[:, 1].sum() > 0.0:
         return Interval(np.nan, np.nan, np.nan)
-    drawn = np.random.default_rng(0).integers(len(sums), size=(resamples, len(sums)))
-    totals = sums[drawn].sum(axis=1)
-    ratios = totals[:, 0] / np.maximum(totals[:, 1], 1e-300)
-    low, high = np.percentile(ratios, [2.5, 97.5])
-    return Interval(float(sums[:, 0].sum() / sums[:, 1].sum()), float(low), float(high))
+
+    def of(episodes: Array) -> Array:
+        totals = sums[episodes.astype(np.int64)].sum(axis=-2)
+        ratios: Array = totals[..., 0] / np.maximum(totals[..., 1], 1e-300)
+        return ratios
+
+    return bootstrap_interval(np.arange(len(sums)), np.random.default_rng(0), statistic=of, resamples=2000)
 
 
 def row(level: int, found: list[Innovations]) -> Record:

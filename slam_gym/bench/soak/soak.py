@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym.bench.memory import resident
 from slam_gym.bench.records import Record, grouped
 from slam_gym.bench.report import Report
 from slam_gym.bench.runner import FailedError
@@ -63,17 +64,8 @@ def soak(number: int, seed: int, ticks: int) -> Outcome:
         broken = f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
     steps, done = (checked.steps, checked.ticks) if checked else (0, 0)
     seconds, checked = time.perf_counter() - start, None  # what is held is asked for when the episode is gone
-    return Outcome(chosen, steps, done, copied, seconds, broken, resident())
-
-
-def resident() -> float:
-    """[MB] of memory that this process holds; NaN where the system does not tell."""
     gc.collect()
-    statm = Path("/proc/self/statm")
-    if not statm.exists():
-        return math.nan
-    pages = int(statm.read_text(encoding="ascii").split()[1])
-    return pages * 4096 / 1e6
+    return Outcome(chosen, steps, done, copied, seconds, broken, resident())
 
 
 def growth(megabytes: Sequence[float]) -> float:

@@ -8,15 +8,14 @@ BLAS on a matrix as large as the covariance is timed, which is the least that su
 
 from __future__ import annotations
 
-import os
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
 from scipy.spatial import cKDTree
 
 from slam_gym.association import jcbb
+from slam_gym.bench.memory import resident
 from slam_gym.bench.records import Record, means, medians
 from slam_gym.bench.report import Report
 from slam_gym.bench.runner import UsageError
@@ -29,13 +28,6 @@ from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Scan
 
 _PRODUCTS = 3  # rank-2k products beside the steps: they take long where the map is large
-
-
-def resident() -> float:
-    """[MB] of memory that this process holds; NaN where the system does not tell."""
-    statm = Path("/proc/self/statm")
-    pages = int(statm.read_text().split()[1]) if statm.exists() else np.nan
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6 if statm.exists() else float(pages)
 
 
 def large_slam(features: int, rng: np.random.Generator) -> Slam:

@@ -32,7 +32,7 @@ def brute_force(ticks, legs, left, seen, worth):
 def tour(ticks, legs, left, seen, worth, chance, early=0.0):
     n = len(ticks) - 1
     inner = np.ascontiguousarray(ticks[:n, :n]), np.ascontiguousarray(legs[:n, :n])
-    return best_tour(ticks[n, :n].copy(), legs[n, :n].copy(), *inner, left, seen, worth, chance, early)
+    return best_tour((ticks[n, :n].copy(), legs[n, :n].copy()), inner, left, seen, worth, chance, early)
 
 
 def test_what_is_gained_is_what_the_new_features_are_worth():
