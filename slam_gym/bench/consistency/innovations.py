@@ -87,7 +87,7 @@ def ratio(sums: Array) -> Interval:
         ratios: Array = totals[..., 0] / np.maximum(totals[..., 1], 1e-300)
         return ratios
 
-    return bootstrap_interval(np.arange(len(sums)), np.random.default_rng(0), statistic=of, resamples=2000)
+    return bootstrap_interval(np.arange(float(len(sums))), np.random.default_rng(0), statistic=of, resamples=2000)
 
 
 def row(level: int, found: list[Innovations]) -> Record:
