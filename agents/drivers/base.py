@@ -74,7 +74,7 @@ def find_agent(name: str) -> Any:
         return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:
         if error.name is not None and not module.startswith(error.name):
-            raise ValueError(f"agent {name!r} needs {error.name}: pip install -e '.[agents]'") from error
+            raise ValueError(f"agent {name!r} needs {error.name}: pip install 'slam_gym[agents]'") from error
         raise ValueError(f"agent {name!r}: there is no module {module!r}") from error
     except AttributeError as error:
         raise ValueError(f"agent {name!r}: module {module!r} has no {attribute!r}") from error

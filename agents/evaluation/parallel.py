@@ -38,7 +38,7 @@ def connect(backend: str, jobs: int) -> None:
             remote = dask.config.get("scheduler-address", None)
             Client() if remote else Client(n_workers=jobs, threads_per_worker=1)
     except ImportError as error:
-        raise ImportError(f"--backend {backend} needs {error.name}: pip install -e '.[cluster]'") from error
+        raise ImportError(f"--backend {backend} needs {error.name}: pip install 'slam_gym[cluster]'") from error
 
 
 def run_all(calls: Sequence[Callable[[], Result]], jobs: int, backend: str = "loky") -> Iterator[Result]:

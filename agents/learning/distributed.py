@@ -178,6 +178,6 @@ def connect() -> None:
     try:
         import ray
     except ImportError as error:
-        raise ImportError("--backend ray needs ray: pip install -e '.[cluster]'") from error
+        raise ImportError("--backend ray needs ray: pip install 'slam_gym[cluster]'") from error
     if not ray.is_initialized():
         ray.init(include_dashboard=False, log_to_driver=False)

@@ -87,7 +87,7 @@ def one_thread(report: Report) -> AbstractContextManager[object]:
     try:
         from threadpoolctl import threadpool_limits
     except ImportError:
-        report.say("BLAS may use several threads: threadpoolctl is not installed (pip install slam_gym[bench])")
+        report.say("BLAS may use several threads: threadpoolctl is not installed (pip install 'slam_gym[bench]')")
         return nullcontext()
     limited: AbstractContextManager[object] = threadpool_limits(1)
     return limited

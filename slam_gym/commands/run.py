@@ -69,6 +69,8 @@ def usage() -> str:
 def _run(name: str, argv: list[str]) -> int:
     """Run a command that is known."""
     _find_agents()
+    if "" not in sys.path:
+        sys.path.append("")  # as `python -m` has it: "mymodule:MyDriver" is looked for where the command is given
 
     def command() -> int:
         code: int = importlib.import_module(COMMANDS[name].module).main(argv)

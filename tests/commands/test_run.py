@@ -72,6 +72,15 @@ def test_a_fault_of_the_package_keeps_its_traceback():
         run.ended(command)
 
 
+def test_a_module_of_ones_own_is_found_where_the_command_is_given(tmp_path):
+    """By the script that pip puts on the path, which leaves the current folder out of Python's."""
+    (tmp_path / "mine.py").write_text("class Still:\n    name, action = 'still', 'twist'\n")
+    script = "import sys; sys.path.pop(0); from slam_gym.commands.run import main; sys.exit(main(sys.argv[1:]))"
+    line = "evaluate --agents mine:Still yours:Still"
+    done = subprocess.run([sys.executable, "-c", script, *line.split()], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.strip() == "error: agent 'yours:Still': there is no module 'yours'"
+
+
 def test_it_runs_in_a_folder_without_agents(tmp_path):
     line = "evaluate --agents random --scenario office-small --set budget=20 --episodes 1 --no-films --jobs 1 --out out"
     command = [sys.executable, "-m", "slam_gym", *line.split()]

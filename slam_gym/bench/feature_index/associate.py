@@ -111,7 +111,7 @@ def run(report: Report, *, quick: bool = False, seed: int = 0) -> None:
     """
     w, rng, peers = QUICK if quick else FULL, np.random.default_rng(seed), installed()
     for name in PEERS.keys() - peers:
-        report.say(f"{name}: not installed: pip install slam_gym[bench]")
+        report.say(f"{name}: not installed: pip install 'slam_gym[bench]'")
     FeatureIndex(point_map(100, rng).landmarks)  # compiles, or loads what was compiled
     report.table("Building, and growing one by one", [growth(n, rng) for n in w.sizes], "associate_growth")
     title = "Relocation; right and wrong count accepted answers only"
