@@ -39,8 +39,7 @@ def write_report(folder: Path) -> Path:
 
 def main(argv: list[str]) -> int:
     p = argparse.ArgumentParser(prog=program("agents.report"), description="Make the report of an evaluation again.")
-    p.add_argument("folder", type=Path, metavar="DIR", help="what python -m agents.evaluate or "
-                   "agents.evaluate_association wrote into")  # fmt: skip
+    p.add_argument("folder", type=Path, metavar="DIR", help="that an evaluation wrote into")
     print(write_report(p.parse_args(argv).folder))
     return 0
 

@@ -18,7 +18,7 @@ from agents.evaluation.headline import headline, subject
 from agents.evaluation.pipeline import ASSOCIATORS as KIND
 from agents.evaluation.pipeline import Evaluation, Results
 from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Rows, Table, by_name, by_setting, estimates
+from agents.evaluation.tables import Column, Rows, Table, by_name, by_setting, counted, estimates
 from slam_gym.association import ASSOCIATORS, resolve_associator
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import Associator, Hypothesis, Prediction, Scan
@@ -205,7 +205,7 @@ def scenario_tables(results: Results) -> list[Table]:
     floor = f" on {Path(conditions['floor_plan']).name}" if conditions.get("floor_plan") else ""
     return [
         Table(
-            f"{setting}{floor}, {episodes} episodes, driven by {conditions['driver']}",
+            f"{setting}{floor}, {counted(episodes, 'episode')}, driven by {conditions['driver']}",
             "associator",
             columns_for(own),
             rows(own),

@@ -18,7 +18,7 @@ from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_ep
 from agents.evaluation.headline import LOST
 from agents.evaluation.pipeline import DRIVERS, Evaluation, Results
 from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Rows, Table, by_name, display_name, estimates
+from agents.evaluation.tables import Column, Rows, Table, by_name, counted, display_name, estimates
 
 COLUMNS = (
     Column("map_error", "map error", 3, "lower"),
@@ -121,7 +121,7 @@ def rows(records: Sequence[Record]) -> Rows:
 def tables(results: Results) -> list[Table]:
     """The table, of the agents in the order in which they were asked for."""
     world = results.content["conditions"]["floor_plan"] or results.content["conditions"]["scenario"]
-    title = f"{world}, {results.content['asked']['episodes']} episodes"
+    title = f"{world}, {counted(results.content['asked']['episodes'], 'episode')}"
     table = Table(title, "agent", COLUMNS, rows(results.records))
     if Clairvoyant.name not in table.rows:
         return [table]

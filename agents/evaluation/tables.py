@@ -25,6 +25,11 @@ Rows = dict[str, dict[str, Value]]
 """Name of an agent or associator → key of a column → value."""
 
 
+def counted(count: int, what: str) -> str:
+    """Such as `1 episode`, or `30 episodes`."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a table."""

@@ -10,7 +10,7 @@ from agents.evaluation.drivers import kidnappings, tables
 from agents.evaluation.headline import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import Record
-from agents.evaluation.tables import Column, Table, by_name, difference, display_name
+from agents.evaluation.tables import Column, Table, by_name, counted, difference, display_name
 from agents.reports.figures import Panel, curve_chart, dot_chart
 from agents.reports.film import film_path
 from agents.reports.page import Report, card, heading, image, label, note, table
@@ -43,7 +43,7 @@ def report(results: Results, folder: Path) -> Report:
     world = Path(conditions["floor_plan"]).name if conditions["floor_plan"] else conditions["scenario"]
     subtitle = (
         f"slam_gym/Explore-v0, associator {conditions['associator'] or 'of the scenario'}, "
-        f"{results.content['asked']['episodes']} episodes "
+        f"{counted(results.content['asked']['episodes'], 'episode')} "
         f"per agent on the same {conditions['split']} worlds and seeds"
     )
     return Report(f"Exploring {world}", subtitle, sections)

@@ -62,8 +62,10 @@ def main(argv: Sequence[str]) -> int:
     """Run the benchmark named first with the remaining arguments; 2 and the list of names where there is none such."""
     if not argv or argv[0] not in BENCHMARKS:
         lines = "\n".join(f"  {name:20s}{benchmark.about}" for name, benchmark in BENCHMARKS.items())
-        print(f"usage: python -m slam_gym.bench NAME [options]   (NAME --help lists them)\n{lines}", file=sys.stderr)
-        return 0 if argv and argv[0] in ("-h", "--help") else 2
+        asked = bool(argv) and argv[0] in ("-h", "--help")
+        usage = f"usage: {_program()} NAME [options]   (NAME --help lists them)\n{lines}"
+        print(usage, file=sys.stdout if asked else sys.stderr)
+        return 0 if asked else 2
     variants = (option for option in argv[1:] if f"{argv[0]} {option}" in BENCHMARKS)
     name = " ".join([argv[0], *variants][:2])
     module = importlib.import_module(f"slam_gym.bench.{BENCHMARKS[name].module}")
@@ -82,6 +84,11 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
+def _program() -> str:
+    """How the runner was called."""
+    return "slam-gym bench" if Path(sys.argv[0]).stem == "slam-gym" else "python -m slam_gym.bench"
+
+
 def one_thread(report: Report) -> AbstractContextManager[object]:
     """Keeps BLAS to one thread: on two, small products take 10 to 100 times as long."""
     try:
@@ -96,7 +103,7 @@ def one_thread(report: Report) -> AbstractContextManager[object]:
 def parser_for(run: Callable[..., None], name: str, about: str) -> argparse.ArgumentParser:
     """Of the keyword arguments of `run`, and --out."""
     style = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(f"python -m slam_gym.bench {name}", description=about, formatter_class=style)
+    parser = argparse.ArgumentParser(f"{_program()} {name}", description=about, formatter_class=style)
     helps = dict(re.findall(r"^\s+(\w+): (.+)$", run.__doc__ or "", re.MULTILINE))
     hints = get_type_hints(run)
     for option, parameter in list(inspect.signature(run).parameters.items())[1:]:
@@ -124,10 +131,7 @@ def data_folder(given: Path | None) -> Path | None:
 def provenance(argv: Sequence[str]) -> str:
     """The command, the versions and the machine that figures come from, in one line."""
     versions = ", ".join(f"{name} {_version(name)}" for name in ("slam_gym", "numpy", "scipy", "numba"))
-    return (
-        f"python -m slam_gym.bench {' '.join(argv)}   "
-        f"({versions}, Python {platform.python_version()}, {platform.machine()})"
-    )
+    return f"{_program()} {' '.join(argv)}   ({versions}, Python {platform.python_version()}, {platform.machine()})"
 
 
 def _version(package: str) -> str:

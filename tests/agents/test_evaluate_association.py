@@ -90,4 +90,4 @@ def test_associators_are_compared_on_a_floor_plan(tmp_path, capsys):
     assert main([*line, "--set", "budget=30", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert results["conditions"]["floor_plan"] == str(plan) and list(results["table"]) == ["building"]
-    assert "building on two.json, 1 episodes" in capsys.readouterr().out
+    assert "building on two.json, 1 episode, driven" in capsys.readouterr().out
