@@ -23,6 +23,7 @@ BUILDINGS: tuple[Scenario, ...] = (
         budget=3_000,
         sensor=SensorSpec(range=20.0),  # 9 features in sight on real floors, more than 20 in one scan of thirty
         beams=BeamSpec(count=90, range=20.0),
+        wall_compass=True,  # where a hall shows no feature, its walls still say where the robot is heading
     ),
     Scenario(
         "short-sighted",  # the robot of `office` in the same rooms: blind in their middle: who drives matters

@@ -49,6 +49,7 @@ class Scenario:
     associator: str = "jcbb"  # who associates unless another is asked for
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
     grid_resolution: float = 0.2  # [m] of the explored grid
+    wall_compass: bool = False  # straight walls in view correct what the wheels report
     kidnapping: KidnappingSpec | None = None
 
     def __post_init__(self) -> None:

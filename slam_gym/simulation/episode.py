@@ -20,6 +20,7 @@ from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView
+from slam_gym.navigation.wall_lines import WallCompass
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.appraisal import appraise_map, appraise_pose
 from slam_gym.simulation.goals import Tried
@@ -112,6 +113,7 @@ class Episode:
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         self._explored, self._cells = self.grid.explored, self.grid.cells  # go on with the grid
         self._sweeps = MovableSweeps(self.grid)
+        self._compass = WallCompass(scenario.beams.sigma) if scenario.wall_compass else None
         sensor = scenario.sensor
         self._field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
@@ -156,6 +158,8 @@ class Episode:
         world, rng = self.world, self.rng
         senses = self.sensor.sense(motion, world.pose, rng, world.people, world.furniture_segments)
         self.odometry, self.scan, self.truth, self.beams = senses
+        if self._compass is not None:
+            self.odometry = self._compass.corrected(self.odometry, self.beams)
 
     def _take_in(self, step: SlamStep) -> None:
         """What follows a SLAM step: explored space, and the judgement of it all."""
