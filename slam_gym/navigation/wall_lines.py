@@ -27,10 +27,11 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array, Beams, Odometry
 
 _FEWEST = 6  # echoes on a line
-_GATE = 4.0  # (2 σ)² by which an echo may miss the line of those before it: a corner taken along turns a wall
+_GATE = 9.0  # (3 σ)² by which an echo may miss the line of those before it
 _PAIRED = 9.21  # χ²₂ of .99: lines that differ by more are not one
 _NEAREST = 0.3  # [m] of echoes that count
-_ROUGHNESS = 0.015  # [m] σ of a wall about its line, across it …
+_ROUGHNESS = 0.01  # [m] σ of a wall about its line, across it …
+_BENT, _SHIFTED = 0.0015**2, 0.01**2  # [rad²], [m²] of any line: a recess that beams graze bends it
 _GRAZING = 1e-3  # … and at most by 1 / √ of this more along a beam
 
 
@@ -68,6 +69,8 @@ def _lines(bearings: Array, ranges: Array, max_range: float, variance: float) ->
             out[count, 2] = turn_x * (C[0] * turn_x + C[1] * turn_y) + turn_y * (C[1] * turn_x + C[2] * turn_y)
             out[count, 3] = turn_x * (C[0] * away_x + C[1] * away_y) + turn_y * (C[1] * away_x + C[2] * away_y)
             out[count, 4] = away_x * (C[0] * away_x + C[1] * away_y) + away_y * (C[1] * away_x + C[2] * away_y)
+            out[count, 2] += _BENT
+            out[count, 4] += _SHIFTED
             count, b = count + 1, end
         else:
             b += 1
