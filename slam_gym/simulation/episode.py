@@ -20,7 +20,7 @@ from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView
-from slam_gym.navigation.wall_lines import WallCompass
+from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.appraisal import appraise_map, appraise_pose
 from slam_gym.simulation.goals import Tried

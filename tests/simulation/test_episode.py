@@ -124,6 +124,16 @@ def test_an_episode_is_over_when_its_budget_is_spent() -> None:
     assert episode.over and episode.kidnapping.happened is None
 
 
+def test_straight_walls_correct_the_wheels_where_the_scenario_says_so() -> None:
+    wheels, walls = (drive(start(short(25, "hall", wall_compass=on)), 25) for on in (False, True))
+    np.testing.assert_array_equal(wheels.poses, walls.poses)  # the same world, driven the same way
+    heading = [
+        np.array([relative(wheels.poses[-2], wheels.poses[-1])[2], e.odometry.motion[2]]) for e in (wheels, walls)
+    ]
+    assert walls.odometry.covariance[2, 2] < 0.5 * wheels.odometry.covariance[2, 2]
+    assert abs(np.diff(heading[1])) < 4.0 * np.sqrt(walls.odometry.covariance[2, 2])
+
+
 def test_estimates_are_in_the_base_and_landmarks_in_the_world() -> None:
     episode = drive(start(), 30)
     estimate = compose(episode.base, episode.estimates[-1])
