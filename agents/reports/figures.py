@@ -76,8 +76,8 @@ def _dots_with_interval(axis: Axes, row: int, found: Sample, colour: str, rng: n
     if not np.isfinite(found.values).any():
         return
     middle = found.estimate
-    axis.scatter(found.values, row + jitter, s=9, color=colour, alpha=0.35, linewidths=0)
-    axis.plot([middle.low, middle.high], [row, row], color=colour, linewidth=6, alpha=0.9, solid_capstyle="round")
+    axis.scatter(found.values, row + jitter, s=16, color=colour, alpha=0.5, linewidths=0)
+    axis.plot([middle.low, middle.high], [row, row], color=colour, linewidth=3, solid_capstyle="round")
     axis.plot(middle.estimate, row, "o", color="white", markeredgecolor=colour, markersize=4.5, zorder=4)
 
 
@@ -87,6 +87,7 @@ def _scale(axis: Axes, panel: Panel, values: Array) -> None:
     axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     if panel.scale == "percent":
         axis.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+        axis.set_xlim(right=min(axis.get_xlim()[1], 1.02))
     elif panel.scale == "log" and np.isfinite(values).any():
         axis.set_xscale("log")
         decades = np.log10([np.nanmin(values), np.nanmax(values)])
