@@ -94,7 +94,7 @@ def check_command(command: list[str], complete: bool = True) -> None:
     match command:
         case ["python", "-m", "slam_gym.bench", *arguments]:
             check_benchmark(arguments)
-        case ["python", "-m", "venv", _]:
+        case ["python", "-m", "venv", _] | [".", _]:
             pass
         case ["python", "-m", name, *arguments]:
             module = importlib.import_module(name)
