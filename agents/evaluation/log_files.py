@@ -52,9 +52,8 @@ def write_mapped_log(folder: Path, log: Recording, associator: str, mapped: Mapp
 def read_columns(path: Path) -> dict[str, Array]:
     """Columns of a CSV file written by `write_mapped_log`, by name."""
     with path.open(encoding="utf-8", newline="") as file:
-        names = next(csv.reader(file))
-    table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2).reshape(-1, len(names))
-    return dict(zip(names, table.T))
+        names, *rows = csv.reader(file)
+    return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T))
 
 
 def _write_columns(path: Path, names: Iterable[str], columns: Iterable[Array]) -> None:

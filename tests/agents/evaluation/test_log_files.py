@@ -32,6 +32,12 @@ def test_files_hold_the_run(out) -> None:
     assert math.sqrt((errors["error"] ** 2).mean()) == pytest.approx(table["ate"], rel=1e-6)
 
 
+def test_a_log_without_a_reference_has_no_errors_and_nobody_is_warned(tmp_path, recwarn) -> None:
+    (tmp_path / "errors.csv").write_text(",".join(ERROR_FIELDS) + "\n", encoding="utf-8")
+    assert [len(column) for column in read_columns(tmp_path / "errors.csv").values()] == [0] * len(ERROR_FIELDS)
+    assert not recwarn
+
+
 def test_evo_reads_the_trajectories_and_finds_the_same_error(out) -> None:
     pytest.importorskip("evo")
     from evo.core import metrics, sync
