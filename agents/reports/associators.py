@@ -10,7 +10,7 @@ from agents.evaluation.associators import scenario_tables
 from agents.evaluation.headline import headline
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import Record
-from agents.evaluation.tables import Column, Table, by_name, by_setting, difference, display_name
+from agents.evaluation.tables import Column, Table, by_name, by_setting, counted, difference, display_name
 from agents.reports.figures import Panel, dot_chart
 from agents.reports.page import Report, card, heading, image, note, table
 
@@ -54,8 +54,9 @@ def report(results: Results, folder: Path) -> Report:
     searches = searches if isinstance(searches, list) else [searches]
     relocation = f", relocation {' and '.join(name or 'none' for name in searches)}" if searches else ""
     subtitle = (
-        f"slam_gym/Explore-v0, driven by {conditions['driver']}{relocation}: {results.content['asked']['episodes']} "
-        f"episodes a scenario, the same {conditions['split']} worlds and seeds for every associator"
+        f"slam_gym/Explore-v0, driven by {conditions['driver']}{relocation}: "
+        f"{counted(results.content['asked']['episodes'], 'episode')} a scenario, "
+        f"the same {conditions['split']} worlds and seeds for every associator"
     )
     return Report("Associators in the loop", subtitle, sections)
 

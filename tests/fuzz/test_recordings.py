@@ -1,5 +1,6 @@
 """Logs from strangers: each is read, or refused by an error that names it."""
 
+import faulthandler
 import gzip
 import hashlib
 import io
@@ -94,6 +95,7 @@ def _forked(command, timeout, **_) -> subprocess.CompletedProcess[bytes]:
     if child == 0:
         code = 1
         try:
+            faulthandler.disable()  # some end in a fault, which is what the process is for
             sys.stderr = os.fdopen(writing, "w")
             code = matlab_child.main(*command[3:])
             sys.stderr.flush()
