@@ -8,20 +8,18 @@ of what lies among them is paired, and how well sizes agree. It answers with log
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from slam_gym.association.learned.network import Network, log_odds, network_of, shapes_for
+from slam_gym.association.learned.network import load_network, log_odds
 from slam_gym.association.relocation.acceptance import crowding_of, expected_by_chance, extent
 from slam_gym.association.relocation.acceptance import min_pairings as by_rule
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.geometry import observe
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
-from slam_gym.weights import load
 
 WEIGHTS = "acceptance"
 VERSION = 1
@@ -63,24 +61,17 @@ def learned_relocation(
     With p the probability that the pose is right, and a wrong one that costs `cost` right ones, it is where
     p > cost / (cost + 1). `min_pairings` of the answer says which: as many as there are, or one more. Ties are never
     accepted. `node_limit` is that of the search, and a tenth of it that of the search for the mirror image. Raises
-    ValueError as `gcbb`, for a cost that is not positive, and as `slam_gym.weights.load`.
+    ValueError as `gcbb`, for a cost that is not positive, and as `load_network`.
     """
     if not 0.0 < cost < math.inf:
         raise ValueError(f"cost: {cost} is not positive and finite")
-    network = acceptance_network(weights)
+    network = load_network(weights, VERSION, INPUTS)
     found = gcbb(scan, landmarks, locality, confidence=confidence, min_pairings=_FEWEST, node_limit=node_limit)
     if not found.accepted or found.effort.limit_hit:
         return replace(found, min_pairings=max(found.pairings + 1, _FEWEST))
     about = inputs_of(scan, landmarks, found, of_mirror_image(scan, landmarks, locality, confidence, node_limit // 10))
     believed = log_odds(network, about[None], _ALONE, _ALONE)[0] > math.log(cost)
     return replace(found, min_pairings=found.pairings if believed else found.pairings + 1)
-
-
-@functools.cache
-def acceptance_network(weights: str | Path = WEIGHTS) -> Network:
-    """The network by weights that ship, or by a `.npz` of one's own. Raises ValueError as `slam_gym.weights.load`."""
-    found = load(weights, VERSION, INPUTS, shapes_for(len(INPUTS)))
-    return network_of({name: np.asarray(array) for name, array in found.arrays.items()})
 
 
 def of_mirror_image(

@@ -7,18 +7,14 @@ much of the scan is strange. Its weights ship (`slam_gym.weights`); `python -m a
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from slam_gym.association.learned.inputs import INPUTS, VERSION, inputs_of
-from slam_gym.association.learned.network import Network, log_odds, network_of, shapes_for
+from slam_gym.association.learned.network import Network, load_network, log_odds
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tree import Tree
 from slam_gym.types import Array, Hypothesis, Prediction, Scan
-from slam_gym.weights import load
 
 WEIGHTS = "associator"
 
@@ -34,11 +30,9 @@ class LearnedOdds:
         return log_odds(self.network, inputs_of(tree, visibility), pairings.measured, pairings.slots)
 
 
-@functools.cache
 def learned_odds(weights: str | Path = WEIGHTS) -> LearnedOdds:
-    """The odds by weights that ship, or by a `.npz` of one's own. Raises ValueError as `slam_gym.weights.load`."""
-    found = load(weights, VERSION, INPUTS, shapes_for(len(INPUTS)))
-    return LearnedOdds(network_of({name: np.asarray(array) for name, array in found.arrays.items()}))
+    """The odds by weights that ship, or by a `.npz` of one's own. Raises ValueError as `load_network`."""
+    return LearnedOdds(load_network(weights, VERSION, INPUTS))
 
 
 def learned_associator(
@@ -55,7 +49,7 @@ def learned_associator(
     The network knows that what was seen once may be clutter. Probabilities that say so are calibrated, but a robot that
     went by them at full cost would never confirm what is new: hence the lower `provisional_cost`.
 
-    Raises ValueError as `marginal`, and as `slam_gym.weights.load` where there are no such weights.
+    Raises ValueError as `marginal`, and as `load_network` where there are no such weights.
     """
     least, odds = min(cost, provisional_cost), learned_odds(weights)
     return marginal(scan, prediction, cost=cost, provisional_cost=least, width=width, learned=odds)

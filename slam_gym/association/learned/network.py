@@ -12,12 +12,15 @@ from the centre nobody has trained: each such input halves the odds, so that the
 
 from __future__ import annotations
 
+import functools
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.types import Array, IntArray
+from slam_gym.weights import load
 
 FARTHEST = 2.5  # [scales] of an input from the centre; what lies beyond counts as so far, and halves the odds
 
@@ -34,6 +37,14 @@ class Network(NamedTuple):
     second: Array  # (h, 3h) B
     second_offset: Array  # (h,) b
     last: Array  # (h,) v
+
+
+@functools.cache
+def load_network(weights: str | Path, version: int, inputs: tuple[str, ...]) -> Network:
+    """The network by weights that ship, or by a `.npz` of one's own, for inputs of that version. Raises ValueError as
+    `slam_gym.weights.load`."""
+    found = load(weights, version, inputs, shapes_for(len(inputs)))
+    return network_of({name: np.asarray(array) for name, array in found.arrays.items()})
 
 
 def shapes_for(inputs: int) -> dict[str, tuple[int, ...]]:
