@@ -215,6 +215,7 @@ def _worth_searching(scan: Scan, looks: list[_Look], margin: float) -> tuple[lis
     most = max(density for _, density, _ in found)
     behind = [most - density - _DOUBT for _, density, _ in found]
     chosen = [k for k, (score, _, _) in enumerate(found) if score > best - margin and behind[k] < margin]
+    chosen = chosen or [int(np.argmin(behind))]  # a score knows no price of what is compatible with nothing
     return [found[k][2] for k in chosen], [margin - max(behind[k], 0.0) for k in chosen]
 
 

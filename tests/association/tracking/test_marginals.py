@@ -8,7 +8,8 @@ import pytest
 from scipy.special import gammaln, logsumexp
 
 from slam_gym.association.tracking.marginals import DETECTIONS, NOTHING_SEEN, marginals
-from slam_gym.types import UNPAIRED, Experience, Scan
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import UNPAIRED, Experience, Odometry, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
 from tests.oracles.densities import MODEL, RATES, WIDE, small_problem
@@ -117,3 +118,16 @@ def test_rates_are_learned_from_the_scans_of_a_run():
         known = marginals(scan, dataclasses.replace(prediction, experience=known)).experience
     assert known.unpaired / known.area == pytest.approx(0.3, rel=0.35)
     assert DETECTIONS[np.argmax(known.detections)] == 0.7
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_heading_in_which_nothing_is_compatible_does_not_rule_out_all_others(seed):
+    """To turn away from all features costs the search nothing, to pair them against the odds does."""
+    rng, map_ = np.random.default_rng(seed), StochasticMap()
+    distances, angles = rng.uniform(4.0, 6.0, 14), rng.uniform(-0.15, 0.15, 14)
+    places = np.column_stack([distances * np.cos(angles), distances * np.sin(angles)])
+    map_.add(Scan.from_points(places, sigma=0.1), np.arange(14))
+    map_.predict(Odometry.from_motion(np.zeros(3), [0.05, 0.02, 0.3]))
+    scan = Scan.from_points(places + rng.normal(0.0, 0.1, places.shape), sigma=0.1)
+    found = marginals(scan, map_.prediction(20.0), learned=lambda tree, _: np.full(len(tree.pairings.slots), -2.0))
+    assert found.pairings.sum() > 7.0
