@@ -32,7 +32,7 @@ _SCAN_TYPES = (_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _INTEGERS)
 
 
 @compiled
-def _first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
+def first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
     """The first measurement with a fault, and the number of that fault; (−1, 0) if all is fine."""
     for i in range(points.shape[0]):
         if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])):
@@ -53,6 +53,14 @@ def _first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]
 
 def check_scan(scan: Scan) -> None:
     """Raise ValueError naming the field and the first bad measurement of a scan."""
+    check_shapes(scan)
+    entry, fault = first_bad_measurement(scan.points, scan.covariances)
+    if fault:
+        raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
+
+
+def check_shapes(scan: Scan) -> None:
+    """Raise ValueError naming the first field of a scan that is no array of its type and shape."""
     parts = (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds)
     if tuple([getattr(part, "dtype", object) for part in parts]) != _SCAN_TYPES:  # None would equal float64
         _refuse_type(scan)
@@ -64,9 +72,6 @@ def check_scan(scan: Scan) -> None:
     if scan.sizes.shape != (m,) or scan.size_variances.shape != (m,) or scan.kinds.shape != (m,):
         shapes = f"{scan.sizes.shape}, {scan.size_variances.shape}, {scan.kinds.shape}"
         raise ValueError(f"Scan.sizes, Scan.size_variances, Scan.kinds: shapes {shapes}, expected ({m},)")
-    entry, fault = _first_bad_measurement(scan.points, scan.covariances)
-    if fault:
-        raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
 
 
 def _refuse_type(scan: Scan) -> None:

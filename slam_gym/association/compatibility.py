@@ -119,7 +119,7 @@ def individual(
     if measurements is None:
         measurements = np.arange(len(scan.points))
     gated = _Gated(
-        *_individual(
+        *gate_pairings(
             plain(scan.points),
             plain(scan.covariances),
             plain(prediction.positions),
@@ -139,21 +139,19 @@ def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> JointD
 
     Raises ValueError where S_H is not positive definite.
     """
-    chosen = _paired(rows)
+    chosen = paired_rows(rows)
     dof = 2 * len(chosen)
     if not dof:
         return JointDistance(0.0, 0)
     joint = prediction.joint(chosen)
-    squared = _joint_distance(
-        plain(scan.points), plain(scan.covariances), plain(prediction.positions), rows, plain(joint)
-    )
+    squared = distance_of(plain(scan.points), plain(scan.covariances), plain(prediction.positions), rows, plain(joint))
     if math.isnan(squared):
         raise ValueError(f"innovation covariance of the pairings {rows.tolist()} is not positive definite")
     return JointDistance(squared, dof)
 
 
 @compiled
-def _paired(rows: IntArray) -> IntArray:
+def paired_rows(rows: IntArray) -> IntArray:
     """The rows that are not UNPAIRED."""
     chosen, count = np.empty(len(rows), np.int64), 0
     for row in rows:
@@ -164,7 +162,7 @@ def _paired(rows: IntArray) -> IntArray:
 
 
 @compiled
-def _joint_distance(points: Array, noise: Array, positions: Array, rows: IntArray, joint: Array) -> float:
+def distance_of(points: Array, noise: Array, positions: Array, rows: IntArray, joint: Array) -> float:
     """νᵀ S⁻¹ ν = yᵀy with y = L⁻¹ν, S = L Lᵀ; NaN where S is not positive definite."""
     L, y, p = joint.copy(), np.empty(len(joint)), 0
     for i in range(len(rows)):
@@ -203,7 +201,7 @@ def _bad_measurement(points: Array, noise: Array) -> tuple[int, int]:
 
 
 @compiled
-def _individual(
+def gate_pairings(
     points: Array,
     noise: Array,
     positions: Array,

@@ -190,7 +190,7 @@ class LocalRows:
     features: IntArray  # (k,) node of each row
 
     def __call__(self, rows: IntArray) -> BoolArray:
-        return _among(self.neighbours, self.degrees, self.n, self.features[rows])
+        return among(self.neighbours, self.degrees, self.n, self.features[rows])
 
 
 @compiled
@@ -284,7 +284,7 @@ def mark_local(neighbours: IntArray, degrees: IntArray, n: int, features: IntArr
 
 
 @compiled
-def _among(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
+def among(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
     _require(features, 0, n)
     m = len(features)
     out = np.zeros((m, m), np.bool_)

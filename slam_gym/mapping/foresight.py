@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from slam_gym._compile import compiled
 from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.covisibility import mark_local
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.types import Array, BoolArray, IntArray
+
+Room = tuple[IntArray, Array, BoolArray, Array, Array, Array]
+"""Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
+covariances (n, 2, 2) and those with the heading (n, 2). The first k of each are filled in."""
+
+
+def room_for(n: int) -> Room:
+    """Room for what is known of n features."""
+    return (
+        np.empty((4, n), np.int64), np.empty((2, n)), np.empty(n, np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)),
+        np.empty((n, 2)),
+    )  # fmt: skip
 
 
 @compiled
@@ -22,7 +36,7 @@ def foresee(
     neighbours: IntArray,
     degrees: IntArray,
     recent: IntArray,
-    out: tuple[IntArray, Array, BoolArray, Array, Array, Array],
+    out: Room,
 ) -> int:
     """`ekf.predict` where the robot `moves`, then the k features in reach with what is known of them; −1: refused.
 
@@ -31,8 +45,7 @@ def foresee(
         motion, Q: odometry (3,) and its covariance (3, 3).
         neighbours, degrees: of the covisibility graph; empty: all features are near.
         recent: (r,) features that recent scans paired, or UNPAIRED.
-        out: rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
-            covariances (n, 2, 2) and those with the heading (n, 2). The first k of each are filled in.
+        out: is told the features.
     """
     x, at, P, counted, sized = arrays
     known, sizes, near, positions, covariances, across = out
@@ -48,3 +61,12 @@ def foresee(
         sizes[0, row], sizes[1, row] = sized[ekf.SIZES, j], sized[ekf.VARIANCES, j]
         near[row] = local[j]
     return k
+
+
+@compiled
+def keep_rows(out: Room, kept: IntArray) -> None:
+    """Move the rows `kept` (j,), ascending, to the front."""
+    known, sizes, near, positions, covariances, across = out
+    for row in range(len(kept)):
+        known[:, row], sizes[:, row], near[row] = known[:, kept[row]], sizes[:, kept[row]], near[kept[row]]
+        positions[row], covariances[row], across[row] = positions[kept[row]], covariances[kept[row]], across[kept[row]]

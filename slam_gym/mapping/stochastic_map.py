@@ -19,7 +19,7 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.mapping.foresight import foresee
+from slam_gym.mapping.foresight import Room, foresee, room_for
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded, read_only
 from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
 from slam_gym.types import (
@@ -246,35 +246,40 @@ class StochasticMap:
         motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
         if odometry is not None:
             self._estimate_changes()
-        n, neighbours, degrees = self.n, _NOBODY, _NONE
+        n, neighbours, degrees, room = self.n, _NOBODY, _NONE, room_for(self.n)
         if graph is not None:
             neighbours, _, degrees = graph.arrays
-        counted, sized, near = np.empty((4, n), np.int64), np.empty((2, n)), np.empty(n, np.bool_)
-        positions, covariances, across = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2))
         k = foresee(
             self.arrays, n, self.step, odometry is not None, motion, Q, float(reach), self.spec.second_order,
-            neighbours, degrees, recent, (counted, sized, near, positions, covariances, across),
+            neighbours, degrees, recent, room,
         )  # fmt: skip
         if k < 0:
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
-        features = counted[0, :k]
+        return self.foreseen(room, k, self._P.item(2, 2), graph, None if view_from is None else view_from(self.pose))
+
+    def foreseen(
+        self, room: Room, k: int, heading_variance: float, graph: CovisibilityGraph | None, view: View | None
+    ) -> Prediction:
+        """The prediction of the k features that `foresee` has entered in `room`."""
+        known, sized, near, positions, covariances, across = room
+        features, sightings = known[0, :k], known[3, :k]
         return Prediction(
             features,
             positions[:k],
             covariances[:k],
             sized[ekf.SIZES, :k],
             sized[ekf.VARIANCES, :k],
-            counted[1, :k],
-            counted[2, :k],
+            known[1, :k],
+            known[2, :k],
             near[:k],
-            self._P.item(2, 2),
+            heading_variance,
             across[:k],
             self.spec.confidence,
             self._joint_covariance(features),
             None if graph is None else graph.among_rows(features),
-            None if view_from is None else view_from(self.pose),
-            sightings=counted[3, :k],
-            provisional=np.less(counted[3, :k], self.spec.confirmations),
+            view,
+            sightings=sightings,
+            provisional=np.less(sightings, self.spec.confirmations),
         )
 
     def landmarks(self) -> Landmarks:
@@ -424,6 +429,10 @@ class StochasticMap:
     def next_id(self) -> int:
         """Of the next feature; all ids given so far are smaller."""
         return self._next_id
+
+    def moved(self) -> None:
+        """Take over that a compiled step has moved the robot."""
+        self._estimate_changes()
 
     def learned(self, created: int) -> None:
         """Take over what a compiled step has made of the arrays: so many features were added, or removed where < 0."""

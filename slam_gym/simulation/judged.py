@@ -22,6 +22,8 @@ class Steps(Protocol):
     @property
     def map(self) -> StochasticMap: ...
 
+    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = ...) -> SlamStep: ...
+
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep: ...
 
 
@@ -64,6 +66,8 @@ class JudgedSlam:
 
     def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
         """One SLAM step, judged. Raises as `Slam.step`."""
+        if not self._truth_told:
+            return self._judge(self.slam.step(odometry, scan, self._associate), truth)
         asking = self.slam.asking_step(odometry, scan)
         return self._judge(send(asking, self.associate(scan, next(asking), truth)), truth)
 

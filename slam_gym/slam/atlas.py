@@ -26,11 +26,13 @@ from slam_gym.mapping.map_joining import equate
 from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam import kernels
+from slam_gym.slam.kernels import Learned
 from slam_gym.slam.loops import NO_PAIRS, LoopSpec, find_loop, parts_of, recent_part
 from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
 from slam_gym.slam.relocation import Relocate, RelocatingSlam
-from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, ViewFrom, send
+from slam_gym.slam.slam import Slam, SlamSpec, ViewFrom
 from slam_gym.slam.twins import find_twins
+from slam_gym.slam.whole_step import Nature
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Odometry, Prediction, Scan, SlamStep
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
@@ -115,10 +117,17 @@ class AtlasSlam(RelocatingSlam):
         )
         return prediction if left == k else prediction.rows(kept[:left])
 
-    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
-        """The step of `RelocatingSlam`, then what the atlas makes of it. Raises as `Slam.step`."""
+    def _nature(self, reach: float) -> Nature:
+        """Old features that are ambiguous are not on offer."""
+        second_order, local, reach, ambiguous, *trust = super()._nature(reach)
+        return second_order, local, reach, ambiguous if self.atlas.loops is None else self.atlas.ambiguous, *trust
+
+    def _conclude(
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None
+    ) -> SlamStep:
+        """As `RelocatingSlam` does, then what the atlas makes of it."""
         self._fused = NO_PAIRS
-        step = yield from super().asking_step(odometry, scan)
+        step = super()._conclude(scan, prediction, hypothesis, learned)
         self._lost_for = self._lost_for + 1 if self.lost else 0
         if self.doubted:
             return step
@@ -165,9 +174,7 @@ class AtlasSlam(RelocatingSlam):
             return super()._learn_nothing(prediction, scan)
         removed = self._begin()
         nothing = Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
-        step = super(RelocatingSlam, self).asking_step(_STILL, scan)
-        next(step)
-        return replace(send(step, nothing), removed=removed)
+        return replace(self._learn(scan, self.predict_features(scan, _STILL), nothing), removed=removed)
 
     def _begin(self) -> IntArray:
         """Leave the current map for a new one; the ids that are left. A map too small to be recognised is dropped."""

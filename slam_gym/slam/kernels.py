@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +16,21 @@ from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray
 
 DONE, NARROW, REFUSED, SINGULAR, NOT_ADDED = range(5)  # what `learn` answers
 
-_Scan = tuple[Array, Array, Array, Array, IntArray]  # points, covariances, sizes, size variances, kinds
-_Settings = tuple[int, float, bool, float, int, int]
-# iterations; σ that settles them; right-invariant; χ² gate of a new feature; sightings that confirm; step before which
-# a feature must have been confirmed
+ScanArrays = tuple[Array, Array, Array, Array, IntArray]  # points, covariances, sizes, size variances, kinds
+GraphArrays = tuple[IntArray, IntArray, IntArray]  # neighbours, counts, degrees
+Settings = tuple[int, float, bool, float, int, int]
+"""Iterations; σ that settles them; right-invariant; χ² gate of a new feature; sightings that confirm; step before which
+a feature must have been confirmed."""
+
+
+class Learned(NamedTuple):
+    """What `learn` has made of a scan."""
+
+    ended: int  # DONE, NARROW, REFUSED, SINGULAR or NOT_ADDED
+    what: int  # there is to say about that
+    added: int  # features
+    ids: IntArray  # (m,) of the feature behind each measurement, or NO_ID
+    created: BoolArray  # (m,) which of them have begun
 
 
 @compiled
@@ -27,14 +39,14 @@ def learn(
     n: int,
     step: int,
     next_id: int,
-    graph: tuple[IntArray, IntArray, IntArray],
+    graph: GraphArrays,
     recent: IntArray,
-    scan: _Scan,
+    scan: ScanArrays,
     features: IntArray,
     told: bool,
     new: BoolArray,
     expected: tuple[Array, Array],
-    settings: _Settings,
+    settings: Settings,
     ids: IntArray,
 ) -> tuple[int, int, int]:
     """Update the map with the pairings of a scan, add features, and remember what was seen together.
@@ -96,7 +108,7 @@ def learn(
 def forget(
     arrays: MapArrays,
     n: int,
-    graph: tuple[IntArray, IntArray, IntArray],
+    graph: GraphArrays,
     confirmations: int,
     before: int,
     became: IntArray,

@@ -59,12 +59,17 @@ class Tracker:
         self._looks = 0 if least < self._least_cosine else self._looks + 1
         self._least_cosine = min(least, self._least_cosine)
 
+    def trust(self, blind: bool) -> tuple[float, bool]:
+        """The fraction of the measurements that must be paired so that nothing else needs to be asked; or, where nobody
+        tells what is in view, whether any pairing will do. No fraction is enough for a robot that is lost."""
+        return (math.inf, False) if self.lost else (max(_EXPLAINED, self.fraction), blind)
+
     def doubts(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
         """Whether the scan paired too little to be learned from; `established` (k,) rows of the prediction.
 
         Chance pairs some now and then, so once lost it takes twice the fraction, and twice the number, to be believed.
         """
-        if not self.lost and self._plainly_right(prediction, hypothesis, established):
+        if self._plainly_right(prediction, hypothesis, established):
             self.believe(hypothesis)
             return False
         known, last = set(prediction.features[established].tolist()), set(self._last_paired.tolist())
@@ -103,9 +108,9 @@ class Tracker:
 
         Where nobody tells what is in view, one pairing will do: the rest may be new ground.
         """
+        fraction, any_will_do = self.trust(blind=prediction.view is None)
         paired = _pairings_with(prediction.features, established, hypothesis.features)
-        enough = max(_EXPLAINED, self.fraction) * len(hypothesis.features)
-        return paired >= enough or (prediction.view is None and paired > 0)
+        return paired >= fraction * len(hypothesis.features) or (any_will_do and paired > 0)
 
     def _should_be_seen(self, prediction: Prediction) -> BoolArray:
         paired = np.isin(prediction.features, self._last_paired)

@@ -13,8 +13,10 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.slam.asked import locked
+from slam_gym.slam.kernels import Learned
 from slam_gym.slam.lost import EXPECTED, Tracker
-from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, ViewFrom, send
+from slam_gym.slam.slam import Slam, SlamSpec, ViewFrom
+from slam_gym.slam.whole_step import Nature
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -30,7 +32,7 @@ from slam_gym.types import (
     Scan,
     SlamStep,
 )
-from slam_gym.validation import check_hypothesis, check_scan
+from slam_gym.validation import check_hypothesis
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
@@ -75,13 +77,19 @@ class RelocatingSlam(Slam):
         """The last scan was not believed."""
         return self.tracker.doubted > 0
 
-    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
-        """The step of `Slam`, unless its scan is doubted. Raises as `Slam.step`."""
-        check_scan(scan)
-        prediction = self.predict_features(scan, odometry)
-        hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
+    def _nature(self, reach: float) -> Nature:
+        """A scan is learned from at once where it is plain that it shows what it should."""
+        return *super()._nature(reach)[:4], *self.tracker.trust(blind=self.view_from is None)
+
+    def _conclude(
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None
+    ) -> SlamStep:
+        """As `Slam` does, unless the scan is doubted."""
         if prediction.view is None:
             self.tracker.look(scan.points)
+        if learned is not None:
+            self.tracker.believe(hypothesis)
+            return self._remember(scan, prediction, hypothesis, learned)
         if not self.tracker.doubts(prediction, hypothesis, self.map.established(prediction.features)):
             return self._learn(scan, prediction, hypothesis)
         found = self.relocate(self, scan) if self.lost else None
@@ -100,9 +108,7 @@ class RelocatingSlam(Slam):
         self.map.place(found.pose, UNKNOWN_POSE)
         self.tracker.believe(hypothesis)
         self._relocations += 1
-        step = super().asking_step(_STILL, scan)
-        next(step)
-        return send(step, hypothesis)
+        return self._learn(scan, self.predict_features(scan, _STILL), hypothesis)
 
     def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
         """The step of a scan that is not believed: the map stays as the odometry left it."""

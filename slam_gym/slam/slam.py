@@ -15,7 +15,10 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement
 from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
+from slam_gym.slam.at_once import Attempt, attempt, form_of
+from slam_gym.slam.kernels import Learned, Settings
 from slam_gym.slam.looks import Looks
+from slam_gym.slam.whole_step import Nature
 from slam_gym.types import (
     UNPAIRED,
     Array,
@@ -98,7 +101,14 @@ class Slam:
         Raises ValueError, before anything is changed, for non-finite numbers, covariances that are none and an unknown
         associator; and for a hypothesis that does not fit scan and map, when only the motion has been predicted.
         """
-        return answered(self.asking_step(odometry, scan), scan, asked(associator))
+        associate = asked(associator)
+        taken = self._at_once(odometry, scan, associate)
+        if taken is None:
+            return answered(self.asking_step(odometry, scan), scan, associate)
+        prediction, hypothesis, learned = taken
+        if hypothesis is None:
+            hypothesis = associate(scan, prediction)
+        return self._conclude(scan, prediction, hypothesis, learned)
 
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
         """The step of Castellanos, Neira and Tardós (2006), whoever associates: see `AskingStep`. Raises as `step`.
@@ -112,17 +122,14 @@ class Slam:
         # associate
         hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
         # update, add, maintain
-        return self._learn(scan, prediction, hypothesis)
+        return self._conclude(scan, prediction, hypothesis)
 
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """What `scan` should show from the pose predicted by `odometry`, with the localities to search first."""
-        graph, reach = self.covisibility if self.spec.locality else None, self.spec.reach
         if self._looks is not None and odometry is not None:
             self._looks.move(odometry)
-        if reach is None:
-            reach = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
+        reach, graph = self._reach_for(scan), self.covisibility if self.spec.locality else None
         prediction = self.map.prediction(reach, graph, self._recent.ravel(), self.view_from, odometry)
-        self._farthest = reach
         return prediction if self._experience is None else replace(prediction, experience=self._experience)
 
     @property
@@ -155,6 +162,36 @@ class Slam:
         """None, as `lost`."""
         return 0
 
+    def _reach_for(self, scan: Scan) -> float:
+        """[m] within which features are predicted for a scan, from now on."""
+        if self.spec.reach is None:
+            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
+        return float(self.reach)
+
+    def _nature(self, reach: float) -> Nature:
+        """How `whole_step` is to be taken: here, every scan is learned from."""
+        return self.spec.map.second_order, self.spec.locality, reach, math.inf, 0.0, False
+
+    def _at_once(self, odometry: Odometry, scan: Scan, associate: Associator) -> Attempt | None:
+        """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""
+        form = form_of(associate, odometry, scan) if self._looks is None and self._experience is None else None
+        if form is None:
+            return None
+        m, graph, count = self.map, self.covisibility, len(scan.points)
+        m.make_room(count)
+        graph.make_room(count)
+        self._turn(count)
+        recent, nature = (self._recent, self._learned % len(self._recent)), self._nature(self._reach_for(scan))
+        return attempt(m, graph, recent, odometry, scan, form, nature, self._settings(), self.view_from)
+
+    def _conclude(
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None
+    ) -> SlamStep:
+        """What follows the associator's answer; `learned`, where `whole_step` has gone on already."""
+        if learned is None:
+            return self._learn(scan, prediction, hypothesis)
+        return self._remember(scan, prediction, hypothesis, learned)
+
     def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Update, add and maintain; what repeats earlier looks tells nothing (see `slam.looks`)."""
         if self._looks is None:
@@ -178,30 +215,35 @@ class Slam:
         recent, ids = self._turn(count), np.empty(count, np.int64)
         told = hypothesis.new is not None
         created = np.array(hypothesis.new) if told else np.empty(count, np.bool_)
-        ended, settings = kernels.NARROW, self._settings(prediction)
+        ended = kernels.NARROW
         while ended == kernels.NARROW:
             ended, what, added = kernels.learn(
                 m.arrays, m.n, m.step, m.next_id, graph.arrays, recent,
                 (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, told, created,
-                (prediction.positions, prediction.covariances), settings, ids,
+                (prediction.positions, prediction.covariances), self._settings(), ids,
             )  # fmt: skip
             if ended == kernels.NARROW:
                 graph.widen(what)
-        m.learned(added)
-        graph.learned(added)
+        return self._remember(scan, prediction, hypothesis, Learned(ended, what, added, ids, created))
+
+    def _remember(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned) -> SlamStep:
+        """What is kept beside the arrays follows what the compiled step has made of them."""
+        ended, what, added, ids, created = learned
+        self.map.learned(added)
+        self.covisibility.learned(added)
         if ended != kernels.DONE:
-            raise self._refusal(ended, what, scan, features)
+            raise self._refusal(ended, what, scan, hypothesis.features)
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
-        removed = self._forget(what, *settings[-2:]) if what else _NO_FEATURES
-        m.end_of_step()
+        removed = self._forget(what, *self._settings()[-2:]) if what else _NO_FEATURES
+        self.map.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed)
 
-    def _settings(self, prediction: Prediction) -> tuple[int, float, bool, float, int, int]:
+    def _settings(self) -> Settings:
         """What `kernels.learn` takes as its settings."""
         spec, given = self.spec.map, self.spec.new_confidence
-        gate = chi2_gate(2, prediction.confidence if given is None else given)
+        gate = chi2_gate(2, spec.confidence if given is None else given)
         before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
         return self._passes, float(spec.settled), self._invariant, gate, spec.confirmations, before
 

@@ -30,6 +30,7 @@ from slam_gym.association.tree import (
 )
 from slam_gym.types import UNPAIRED, Array, Effort, IntArray
 
+NODE_LIMIT = 100_000  # of a search, unless another is given
 _UNDECIDED = -1  # in place of a level
 
 
@@ -66,7 +67,7 @@ class _Stack(NamedTuple):
 
 
 def complete(
-    tree: Tree, node: Node | None = None, node_limit: int = 100_000, turning: Turning | None = None
+    tree: Tree, node: Node | None = None, node_limit: int = NODE_LIMIT, turning: Turning | None = None
 ) -> Completion:
     """The completion of `node` (default: the root) with most pairings, then least D²_H, every prefix being compatible.
 
@@ -80,7 +81,7 @@ def complete(
     """
     pairings, gates, rows = tree.pairings, tree.gates, np.full(len(tree.given), UNPAIRED)
     if node is None:
-        best = _Spent(*_search_from_root(pairings[:], gates, node_limit, turning, tree.rows, rows))
+        best = _Spent(*search_from_root(pairings[:], gates, node_limit, turning, tree.rows, rows))
     else:
         first = pairings.given + int(tree.candidates.starts[node.level])
         best = _search(pairings, node, first, gates, node_limit, turning, tree.rows, rows)
@@ -88,7 +89,7 @@ def complete(
 
 
 @compiled
-def _search_from_root(
+def search_from_root(
     arrays: PairingArrays, gates: Array, node_limit: int, turning: Turning | None, rows: IntArray, out: IntArray
 ) -> tuple[float, int, int, bool]:
     """The best below the root, entered in `out` (m,) as `rows` (u,) of its slots.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from slam_gym.association.tracking.branch_and_bound import complete
+from slam_gym.association.tracking.branch_and_bound import NODE_LIMIT, complete
 from slam_gym.association.tracking.near_first import Found, near_first
 from slam_gym.association.tree import Tree, as_hypothesis
 from slam_gym.types import Hypothesis, Prediction, Scan
 
 
-def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = 100_000) -> Hypothesis:
+def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) -> Hypothesis:
     """The jointly compatible hypothesis with most pairings, and of those the one with least D²_H.
 
     Where the prediction carries a locality, there are two searches: measurements are first offered the features near

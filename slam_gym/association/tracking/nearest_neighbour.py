@@ -17,7 +17,7 @@ def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     Raises ValueError as `individual` does.
     """
     candidates = individual(scan, prediction)
-    rows = _nearest(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
+    rows = nearest(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
     return _answer(scan, prediction, rows, candidates.tests)
 
 
@@ -27,12 +27,12 @@ def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
     Raises ValueError as `individual` does.
     """
     candidates = individual(scan, prediction)
-    rows = _mutual(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
+    rows = mutual(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
     return _answer(scan, prediction, rows, candidates.tests)
 
 
 @compiled
-def _nearest(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
+def nearest(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
     """(m,) row of the first candidate of each measurement."""
     out = np.full(m, UNPAIRED)
     for i in range(m):
@@ -42,7 +42,7 @@ def _nearest(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntAr
 
 
 @compiled
-def _mutual(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
+def mutual(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
     """(m,) row of the only candidate of each measurement, where that is nobody else's."""
     out, wanted = np.full(m, UNPAIRED), np.zeros(len(rows), np.int64)
     for slot in slots:
