@@ -28,7 +28,7 @@ from slam_gym.navigation.polyline import length_left, points_ahead
 from slam_gym.navigation.pursuit import follow
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.simulation import appraisal
-from slam_gym.slam import kernels, lost, slam
+from slam_gym.slam import kernels, lost, slam, whole_step
 from slam_gym.types import Array, Beams, Prediction, Scan
 from slam_gym.world import boxes, detection, driving, ray_casting, reachability, wall_grid
 
@@ -36,6 +36,7 @@ COMPILED = (
     geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, polyline,
     redrawing, linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
     ray_casting, reachability, update, visibility, wall_grid, foresight, appraisal, kernels, driving,
+    whole_step,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 

@@ -9,6 +9,7 @@ from slam_gym.association import true_association
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.slam.asked import asked
+from slam_gym.slam.at_once import is_known
 from slam_gym.slam.slam import AskingStep, send
 from slam_gym.types import Associator, Hypothesis, Odometry, Prediction, Scan, SlamStep, Truth
 
@@ -52,6 +53,7 @@ class JudgedSlam:
         self.identities = identities or Identities()
         self._truth_told = isinstance(associator, str) and associator == CEILING
         self._associate = asked(associator)
+        self._at_once = is_known(self._associate)
         self._informed = informed
 
     @property
@@ -66,7 +68,7 @@ class JudgedSlam:
 
     def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
         """One SLAM step, judged. Raises as `Slam.step`."""
-        if not self._truth_told:
+        if self._at_once:
             return self._judge(self.slam.step(odometry, scan, self._associate), truth)
         asking = self.slam.asking_step(odometry, scan)
         return self._judge(send(asking, self.associate(scan, next(asking), truth)), truth)

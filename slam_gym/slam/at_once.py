@@ -28,6 +28,11 @@ class Attempt(NamedTuple):
     learned: Learned | None  # None: the scan was not learned from yet
 
 
+def is_known(associate: Associator) -> bool:
+    """Whether steps with an associator may be taken at once."""
+    return any(associate is known for known, _ in _FORMS)
+
+
 def form_of(associate: Associator, odometry: Odometry, scan: Scan) -> int | None:
     """The number by which `whole_step` knows an associator; None: not at all, or not with arrays such as these.
 

@@ -1,0 +1,57 @@
+"""Which steps are taken at once, and how far they come; that they come to the same, `test_whole_step` tells."""
+
+import numpy as np
+import pytest
+
+from slam_gym.association import ASSOCIATORS, jcbb, nearest_neighbour, singles
+from slam_gym.slam.asked import asked
+from slam_gym.slam.at_once import form_of
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import Odometry, Scan
+
+STILL = Odometry(np.zeros(3), np.diag([1e-4, 1e-4, 1e-5]))
+HERE = Scan.from_points([[1.0, 0.0], [2.0, 1.0], [0.0, -3.0]], sigma=0.02)
+
+
+def test_three_associators_are_known_by_name_and_as_functions_and_no_stranger_is() -> None:
+    known = {name for name, associate in ASSOCIATORS.items() if form_of(associate, STILL, HERE) is not None}
+    assert known == {"jcbb", "nearest_neighbour", "singles"}
+    assert len({form_of(asked(name), STILL, HERE) for name in known}) == 3
+    assert form_of(lambda scan, prediction: jcbb(scan, prediction), STILL, HERE) is None
+
+
+def test_arrays_that_nothing_is_compiled_for_are_the_page_s_business() -> None:
+    """Read-only ones and strided ones."""
+    points = np.repeat(HERE.points, 2, axis=0)[::2]
+    locked = np.array(HERE.points)
+    locked.flags.writeable = False
+    for at in (points, locked):
+        scan = Scan(at, HERE.covariances, HERE.sizes, HERE.size_variances, HERE.kinds)
+        assert form_of(jcbb, STILL, scan) is None
+
+
+@pytest.mark.parametrize("associate", [jcbb, nearest_neighbour, singles])
+def test_what_is_refused_leaves_everything_as_it_was(associate) -> None:
+    slam = Slam(SlamSpec(reach=6.0))
+    slam.step(STILL, HERE, associate)
+    before, recent = slam.map.mean, slam.predict_features(HERE).near.copy()
+    flat = Scan.from_points(HERE.points, covariances=np.tile([[1.0, 2.0], [2.0, 1.0]], (3, 1, 1)))
+    with pytest.raises(ValueError, match="measurement 0: covariance is not PSD"):
+        slam.step(STILL, flat, associate)
+    with pytest.raises(ValueError, match="odometry: not finite"):
+        slam.step(Odometry(np.full(3, np.nan), STILL.covariance), HERE, associate)
+    with pytest.raises(ValueError, match=r"Scan\.sizes"):
+        slam.step(
+            STILL, Scan(HERE.points, HERE.covariances, HERE.sizes[:2], HERE.size_variances, HERE.kinds), associate
+        )
+    np.testing.assert_array_equal(slam.map.mean, before)
+    np.testing.assert_array_equal(slam.predict_features(HERE).near, recent)
+    assert slam.map.step == 1
+
+
+def test_the_prediction_of_a_step_that_has_learned_is_out_of_date() -> None:
+    slam = Slam()
+    step = [slam.step(STILL, HERE) for _ in range(2)][-1]
+    assert len(step.prediction) == 3
+    with pytest.raises(RuntimeError, match="changed"):
+        step.prediction.joint(np.arange(2))

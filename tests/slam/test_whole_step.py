@@ -1,0 +1,88 @@
+"""The step in one compiled call is the page's step: twins, one of which is asked by a stranger in the same words."""
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slam_gym.association import jcbb, nearest_neighbour, singles
+from slam_gym.mapping.map_state import state_of
+from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.slam.atlas import AtlasSlam, AtlasSpec
+from slam_gym.slam.relocation import RelocatingSlam, relocate_by
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import Associator, Scan, SlamStep
+from tests.slam.rings import drive, ring_of_landmarks, view_from
+
+SPEC = SlamSpec(MapSpec(unconfirmed_age=20), reach=12.0)
+_ASKED = ("joint", "local", "view")  # of a prediction, which hold for the moment that it was made at
+
+
+def stranger(associate: Associator) -> Associator:
+    """The same, so that no step knows it."""
+    return lambda scan, prediction: associate(scan, prediction)
+
+
+def told(step: SlamStep) -> dict[str, Any]:
+    """All that a step tells."""
+    out = {name: getattr(step, name) for name in ("ids", "created", "removed", "returned")}
+    for part in (step.prediction, step.hypothesis):
+        out |= {field.name: getattr(part, field.name) for field in fields(part) if field.name not in _ASKED}
+    return out
+
+
+def assert_twins(one: Slam, other: Slam, log: Any, associate: Associator) -> None:
+    """Two that are given the same log end every step alike, and with the same map, to the last bit."""
+    page = stranger(associate)
+    for odometry, scan, *_ in log:
+        ours, theirs = told(one.step(odometry, scan, associate)), told(other.step(odometry, scan, page))
+        for name, value in ours.items():
+            np.testing.assert_array_equal(value, theirs[name], err_msg=name)
+        assert (one.lost, one.doubted, one.map.n) == (other.lost, other.doubted, other.map.n)
+    ours, theirs = state_of(one.map), state_of(other.map)
+    np.testing.assert_array_equal(ours.mean, theirs.mean)
+    np.testing.assert_array_equal(ours.covariance, theirs.covariance)
+    np.testing.assert_array_equal(ours.columns.last_seen, theirs.columns.last_seen)
+    for edges, others in zip(one.covisibility.edges(), other.covisibility.edges()):
+        np.testing.assert_array_equal(edges, others)
+
+
+def log_of(seed: int, carried_at: int | None = None, steps: int = 220) -> Any:
+    """Round the block, among clutter: every third scan has a measurement of nothing."""
+    rng = np.random.default_rng(seed)
+    for number, (odometry, scan, *rest) in enumerate(drive(ring_of_landmarks(rng), rng, steps, 0.02, carried_at).steps):
+        if number % 3 == 0:
+            more = Scan.from_points(rng.uniform(-4.0, 4.0, (1, 2)), sigma=0.05)
+            scan = Scan(
+                *(np.concatenate([getattr(part, field.name) for part in (scan, more)]) for field in fields(Scan))
+            )
+        yield odometry, scan, *rest
+
+
+@pytest.mark.parametrize("associate", [jcbb, nearest_neighbour, singles])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        SPEC,
+        replace(SPEC, reach=None, locality=False, new_confidence=0.9999, map=MapSpec(error="ordinary", iterations=1)),
+        replace(SPEC, map=MapSpec(first_estimate_jacobians=True, confirmations=3, unconfirmed_age=5)),
+        replace(SPEC, map=MapSpec(second_order=False, unconfirmed_age=None)),
+    ],
+)
+def test_slam_is_the_page_s(spec: SlamSpec, associate: Associator) -> None:
+    assert_twins(Slam(spec), Slam(spec), log_of(1, steps=60), associate)
+
+
+@pytest.mark.parametrize("view", [None, view_from])
+@pytest.mark.parametrize("ambiguous", [0.1, 1e9])
+def test_an_atlas_that_is_lost_and_closes_loops_is_the_page_s(ambiguous: float, view: Any) -> None:
+    one, other = (AtlasSlam(SPEC, relocate_by("gcbb"), view, AtlasSpec(ambiguous=ambiguous)) for _ in range(2))
+    assert_twins(one, other, log_of(3, carried_at=120), jcbb)
+    assert one.map.n > 20 and len(one.maps) == len(other.maps)
+
+
+def test_so_is_one_that_relocates_only() -> None:
+    one, other = (RelocatingSlam(SPEC, relocate_by("gcbb")) for _ in range(2))
+    assert_twins(one, other, log_of(5, carried_at=120), jcbb)
+    assert one.relocations == other.relocations
