@@ -204,7 +204,7 @@ class ExploreEnv(BaseEnv):
     def _checked(self, action: Any) -> Any:
         if self.goal_mode:
             return super()._checked(action)
-        if np.shape(action) == (2,):
+        if getattr(action, "shape", None) == (2,) or np.shape(action) == (2,):
             forward, turn = float(action[0]), float(action[1])
             if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
                 return forward, turn
@@ -232,8 +232,9 @@ class ExploreEnv(BaseEnv):
     def _info(self) -> Info:
         episode = self.episode
         right, *wrong, missed = (episode.identities.counts - self._counts_before)[:_DECISIONS].tolist()
-        sources = np.full(self.measurements, SPURIOUS)
-        sources[: len(episode.truth)] = episode.truth.sources
+        sources, truth = np.empty(self.measurements, np.int64), episode.truth
+        sources.fill(SPURIOUS)
+        sources[: len(truth.sources)] = truth.sources
         info: Info = {
             "map_error": episode.map_error(),
             "coverage": episode.coverage(),
@@ -244,7 +245,7 @@ class ExploreEnv(BaseEnv):
             "ticks": episode.ticks - self._ticks_before,
             "pose": episode.estimates[-1].copy(),
             "lost": episode.slam.lost,
-            "truth": {"pose": episode.truth.pose.copy(), "sources": sources},
+            "truth": {"pose": truth.pose.copy(), "sources": sources},
         }
         if self.goal_mode:
             info["action_mask"] = self._goals.legal.copy()

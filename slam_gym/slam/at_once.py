@@ -65,7 +65,7 @@ def attempt(
     features, ids, created = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.bool_)
     ended = LEFT_ALONE
     while ended == LEFT_ALONE:
-        ended, k, what, added, distance, nodes, *tests = whole_step(
+        ended, k, what, added, distance, nodes, tests, joint_tests, limit_hit = whole_step(
             form, m.arrays, (m.n, m.step, m.next_id), graph.arrays, *recent, (odometry.motion, odometry.covariance),
             arrays_of(scan), nature, gates, settings, room, pose, (features, ids, created),
         )  # fmt: skip
@@ -80,7 +80,8 @@ def attempt(
     if ended == PREDICTED:
         return Attempt(prediction, None, None)
     paired = count - int(np.count_nonzero(features == UNPAIRED))
-    hypothesis = Hypothesis(features, distance, 2 * paired, Effort(nodes, *tests), exclusive=form == JCBB)
+    effort = Effort(nodes, tests, joint_tests, limit_hit)
+    hypothesis = Hypothesis(features, distance, 2 * paired, effort, exclusive=form == JCBB)
     return Attempt(prediction, hypothesis, None if ended == ANSWERED else Learned(ended, what, added, ids, created))
 
 

@@ -16,6 +16,7 @@ a map that is left are `removed` in the `SlamStep` that says so, and `returned` 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,7 +33,6 @@ from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
 from slam_gym.slam.relocation import Relocate, RelocatingSlam
 from slam_gym.slam.slam import Slam, SlamSpec, ViewFrom
 from slam_gym.slam.twins import find_twins
-from slam_gym.slam.whole_step import Nature
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Odometry, Prediction, Scan, SlamStep
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
@@ -81,6 +81,7 @@ class AtlasSlam(RelocatingSlam):
     ) -> None:
         super().__init__(spec, relocate, view_from)
         self.atlas = atlas or AtlasSpec()
+        self._ambiguous = math.inf if self.atlas.loops is None else self.atlas.ambiguous
         self.left: list[Left] = []  # maps before the current one that were not joined yet, oldest first
         self.loops: list[tuple[int, IntArray]] = []  # step and pairs (k, 2) of ids of each loop that was closed
         self.joins: list[tuple[int, IntArray]] = []  # the same of maps that were joined
@@ -116,11 +117,6 @@ class AtlasSlam(RelocatingSlam):
             kept,
         )
         return prediction if left == k else prediction.rows(kept[:left])
-
-    def _nature(self, reach: float) -> Nature:
-        """Old features that are ambiguous are not on offer."""
-        second_order, local, reach, ambiguous, *trust = super()._nature(reach)
-        return second_order, local, reach, ambiguous if self.atlas.loops is None else self.atlas.ambiguous, *trust
 
     def _conclude(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None

@@ -16,7 +16,6 @@ from slam_gym.slam.asked import locked
 from slam_gym.slam.kernels import Learned
 from slam_gym.slam.lost import EXPECTED, Tracker
 from slam_gym.slam.slam import Slam, SlamSpec, ViewFrom
-from slam_gym.slam.whole_step import Nature
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
@@ -77,9 +76,9 @@ class RelocatingSlam(Slam):
         """The last scan was not believed."""
         return self.tracker.doubted > 0
 
-    def _nature(self, reach: float) -> Nature:
+    def _trust(self) -> tuple[float, bool]:
         """A scan is learned from at once where it is plain that it shows what it should."""
-        return *super()._nature(reach)[:4], *self.tracker.trust(blind=self.view_from is None)
+        return self.tracker.trust(blind=self.view_from is None)
 
     def _conclude(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None

@@ -88,6 +88,7 @@ class Slam:
         self._learned = 0  # scans
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
+        self._ambiguous = math.inf  # others in the gate of an old feature, from which it is not on offer
         self._warned = False
         self._looks = None if self.spec.repeat is None else Looks(*self.spec.repeat)
         self._passes, self._invariant = self.spec.map.passes, self.spec.map.right_invariant
@@ -169,8 +170,14 @@ class Slam:
         return float(self.reach)
 
     def _nature(self, reach: float) -> Nature:
-        """How `whole_step` is to be taken: here, every scan is learned from."""
-        return self.spec.map.second_order, self.spec.locality, reach, math.inf, 0.0, False
+        """How `whole_step` is to be taken."""
+        spec = self.spec
+        return spec.map.second_order, spec.locality, reach, self._ambiguous, *self._trust()
+
+    def _trust(self) -> tuple[float, bool]:
+        """The fraction of the measurements that must be paired if a scan is to be learned from at once, or whether any
+        pairing will do: here, every scan is learned from."""
+        return 0.0, False
 
     def _at_once(self, odometry: Odometry, scan: Scan, associate: Associator) -> Attempt | None:
         """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""

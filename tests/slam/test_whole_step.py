@@ -25,10 +25,11 @@ def stranger(associate: Associator) -> Associator:
 
 
 def told(step: SlamStep) -> dict[str, Any]:
-    """All that a step tells."""
+    """All that a step tells, but the time that a relocation took."""
     out = {name: getattr(step, name) for name in ("ids", "created", "removed", "returned")}
     for part in (step.prediction, step.hypothesis):
         out |= {field.name: getattr(part, field.name) for field in fields(part) if field.name not in _ASKED}
+    out["effort"] = replace(out["effort"], seconds=0.0)
     return out
 
 
