@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from slam_gym.types import Array, BoolArray
 
-_ALIGNED = 64  # bytes: every array begins on a cache line of its own
+ALIGNED = 64  # bytes: every array begins on a cache line of its own
 _MEMORY = Path("/dev/shm")  # files here never reach a disk
 
 
@@ -54,7 +54,7 @@ class Layout(NamedTuple):
             whole = (count, *shape)
             places.append((name, at, whole, kind))
             used = int(np.prod(whole)) * np.dtype(kind).itemsize
-            at += -(-used // _ALIGNED) * _ALIGNED
+            at += -(-used // ALIGNED) * ALIGNED
         return cls(tuple(places), at)
 
     def buffers(self, block: bytearray | mmap.mmap) -> Buffers:

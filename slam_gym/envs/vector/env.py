@@ -24,7 +24,7 @@ from slam_gym.envs.vector.checks import (
     worker_count,
 )
 from slam_gym.envs.vector.drawing import Drawing
-from slam_gym.envs.vector.infos import Infos, joined
+from slam_gym.envs.vector.infos import InfoLayout, Infos, SharedInfos, enter, plainest
 from slam_gym.envs.vector.worker import WorkerWorlds
 from slam_gym.envs.vector.worlds import Making, Told, Worlds
 from slam_gym.envs.warm_up import compile_on_two_cores
@@ -83,6 +83,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         self._rows = shared_out(num_envs, max(count, 1))
         self._groups: Sequence[WorkerWorlds | _Here] = []
         self._drawing: Drawing | None = None
+        self._infos: SharedInfos | None = None
         if count == 0:
             self._buffers = layout.buffers(bytearray(layout.size))
             self._groups = [_Here(Worlds(making, self._rows[0], self._buffers))]
@@ -109,6 +110,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         chosen = np.flatnonzero(which).tolist()
         told = self._parts("reset", {i: seeds[i] for i in chosen}, {i: of_worlds[i] for i in chosen})
         infos = self._take_in(told)
+        self._share_infos(told)
         self._begun |= which
         return self._observations(), infos
 
@@ -186,7 +188,9 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
     def restore(self, snapshots: Sequence[Snapshot]) -> tuple[Observation, Infos]:
         """Go on in each world from its snapshot, as `call("snapshot")` gave them; returns what the worlds last gave."""
         given = dict(enumerate(one_each("snapshots", snapshots, self.num_envs)))
-        infos = self._take_in(self._parts("restore", given))
+        told = self._parts("restore", given)
+        infos = self._take_in(told)
+        self._share_infos(told)
         self._begun[:] = True
         return self._observations(), infos
 
@@ -204,6 +208,24 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         finally:
             block.forget()
 
+    def _share_infos(self, told: Sequence[Told]) -> None:
+        """Give memory to infos that are made like those of the first reset, so that they need not be sent."""
+        infos = [info for part in told for _, info in part.infos]
+        layout = InfoLayout.of(plainest(infos), self.num_envs) if self._infos is None and infos else None
+        if layout is None:
+            return
+        if isinstance(self._groups[0], _Here):
+            here = bytearray(layout.size)
+            self._infos = SharedInfos(layout, here)
+            self._parts("share_infos", layout, here)
+            return
+        block = SharedBlock(layout.size)
+        try:
+            self._infos = SharedInfos(layout, block.memory)
+            self._parts("share_infos", layout, block.path)
+        finally:
+            block.forget()
+
     def _check_running(self) -> None:
         if self.closed:
             raise RuntimeError("the environment is closed")
@@ -214,12 +236,16 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             group.request(name, *arguments)
         return self._answers()
 
-    def _take_in(self, parts: list[Told]) -> Infos:
+    def _take_in(self, parts: list[Told | None]) -> Infos:
         """The infos of all worlds; their masks are kept, and the worlds that come next drawn ahead."""
-        if self._drawing is not None:
-            for part in parts:
+        infos: Infos = {} if self._infos is None else self._infos.read()
+        for part in parts:
+            if part is None:
+                continue
+            if self._drawing is not None:
                 self._drawing.ask(part.upcoming)
-        infos = joined([part.infos for part in parts], self._rows, self.num_envs)
+            for world, info in part.infos:
+                enter(infos, info, world, self.num_envs)
         if "action_mask" in infos:
             masks, told = infos["action_mask"], infos["_action_mask"]
             if self._masks is None:

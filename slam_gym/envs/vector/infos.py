@@ -1,16 +1,149 @@
-"""Infos of many worlds as arrays, in Gymnasium's convention: beside every `key`, `_key` tells which worlds have it."""
+"""Infos of many worlds as arrays, in Gymnasium's convention: beside every `key`, `_key` tells which worlds have it.
+
+An info that is made as the first one was goes through memory that all processes share; any other, such as the last of
+an episode, which tells more, is sent as it is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import mmap
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
+from slam_gym.envs.vector.buffers import ALIGNED
+from slam_gym.types import BoolArray
 
 Infos = dict[str, Any]
+Info = dict[str, Any]
 
 
-def enter(infos: Infos, info: dict[str, Any], world: int, count: int) -> None:
+class Leaf(NamedTuple):
+    """A value of an info: where those of all worlds lie in the block."""
+
+    of: type[Any]  # the value's
+    shape: tuple[int, ...]
+    kind: str  # its type in an array
+    at: int  # first byte
+
+
+class InfoLayout(NamedTuple):
+    """Where each value lies; the block begins with a flag for each world: whether its info is there."""
+
+    worlds: int  # how many
+    leaves: dict[str, Any]  # as the info has them, by key: a `Leaf`, or a dictionary of such
+    size: int  # bytes
+
+    @classmethod
+    def of(cls, info: Info, count: int) -> InfoLayout | None:
+        """For infos like this one; None where one of its values is neither a number nor an array of numbers."""
+        size = _aligned(count)
+
+        def placed(info: Info) -> dict[str, Any]:
+            nonlocal size
+            found: dict[str, Any] = {}
+            for key, value in info.items():
+                if isinstance(value, dict):
+                    found[key] = placed(value)
+                    continue
+                array = _empty(value, count)
+                if array.dtype == object:
+                    raise _NotPlainError
+                found[key] = Leaf(type(value), array.shape[1:], array.dtype.str, size)
+                size += _aligned(array.nbytes)
+            return found
+
+        try:
+            leaves = placed(info)
+        except _NotPlainError:
+            return None
+        return cls(count, leaves, size)
+
+
+class SharedInfos:
+    """The infos of all worlds in a block of memory, into which whoever steps a world writes."""
+
+    def __init__(self, layout: InfoLayout, block: bytearray | mmap.mmap) -> None:
+        self._layout = layout
+        self._block: NDArray[np.uint8] = np.frombuffer(block, np.uint8)[: layout.size]
+        self.there: BoolArray = self._block[: layout.worlds].view(np.bool_)  # which worlds' infos are in the block
+        self._leaves = _views(layout.leaves, layout.worlds, self._block)
+
+    def write(self, info: Info, world: int) -> bool:
+        """Enter the info of a world, if it is made as the layout has it; returns whether it is."""
+        there = _written(self._layout.leaves, self._leaves, info, world)
+        self.there[world] = there
+        return there
+
+    def read(self) -> Infos:
+        """A copy of what is there."""
+        there = self.there.copy()
+        if not there.any():
+            return {}
+        block = self._block.copy()
+        infos = _views(self._layout.leaves, self._layout.worlds, block)
+        if not there.all():
+            _clear(infos, ~there)
+        _mark(infos, there)
+        return infos
+
+
+class _NotPlainError(Exception):
+    """A value that no array of numbers holds."""
+
+
+def _aligned(size: int) -> int:
+    return -(-size // ALIGNED) * ALIGNED
+
+
+def _views(leaves: Mapping[str, Any], count: int, block: NDArray[np.uint8]) -> Infos:
+    """The arrays (count, …) in a block."""
+    return {
+        key: np.ndarray((count, *leaf.shape), leaf.kind, block, leaf.at)
+        if isinstance(leaf, Leaf)
+        else _views(leaf, count, block)
+        for key, leaf in leaves.items()
+    }
+
+
+def _written(leaves: Mapping[str, Any], arrays: Infos, info: Info, world: int) -> bool:
+    """Write an info as far as it is like the leaves; returns whether it was all of it."""
+    if len(info) != len(leaves):
+        return False
+    for key, leaf in leaves.items():
+        value, array = info.get(key), arrays[key]
+        if not isinstance(leaf, Leaf):
+            if not isinstance(value, dict) or not _written(leaf, array, value, world):
+                return False
+            continue
+        if type(value) is not leaf.of:
+            return False
+        if isinstance(value, np.ndarray) and (value.shape != leaf.shape or value.dtype != array.dtype):
+            return False
+        array[world] = value
+    return True
+
+
+def _clear(infos: Infos, which: BoolArray) -> None:
+    """Zeros for some worlds, as Gymnasium has them where nothing is told."""
+    for value in infos.values():
+        if isinstance(value, dict):
+            _clear(value, which)
+        else:
+            value[which] = 0
+
+
+def _mark(infos: Infos, there: BoolArray) -> None:
+    """Enter beside every key which worlds have it."""
+    for key in list(infos):
+        if isinstance(infos[key], dict):
+            _mark(infos[key], there)
+        infos[f"_{key}"] = there.copy()
+
+
+def enter(infos: Infos, info: Info, world: int, count: int) -> None:
     """Enter the info of one of `count` worlds. The first world that has a key decides its type and shape."""
     for key, value in info.items():
         mask = infos.get(f"_{key}")
@@ -27,7 +160,7 @@ def enter(infos: Infos, info: dict[str, Any], world: int, count: int) -> None:
         mask[world] = True
 
 
-def _empty(value: Any, count: int) -> Any:
+def _empty(value: Any, count: int) -> NDArray[Any]:
     """An array (count, …) for values like this one."""
     if type(value) in (int, float, bool) or isinstance(value, np.number):
         return np.zeros(count, type(value))
@@ -36,23 +169,6 @@ def _empty(value: Any, count: int) -> Any:
     return np.full(count, None, object)
 
 
-def joined(parts: Sequence[Infos], rows: Sequence[range], count: int) -> Infos:
-    """One for all `count` worlds, from those of groups of worlds, which have the given rows."""
-    if len(parts) == 1:
-        return parts[0]
-    infos: Infos = {}
-    for part, of_part in zip(parts, rows):
-        _enter_group(infos, part, slice(of_part.start, of_part.stop), count)
-    return infos
-
-
-def _enter_group(infos: Infos, part: Infos, rows: slice, count: int) -> None:
-    for key, values in part.items():
-        if isinstance(values, dict):
-            _enter_group(infos.setdefault(key, {}), values, rows, count)
-            continue
-        array = infos.get(key)
-        if array is None:
-            empty = None if values.dtype == object else 0
-            array = infos[key] = np.full((count, *values.shape[1:]), empty, values.dtype)
-        array[rows] = values
+def plainest(infos: Sequence[Info]) -> Info:
+    """The one with the fewest keys: the last of an episode tells more than others."""
+    return min(infos, key=len)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from slam_gym.envs.base import BaseEnv, Observation, Snapshot
-from slam_gym.envs.vector.buffers import Buffers
-from slam_gym.envs.vector.infos import Infos, enter
+from slam_gym.envs.vector.buffers import Buffers, opened
+from slam_gym.envs.vector.infos import InfoLayout, SharedInfos
 
 
 class WorldError(RuntimeError):
@@ -40,9 +41,9 @@ class Making:
 
 
 class Told(NamedTuple):
-    """What a step or a reset of a group of worlds gives beside what it writes into the buffers."""
+    """What a step or a reset of a group of worlds gives beside what it writes into shared memory."""
 
-    infos: Infos
+    infos: list[tuple[int, dict[str, Any]]]  # worlds of the vector, and what is to be entered for each, in this order
     upcoming: dict[int, int]  # of the worlds of the vector that began an episode: the number of the next in the split
 
 
@@ -51,14 +52,18 @@ class Worlds:
 
     def __init__(self, making: Making, rows: range, buffers: Buffers, ahead: bool = False) -> None:
         self._ahead = ahead and making.autoreset is not AutoresetMode.DISABLED
-        self._upcoming: dict[int, int] = {}
         self._rows, self._autoreset, self._buffers = rows, making.autoreset, buffers
         self._envs = [making() for _ in rows]
+        self._infos: SharedInfos | None = None
+        self._begin()
+
+    def share_infos(self, layout: InfoLayout, block: bytearray | Path) -> None:
+        """From now on write infos that are made like that into this memory, which has the layout."""
+        self._infos = SharedInfos(layout, opened(block, layout.size) if isinstance(block, Path) else block)
 
     def reset(self, seeds: Mapping[int, int | None], options: Mapping[int, dict[str, Any] | None]) -> Told:
         """Begin an episode in each of the worlds that have a seed here, even if it is None."""
-        infos: Infos = {}
-        self._upcoming = {}
+        self._begin()
         for row, world in enumerate(self._rows):
             if world in seeds:
                 try:
@@ -67,25 +72,24 @@ class Worlds:
                     raise _named(world, error) from error
                 self._hand_out(row, observation, 0.0, False, False)
                 self._look_ahead(row)
-                enter(infos, info, row, len(self._rows))
-        return Told(infos, self._upcoming)
+                self._tell(world, info)
+        return self._told
 
-    def step(self, drawn: Mapping[int, tuple[int, bytes]]) -> Told:
+    def step(self, drawn: Mapping[int, tuple[int, bytes]]) -> Told | None:
         """Carry out the actions in the buffers; where an episode was over, begin the next as the mode has it.
 
         `drawn` are worlds that were drawn ahead, with their numbers in the split, for the worlds of the vector that
-        will need them.
+        will need them. Returns None where everything is in shared memory.
         """
-        infos: Infos = {}
-        self._upcoming = {}
+        self._begin()
         for row, world in enumerate(self._rows):
             try:
                 if world in drawn:
                     self._single(row).take(*drawn[world])
-                self._step(row, infos)
+                self._step(row)
             except Exception as error:
                 raise _named(world, error) from error
-        return Told(infos, self._upcoming)
+        return self._told if self._told.infos or self._told.upcoming else None
 
     def call(self, name: str, arguments: tuple[Any, ...], named: dict[str, Any], worlds: Container[int]) -> list[Any]:
         """What the method or attribute of each of these worlds gives."""
@@ -101,8 +105,7 @@ class Worlds:
 
     def restore(self, snapshots: Mapping[int, Snapshot]) -> Told:
         """Go on in each world from its snapshot."""
-        infos: Infos = {}
-        self._upcoming = {}
+        self._begin()
         for row, world in enumerate(self._rows):
             try:
                 observation, info = self._single(row).restore(snapshots[world])
@@ -110,8 +113,8 @@ class Worlds:
                 raise _named(world, error) from error
             self._hand_out(row, observation, 0.0, self._single(row)._over, False)
             self._look_ahead(row)
-            enter(infos, info, row, len(self._rows))
-        return Told(infos, self._upcoming)
+            self._tell(world, info)
+        return self._told
 
     def set_attr(self, name: str, values: Mapping[int, Any]) -> None:
         """Set an attribute of each world."""
@@ -123,8 +126,18 @@ class Worlds:
         for env in self._envs:
             env.close()
 
-    def _step(self, row: int, infos: Infos) -> None:
-        env, buffers, count = self._envs[row], self._buffers, len(self._rows)
+    def _begin(self) -> None:
+        """Nothing is told yet."""
+        self._told = Told([], {})
+        if self._infos is not None:
+            self._infos.there[self._rows.start : self._rows.stop] = False
+
+    def _tell(self, world: int, info: dict[str, Any]) -> None:
+        if self._infos is None or not self._infos.write(info, world):
+            self._told.infos.append((world, info))
+
+    def _step(self, row: int) -> None:
+        env, buffers, world = self._envs[row], self._buffers, self._rows[row]
         over = buffers.terminated[row] or buffers.truncated[row]
         if over and self._autoreset is AutoresetMode.NEXT_STEP:
             observation, info = self._next_episode(row)
@@ -132,10 +145,10 @@ class Worlds:
         else:
             observation, reward, terminated, truncated, info = env.step(buffers.actions[row])
             if (terminated or truncated) and self._autoreset is AutoresetMode.SAME_STEP:
-                enter(infos, {"final_obs": observation, "final_info": info}, row, count)
+                self._told.infos.append((world, {"final_obs": observation, "final_info": info}))
                 observation, info = self._next_episode(row)
             self._hand_out(row, observation, float(reward), terminated, truncated)
-        enter(infos, info, row, count)
+        self._tell(world, info)
 
     def _next_episode(self, row: int) -> tuple[Observation, dict[str, Any]]:
         start = self._envs[row].reset()
@@ -145,7 +158,7 @@ class Worlds:
     def _look_ahead(self, row: int) -> None:
         """Tell which world comes next, so that it can be drawn ahead."""
         if self._ahead and (world := self._single(row).upcoming_world()) is not None:
-            self._upcoming[self._rows[row]] = world
+            self._told.upcoming[self._rows[row]] = world
 
     def _single(self, row: int) -> BaseEnv:
         env = self._envs[row].unwrapped

@@ -7,6 +7,7 @@ from gymnasium.vector import AutoresetMode
 
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.vector.buffers import Layout
+from slam_gym.envs.vector.infos import InfoLayout, SharedInfos
 from slam_gym.envs.vector.worlds import Making, WorldError, Worlds
 from tests.rollouts import short
 
@@ -22,9 +23,15 @@ def group(rows, count):
 def test_a_group_writes_into_its_own_rows() -> None:
     worlds, buffers = group(range(1, 3), 4)
     infos, _ = worlds.reset({1: 5, 2: None}, {1: {}, 2: {"world": 3}})
+    assert [world for world, _ in infos] == [1, 2]
+    layout = InfoLayout.of(infos[0][1], 4)
+    block = bytearray(layout.size)
+    worlds.share_infos(layout, block)
     buffers.actions[:] = 0.5
-    worlds.step({})
-    assert infos["_pose"].tolist() == [True, True]
+    assert worlds.step({}) is None
+    shared = SharedInfos(layout, block).read()
+    assert shared["_pose"].tolist() == [False, True, True, False]
+    assert shared["pose"][1:3].any() and not shared["pose"][0].any() and not shared["pose"][3].any()
     for part in buffers.observations.values():
         assert part[1:3].any() and not part[0].any() and not part[3].any()
 
