@@ -65,7 +65,9 @@ def reset_mask(mask: Any, worlds: int) -> BoolArray:
     return given
 
 
-def checked_actions(actions: Any, like: NDArray[Any], space: spaces.Space[Any], ignored: BoolArray) -> NDArray[Any]:
+def checked_actions(
+    actions: Any, like: NDArray[Any], space: spaces.Space[Any], ignored: BoolArray | None = None
+) -> NDArray[Any]:
     """Actions for all worlds in an array `like` that of the buffers. Raises ValueError for one outside its space, but
     for the worlds whose action is `ignored`."""
     given = np.asarray(actions)
@@ -75,8 +77,13 @@ def checked_actions(actions: Any, like: NDArray[Any], space: spaces.Space[Any], 
     if isinstance(space, spaces.Discrete):
         right, said = (given >= 0) & (given < space.n), f"is not one of 0 … {space.n - 1}"
     else:
-        right, said = ((given >= -1.0) & (given <= 1.0)).all(axis=1), "is not two fractions (forward, turn) in [−1, 1]"
-    if not (right | ignored).all():
-        world = int(np.argmin(right | ignored))
+        right, said = (given >= -1.0) & (given <= 1.0), "is not two fractions (forward, turn) in [−1, 1]"
+    if right.all():
+        return given
+    excused = right.reshape(len(given), -1).all(axis=1)
+    if ignored is not None:
+        excused |= ignored
+    if not excused.all():
+        world = int(np.argmin(excused))
         raise ValueError(f"world {world}: action {given[world]} {said}")
     return given

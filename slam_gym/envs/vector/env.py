@@ -271,13 +271,13 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
 
     def _checked(self, actions: Any) -> NDArray[Any]:
         """The actions, in the form that the buffers have. Raises as `step`."""
-        over = self._buffers.terminated | self._buffers.truncated
         if not self._begun.all():
             raise RuntimeError(f"world {int(np.argmin(self._begun))}: no episode yet: call reset() first")
+        over = self._buffers.terminated | self._buffers.truncated
         if self._autoreset is AutoresetMode.DISABLED and over.any():
             told = f"call reset(options={{'{RESET_MASK}': …}})"
             raise RuntimeError(f"world {int(np.argmax(over))}: the episode is over: {told}")
-        ignored = over & (self._autoreset is AutoresetMode.NEXT_STEP)
+        ignored = over if self._autoreset is AutoresetMode.NEXT_STEP else None
         return checked_actions(actions, self._buffers.actions, self.single_action_space, ignored)
 
 

@@ -82,11 +82,9 @@ class SharedInfos:
         there = self.there.copy()
         if not there.any():
             return {}
-        block = self._block.copy()
-        infos = _views(self._layout.leaves, self._layout.worlds, block)
+        infos = _copied(self._leaves, there)
         if not there.all():
             _clear(infos, ~there)
-        _mark(infos, there)
         return infos
 
 
@@ -126,21 +124,22 @@ def _written(leaves: Mapping[str, Any], arrays: Infos, info: Info, world: int) -
     return True
 
 
+def _copied(arrays: Infos, there: BoolArray) -> Infos:
+    """The arrays, and beside every key which worlds have it."""
+    infos: Infos = {}
+    for key, array in arrays.items():
+        infos[key] = _copied(array, there) if isinstance(array, dict) else array.copy()
+        infos[f"_{key}"] = there.copy()
+    return infos
+
+
 def _clear(infos: Infos, which: BoolArray) -> None:
     """Zeros for some worlds, as Gymnasium has them where nothing is told."""
-    for value in infos.values():
+    for key, value in infos.items():
         if isinstance(value, dict):
             _clear(value, which)
-        else:
+        elif not key.startswith("_"):
             value[which] = 0
-
-
-def _mark(infos: Infos, there: BoolArray) -> None:
-    """Enter beside every key which worlds have it."""
-    for key in list(infos):
-        if isinstance(infos[key], dict):
-            _mark(infos[key], there)
-        infos[f"_{key}"] = there.copy()
 
 
 def enter(infos: Infos, info: Info, world: int, count: int) -> None:

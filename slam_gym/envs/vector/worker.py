@@ -26,6 +26,8 @@ from slam_gym.envs.vector.worlds import Making, WorldError, Worlds
 
 _START = "import sys; sys.path[:] = {path!r}; from slam_gym.envs.vector.worker import main; main()"
 _PATIENCE = 5.0  # [s] that a process is given to end
+_LENGTH = 8  # bytes before a message, which tell how many it has
+_CHUNK = 1 << 16  # bytes read at once
 
 
 class WorkerWorlds:
@@ -35,7 +37,7 @@ class WorkerWorlds:
     def __init__(self, making: Making, rows: range, layout: Layout, block: Path, *, niceness: int = 0) -> None:
         self._rows = rows
         start = [sys.executable, "-c", _START.format(path=[str(Path(p).resolve()) for p in sys.path])]
-        self._process = subprocess.Popen(start, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process = subprocess.Popen(start, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self._end = weakref.finalize(self, _end, self._process)
         self._send(cloudpickle.dumps((making, rows, layout, block, niceness)))
 
@@ -51,7 +53,7 @@ class WorkerWorlds:
         """
         assert self._process.stdout is not None
         try:
-            done, value = pickle.load(self._process.stdout)
+            done, value = pickle.loads(_read(self._process.stdout))
         except (EOFError, pickle.UnpicklingError, OSError):
             raise self._lost() from None
         if done:
@@ -65,8 +67,7 @@ class WorkerWorlds:
     def _send(self, message: bytes) -> None:
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(message)
-            self._process.stdin.flush()
+            _write(self._process.stdin, message)
         except (BrokenPipeError, OSError, ValueError):
             raise self._lost() from None
 
@@ -94,7 +95,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 def main() -> None:
     """Make worlds and serve requests until the input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
-    requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    requests, answers = os.fdopen(os.dup(0), "rb", 0), os.fdopen(os.dup(1), "wb", 0)
     os.dup2(2, 1)  # what worlds print must not get among the answers
     _one_thread()
     worlds: Worlds | None = None
@@ -116,15 +117,39 @@ def main() -> None:
 
 def _serve(requests: IO[bytes], answers: IO[bytes], answer: Callable[[Any], Any]) -> None:
     """Read a request and write what comes of it: whether it was done, and the result or the error."""
-    request = pickle.load(requests)
+    request = pickle.loads(_read(requests))
     try:
         content = pickle.dumps((True, answer(request)), pickle.HIGHEST_PROTOCOL)
     except Exception as error:
         told = error if isinstance(error, WorldError) else RuntimeError(f"{type(error).__name__}: {error}")
         told.add_note(f"In its worker process:\n{traceback.format_exc()}")
         content = pickle.dumps((False, told))
-    answers.write(content)
-    answers.flush()
+    _write(answers, content)
+
+
+def _write(pipe: IO[bytes], message: bytes) -> None:
+    """Write a message after its length, which is mostly one call of the system."""
+    left = memoryview(len(message).to_bytes(_LENGTH, "little") + message)
+    while left:
+        left = left[pipe.write(left) :]
+
+
+def _read(pipe: IO[bytes]) -> bytes:
+    """The next message; nothing follows it before it is answered. Raises EOFError where the pipe has ended."""
+    found = _some(pipe, _CHUNK)
+    while len(found) < _LENGTH:
+        found += _some(pipe, _CHUNK)
+    parts, left = [found], _LENGTH + int.from_bytes(found[:_LENGTH], "little") - len(found)
+    while left > 0:
+        parts.append(_some(pipe, left))
+        left -= len(parts[-1])
+    return b"".join(parts)[_LENGTH:]
+
+
+def _some(pipe: IO[bytes], most: int) -> bytes:
+    if not (content := pipe.read(most)):
+        raise EOFError
+    return content
 
 
 def _one_thread() -> None:
