@@ -15,7 +15,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import plain
 from slam_gym.association.tree import Pairings, Tree, innovation_of, squared
-from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Prediction, Scan
+from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Prediction
 
 VERSION = 1
 INPUTS = (
@@ -78,7 +78,7 @@ def inputs_of(tree: Tree, visibility: Array | None) -> Array:
     scan, prediction = tree.scan, tree.prediction
     seen = _Seen(plain(scan.points), plain(scan.sizes), plain(scan.size_variances), plain(scan.kinds))
     near = plain(prediction.near).astype(np.float64)
-    return _inputs(tree.pairings, tree.rows, seen, _known(prediction, visibility), near, _run(scan, prediction))
+    return _inputs(tree.pairings, tree.rows, seen, _known(prediction, visibility), near, _run(prediction))
 
 
 def _known(prediction: Prediction, visibility: Array | None) -> _Known:
@@ -95,7 +95,7 @@ def _known(prediction: Prediction, visibility: Array | None) -> _Known:
     )
 
 
-def _run(scan: Scan, prediction: Prediction) -> tuple[float, float, float]:
+def _run(prediction: Prediction) -> tuple[float, float, float]:
     """σ of the heading, and the two inputs on the run so far."""
     sigma, past = math.sqrt(max(prediction.heading_variance, 0.0)), prediction.experience
     if past is None:
