@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from agents.cli import add_associate_options, associate_arguments, program, require_positive, run_main
 from agents.evaluation.episodes import AssociateArguments, reset_arguments
+from agents.evaluation.tables import counted
 
 UNKNOWN_ACTION = -1  # the right action is not on offer, or nobody knows
 
@@ -88,7 +89,7 @@ def main(argv: list[str]) -> int:
         raise FileNotFoundError(f"no such folder: {a.file.parent}")
     arguments = associate_arguments(a, a.split)
     count = export(a.file, arguments, first=a.first, episodes=a.episodes, mistakes=a.mistakes)
-    print(f"wrote {a.file}: {count} decisions of {a.episodes} episodes of {a.scenario}")
+    print(f"wrote {a.file}: {count} decisions of {counted(a.episodes, 'episode')} of {a.scenario}")
     return 0
 
 
