@@ -222,8 +222,8 @@ class ExploreEnv(BaseEnv):
     def _observe(self) -> Observation:
         episode = self.episode
         slam_map, expected = episode.slam.map, episode.last_step.prediction
-        observation: Observation = observe(episode.scan, expected, slam_map, episode.grid, self.measurements)
-        observation["budget"] = np.array([1.0 - episode.ticks / self.scenario.budget], np.float32)
+        left = 1.0 - episode.ticks / self.scenario.budget
+        observation: Observation = observe(episode.scan, expected, slam_map, episode.grid, self.measurements, left)
         if self.goal_mode:
             self._goals = goals_module.propose(self.scenario, slam_map, episode.grid, self._places, episode.tried)
             observation["goals"] = encode_goals(self._goals, slam_map.pose)

@@ -258,9 +258,16 @@ class StochasticMap:
         return self.foreseen(room, k, self._P.item(2, 2), graph, None if view_from is None else view_from(self.pose))
 
     def foreseen(
-        self, room: Room, k: int, heading_variance: float, graph: CovisibilityGraph | None, view: View | None
+        self,
+        room: Room,
+        k: int,
+        heading_variance: float,
+        graph: CovisibilityGraph | None,
+        view: View | None,
+        stands: bool = True,
     ) -> Prediction:
-        """The prediction of the k features that `foresee` has entered in `room`."""
+        """The prediction of the k features that `foresee` has entered in `room`; where it no longer `stands`, since the
+        map has changed by now, nothing is looked up there any more."""
         known, sized, near, positions, covariances, across = room
         features, sightings = known[0, :k], known[3, :k]
         return Prediction(
@@ -275,7 +282,7 @@ class StochasticMap:
             heading_variance,
             across[:k],
             self.spec.confidence,
-            self._joint_covariance(features),
+            self._joint_covariance(features) if stands else _out_of_date,
             None if graph is None else graph.among_rows(features),
             view,
             sightings=sightings,
@@ -462,8 +469,13 @@ class _JointCovariance:
 
     def __call__(self, rows: IntArray) -> Array:
         if not self.estimate.stands:
-            raise RuntimeError("the map has changed since this prediction was made")
+            return _out_of_date(rows)
         return measurement.joint_covariance(self.at, self.P, self.features[rows], self.second_order)
+
+
+def _out_of_date(rows: IntArray) -> Array:
+    """`Prediction.joint` of a map that has changed."""
+    raise RuntimeError("the map has changed since this prediction was made")
 
 
 def _checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from slam_gym.association import true_association
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import is_known
+from slam_gym.slam.at_once import form_of
 from slam_gym.slam.slam import AskingStep, send
 from slam_gym.types import Associator, Hypothesis, Odometry, Prediction, Scan, SlamStep, Truth
 
@@ -53,7 +53,7 @@ class JudgedSlam:
         self.identities = identities or Identities()
         self._truth_told = isinstance(associator, str) and associator == CEILING
         self._associate = asked(associator)
-        self._at_once = is_known(self._associate)
+        self._at_once = form_of(self._associate) is not None
         self._informed = informed
 
     @property

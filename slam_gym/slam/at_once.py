@@ -28,22 +28,22 @@ class Attempt(NamedTuple):
     learned: Learned | None  # None: the scan was not learned from yet
 
 
-def is_known(associate: Associator) -> bool:
-    """Whether steps with an associator may be taken at once."""
-    return any(associate is known for known, _ in _FORMS)
+def form_of(associate: Associator) -> int | None:
+    """The number by which `whole_step` knows an associator; None: not at all."""
+    for known, form in _FORMS:
+        if associate is known:
+            return form
+    return None
 
 
-def form_of(associate: Associator, odometry: Odometry, scan: Scan) -> int | None:
-    """The number by which `whole_step` knows an associator; None: not at all, or not with arrays such as these.
+def are_plain(odometry: Odometry, scan: Scan) -> bool:
+    """Whether compiled functions take the arrays as they are; others are the page's business.
 
     Raises ValueError as `check_shapes`.
     """
-    for known, form in _FORMS:
-        if associate is known:
-            check_shapes(scan)
-            arrays = odometry.motion, odometry.covariance, *arrays_of(scan)
-            return form if all([array.flags.carray for array in arrays]) else None
-    return None
+    check_shapes(scan)
+    arrays = odometry.motion, odometry.covariance, *arrays_of(scan)
+    return all([array.flags.carray for array in arrays])
 
 
 def attempt(
@@ -73,10 +73,10 @@ def attempt(
             if not what:
                 return None
             graph.widen(what)
-    if ended in (PREDICTED, ANSWERED):
+    stands, view = ended in (PREDICTED, ANSWERED), None if view_from is None else view_from(pose[:3])
+    if stands:
         m.moved()
-    view = None if view_from is None else view_from(pose[:3])
-    prediction = m.foreseen(room, k, pose.item(3), graph if nature[1] else None, view)
+    prediction = m.foreseen(room, k, pose.item(3), graph if nature[1] else None, view, stands)
     if ended == PREDICTED:
         return Attempt(prediction, None, None)
     paired = count - int(np.count_nonzero(features == UNPAIRED))

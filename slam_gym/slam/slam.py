@@ -15,7 +15,7 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement
 from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import Attempt, attempt, form_of
+from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of
 from slam_gym.slam.kernels import Learned, Settings
 from slam_gym.slam.looks import Looks
 from slam_gym.slam.whole_step import Nature
@@ -102,9 +102,11 @@ class Slam:
         Raises ValueError, before anything is changed, for non-finite numbers, covariances that are none and an unknown
         associator; and for a hypothesis that does not fit scan and map, when only the motion has been predicted.
         """
-        associate = asked(associator)
-        taken = self._at_once(odometry, scan, associate)
+        associate: Associator = associator if callable(associator) else asked(associator)
+        form = form_of(associate)
+        taken = None if form is None else self._at_once(odometry, scan, form)
         if taken is None:
+            associate = asked(associate)
             return answered(self.asking_step(odometry, scan), scan, associate)
         prediction, hypothesis, learned = taken
         if hypothesis is None:
@@ -179,10 +181,9 @@ class Slam:
         pairing will do: here, every scan is learned from."""
         return 0.0, False
 
-    def _at_once(self, odometry: Odometry, scan: Scan, associate: Associator) -> Attempt | None:
+    def _at_once(self, odometry: Odometry, scan: Scan, form: int) -> Attempt | None:
         """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""
-        form = form_of(associate, odometry, scan) if self._looks is None and self._experience is None else None
-        if form is None:
+        if self._looks is not None or self._experience is not None or not are_plain(odometry, scan):
             return None
         m, graph, count = self.map, self.covisibility, len(scan.points)
         m.make_room(count)

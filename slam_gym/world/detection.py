@@ -229,6 +229,27 @@ def report(packed: PackedWheels, way: Array, contact: bool, noise: Array, out: A
 
 
 @compiled
+def noticed(
+    wheels: PackedWheels,
+    way: Array,
+    contact: bool,
+    noise: Array,
+    told: Array,
+    walls: Packed,
+    pose: Array,
+    positions: Array,
+    pull_backs: Array,
+    moving: Moving,
+    settings: PackedSettings,
+    polar: Array,
+    sources: IntArray,
+) -> int:
+    """`report` and `in_sight` in one call."""
+    report(wheels, way, contact, noise, told)
+    return in_sight(walls, pose, positions, pull_backs, moving, settings, polar, sources)
+
+
+@compiled
 def sensed(
     walls: Packed,
     pose: Array,

@@ -21,6 +21,7 @@ from slam_gym.world.detection import (
     in_sight,
     measure,
     noisy_ranges,
+    noticed,
     report,
     sensed,
 )
@@ -155,20 +156,24 @@ class Sensor:
         furniture: Array = NO_SEGMENTS,
     ) -> Senses:
         """All that a tick has to tell, as `odometry`, `scan` and `beams` one after the other would."""
-        odometry = self.odometry(motion, rng)
         if self.spec.kinds:  # which are drawn in between
+            odometry = self.odometry(motion, rng)
             return Senses(odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture))
-        moving = (people, furniture)
-        seen = self._in_sight(pose, moving)
-        draws, count = 3 * (seen[0] + rng.poisson(self.spec.clutter)), self.beam_spec.count
-        noise = rng.random(draws), rng.standard_normal(draws + count)
-        out, ranges = _room(draws // 3), np.empty(count)
+        moving, told = (people, furniture), np.empty((4, 3))
+        self._make_room(len(people))
+        k = noticed(
+            self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), told, self._walls, pose,
+            self._positions, self._pull_back, moving, self._settings, self._polar, self._seen,
+        )  # fmt: skip
+        measurements, count = k + rng.poisson(self.spec.clutter), self.beam_spec.count
+        noise = rng.random(3 * measurements), rng.standard_normal(3 * measurements + count)
+        out, ranges = _room(measurements), np.empty(count)
         m = sensed(
-            self._walls, pose, seen, self._sizes, moving, noise, self._settings, self._bearings, self._finder, out,
-            ranges,
+            self._walls, pose, (k, self._polar, self._seen), self._sizes, moving, noise, self._settings,
+            self._bearings, self._finder, out, ranges,
         )  # fmt: skip
         beams = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
-        return Senses(odometry, *_answer(pose, out, m, self._no_kinds[:m].copy()), beams)
+        return Senses(Odometry(told[0], told[1:]), *_answer(pose, out, m, self._no_kinds[:m].copy()), beams)
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -188,13 +193,17 @@ class Sensor:
 
     def _in_sight(self, pose: Array, moving: Moving) -> tuple[int, Array, IntArray]:
         """What is in sight, as `measure` takes it. The arrays are used again at the next look."""
-        most = len(self._positions) + len(moving[0])
-        if len(self._seen) < most:
-            self._polar, self._seen = np.empty((most, 2)), np.empty(most, np.int64)
+        self._make_room(len(moving[0]))
         k = in_sight(
             self._walls, pose, self._positions, self._pull_back, moving, self._settings, self._polar, self._seen
         )
         return k, self._polar, self._seen
+
+    def _make_room(self, people: int) -> None:
+        """For all features and so many people in sight."""
+        most = len(self._positions) + people
+        if len(self._seen) < most:
+            self._polar, self._seen = np.empty((most, 2)), np.empty(most, np.int64)
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
         """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""

@@ -21,7 +21,7 @@ NOTHING_EXPECTED = Prediction.from_gaussian(np.empty((0, 2)), np.empty((0, 0)))
 
 def observed(scan, measurements, prediction=NOTHING_EXPECTED, pose_covariance=None) -> dict:
     slam_map, grid = StochasticMap(pose_covariance=pose_covariance), ExploredGrid(np.array([-5.0, -5.0, 5.0, 5.0]))
-    return observe(scan, prediction, slam_map, grid, measurements)
+    return observe(scan, prediction, slam_map, grid, measurements, 1.0)
 
 
 def rows(vector: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 
 from slam_gym.association import ASSOCIATORS, jcbb, nearest_neighbour, singles
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import form_of
+from slam_gym.slam.at_once import are_plain, form_of
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Odometry, Scan
 
@@ -14,10 +14,10 @@ HERE = Scan.from_points([[1.0, 0.0], [2.0, 1.0], [0.0, -3.0]], sigma=0.02)
 
 
 def test_three_associators_are_known_by_name_and_as_functions_and_no_stranger_is() -> None:
-    known = {name for name, associate in ASSOCIATORS.items() if form_of(associate, STILL, HERE) is not None}
+    known = {name for name, associate in ASSOCIATORS.items() if form_of(associate) is not None}
     assert known == {"jcbb", "nearest_neighbour", "singles"}
-    assert len({form_of(asked(name), STILL, HERE) for name in known}) == 3
-    assert form_of(lambda scan, prediction: jcbb(scan, prediction), STILL, HERE) is None
+    assert len({form_of(asked(name)) for name in known}) == 3
+    assert form_of(lambda scan, prediction: jcbb(scan, prediction)) is None
 
 
 def test_arrays_that_nothing_is_compiled_for_are_the_page_s_business() -> None:
@@ -27,7 +27,8 @@ def test_arrays_that_nothing_is_compiled_for_are_the_page_s_business() -> None:
     locked.flags.writeable = False
     for at in (points, locked):
         scan = Scan(at, HERE.covariances, HERE.sizes, HERE.size_variances, HERE.kinds)
-        assert form_of(jcbb, STILL, scan) is None
+        assert not are_plain(STILL, scan)
+    assert are_plain(STILL, HERE)
 
 
 @pytest.mark.parametrize("associate", [jcbb, nearest_neighbour, singles])
