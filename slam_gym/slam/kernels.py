@@ -43,6 +43,7 @@ def learn(
     recent: IntArray,
     scan: ScanArrays,
     features: IntArray,
+    teaching: IntArray,
     told: bool,
     new: BoolArray,
     expected: tuple[Array, Array],
@@ -59,6 +60,7 @@ def learn(
         recent: (≥ m,) is told the features that the scan has updated or started, and UNPAIRED.
         features: (m,) decisions; where they are `told` as well, `new` (m,) start a feature, otherwise those that are
             unpaired and compatible with none of the features `expected`, positions (k, 2) and covariances (k, 2, 2).
+        teaching: (m,) the same without those that only see their features again, and do not update the map.
         ids: (m,) is told the feature behind each measurement, or NO_ID; `new` (m,) which of them have begun.
 
     Returns how it ended, what there is to say about that, and the number of features added: DONE and the number of
@@ -73,7 +75,7 @@ def learn(
     if width > neighbours.shape[1]:
         return NARROW, width, 0
     # update
-    refused = update(x, at, P, n, (points, covariances), features, (iterations, settled), invariant)
+    refused = update(x, at, P, n, (points, covariances), teaching, (iterations, settled), invariant)
     if refused != ACCEPTED:
         return REFUSED, refused, 0
     ekf.record(features, step, (sizes, variances, kinds), counted, sized)

@@ -3,19 +3,16 @@
 The filter takes the errors of measurements for independent. Those of a camera that looks at the same mark from the same
 place are not: what the first of a hundred frames is off by, the hundredth is as well. Counted a hundred times, it makes
 the map certain of a pose that is wrong, and its gates turn away what is right. A pairing with a feature that the map
-has learned from a moment ago therefore counts for nothing until the robot has driven or turned enough.
+has learned from a moment ago is therefore no part of the update until the robot has driven or turned enough.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
-from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, Odometry, Scan, SlamStep
-
-_NOTHING = 1e6  # times its covariance, a measurement tells nothing
+from slam_gym.types import NO_ID, UNPAIRED, BoolArray, IntArray, Odometry, SlamStep
 
 
 class Looks:
@@ -36,18 +33,15 @@ class Looks:
         x, y, turn = odometry.motion.tolist()
         self._way += (math.hypot(x, y), abs(turn))
 
-    def discounted(self, scan: Scan, features: IntArray, ids: IntArray) -> Scan:
-        """The scan to learn from: measurements that repeat others by their pairings `features` (m,) tell nothing.
+    def fresh(self, features: IntArray, ids: IntArray) -> IntArray:
+        """The pairings (m,) that tell something: `features` (m,) with UNPAIRED for those that repeat others.
 
-        `ids` (n,) are those of the map's features. The scan itself where nothing is repeated.
+        `ids` (n,) are those of the map's features.
         """
         paired = np.flatnonzero(features != UNPAIRED)
-        repeated = paired[self._repeated(ids[features[paired]])]
-        if not len(repeated):
-            return scan
-        covariances: Array = scan.covariances.copy()
-        covariances[repeated] *= _NOTHING
-        return replace(scan, covariances=covariances)
+        out: IntArray = features.copy()
+        out[paired[self._repeated(ids[features[paired]])]] = UNPAIRED
+        return out
 
     def learned(self, step: SlamStep) -> None:
         """Remember the features that a step has updated or started, but for those that it has seen again."""

@@ -203,14 +203,14 @@ class Slam:
     def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Update, add and maintain; what repeats earlier looks tells nothing (see `slam.looks`)."""
         if self._looks is None:
-            return self._take_in(scan, prediction, hypothesis)
-        scan = self._looks.discounted(scan, hypothesis.features, self.map.ids)
-        step = self._take_in(scan, prediction, hypothesis)
+            return self._take_in(scan, prediction, hypothesis, hypothesis.features)
+        fresh = self._looks.fresh(hypothesis.features, self.map.ids)
+        step = self._take_in(scan, prediction, hypothesis, fresh)
         self._looks.learned(step)
         return step
 
-    def _take_in(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
-        """Update with the pairings, add what is new, maintain: see `slam.kernels`.
+    def _take_in(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, teaching: IntArray) -> SlamStep:
+        """Update with the pairings that are `teaching` (m,), add what is new, maintain: see `slam.kernels`.
 
         New is what the associator says, or what the rule of the step has. A gate of confidence γ turns away 1 − γ of
         the right pairings, and each would start a duplicate: where scans come by the hundred, the rule deserves a wider
@@ -227,8 +227,8 @@ class Slam:
         while ended == kernels.NARROW:
             ended, what, added = kernels.learn(
                 m.arrays, m.n, m.step, m.next_id, graph.arrays, recent,
-                (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, told, created,
-                (prediction.positions, prediction.covariances), self._settings(), ids,
+                (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, teaching, told,
+                created, (prediction.positions, prediction.covariances), self._settings(), ids,
             )  # fmt: skip
             if ended == kernels.NARROW:
                 graph.widen(what)

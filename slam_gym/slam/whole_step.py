@@ -97,8 +97,8 @@ def whole_step(
     if not (paired >= fraction * m or (any_will_do and paired > 0)):
         return ANSWERED, k, 0, 0, *answer
     ended, what, added = learn(
-        arrays, n, step, next_id, graph, recent[turn], scan, features, False, new, (expected[1], expected[2]), settings,
-        ids,
+        arrays, n, step, next_id, graph, recent[turn], scan, features, features, False, new, (expected[1], expected[2]),
+        settings, ids,
     )  # fmt: skip
     return ended, k, what, added, *answer
 

@@ -9,7 +9,7 @@ from slam_gym.slam.atlas import AtlasSlam
 from slam_gym.slam.looks import Looks
 from slam_gym.slam.relocation import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, Effort, Hypothesis, Odometry, Prediction, Scan, SlamStep
+from slam_gym.types import NO_ID, UNPAIRED, Effort, Hypothesis, Odometry, Prediction, Scan, SlamStep
 
 _MARKS = np.array([[3.0, 1.0], [4.0, -1.0], [2.0, 0.3], [5.0, 2.0]])
 _SIGMA = 0.05
@@ -42,8 +42,8 @@ class TestSlam:
         again = slam.step(_drive(), _look(_MARKS + 0.01))
         np.testing.assert_array_equal(again.ids, first.ids)
         assert not again.created.any()
-        assert _variance(slam) == pytest.approx(before, rel=1e-3)
-        np.testing.assert_allclose(slam.map.positions, _MARKS, atol=1e-3)
+        assert _variance(slam) == pytest.approx(before, rel=1e-6)
+        np.testing.assert_allclose(slam.map.positions, _MARKS, atol=1e-12)
 
     @pytest.mark.parametrize(("forward", "turn"), [(0.6, 0.0), (0.0, 0.6), (0.0, -0.6)])
     def test_a_look_from_elsewhere_tells_something(self, forward, turn):
@@ -97,11 +97,9 @@ class TestLooks:
         looks = Looks(0.5, 0.5)
         ids = np.array([500, NO_ID, 3])
         looks.learned(SlamStep(None, None, ids, ids == 500, ids[:0]))  # type: ignore[arg-type]
-        scan = _look(_MARKS[:3])
         known = np.array([3, 500, 900])
-        told = looks.discounted(scan, np.array([1, 0, 2]), known)
-        np.testing.assert_array_equal(told.covariances[:, 0, 0] > 1.0, [True, True, False])
-        assert looks.discounted(scan, np.full(3, -1), known) is scan
+        np.testing.assert_array_equal(looks.fresh(np.array([1, 0, 2]), known), [UNPAIRED, UNPAIRED, 2])
+        np.testing.assert_array_equal(looks.fresh(np.array([2, UNPAIRED, 2]), known), [2, UNPAIRED, 2])
 
     @pytest.mark.parametrize("repeat", [(0.0, 0.5), (0.5, -1.0), (0.5,)])
     def test_refuses_what_is_no_motion(self, repeat):
