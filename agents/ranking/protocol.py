@@ -133,9 +133,10 @@ def _is_there(part: Part) -> bool:
 
 
 def _settings(setting: str) -> str:
-    """Everything in a scenario but its floors."""
+    """Everything in a scenario but its floors; what it does not ask for (False) says nothing, and changes no hash."""
     scenario = get_scenario(setting)
-    return repr([getattr(scenario, f.name) for f in fields(scenario) if f.name != "generator"])
+    values = [getattr(scenario, f.name) for f in fields(scenario) if f.name != "generator"]
+    return repr([value for value in values if value is not False])
 
 
 @functools.cache

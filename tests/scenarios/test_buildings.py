@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.scenarios import SCENARIOS
 from slam_gym.scenarios.buildings import BUILDINGS, floor_budget
 from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.floor_plan_file import load_floor_plan
@@ -23,6 +24,12 @@ def test_both_robots_are_put_into_the_same_worlds() -> None:
     assert building.generator == short_sighted.generator and building.robot == short_sighted.robot
     assert building.sensor.range == building.beams.range == 20.0 and building.beams.count == 90
     assert short_sighted.sensor.range == short_sighted.beams.range == 6.0
+
+
+def test_the_robot_for_buildings_steers_by_walls_and_waits_until_it_can_tell_and_no_other_does() -> None:
+    building, short_sighted = BUILDINGS
+    assert building.wall_compass and building.associator == "marginal" and not short_sighted.wall_compass
+    assert [s.name for s in SCENARIOS.values() if s.wall_compass] == ["building"]
 
 
 @pytest.mark.parametrize("side", [25.0, 60.0])

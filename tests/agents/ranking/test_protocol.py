@@ -2,6 +2,7 @@
 
 import pytest
 
+from agents.ranking.entries import BASELINES, read_entries
 from agents.ranking.protocol import PARTS, QUICK, VERSION, Part, protocol
 
 FROZEN = {"agent": "d0cb2cfeea23adc2", "associator": "73a9cd47b51cc736", "relocator": "41021b77f0f55e63"}
@@ -25,6 +26,12 @@ def test_parts_without_data_are_left_out_and_change_no_hash(monkeypatch):
         "closure",
         "drift-2",
     }
+
+
+@pytest.mark.parametrize("role", PARTS)
+def test_the_rows_that_ship_are_of_the_worlds_that_there_are(role):
+    rows = [entry for entry in read_entries([BASELINES]) if entry.role == role]
+    assert rows and {entry.worlds for entry in rows} == {protocol(role).worlds_hash()}
 
 
 def test_the_hash_of_worlds_is_that_of_the_floors():
