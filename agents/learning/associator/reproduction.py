@@ -8,14 +8,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from agents.learning.associator.decisions import Decisions
-from agents.learning.associator.sources import HIDDEN, LEVELS, LOGS, LOOPS, Source
+from agents.learning.associator.sources import HIDDEN, LEVELS, LOGS, LOOPS, VIEWS, VIEWS_AND_SIZES, Source
 from agents.learning.associator.training import Training, fit
 from agents.reproduce import figure
 from slam_gym.association.learned.inputs import INPUTS, VERSION
 from slam_gym.weights import Card, Weights
 
-HIDDEN_LOOPS = (("office", 2), ("drift-2", 2), ("hall", 2), ("crowd", 3), ("drift-3", 3), ("aliased-drift", 3))
-"""Further runs: scenario and world, of which the number also tells what is hidden."""
+HIDDEN_LOOPS = (
+    *(("sizes", 6, name) for name in ("office", "drift-2", "hall", "crowd-drift")),
+    *(("all but places", 7, name) for name in ("crowd", "drift-3", "aliased-drift", "loop")),
+    *((VIEWS, 8, name) for name in ("office", "crowd", "drift-1", "drift-2", "aliased", "hall-drift", "sparse")),
+    *((VIEWS_AND_SIZES, 9, name) for name in ("office", "drift-1", "drift-3", "hall", "sparse", "loop")),
+)
+"""Further runs: what is hidden, the world, and the scenario."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +31,8 @@ class Plan:
     level_worlds: int = 16
     told: int = 12  # of them in which nothing is hidden; then sizes and more are, in turn
     loops: Sequence[str] = LOOPS
-    loop_worlds: int = 2
-    hidden: Sequence[tuple[str, int]] = HIDDEN_LOOPS
+    loop_worlds: int = 6
+    hidden: Sequence[tuple[str, int, str]] = HIDDEN_LOOPS
     logs: Sequence[str] = LOGS
     held_out: int = 4  # worlds of each level, after those trained on
     seeds: Sequence[int] = (0, 1)  # the one that is best on what is held out ships
@@ -46,7 +51,7 @@ def sources(plan: Plan) -> tuple[list[Source], list[Source]]:
     hidden = [HIDDEN[0] if k < plan.told else HIDDEN[k % len(HIDDEN)] for k in range(last)]
     train = [Source("level", name, k, hidden=hidden[k]) for k in range(first) for name in plan.levels]
     train += [Source("loop", name, k) for k in range(plan.loop_worlds) for name in plan.loops]
-    train += [Source("loop", name, k, hidden=HIDDEN[k]) for name, k in plan.hidden]
+    train += [Source("loop", name, k, hidden=hidden) for hidden, k, name in plan.hidden]
     for k, associator in enumerate(("map_hypothesis", "marginal")):  # whose maps go wrong in other ways
         train += [Source("log", name, k, associator) for name in plan.logs]
     return train, [Source("level", name, k, hidden=hidden[k]) for k in range(first, last) for name in plan.levels]

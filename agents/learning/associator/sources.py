@@ -4,6 +4,7 @@ and the training parts of recordings. Maps in the loop are made by associators, 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -22,7 +23,7 @@ from slam_gym.simulation.association_runs import DRIVERS, AssociationRun, Driven
 from slam_gym.simulation.episode import survey
 from slam_gym.simulation.recorded_logs import reference_poses
 from slam_gym.simulation.right_answers import RightAnswers
-from slam_gym.types import Prediction, Scan, Truth
+from slam_gym.types import UNLABELLED, UNPAIRED, IntArray, Prediction, Scan, Truth
 
 LEVELS = tuple(level.id for e in EXPERIMENTS.values() if e.name != RELOCATION for level in e.levels)
 LOOPS = (
@@ -66,12 +67,17 @@ class Source:
 
 
 HIDDEN = ("nothing", "sizes, but for kinds", "sizes", "all but places")
+VIEWS, VIEWS_AND_SIZES = "views", "views and sizes"  # as in recordings
 """What may be hidden, so that the network knows how much a pairing is worth of which less is told."""
 
 
 def without(hidden: str, scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:
     """The two as somebody would have them who does not measure what is `hidden`."""
     if hidden == "nothing":
+        return scan, prediction
+    if hidden in (VIEWS, VIEWS_AND_SIZES):
+        prediction = replace(prediction, view=None)
+    if hidden == VIEWS:
         return scan, prediction
     nan = np.full(len(scan), math.nan)
     prediction = replace(prediction, **dict.fromkeys(("sizes", "size_variances"), np.full(len(prediction), math.nan)))
@@ -110,20 +116,43 @@ def _watched(
     run: AssociationRun, source: Source, learned: Learned | None, rng: np.random.Generator
 ) -> Iterator[Decisions]:
     """The scans of a run in which there is something to decide; of those without a doubt only some."""
-    associate = resolve_associator(source.associator)
+    associate, seen = resolve_associator(source.associator), SeenAs()
     for _ in range(min(run.length, _MOST_TICKS)):
         if run.over:
             return
         run.next_scan()
         if len(run.scan) and len(run.prediction):
-            truth = RightAnswers.of(run.truth, run.identities.source_of(run.slam.map.ids))
+            ids = run.slam.map.ids
+            truth = RightAnswers.of(run.truth, seen.source_of(ids, run.identities.source_of(ids)))
             easy = rng.random() < _EASY
             found = decisions_of(*without(source.hidden, run.scan, run.prediction), truth, learned)
             if found is not None and _doubtful(found):
                 yield found
             elif found is not None and easy:
                 yield found._replace(weight=1.0 / _EASY)
-        run.associate(associate(run.scan, run.prediction))
+        hypothesis = associate(run.scan, run.prediction)
+        seen.add(run.slam.map.ids, hypothesis.features, run.truth.sources)
+        run.associate(hypothesis)
+
+
+class SeenAs:
+    """What each feature of a map has mostly been seen as: one that was started by one thing, and is updated by another
+    from then on, is the other, though it keeps the name of the first."""
+
+    def __init__(self) -> None:
+        self._votes: dict[int, Counter[int]] = {}
+
+    def source_of(self, ids: IntArray, started: IntArray) -> IntArray:
+        """(n,) of features `ids` (n,) that the true features `started` (n,) have started."""
+        for feature, source in zip(ids.tolist(), started.tolist()):
+            self._votes.setdefault(feature, Counter({source: 1}))
+        return np.array([self._votes[feature].most_common(1)[0][0] for feature in ids.tolist()], np.int64)
+
+    def add(self, ids: IntArray, features: IntArray, sources: IntArray) -> None:
+        """A scan whose measurements of `sources` (m,) are paired with `features` (m,)."""
+        for feature, source in zip(features.tolist(), sources.tolist()):
+            if feature != UNPAIRED and source != UNLABELLED and int(ids[feature]) in self._votes:
+                self._votes[int(ids[feature])][source] += 1
 
 
 def _doubtful(d: Decisions) -> bool:

@@ -20,6 +20,8 @@ from agents.learning.associator.decisions import Batch, Decisions, flat
 from slam_gym.association.learned.network import FARTHEST
 from slam_gym.types import Array
 
+_ENOUGH = 16.0  # log odds
+
 
 @dataclass(frozen=True)
 class Training:
@@ -64,10 +66,15 @@ class Odds(nn.Module):
         trust = 0.5 ** (x != given).sum(dim=1)
         out = self.linear(x)[:, 0]
         if not self.hidden:
-            return trust * out
+            return trust * self._limited(out)
         own = torch.relu(self.first(x))
         pooled = [own, _most(own, batch.measured), _most(own, batch.slots)]
-        return trust * (out + self.last(torch.relu(self.second(torch.cat(pooled, dim=1))))[:, 0])
+        return trust * self._limited(out + self.last(torch.relu(self.second(torch.cat(pooled, dim=1))))[:, 0])
+
+    def _limited(self, odds: Tensor) -> Tensor:
+        """In training none beyond `_ENOUGH`: what is decided pulls no weight any further, and what nobody has trained
+        on meets weights that are small."""
+        return odds.clamp(-_ENOUGH, _ENOUGH) if self.training else odds
 
     def arrays(self) -> dict[str, Array]:
         """As `network_of` takes them."""
@@ -149,6 +156,7 @@ def fit(train: Sequence[Decisions], held_out: Sequence[Decisions], how: Training
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             schedule.step()
+    network.eval()
     others = [_batch(list(held_out[at : at + how.batch])) for at in range(0, len(held_out), how.batch)]
     return network, Losses(mean_loss(None, others), mean_loss(network, batches), mean_loss(network, others))
 

@@ -3,7 +3,7 @@
 import pytest
 
 from agents.learning.associator.reproduction import SHARES, Plan, sources, weighed
-from agents.learning.associator.sources import HIDDEN
+from agents.learning.associator.sources import HIDDEN, VIEWS, VIEWS_AND_SIZES
 from tests.agents.learning.associator.test_decisions import answered
 
 
@@ -12,7 +12,11 @@ def test_no_world_is_both_trained_on_and_held_out():
     assert len(set(train)) == len(train) and not {(s.name, s.world) for s in train} & {
         (s.name, s.world) for s in held_out
     }
-    assert {s.hidden for s in train} == {s.hidden for s in held_out} == set(HIDDEN)
+    assert {s.hidden for s in held_out} == set(HIDDEN) and {s.hidden for s in train} == {
+        *HIDDEN,
+        VIEWS,
+        VIEWS_AND_SIZES,
+    }
     assert {s.kind for s in train} == set(SHARES) and {s.kind for s in held_out} == {"level"}
 
 
