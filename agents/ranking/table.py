@@ -54,19 +54,17 @@ def _parts(entry: Ranked) -> list[Part]:
 
 
 def _means(entry: Ranked) -> dict[str, float]:
-    columns: dict[str, list[float]] = {}
-    for part in _parts(entry):
-        columns.setdefault(part.column, []).extend(entry.losses[part.setting])
+    columns = _by_column(entry, with_data=True)
     return {
         name: float(np.nanmean(values)) if np.isfinite(values).any() else np.nan for name, values in columns.items()
     }
 
 
-def _by_column(entry: Ranked) -> dict[str, Array]:
-    """Column → losses in its episodes, of the columns that need no data."""
+def _by_column(entry: Ranked, with_data: bool = False) -> dict[str, Array]:
+    """Column → losses in its episodes; of the columns that need no data, unless `with_data`."""
     found: dict[str, list[float]] = {}
     for part in _parts(entry):
-        if not part.needs_data:
+        if with_data or not part.needs_data:
             found.setdefault(part.column, []).extend(entry.losses[part.setting])
     return {name: np.array(values, np.float64) for name, values in found.items()}
 
