@@ -156,8 +156,13 @@ class ServedRelocator:
 
 def serve(role: Role, name: str, incoming: BinaryIO, outgoing: BinaryIO) -> None:
     """Answer requests until there are no more."""
+
+    def ask(what: str, *arguments: Any) -> Any:
+        send(outgoing, {"ask": what, "arguments": list(arguments)})
+        return receive(incoming)
+
     try:
-        answer, about = _ANSWERS[role](name, incoming, outgoing)
+        answer, about = _ANSWERS[role](name, ask)
         send(outgoing, {"answer": about})
     except Exception as error:
         send(outgoing, {"error": f"{type(error).__name__}: {error}"})
@@ -175,9 +180,11 @@ def serve(role: Role, name: str, incoming: BinaryIO, outgoing: BinaryIO) -> None
 
 Answer = tuple[Callable[[dict[str, Any]], Any], dict[str, Any]]
 """What answers requests, and what is told of the entry at first."""
+Ask = Callable[..., Any]
+"""Asks the evaluation for what a prediction computes only when asked: its name, and arguments."""
 
 
-def _agent(name: str, incoming: BinaryIO, outgoing: BinaryIO) -> Answer:
+def _agent(name: str, _: Ask) -> Answer:
     learned = Path(name).suffix == ".pt"
     agent = make_agent("ppo", name) if learned else make_agent(name)
 
@@ -189,29 +196,22 @@ def _agent(name: str, incoming: BinaryIO, outgoing: BinaryIO) -> Answer:
     return answer, {"name": agent.name, "action": agent.action}
 
 
-def _associator(name: str, incoming: BinaryIO, outgoing: BinaryIO) -> Answer:
+def _associator(name: str, ask: Ask) -> Answer:
     associate = find_associator(name)
 
-    def asking(what: str) -> Callable[..., Any]:
-        def ask(*arguments: Any) -> Any:
-            send(outgoing, {"ask": what, "arguments": list(arguments)})
-            return receive(incoming)
-
-        return ask
-
     def answer(request: dict[str, Any]) -> Hypothesis:
-        lazy = {what: asking(what) if what in request["helpers"] else None for what in _ASKED}
+        lazy = {what: functools.partial(ask, what) if what in request["helpers"] else None for what in _ASKED}
         return associate(request["scan"], Prediction(**request["prediction"], **lazy))
 
     return answer, {}
 
 
-def _relocator(name: str, incoming: BinaryIO, outgoing: BinaryIO) -> Answer:
+def _relocator(name: str, _: Ask) -> Answer:
     relocate = resolve_relocator(name)
     return lambda request: relocate(request["scan"], request["landmarks"], request["locality"]), {}
 
 
-_ANSWERS: dict[str, Callable[[str, BinaryIO, BinaryIO], Answer]] = {
+_ANSWERS: dict[str, Callable[[str, Ask], Answer]] = {
     "agent": _agent,
     "associator": _associator,
     "relocator": _relocator,
