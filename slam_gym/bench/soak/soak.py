@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numba.core.dispatcher import Dispatcher
 
 from slam_gym.bench.memory import resident
 from slam_gym.bench.records import Record, grouped
@@ -44,6 +45,7 @@ class Outcome(NamedTuple):
     seconds: float
     broken: str  # what broke, and where; empty where nothing did
     megabytes: float  # resident afterwards
+    functions: int  # compiled or loaded so far: what memory may grow with
 
 
 def soak(number: int, seed: int, ticks: int) -> Outcome:
@@ -65,7 +67,12 @@ def soak(number: int, seed: int, ticks: int) -> Outcome:
     steps, done = (checked.steps, checked.ticks) if checked else (0, 0)
     seconds, checked = time.perf_counter() - start, None  # what is held is asked for when the episode is gone
     gc.collect()
-    return Outcome(chosen, steps, done, copied, seconds, broken, resident())
+    return Outcome(chosen, steps, done, copied, seconds, broken, resident(), functions())
+
+
+def functions() -> int:
+    """How many compiled functions this process has loaded, each for its types of arguments."""
+    return sum(len(held.overloads) for held in gc.get_objects() if isinstance(held, Dispatcher))
 
 
 def growth(megabytes: Sequence[float]) -> float:
@@ -122,7 +129,8 @@ def run(
             report.say(f"BROKEN {outcome.case}: {outcome.broken}")
         if time.perf_counter() - said > _SAY_EVERY:
             said = time.perf_counter()
-            report.say(f"{len(outcomes)} episodes, {total} ticks, {outcome.megabytes:.0f} MB")
+            held = f"{outcome.megabytes:.0f} MB with {outcome.functions} compiled functions"
+            report.say(f"{len(outcomes)} episodes, {total} ticks, {held}; to go on from here: --first {number}")
     _tell(report, outcomes)
     broken, grown = sum(bool(o.broken) for o in outcomes), growth([o.megabytes for o in outcomes])
     report.say(f"\n{len(outcomes)} episodes, {total} ticks, {broken} broken; memory {_signed(grown)}")
@@ -137,7 +145,7 @@ def _tell(report: Report, outcomes: Sequence[Outcome]) -> None:
         report.table(f"By {by}", summary(outcomes, by))
     report.rows("soak", [
         {"case": str(o.case), "steps": o.steps, "ticks": o.ticks, "seconds": o.seconds, "megabytes": o.megabytes,
-         "broken": o.broken}
+         "functions": o.functions, "broken": o.broken}
         for o in outcomes
     ])  # fmt: skip
 

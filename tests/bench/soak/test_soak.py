@@ -15,7 +15,7 @@ EXTREME = (0, 1, 5, 8, 14, 29)  # numbers of cases: all three environments, five
 def test_nothing_breaks(number):
     outcome = soak(number, 0, 24)
     assert not outcome.broken, f"{outcome.case}: {outcome.broken}"
-    assert outcome.steps > 0
+    assert outcome.steps > 0 and outcome.functions > 0
 
 
 def test_the_command_tells_what_was_driven(capsys, tmp_path):
