@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation.records import Record, plain, versions, write_json
-from agents.ranking.protocol import Protocol
+from agents.ranking.protocol import FIRST, Protocol
 
 BASELINES = Path(__file__).with_name("baselines")
 """The entries that ship."""
@@ -42,10 +42,10 @@ class Ranked:
 
 def ranked(name: str, chosen: Protocol, records: Sequence[Record], command: str, seconds: float) -> Ranked:
     """The entry that records of a whole evaluation make."""
-    losses = {part.setting: [math.nan] * part.worlds for part in chosen.parts}
+    losses = {part.setting: [math.nan] * part.count for part in chosen.parts}
     for record in records:
         loss = record["loss"]
-        losses[record["setting"]][record["episode"]] = math.nan if loss is None else float(loss)
+        losses[record["setting"]][record["episode"] - FIRST] = math.nan if loss is None else float(loss)
     about = {
         "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",
         "versions": versions(),

@@ -26,10 +26,11 @@ from slam_gym.scenarios import get_scenario, world_generator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.world.floor_plan import FloorPlan
 
-VERSION = 1
+VERSION = 2
 """Of the protocol: raised with any change of what follows, or of how an episode is run."""
 
 SPLIT = "test"
+FIRST = 1000  # of its worlds: those before it are looked at while somebody develops, and tell less
 PROBLEMS = 12  # of a world of the suite, at most
 DRIVER = "information_gain"  # where the entry does not drive
 
@@ -40,7 +41,12 @@ class Part:
 
     kind: Literal["drive", "suite", "floor", "log"]
     setting: str  # scenario, level of the suite, file of a floor or name of a recording
-    worlds: int  # 0 … worlds − 1 of the split
+    count: int  # of its worlds, from `FIRST` of the split on
+
+    @property
+    def worlds(self) -> range:
+        """Their numbers in the split."""
+        return range(FIRST, FIRST + self.count)
 
     @property
     def column(self) -> str:
@@ -109,13 +115,20 @@ class Protocol(NamedTuple):
     def hash(self) -> str:
         """Of everything that is frozen, whether there are data for it or not."""
         parts = [asdict(part) for part in _all(self.role, self.quick)]
-        frozen = {"version": VERSION, "split": SPLIT, "problems": PROBLEMS, "driver": DRIVER, "parts": parts}
+        frozen = {
+            "version": VERSION,
+            "split": SPLIT,
+            "first": FIRST,
+            "problems": PROBLEMS,
+            "driver": DRIVER,
+            "parts": parts,
+        }
         return _digest(json.dumps(frozen, sort_keys=True).encode())
 
     def worlds_hash(self) -> str:
         """Of the floors, to a micrometre, of the parts that need no data, and of robot, sensors, filter and budget."""
         parts = [part for part in self.parts if not part.needs_data]
-        plans = [_plan_hash(part.setting, world) for part in parts for world in range(part.worlds)]
+        plans = [_plan_hash(part.setting, world) for part in parts for world in part.worlds]
         return _digest("".join([str(PROTOCOL), *(_settings(part.setting) for part in parts), *plans]).encode())
 
 

@@ -90,6 +90,6 @@ def _loop(name: str, role: Role, part: Part) -> tuple[Agent, gym.Env[Any, Any]]:
 
 def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:
     """An entry through the protocol."""
-    tasks = [EntryTask(name, chosen.role, part, world) for part in chosen.parts for world in range(part.worlds)]
+    tasks = [EntryTask(name, chosen.role, part, world) for part in chosen.parts for world in part.worlds]
     conditions = {"entry": name} | chosen.about
     return Evaluation(LEADERBOARD, tasks, conditions, lambda records: {})

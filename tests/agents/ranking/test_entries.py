@@ -6,12 +6,12 @@ import math
 import pytest
 
 from agents.ranking.entries import BASELINES, ranked, read_entries, read_entry, source_hash, write_entry
-from agents.ranking.protocol import Part, protocol
+from agents.ranking.protocol import FIRST, Part, protocol
 from tests.agents.ranking.strangers import mine
 
 RECORDS = [
-    {"setting": "office-small", "episode": 0, "loss": 0.25},
-    {"setting": "office-small", "episode": 1, "loss": None},
+    {"setting": "office-small", "episode": FIRST, "loss": 0.25},
+    {"setting": "office-small", "episode": FIRST + 1, "loss": None},
 ]
 TWO = protocol("agent", quick=True)._replace(parts=(Part("drive", "office-small", 2),))
 

@@ -3,15 +3,15 @@
 import pytest
 
 from agents.ranking.entries import BASELINES, read_entries
-from agents.ranking.protocol import PARTS, QUICK, VERSION, Part, protocol
+from agents.ranking.protocol import FIRST, PARTS, QUICK, VERSION, Part, protocol
 
-FROZEN = {"agent": "d0cb2cfeea23adc2", "associator": "73a9cd47b51cc736", "relocator": "41021b77f0f55e63"}
-"""Hashes of version 1. Another protocol is another version, and old entries are then ranked apart."""
+FROZEN = {"agent": "b930349a74f6e4e4", "associator": "f7ae93942374f611", "relocator": "9bd00330e723e870"}
+"""Hashes of version 2. Another protocol is another version, and old entries are then ranked apart."""
 
 
 @pytest.mark.parametrize("role", PARTS)
 def test_it_is_what_it_was(role):
-    assert VERSION == 1 and protocol(role).hash == FROZEN[role]
+    assert VERSION == 2 and protocol(role).hash == FROZEN[role]
 
 
 def test_the_quick_form_and_every_role_have_hashes_of_their_own():
@@ -37,6 +37,7 @@ def test_the_rows_that_ship_are_of_the_worlds_that_there_are(role):
 def test_the_hash_of_worlds_is_that_of_the_floors():
     quick = protocol("agent", quick=True)
     assert quick.worlds_hash() == protocol("agent", quick=True).worlds_hash()
+    assert quick.parts[0].worlds == range(FIRST, FIRST + 1)
     other = quick._replace(parts=(Part("drive", "office-small", 3),))
     assert quick.worlds_hash() != other.worlds_hash()
-    assert all(part.worlds == 1 for parts in QUICK.values() for part in parts)
+    assert all(part.count == 1 for parts in QUICK.values() for part in parts)

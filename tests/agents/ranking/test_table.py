@@ -16,7 +16,7 @@ def entry(name, shift, seed=0, noise=0.001):
     """Losses of worlds that differ much from each other, shifted by little."""
     hard, own = np.random.default_rng(1), np.random.default_rng(seed)
     losses = {
-        part.setting: (hard.uniform(0.1, 0.9, part.worlds) + shift + noise * own.standard_normal(part.worlds)).tolist()
+        part.setting: (hard.uniform(0.1, 0.9, part.count) + shift + noise * own.standard_normal(part.count)).tolist()
         for part in PARTS_USED
     }
     return Ranked("agent", name, protocol("agent").about, "w", losses, {"seconds": 1})

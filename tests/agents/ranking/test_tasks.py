@@ -16,14 +16,15 @@ from agents.ranking.tasks import EntryTask, leaderboard_evaluation
     ],
 )
 def test_losses_lie_between_none_and_all(role, entry, part):
-    task = EntryTask(entry, role, part, 0)
+    (world,) = part.worlds
+    task = EntryTask(entry, role, part, world)
     (record,) = task.run(task.keys)
-    assert task.keys == (Key(entry, part.setting, 0),) and record["column"] == part.column
+    assert task.keys == (Key(entry, part.setting, world),) and record["column"] == part.column
     assert 0.0 <= record["loss"] <= 1.0 and (entry != "true_association" or record["loss"] == 0.0)
 
 
 def test_an_evaluation_is_the_whole_protocol():
     chosen = protocol("agent", quick=True)
     evaluation = leaderboard_evaluation("random", chosen)
-    assert len(evaluation.tasks) == sum(part.worlds for part in chosen.parts)
+    assert len(evaluation.tasks) == sum(part.count for part in chosen.parts)
     assert evaluation.conditions["hash"] == chosen.hash and evaluation.conditions["entry"] == "random"
