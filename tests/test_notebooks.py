@@ -60,7 +60,14 @@ def row(shown: str, name: str) -> list[float]:
 
 
 def test_all_notebooks_are_there() -> None:
-    names = ["01_quickstart", "02_why_joint_compatibility", "03_locality", "04_victoria_park", "05_drift"]
+    names = [
+        "01_quickstart",
+        "02_why_joint_compatibility",
+        "03_locality",
+        "04_victoria_park",
+        "05_drift",
+        "06_learning",
+    ]
     assert [path.stem for path in NOTEBOOKS] == names
 
 
@@ -172,3 +179,24 @@ def test_drift(headless: None) -> None:
     assert atlas < 0.7 * alone
     twice = [int(n) for n in re.findall(r"(\d+) features mapped twice", shown)]
     assert twice[1] <= 2 < 20 < twice[0]
+
+
+@pytest.mark.slow
+def test_learning(headless: None) -> None:
+    notebook = executed("06_learning.ipynb")
+    shown = text(notebook)
+    assert not [output for output in outputs(notebook) if output.output_type == "error"]
+    assert pictures(notebook) == 6
+    for level in ("clutter/3", "detection/3", "aliasing/3"):
+        by_map, by_marginals, learned = (row(shown, f"{level} {n}") for n in ("map hypothesis", "marginal", "learned"))
+        assert by_map[0] < by_marginals[0] < learned[0]  # scores
+    clutter = {name: row(shown, f"clutter/3 {name}") for name in ("map hypothesis", "learned")}
+    assert clutter["map hypothesis"][2] - clutter["map hypothesis"][3] > 0.3  # promised more than it kept
+    assert abs(clutter["learned"][2] - clutter["learned"][3]) < 0.15
+    assert row(shown, "clairvoyant")[0] < row(shown, "information_gain")[0]
+    assert "most is lost without: size" in shown and row(shown, "associator")[1] == 26
+    scores = re.findall(r"marginal scores (-?\d\.\d+), learned (-?\d\.\d+)", shown)
+    won, lost = ([float(score) for score in pair] for pair in scores)
+    assert won[1] > won[0] + 0.5 and lost[1] < lost[0] - 0.5
+    gain, loss = (float(x) for x in re.findall(r"world \d by (-?\d\.\d+)", shown))
+    assert gain > 0.0 and loss > 0.0
