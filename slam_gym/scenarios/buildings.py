@@ -23,7 +23,6 @@ BUILDINGS: tuple[Scenario, ...] = (
         budget=3_000,
         sensor=SensorSpec(range=20.0),  # 9 features in sight on real floors, more than 20 in one scan of thirty
         beams=BeamSpec(count=90, range=20.0),
-        associator="marginal",  # beyond a hall that it crossed blindly, the robot knows its place to half a metre only
         wall_compass=True,  # where a hall shows no feature, its walls still say where the robot is heading
     ),
     Scenario(
