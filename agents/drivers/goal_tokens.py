@@ -1,4 +1,7 @@
-"""Goals as tokens, what a network of goals looks at: each goal, the map around it, and the state of the episode."""
+"""Goals as tokens, what a network of goals looks at: each goal, the map around it, and the state of the episode.
+
+Of the map that is known already they tell nothing but where its features are: what a revisit is worth is not learned.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,12 @@ from slam_gym.types import Array
 _REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal in which the image is summed up
 _AROUND = tuple(f"{what} within {reach}" for reach in _REACHES for what in ("free", "wall", "features", "unknown"))
 OWN = (
-    "is look around", "is frontier", "is revisit", "distance", "cosine of the bearing", "path", "area", "reduction",
-    "in view", "log rate", "beyond the image", "fraction of the time left", *_AROUND,
+    "is look around", "is frontier", "distance", "cosine of the bearing", "path", "area", "log rate",
+    "beyond the image", "fraction of the time left", *_AROUND,
 )  # fmt: skip
 COMMON = (
-    "budget", "log ticks left", "ticks used", "sigma x", "sigma y", "sigma heading", "frontiers", "area in all",
-    "free in all", "wall in all", "features in all", "features per free",
+    "budget", "log ticks left", "ticks used", "frontiers", "area in all", "free in all", "wall in all",
+    "features in all", "features per free",
 )  # fmt: skip
 TOKEN_FIELDS = (*OWN, *COMMON)
 """Columns of a token: a goal's own, and what all goals of an observation share."""
@@ -34,7 +37,7 @@ class Tokens(NamedTuple):
 
     fields: Array  # (k, len(TOKEN_FIELDS))
     places: Array  # (k, 2) [m] in the robot frame
-    rates: Array  # (k,) [m² per tick] of information gain, the greedy score
+    rates: Array  # (k,) [m² per tick] of information gain by new area, the greedy score
 
 
 def ticks_left(budget: float, used: float) -> float:
@@ -45,30 +48,27 @@ def ticks_left(budget: float, used: float) -> float:
 def tokens_of(observation: Observation, used: float) -> Tokens:
     """The tokens of all goals of an observation, those that are not legal among them, after `used` ticks."""
     goals = unsquash_goals(observation["goals"])
+    goals |= {"area": np.where(goals["revisit"] > 0.5, 0.0, goals["area"]), "reduction": np.zeros(len(goals["x"]))}
     places = np.column_stack([goals["x"], goals["y"]])
     budget = float(observation["budget"][0])
     left, rate = ticks_left(budget, used), rates(goals, GainSpec())
-    image = _summed(observation["image"])
     own = np.zeros((len(places), len(OWN)))
-    own[LOOK_AROUND, 0] = 1.0
-    own[:, 1], own[:, 2] = goals["frontier"], goals["revisit"]
+    own[LOOK_AROUND, 0], own[:, 1] = 1.0, goals["frontier"]
     distances = np.hypot(*places.T)
-    own[:, 3], own[:, 4] = distances / 10.0, places[:, 0] / np.maximum(distances, 0.1)
-    own[:, 5] = goals["path"] / 10.0
-    own[:, 6], own[:, 7], own[:, 8] = goals["area"] / 50.0, 10.0 * goals["reduction"], goals["in_view"] / 5.0
-    own[:, 9] = np.log10(rate + 1e-3)
-    own[:, 10] = np.abs(places).max(axis=1) > 0.5 * METRES
-    own[:, 11] = np.minimum(2.0, (5.0 + 12.0 * goals["path"]) / max(left, 1.0))
-    own[:, 12:] = _around(image, places)
+    own[:, 2], own[:, 3] = distances / 10.0, places[:, 0] / np.maximum(distances, 0.1)
+    own[:, 4], own[:, 5] = goals["path"] / 10.0, goals["area"] / 50.0
+    own[:, 6] = np.log10(rate + 1e-3)
+    own[:, 7] = np.abs(places).max(axis=1) > 0.5 * METRES
+    own[:, 8] = np.minimum(2.0, (5.0 + 12.0 * goals["path"]) / max(left, 1.0))
+    own[:, 9:] = _around(_summed(observation["image"]), places)
     fields = np.concatenate([own, np.tile(_common(observation, goals, left, used), (len(own), 1))], axis=1)
     return Tokens(np.clip(fields, -4.0, 4.0), places, rate)
 
 
 def _common(observation: Observation, goals: dict[str, Array], left: float, used: float) -> Array:
     free, wall, features = observation["image"].reshape(3, -1).mean(axis=1) / 255.0
-    sigma = np.asarray(observation["uncertainty"], float)
     return np.array([
-        float(observation["budget"][0]), math.log10(left + 1.0) - 2.0, used / 500.0, *sigma,
+        float(observation["budget"][0]), math.log10(left + 1.0) - 2.0, used / 500.0,
         goals["frontier"].sum() / 10.0, goals["area"].sum() / 500.0, free, wall, 10.0 * features,
         features / (free + 0.02),
     ])  # fmt: skip

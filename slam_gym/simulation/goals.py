@@ -118,7 +118,7 @@ def propose(
     here = slam_map.pose[:2]
     for clearance in clearances(scenario.robot.radius):
         reached = distance_field(grid, here, clearance)
-        ends = _ends(grid, reached, scenario.beams.range, tried)
+        ends = frontiers_on_offer(grid, reached, scenario.beams.range, tried)
         if len(ends):
             break
     seen = places.candidates()
@@ -141,7 +141,7 @@ def propose(
     )
 
 
-def _ends(grid: ExploredGrid, field: DistanceField, reach: float, tried: Tried) -> Array:
+def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, tried: Tried) -> Array:
     """Frontiers that a path leads to and that are worth it, nearest first, (≤ FRONTIERS, 2).
 
     Where there are more, the offer is of the nearest and of those that promise most for the way there, so that a wing

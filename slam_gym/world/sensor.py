@@ -191,6 +191,12 @@ class Sensor:
         kinds = self._kinds(out[4][:m], rng) if self.spec.kinds else self._no_kinds[:m].copy()
         return _answer(pose, out, m, kinds)
 
+    def in_sight(self, pose: Array, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS) -> IntArray:
+        """The features (k,) of the plan in sight from `pose`, all of them, without noise."""
+        count, _, seen = self._in_sight(pose, (people, furniture))
+        found: IntArray = seen[:count][seen[:count] >= 0]
+        return found
+
     def _in_sight(self, pose: Array, moving: Moving) -> tuple[int, Array, IntArray]:
         """What is in sight, as `measure` takes it. The arrays are used again at the next look."""
         self._make_room(len(moving[0]))

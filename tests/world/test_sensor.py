@@ -157,3 +157,12 @@ def test_all_senses_at_once_tell_what_they_tell_one_after_the_other(kinds: bool)
         for given, expected in zip(senses, (odometry, scan, truth, beams)):
             for name in expected.__slots__:
                 np.testing.assert_array_equal(getattr(given, name), getattr(expected, name))
+
+
+def test_what_is_in_sight_is_what_a_detector_without_a_flaw_reports() -> None:
+    plan = scattered(seed=4)
+    sensor = sensor_in(plan)
+    _, truth = sensor.scan(POSE, np.random.default_rng(0))
+    found = sensor.in_sight(POSE)
+    assert 0 < len(found) < len(plan.features)
+    assert sorted(found) == sorted(truth.sources)

@@ -1,7 +1,9 @@
-"""What the learned driver learns from: states of episodes, and what the clairvoyant driver expects of each goal.
+"""What the learned driver learns from: states of drives, and what came of each goal there when it was tried.
 
-The one who drives there is whoever shall learn, or learns from: a state that only the teacher gets into teaches nothing
-about one's own mistakes (DAgger; Ross, Gordon and Bagnell, AISTATS 2011).
+From a state a drive goes on once for every legal goal, by that goal and then as information gain, or the learner of an
+earlier round, drives on. What a goal is better than that driver's own choice then holds for a driver who knows no
+more: on average over worlds it is what the driver should have done (a rollout algorithm; Bertsekas, Tsitsiklis and
+Wu, 1997).
 """
 
 from __future__ import annotations
@@ -14,13 +16,12 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from agents.drivers.base import Agent, visible
-from agents.drivers.clairvoyant import Clairvoyant
-from agents.drivers.goal_network import gaps_between, greedy_score
+from agents.drivers.goal_network import gaps_between, greedy_score, scores
 from agents.drivers.goal_tokens import tokens_of
-from agents.drivers.information_gain import InformationGain
-from agents.drivers.learned import LearnedDriver
-from agents.evaluation.episodes import ExploreArguments, begin_episode
+from agents.drivers.information_gain import GainSpec, rates
+from agents.drivers.learned import SIZE
+from agents.evaluation.episodes import ExploreArguments, reset_arguments
+from agents.learning.driver.sketch import Policy, Sketch, played
 from slam_gym.types import Array, BoolArray
 from slam_gym.weights import Weights
 
@@ -32,7 +33,7 @@ class Examples(NamedTuple):
     gaps: Array  # (n, k, k) between goals
     greedy: Array  # (n, k) scores
     legal: BoolArray  # (n, k)
-    values: Array  # (n, k) [.01 E] by which the map error should be lower in the end, by each goal; 0 where not legal
+    values: Array  # (n, k) [.01 of all features] mapped in the end, by each goal; 0 where not legal
 
     def __len__(self) -> int:  # of the states, not of the fields
         return len(self.tokens)
@@ -40,38 +41,51 @@ class Examples(NamedTuple):
 
 @dataclass(frozen=True)
 class Drive:
-    """One episode in a train world. Without `weights` information gain or the teacher drives, with them the learner."""
+    """One drive in outline in a train world. Without `weights` information gain drives, with them the learner."""
 
     scenario: str
     world: int
     weights: Weights | None = None
-    teacher: float = 0.5  # probability that the teacher drives the episode
+    states: float = 0.8  # of the decisions are tried out
     random: float = 0.12  # of the decisions are drawn from all legal goals
+    budgets: tuple[float, float] = (0.45, 1.1)  # of the scenario's, of which one is drawn
 
     def run(self) -> Examples:
-        """The states of the episode; the same, whichever process it runs in."""
-        env, rng, teacher = _env(self.scenario), np.random.default_rng(self.world), Clairvoyant()
-        pupil = InformationGain() if self.weights is None else LearnedDriver(self.weights)
-        observation, info = begin_episode(env, teacher, self.world)
-        features = int(env.unwrapped.episode.site.observable.sum())  # type: ignore[attr-defined]
-        driver: Agent = teacher if rng.random() < self.teacher else pupil
-        states, used, over = [], 0.0, False
-        while not over:
-            seen = visible(info)
-            used += float(seen["ticks"])
-            legal, values = seen["action_mask"], teacher.values(observation, seen)
-            tokens = tokens_of(observation, used)
-            states.append((
-                tokens.fields, gaps_between(tokens.places), greedy_score(tokens.rates), legal,
-                np.where(legal, 100.0 * values / features, 0.0),
-            ))  # fmt: skip
-            chosen = pupil.act(observation, seen)  # asked always, since it counts the ticks
-            if driver is teacher:
-                chosen = teacher.act(observation, seen)
-            if rng.random() < self.random:
-                chosen = int(rng.choice(np.flatnonzero(legal)))
-            observation, _, over, _, info = env.step(chosen)
+        """The states of the drive; the same, whichever process it runs in."""
+        env, rng, policy = _env(self.scenario), np.random.default_rng(self.world), policy_of(self.weights)
+        env.reset(**reset_arguments(self.world))
+        episode = env.unwrapped.episode  # type: ignore[attr-defined]
+        sketch, states = Sketch(episode, int(episode.scenario.budget * rng.uniform(*self.budgets))), []
+        while not sketch.over:
+            legal, chosen = sketch.legal, policy(sketch)
+            if legal.sum() > 1 and (rng.random() < self.states or not states):
+                values = [
+                    100.0 * (1.0 - played(sketch.fork(), policy, k)) if legal[k] else 0.0 for k in range(len(legal))
+                ]
+                tokens = tokens_of(sketch.observation(), sketch.ticks)
+                states.append((tokens.fields, gaps_between(tokens.places), greedy_score(tokens.rates), legal, values))
+            sketch.step(int(rng.choice(np.flatnonzero(legal))) if rng.random() < self.random else chosen)
         return Examples(*(np.array(part) for part in zip(*states)))
+
+
+def _tried(sketch: Sketch, policy: Policy, legal: BoolArray) -> Array:
+    """(k,) what is mapped in the end when each legal goal is taken now."""
+    ends = [100.0 * (1.0 - played(sketch.fork(), policy, k)) if may else 0.0 for k, may in enumerate(legal)]
+    return np.array(ends)
+
+
+def policy_of(weights: Weights | None) -> Policy:
+    """Who drives a sketch: information gain, or the learner with these weights."""
+
+    def greedy(sketch: Sketch) -> int:
+        goals = {"path": sketch.goals.lengths, "area": sketch.goals.areas, "reduction": sketch.goals.reductions}
+        return int(np.argmax(np.where(sketch.legal, rates(goals, GainSpec()), -np.inf)))
+
+    def learned(sketch: Sketch) -> int:
+        assert weights is not None
+        return int(np.argmax(scores(weights.arrays, SIZE, tokens_of(sketch.observation(), sketch.ticks), sketch.legal)))
+
+    return greedy if weights is None else learned
 
 
 def together(parts: Iterable[Examples]) -> Examples:
@@ -81,5 +95,5 @@ def together(parts: Iterable[Examples]) -> Examples:
 
 @lru_cache(maxsize=4)
 def _env(scenario: str) -> gym.Env[Any, Any]:
-    """Kept for the next episode of the same process."""
+    """Kept for the next drive of the same process."""
     return ExploreArguments(scenario, split="train").make("goal")

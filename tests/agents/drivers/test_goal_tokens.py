@@ -34,9 +34,11 @@ def test_tokens_are_finite_and_tell_what_the_goals_are(steps):
         assert tokens.fields.shape == (16, len(TOKEN_FIELDS)) == (16, len(OWN) + len(COMMON))
         assert np.isfinite(tokens.fields).all() and np.abs(tokens.fields).max() <= 4.0
         assert np.allclose(tokens.places, np.column_stack([goals["x"], goals["y"]]))
-        assert np.allclose(tokens.rates, rates(goals, GainSpec()))
-        kinds = tokens.fields[:, [TOKEN_FIELDS.index(f"is {kind}") for kind in ("look around", "frontier", "revisit")]]
-        assert (kinds.sum(axis=1)[info["action_mask"]] == 1.0).all()
+        fresh = goals["revisit"] < 0.5
+        assert np.allclose(tokens.rates[fresh], rates(goals | {"reduction": np.zeros(16)}, GainSpec())[fresh])
+        assert (tokens.rates[~fresh] == 0.0).all()
+        kinds = tokens.fields[:, [TOKEN_FIELDS.index(f"is {kind}") for kind in ("look around", "frontier")]]
+        assert (kinds.sum(axis=1)[info["action_mask"] & fresh] == 1.0).all()
         assert (tokens.fields[:, len(OWN) :] == tokens.fields[0, len(OWN) :]).all()
 
 

@@ -1,0 +1,173 @@
+"""A drive in outline, some twenty times as fast as an episode: what a goal is worth can be found out by trying it.
+
+The building, the senses and the goals on offer are those of the environment. The robot knows where it is, moves along
+its path a stretch at a time, and has mapped every feature that it has once had in sight.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from agents.drivers.base import LOOK_AROUND, Observation
+from slam_gym.envs.goal_observation import encode_goals
+from slam_gym.geometry import compose, observe
+from slam_gym.navigation.explored_grid import FREE, ExploredGrid
+from slam_gym.navigation.planner import DistanceField, distance_field
+from slam_gym.navigation.polyline import points_ahead
+from slam_gym.simulation.driver import APART, ARRIVED, NEAR_ENOUGH
+from slam_gym.simulation.episode import Episode
+from slam_gym.simulation.goals import SLOTS, WORTH_SEEING, Goals, Tried, clearances, frontiers_on_offer
+from slam_gym.types import Array, BoolArray
+from slam_gym.world.ray_casting import NO_DISCS
+
+STRETCH, SPEED = 4, 0.095  # [ticks] between looks, and [m/tick] along a path
+TURN, FREE_TURN = 4.0, 0.3  # [ticks/rad] for what a path turns by at once, but for so much [rad]
+REPLAN = 4  # [stretches] between looks at whether the path still holds
+QUARTER = 8  # [ticks] for a quarter of a turn
+
+Policy = Callable[["Sketch"], int]
+
+
+class Sketch:
+    """One drive, begun where `episode` begins, over `budget` ticks."""
+
+    def __init__(self, episode: Episode, budget: int) -> None:
+        self.budget, self.ticks = budget, 0
+        self._scenario, self._sensor, self._base = episode.scenario, episode.sensor, episode.base
+        self._rng = copy.deepcopy(episode.rng)
+        self._furniture = np.array(episode.world.furniture_segments)
+        self._features, self._counted = episode.site.plan.features.positions, episode.site.observable
+        side, shape = episode.grid.resolution, np.array(episode.grid.cells.shape[::-1])
+        self._grid = ExploredGrid(np.concatenate([episode.grid.origin, episode.grid.origin + side * shape]), side)
+        self._seen: BoolArray = np.zeros(len(self._features), np.bool_)
+        self._tried, self._looked = Tried(), Tried()
+        self._arrive(np.zeros(3))
+        self._offer()
+
+    def fork(self) -> Sketch:
+        """A drive that goes on from here by itself, with the same noise to come."""
+        other = copy.copy(self)
+        other._grid, other._seen, other._rng = copy.deepcopy(self._grid), self._seen.copy(), copy.deepcopy(self._rng)
+        other._tried, other._looked = copy.deepcopy(self._tried), copy.deepcopy(self._looked)
+        return other
+
+    @property
+    def over(self) -> bool:
+        return self.ticks >= self.budget
+
+    @property
+    def missed(self) -> float:
+        """The fraction of the features that are not mapped: what there is of the map error here."""
+        return 1.0 - float(self._seen[self._counted].mean())
+
+    @property
+    def legal(self) -> BoolArray:
+        """(SLOTS,) the goals to choose from: no second look around at one place while there is anything else."""
+        legal = self.goals.legal.copy()
+        legal[LOOK_AROUND] = self._looked.times(self.goals.positions[:1])[0] == 0 or not legal[1:].any()
+        return legal
+
+    def observation(self) -> Observation:
+        """What the environment would show, as far as tokens of goals are made of it."""
+        seen = observe(self._base, self._features[self._seen])
+        return {
+            "goals": encode_goals(self.goals, self._here),
+            "image": self._grid.egocentric(self._here, np.ascontiguousarray(seen)),
+            "budget": np.array([1.0 - self.ticks / self.budget], np.float32),
+        }
+
+    def step(self, slot: int) -> None:
+        """Carry a goal out, and see what is on offer then."""
+        before = self.ticks
+        if slot == LOOK_AROUND:
+            self._look_around()
+        else:
+            self._drive(self.goals.positions[slot])
+        self.ticks = max(self.ticks, before + 1)  # a goal always costs time
+        if not self.over:
+            self._offer()
+
+    def _offer(self) -> None:
+        for clearance in clearances(self._scenario.robot.radius):
+            self._field = distance_field(self._grid, self._here[:2], clearance)
+            ends = frontiers_on_offer(self._grid, self._field, self._scenario.beams.range, self._tried)
+            if len(ends):
+                break
+        spots, lengths, legal = np.zeros((SLOTS, 2)), np.zeros(SLOTS), np.arange(SLOTS) <= len(ends)
+        spots[LOOK_AROUND], spots[1 : 1 + len(ends)] = self._here[:2], ends
+        lengths[1 : 1 + len(ends)] = self._field.lengths_to(ends)
+        areas = np.where(legal, self._grid.expected_area(spots, self._scenario.beams.range), 0.0)
+        self.goals = Goals(spots, lengths, areas, np.zeros(SLOTS), legal)
+
+    def _arrive(self, here: Array) -> None:
+        """Be at a pose (3,) in B, and look."""
+        self._here, pose = here, compose(self._base, here)
+        self._grid.integrate(here, self._sensor.beams(pose, self._rng, NO_DISCS, self._furniture))
+        self._seen[self._sensor.in_sight(pose, NO_DISCS, self._furniture)] = True
+
+    def _look_around(self) -> None:
+        self._looked.add(self._here[:2])
+        for _ in range(4):
+            if not self.over:
+                self.ticks += QUARTER
+                self._arrive(self._here + np.array([0.0, 0.0, 0.5 * math.pi]))
+
+    def _drive(self, goal: Array) -> None:
+        asked, path, stretches, seen = goal, self._field.path(goal), 0, False
+        while len(path) > 1 and not self.over and math.dist(self._here[:2], goal) >= ARRIVED:
+            path = self._along(path)
+            stretches += 1
+            if stretches % REPLAN == 0 and len(path) > 1:
+                seen = bool(self._grid.expected_area(goal[None], self._scenario.beams.range)[0] < WORTH_SEEING)
+                path = path[:0] if seen else self._still_open(path, goal)
+                goal = path[-1] if len(path) else goal
+        if not seen and not self.over:
+            self._tried.add(asked)
+
+    def _along(self, path: Array) -> Array:
+        """One stretch along a path (p, 2), p ≥ 2, that begins here; what is left of it."""
+        (x, y, heading), left, turned, at = self._here, STRETCH * SPEED, 0.0, 1
+        while left > 1e-9 and at < len(path):
+            dx, dy = path[at, 0] - x, path[at, 1] - y
+            length = math.hypot(dx, dy)
+            if length > 1e-6:
+                before, heading = heading, math.atan2(dy, dx)
+                turned += max(0.0, abs(math.remainder(heading - before, 2.0 * math.pi)) - FREE_TURN)
+                part = min(1.0, left / length)
+                x, y, left = x + part * dx, y + part * dy, left - part * length
+            if left > 1e-9:
+                at += 1
+        self.ticks += STRETCH + round(TURN * turned)
+        self._arrive(np.array([x, y, heading]))
+        return np.concatenate([self._here[None, :2], path[at:]])
+
+    def _still_open(self, path: Array, goal: Array) -> Array:
+        """The path itself, or where a wall has been drawn across it another one, or as near as will do, or (0, 2)."""
+        columns, rows = np.floor((points_ahead(path, path[0], APART) - self._grid.origin) / self._grid.resolution).T
+        if (self._grid.cells[rows.astype(np.int64), columns.astype(np.int64)] == FREE).all():
+            return path
+        for clearance in clearances(self._scenario.robot.radius):
+            fresh = _path(distance_field(self._grid, self._here[:2], clearance), goal)
+            if len(fresh):
+                return fresh
+        return path[:0]
+
+
+def _path(field: DistanceField, goal: Array) -> Array:
+    path = field.path(goal)
+    if len(path) == 0 and math.dist(nearby := field.nearest(goal), goal) < NEAR_ENOUGH:
+        path = field.path(nearby)
+    return path
+
+
+def played(sketch: Sketch, policy: Policy, first: int | None = None) -> float:
+    """What a drive has missed at its end, with the goal `first` and then those of a policy; the drive is used up."""
+    if first is not None:
+        sketch.step(first)
+    while not sketch.over:
+        sketch.step(policy(sketch))
+    return sketch.missed
