@@ -135,7 +135,7 @@ def corridor(pockets: int = 14) -> ExploredGrid:
 
 def ends_of(grid: ExploredGrid, tried: Tried | None = None) -> np.ndarray:
     field = distance_field(grid, np.array([1.5, 3.0]), 0.25)
-    return goals._ends(grid, field, 6.0, tried or Tried())
+    return goals.frontiers_on_offer(grid, field, 6.0, tried or Tried())
 
 
 def test_the_far_end_is_on_offer_whatever_nooks_are_nearer() -> None:

@@ -39,8 +39,8 @@ def scene():
     numbers[:, 1], numbers[:, 11] = (2.0, 30.0, 0.01, 4.0), (3.0, 1.0, 0.2, 6.0)
     goals = Goals(positions, numbers[0], numbers[1], numbers[2], legal, numbers[3])
     nothing, expected = Scan.from_points(np.empty((0, 2)), sigma=0.1), np.empty((0, 2))
-    observation = observe(nothing, Prediction.from_gaussian(expected, np.empty((0, 0))), slam_map, grid, 5)
-    observation |= {"goals": encode_goals(goals, slam_map.pose), "budget": np.array([0.75], np.float32)}
+    observation = observe(nothing, Prediction.from_gaussian(expected, np.empty((0, 0))), slam_map, grid, 5, 0.75)
+    observation |= {"goals": encode_goals(goals, slam_map.pose)}
     return observation, {"action_mask": legal, "pose": slam_map.pose, "ticks": 200}
 
 
