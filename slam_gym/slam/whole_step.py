@@ -69,11 +69,12 @@ def whole_step(
     known, _, near, positions, covariances, _ = room
     points, noise = scan[0], scan[1]
     m, local = len(points), neighbours if offered else neighbours[:0]
+    yes, no = m >= 0, m < 0  # what is called with literals is compiled for them once more
     _, fault = first_bad_measurement(points, noise)
     needed = _widest(degrees, n) + m
     if fault or needed > neighbours.shape[1]:
         return LEFT_ALONE, 0, 0 if fault else needed, 0, 0.0, 0, 0, 0, False
-    k = foresee(arrays, n, step, True, *odometry, reach, second_order, local, degrees, recent.ravel(), room)
+    k = foresee(arrays, n, step, yes, *odometry, reach, second_order, local, degrees, recent.ravel(), room)
     if k < 0:
         return LEFT_ALONE, 0, 0, 0, 0.0, 0, 0, 0, False
     pose[:3], pose[3] = x[:3], P[2, 2]
@@ -97,7 +98,7 @@ def whole_step(
     if not (paired >= fraction * m or (any_will_do and paired > 0)):
         return ANSWERED, k, 0, 0, *answer
     ended, what, added = learn(
-        arrays, n, step, next_id, graph, recent[turn], scan, features, features, False, new, (expected[1], expected[2]),
+        arrays, n, step, next_id, graph, recent[turn], scan, features, features, no, new, (expected[1], expected[2]),
         settings, ids,
     )  # fmt: skip
     return ended, k, what, added, *answer
@@ -134,10 +135,12 @@ def _decide(
     """Enter in `rows` (m,) what the associator of this form pairs each measurement with, or UNPAIRED."""
     rows[:] = UNPAIRED
     if form == JCBB:
-        nothing = _Found(True, 0.0, 0, 0, 0, False)
-        first = _searched(points, noise, expected, whole, gates, True, nothing, rows)
-        done = not first.valid or len(whole[3]) == 0 or expected[3].all() or not (rows == UNPAIRED).any()
-        return first if done else _searched(points, noise, expected, whole, gates, False, first, rows)
+        found = _Found(True, 0.0, 0, 0, 0, False)
+        for search in range(2):
+            found = _searched(points, noise, expected, whole, gates, search == 0, found, rows)
+            if not found.valid or len(whole[3]) == 0 or expected[3].all() or not (rows == UNPAIRED).any():
+                break
+        return found
     (features, positions, covariances, near), (at, P, second_order, _, _, _) = expected, whole
     every = np.arange(len(points))
     fault, _, starts, _, slots, _, _, offered, tests = gate_pairings(
@@ -190,6 +193,6 @@ def _searched(
         local,
         len(given),
     )
-    distance, nodes, joint_tests, limit_hit = search_from_root(pairings, gates, NODE_LIMIT, None, behind, rows)
+    distance, nodes, joint_tests, limit_hit = search_from_root(pairings, gates, int(NODE_LIMIT), None, behind, rows)
     joint_tests += before.joint_tests
     return _Found(True, distance, before.nodes + nodes, tests, joint_tests, before.limit_hit or limit_hit)
