@@ -16,6 +16,7 @@ import numpy as np
 from slam_gym import geometry, validation
 from slam_gym._compile import announce_compilation
 from slam_gym.association import compatibility, jcbb, tree
+from slam_gym.association.tracking import branch_and_bound
 from slam_gym.envs import observation
 from slam_gym.mapping import covisibility, ekf, foresight, linear_algebra, measurement, update
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -36,7 +37,7 @@ COMPILED = (
     geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, polyline,
     redrawing, linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
     ray_casting, reachability, update, visibility, wall_grid, foresight, appraisal, kernels, driving,
-    whole_step,
+    whole_step, branch_and_bound,
 )  # fmt: skip
 """The modules whose inner loops run in every episode, whoever drives and associates."""
 

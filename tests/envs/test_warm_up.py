@@ -30,7 +30,7 @@ def episode(*actions, **options):
 LEAST = """
 episode((0.5, 0.1), action="twist", associator="nearest_neighbour")
 used = {module for (module, _), signatures in compiled().items() if signatures}
-used.remove("slam_gym.association.tracking.nearest_neighbour")  # which decides in this episode only
+used.discard("slam_gym.association.tracking.nearest_neighbour")  # which decides in this episode only
 print(sorted(used - {module.__name__ for module in warm_up.COMPILED}))
 """
 AHEAD = """

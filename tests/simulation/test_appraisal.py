@@ -7,8 +7,9 @@ from slam_gym.geometry import compose, relative
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.simulation.appraisal import appraise_map, appraise_pose
-from slam_gym.simulation.kidnapping import is_right, pose_is_right
+from slam_gym.simulation.kidnapping import is_right
 from tests.rollouts import episode, explore
+from tests.simulation.test_kidnapping import pose_is_right
 
 
 def test_map_error_coverage_and_nees_are_those_of_the_metrics() -> None:
