@@ -91,15 +91,20 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
     round an obstacle that cost the same would take turns, and the robot would go neither. Only the next stretch of it
     is planned anew, so that a plan takes as long in a large building as in a small one.
     """
-    if len(path) and _free(episode.grid, points_ahead(path, pose[:2], APART)):
+    if len(path) and is_free(episode.grid, points_ahead(path, pose[:2], APART)):
         stretch, rest = _next_stretch(path, pose[:2])
         fresh = _stretch_anew(episode, pose, stretch)
         if fresh is stretch:
             return path
         if len(fresh):
             return np.concatenate([fresh, rest])
-    for clearance in clearances(episode.scenario.robot.radius):
-        field = distance_field(episode.grid, pose[:2], clearance)
+    return way_to(episode.grid, episode.scenario.robot.radius, pose[:2], goal)
+
+
+def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array) -> Array:
+    """A path (p, 2) of a robot of `radius` [m] to a goal, or as near to it as will do, or (0, 2)."""
+    for clearance in clearances(radius):
+        field = distance_field(grid, here, clearance)
         fresh = field.path(goal)
         if len(fresh):
             return fresh
@@ -135,7 +140,7 @@ def _next_stretch(path: Array, position: Array) -> tuple[Array, Array]:
     return np.concatenate([path[at.segment : end + 1], cut[None]]), path[end + 1 :]
 
 
-def _free(grid: ExploredGrid, points: Array) -> bool:
+def is_free(grid: ExploredGrid, points: Array) -> bool:
     """No wall has been drawn where any of the points (q, 2) lies."""
     rows, columns = np.floor((points - grid.origin) / grid.resolution).astype(np.int64).T[::-1]
     return bool((grid.cells[rows, columns] == FREE).all())

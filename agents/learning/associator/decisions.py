@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam_gym.association.learned.inputs import inputs_of
 from slam_gym.association.tracking.headings import headings
-from slam_gym.association.tracking.marginals import Learned, marginals
+from slam_gym.association.tracking.marginals import marginals
 from slam_gym.association.tree import Tree
 from slam_gym.simulation.right_answers import RightAnswers
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, BoolArray, IntArray, Prediction, Scan
@@ -34,39 +34,29 @@ class Decisions(NamedTuple):
 
 
 class _Watched:
-    """Odds of the pairings of a tree, and the numbers that they were computed from."""
-
-    def __init__(self, learned: Learned | None) -> None:
-        self._learned = learned
+    """Stands in for the network: keeps a tree and the numbers of its pairings, and adds nothing to them."""
 
     def __call__(self, tree: Tree, visibility: Array | None) -> Array:
         self.tree, self.inputs = tree, inputs_of(tree, visibility)
-        self.odds = np.zeros(len(self.inputs)) if self._learned is None else self._learned(tree, visibility)
-        return self.odds
+        return np.zeros(len(self.inputs))
 
 
 class _Part(NamedTuple):
     watched: _Watched
     hypotheses: IntArray  # (b, m)
-    scores: Array  # (b,) with the odds
-    plain: Array  # (b,) without
+    scores: Array  # (b,)
 
 
-def decisions_of(
-    scan: Scan, prediction: Prediction, truth: RightAnswers, learned: Learned | None = None, weight: float = 1.0
-) -> Decisions | None:
-    """The decisions of a scan, or None where nothing is to be decided, or nobody knows what is right.
-
-    `learned` helps the search to find its hypotheses; what they score is the model's own.
-    """
+def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Decisions | None:
+    """The decisions of a scan, or None where nothing is to be decided, or nobody knows what is right."""
     parts, pairings = [], 0
     for heading in headings(prediction):
-        part = _searched(scan, heading.prediction, heading.log_weight, pairings, learned)
+        part = _searched(scan, heading.prediction, heading.log_weight, pairings)
         pairings += len(part.watched.inputs)
         parts.append(part)
     if not pairings:
         return None
-    scores, plain = np.concatenate([p.scores for p in parts]), np.concatenate([p.plain for p in parts])
+    scores = np.concatenate([p.scores for p in parts])
     hypotheses = np.concatenate([p.hypotheses for p in parts])
     best = np.argsort(-scores, kind="stable")[:_MOST]
     best = best[scores[best] > scores[best[0]] - MARGIN]
@@ -79,21 +69,20 @@ def decisions_of(
     return Decisions(
         np.concatenate([p.watched.inputs for p in parts]).astype(np.float32),
         measured.astype(np.int32), (rows + offset).astype(np.int32), right, hypotheses[best].astype(np.int32),
-        plain[best].astype(np.float32), unpaired, known, weight,
+        scores[best].astype(np.float32), unpaired, known, 1.0,
     )  # fmt: skip
 
 
-def _searched(scan: Scan, prediction: Prediction, log_weight: float, offset: int, learned: Learned | None) -> _Part:
+def _searched(scan: Scan, prediction: Prediction, log_weight: float, offset: int) -> _Part:
     """The search in one narrow heading; its pairings are numbered from `offset` on."""
-    watched = _Watched(learned)
+    watched = _Watched()
     found = marginals(scan, prediction, width=WIDTH, margin=MARGIN, learned=watched)
     pairings, rows = watched.tree.pairings, watched.tree.rows
     number = np.full((len(scan), len(prediction) + 1), UNPAIRED)
     number[pairings.measured, rows[pairings.slots]] = np.arange(len(pairings.slots))
     own = number[np.arange(len(scan)), found.hypotheses]  # row UNPAIRED is the last column
-    odds = np.append(watched.odds, 0.0)[own].sum(axis=1)
     scores = found.log_densities + log_weight
-    return _Part(watched, np.where(own == UNPAIRED, UNPAIRED, own + offset), scores, scores - odds)
+    return _Part(watched, np.where(own == UNPAIRED, UNPAIRED, own + offset), scores)
 
 
 def labels(

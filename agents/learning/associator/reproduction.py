@@ -68,7 +68,7 @@ def look(found: Sequence[Source], say: Callable[[str], None]) -> list[Decisions]
     kinds: dict[str, list[Decisions]] = {}
     for source in found:
         began = time.perf_counter()
-        own = list(source.scans(None))
+        own = list(source.scans())
         say(f"{source.name}, world {source.world}: {len(own)} scans in {time.perf_counter() - began:.1f} s")
         kinds.setdefault(source.kind, []).extend(counted(source, own))
     return weighed(kinds)

@@ -13,7 +13,6 @@ import numpy as np
 from agents.learning.associator.decisions import Decisions, decisions_of
 from agents.suite.problems import Problem, TwoLaps, problems
 from slam_gym.association import resolve_associator
-from slam_gym.association.tracking.marginals import Learned
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios import get_scenario, world_generator, world_seed
@@ -47,17 +46,17 @@ class Source:
     associator: str = "marginal"  # who maps, in the loop
     hidden: str = "nothing"  # what the network is not told, see `Hidden`
 
-    def scans(self, learned: Learned | None, count: int = 12) -> Iterator[Decisions]:
+    def scans(self, count: int = 12) -> Iterator[Decisions]:
         """The decisions of its scans; of a level, of `count` of them."""
         if self.kind == "level":
             for p in self._problems(count):
-                found = decisions_of(*without(self.hidden, p.scan, p.prediction), p.truth, learned)
+                found = decisions_of(*without(self.hidden, p.scan, p.prediction), p.truth)
                 if found is not None:
                     yield found
             return
         rng = np.random.default_rng((world_seed("train", self.world), 7))
         run = _drive(self, rng) if self.kind == "loop" else LoggedRun(_log(self.name), rng)
-        yield from _watched(run, self, learned, rng)
+        yield from _watched(run, self, rng)
 
     def _problems(self, count: int) -> Iterator[Problem]:
         level = get_level(self.name)
@@ -112,9 +111,7 @@ def _as_scan_log(log: Recording) -> ScanLog:
     return ScanLog(log.name, steps, len(log), slam_for(log), log.landmarks)
 
 
-def _watched(
-    run: AssociationRun, source: Source, learned: Learned | None, rng: np.random.Generator
-) -> Iterator[Decisions]:
+def _watched(run: AssociationRun, source: Source, rng: np.random.Generator) -> Iterator[Decisions]:
     """The scans of a run in which there is something to decide; of those without a doubt only some."""
     associate, seen = resolve_associator(source.associator), SeenAs()
     for _ in range(min(run.length, _MOST_TICKS)):
@@ -125,7 +122,7 @@ def _watched(
             ids = run.slam.map.ids
             truth = RightAnswers.of(run.truth, seen.source_of(ids, run.identities.source_of(ids)))
             easy = rng.random() < _EASY
-            found = decisions_of(*without(source.hidden, run.scan, run.prediction), truth, learned)
+            found = decisions_of(*without(source.hidden, run.scan, run.prediction), truth)
             if found is not None and _doubtful(found):
                 yield found
             elif found is not None and easy:

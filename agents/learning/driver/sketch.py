@@ -15,10 +15,10 @@ import numpy as np
 from agents.drivers.base import LOOK_AROUND, Observation
 from slam_gym.envs.goal_observation import encode_goals
 from slam_gym.geometry import compose, observe
-from slam_gym.navigation.explored_grid import FREE, ExploredGrid
-from slam_gym.navigation.planner import DistanceField, distance_field
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.polyline import points_ahead
-from slam_gym.simulation.driver import APART, ARRIVED, NEAR_ENOUGH
+from slam_gym.simulation.driver import APART, ARRIVED, is_free, way_to
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, WORTH_SEEING, Goals, Tried, clearances, frontiers_on_offer
 from slam_gym.types import Array, BoolArray
@@ -147,21 +147,9 @@ class Sketch:
 
     def _still_open(self, path: Array, goal: Array) -> Array:
         """The path itself, or where a wall has been drawn across it another one, or as near as will do, or (0, 2)."""
-        columns, rows = np.floor((points_ahead(path, path[0], APART) - self._grid.origin) / self._grid.resolution).T
-        if (self._grid.cells[rows.astype(np.int64), columns.astype(np.int64)] == FREE).all():
+        if is_free(self._grid, points_ahead(path, path[0], APART)):
             return path
-        for clearance in clearances(self._scenario.robot.radius):
-            fresh = _path(distance_field(self._grid, self._here[:2], clearance), goal)
-            if len(fresh):
-                return fresh
-        return path[:0]
-
-
-def _path(field: DistanceField, goal: Array) -> Array:
-    path = field.path(goal)
-    if len(path) == 0 and math.dist(nearby := field.nearest(goal), goal) < NEAR_ENOUGH:
-        path = field.path(nearby)
-    return path
+        return way_to(self._grid, self._scenario.robot.radius, self._here[:2], goal)
 
 
 def played(sketch: Sketch, policy: Policy, first: int | None = None) -> float:

@@ -41,16 +41,6 @@ def test_without_odds_the_probabilities_are_the_marginals(seed):
     assert p == pytest.approx(np.array(expected), abs=1e-3)
 
 
-def test_odds_that_helped_the_search_are_not_in_the_scores():
-    scan, prediction, truth, found = answered(1)
-    helped = decisions_of(scan, prediction, truth, lambda tree, v: np.linspace(-1.0, 1.0, len(tree.pairings.slots)))
-    plain = {tuple(row): score for row, score in zip(found.hypotheses.tolist(), found.scores)}
-    common = [k for k, row in enumerate(helped.hypotheses.tolist()) if tuple(row) in plain]
-    assert len(common) > 5
-    for k in common:
-        assert helped.scores[k] == pytest.approx(plain[tuple(helped.hypotheses[k].tolist())], abs=1e-4)
-
-
 def test_every_part_of_an_uncertain_heading_has_pairings_of_its_own():
     _, prediction, _, found = answered(2, heading=0.3)
     assert (found.slots >= len(prediction) + 1).any()

@@ -51,8 +51,8 @@ def test_a_feature_is_what_it_has_mostly_been_seen_as():
 
 
 def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
-    plain = list(Source("level", "closure/2", 0).scans(None, count=3))
-    kinds = list(Source("level", "closure/2", 0, hidden="sizes, but for kinds").scans(None, count=3))
+    plain = list(Source("level", "closure/2", 0).scans(count=3))
+    kinds = list(Source("level", "closure/2", 0, hidden="sizes, but for kinds").scans(count=3))
     assert len(plain) == len(kinds) == 3
     same, known = INPUTS.index("kind: the same"), INPUTS.index("size: whether both are known")
     assert plain[0].inputs[:, known].all() and not plain[0].inputs[:, same].any()
