@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.covisibility import mark_local
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.mapping.map_spec import MapSpec
+from slam_gym.types import Array, BoolArray, IntArray, Prediction, View
 
 Room = tuple[IntArray, Array, BoolArray, Array, Array, Array]
 """Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
@@ -70,3 +74,64 @@ def keep_rows(out: Room, kept: IntArray) -> None:
     for row in range(len(kept)):
         known[:, row], sizes[:, row], near[row] = known[:, kept[row]], sizes[:, kept[row]], near[kept[row]]
         positions[row], covariances[row], across[row] = positions[kept[row]], covariances[kept[row]], across[kept[row]]
+
+
+def prediction_of(
+    room: Room,
+    k: int,
+    heading_variance: float,
+    spec: MapSpec,
+    joint: Callable[[IntArray], Array],
+    local: Callable[[IntArray], BoolArray] | None,
+    view: View | None,
+) -> Prediction:
+    """The prediction of the k features that `foresee` has entered in `room`, with what is looked up only when asked."""
+    known, sized, near, positions, covariances, across = room
+    return Prediction(
+        features=known[0, :k],
+        positions=positions[:k],
+        covariances=covariances[:k],
+        sizes=sized[ekf.SIZES, :k],
+        size_variances=sized[ekf.VARIANCES, :k],
+        kinds=known[1, :k],
+        ages=known[2, :k],
+        near=near[:k],
+        heading_variance=heading_variance,
+        heading_covariances=across[:k],
+        confidence=spec.confidence,
+        joint=joint,
+        local=local,
+        view=view,
+        sightings=known[3, :k],
+        provisional=np.less(known[3, :k], spec.confirmations),
+    )
+
+
+class Estimate:
+    """Whether an estimate still stands: shared by the map and whatever was predicted from it."""
+
+    __slots__ = ("stands",)
+
+    def __init__(self) -> None:
+        self.stands = True
+
+
+@dataclass(frozen=True, slots=True)
+class JointCovariance:
+    """`Prediction.joint`: H P Hᵀ from read-only arrays of the map that predicted, as long as that has not changed."""
+
+    at: Array  # (d,) state that Jacobians are evaluated at
+    P: Array  # (d, d) upper triangle
+    features: IntArray  # (k,) map index of each row
+    second_order: bool
+    estimate: Estimate
+
+    def __call__(self, rows: IntArray) -> Array:
+        if not self.estimate.stands:
+            return out_of_date(rows)
+        return measurement.joint_covariance(self.at, self.P, self.features[rows], self.second_order)
+
+
+def out_of_date(rows: IntArray) -> Array:
+    """`Prediction.joint` of a map that has changed."""
+    raise RuntimeError("the map has changed since this prediction was made")

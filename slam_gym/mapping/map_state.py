@@ -97,12 +97,12 @@ def map_of_state(spec: MapSpec, state: MapState) -> StochasticMap:
     for field in fields(state.columns):
         rows, row = _ROWS[field.name]
         getattr(m, rows)[row, :n] = getattr(state.columns, field.name)
-    m.n, m.step, m._next_id = n, state.step, state.next_id
+    m.n, m.step, m.next_id = n, state.step, state.next_id
     return m
 
 
 def successor(m: StochasticMap) -> StochasticMap:
     """An empty map whose base is where the robot of m stands now; ids and steps go on from m's."""
     fresh = StochasticMap(m.spec)
-    fresh.step, fresh._next_id = m.step, m._next_id
+    fresh.step, fresh.next_id = m.step, m.next_id
     return fresh

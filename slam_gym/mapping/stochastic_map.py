@@ -7,79 +7,21 @@ are removed, and known by an id that is never given twice.
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.geometry import wrap_angle
-from slam_gym.mapping import ekf, measurement
+from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.mapping.foresight import Room, foresee, room_for
-from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded, read_only
-from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
-from slam_gym.types import (
-    Array,
-    BoolArray,
-    IntArray,
-    Landmarks,
-    Odometry,
-    Prediction,
-    Scan,
-    View,
-)
-
-Error = Literal["ordinary", "right-invariant"]
-
-
-@dataclass(frozen=True)
-class MapSpec:
-    """Settings of the estimator."""
-
-    confidence: float = 0.99  # of the χ² gates in data association: every prediction carries it
-    first_estimate_jacobians: bool = False  # evaluate Jacobians at first estimates (Huang et al. 2010)
-    iterations: int | None = None  # of an update, at most: 1 linearises at the prior; None: 3, with first estimates 1
-    settled: float = 0.1  # [σ of the state] a pass that would move it by less than that is spared
-    error: Error | None = None  # that the filter is linear in (see `mapping.update`); None: right-invariant, with
-    # first estimates ordinary
-    second_order: bool = True  # predictions allow for what a poorly known heading bends (see `mapping.measurement`)
-    confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
-    unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.confidence < 1.0:
-            raise ValueError(f"MapSpec.confidence: {self.confidence} is not between 0 and 1")
-        if self.iterations is not None and self.iterations < 1:
-            raise ValueError(f"MapSpec.iterations: {self.iterations} is less than 1")
-        if not 0.0 <= self.settled < math.inf:
-            raise ValueError(f"MapSpec.settled: {self.settled} is not finite or negative")
-        if self.passes > 1 and self.first_estimate_jacobians:
-            raise ValueError("MapSpec.iterations: with Jacobians at first estimates there is nothing to iterate")
-        if self.error not in (None, "ordinary", "right-invariant"):
-            raise ValueError(f"MapSpec.error: {self.error!r} is neither 'ordinary' nor 'right-invariant'")
-        if self.error == "right-invariant" and self.first_estimate_jacobians:
-            raise ValueError("MapSpec.error: Jacobians are taken at first estimates of an ordinary error only")
-        if self.confirmations < 1:
-            raise ValueError(f"MapSpec.confirmations: {self.confirmations} is less than 1")
-        if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
-            raise ValueError(f"MapSpec.unconfirmed_age: {self.unconfirmed_age} is negative")
-
-    @property
-    def passes(self) -> int:
-        """Iterations of an update, at most."""
-        if self.iterations is not None:
-            return self.iterations
-        return 1 if self.first_estimate_jacobians else 3
-
-    @property
-    def right_invariant(self) -> bool:
-        """The error is the right-invariant one."""
-        return not self.first_estimate_jacobians if self.error is None else self.error == "right-invariant"
-
+from slam_gym.mapping.foresight import Estimate, JointCovariance, Room, foresee, out_of_date, prediction_of, room_for
+from slam_gym.mapping.linear_algebra import aligned_zeros, padded, read_only
+from slam_gym.mapping.map_spec import MapSpec as MapSpec
+from slam_gym.mapping.refusals import bad_measurement, checked_pose, existing, refused_update
+from slam_gym.mapping.update import ACCEPTED, update
+from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Prediction, Scan, View
 
 _NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
 _LARGE = 512  # features
@@ -105,7 +47,7 @@ class StochasticMap:
         pose_covariance: ArrayLike | None = None,
         capacity: int = 64,
     ) -> None:
-        start, covariance = _checked_pose(
+        start, covariance = checked_pose(
             np.zeros(3) if pose is None else pose, np.zeros((3, 3)) if pose_covariance is None else pose_covariance
         )
         if capacity < 1:
@@ -114,9 +56,9 @@ class StochasticMap:
         self._passes, self._invariant = self.spec.passes, self.spec.right_invariant
         self.n = 0  # features
         self.step = 0  # steps ended so far
-        self._next_id = 0
+        self.next_id = 0  # of the next feature; all ids given so far are smaller
         self._shown: tuple[Array, Array] | None = None  # read-only `_at` and `_P`, once they were asked for
-        self._estimate = _Estimate()  # as it stands now: what is predicted from it notices when it no longer does
+        self._estimate = Estimate()  # as it stands now: what is predicted from it notices when it no longer does
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
         self._at = np.zeros(side) if self.spec.first_estimate_jacobians else self._x
@@ -161,14 +103,14 @@ class StochasticMap:
 
         Raises ValueError where one does not exist.
         """
-        return ekf.covariance_of(self._P, self._existing(features))
+        return ekf.covariance_of(self._P, existing(features, self.n))
 
     def distances_between(self, first: IntArray, second: IntArray, gate: float) -> Array:
         """(a, b) D² of F_i − F_j for features i of `first` (a,) and j of `second` (b,); inf where it exceeds `gate`.
 
         Raises ValueError where a feature does not exist.
         """
-        return ekf.distances_between(self._x, self._P, self._existing(first), self._existing(second), gate)
+        return ekf.distances_between(self._x, self._P, existing(first, self.n), existing(second, self.n), gate)
 
     @property
     def ids(self) -> IntArray:
@@ -224,7 +166,7 @@ class StochasticMap:
 
     def predict(self, odometry: Odometry) -> None:
         """x_R ← x_R ⊕ u and its covariance. Raises ValueError where the odometry is not finite or has no covariance."""
-        self._estimate_changes()
+        self.moved()
         if not ekf.predict(self._x, self._at, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
@@ -245,10 +187,9 @@ class StochasticMap:
         """
         motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
         if odometry is not None:
-            self._estimate_changes()
-        n, neighbours, degrees, room = self.n, _NOBODY, _NONE, room_for(self.n)
-        if graph is not None:
-            neighbours, _, degrees = graph.arrays
+            self.moved()
+        n, room = self.n, room_for(self.n)
+        neighbours, degrees = (_NOBODY, _NONE) if graph is None else graph.arrays[::2]
         k = foresee(
             self.arrays, n, self.step, odometry is not None, motion, Q, float(reach), self.spec.second_order,
             neighbours, degrees, recent, room,
@@ -268,26 +209,10 @@ class StochasticMap:
     ) -> Prediction:
         """The prediction of the k features that `foresee` has entered in `room`; where it no longer `stands`, since the
         map has changed by now, nothing is looked up there any more."""
-        known, sized, near, positions, covariances, across = room
-        features, sightings = known[0, :k], known[3, :k]
-        return Prediction(
-            features,
-            positions[:k],
-            covariances[:k],
-            sized[ekf.SIZES, :k],
-            sized[ekf.VARIANCES, :k],
-            known[1, :k],
-            known[2, :k],
-            near[:k],
-            heading_variance,
-            across[:k],
-            self.spec.confidence,
-            self._joint_covariance(features) if stands else _out_of_date,
-            None if graph is None else graph.among_rows(features),
-            view,
-            sightings=sightings,
-            provisional=np.less(sightings, self.spec.confirmations),
-        )
+        features = room[0][0, :k]
+        joint = self._joint_covariance(features) if stands else out_of_date
+        local = None if graph is None else graph.among_rows(features)
+        return prediction_of(room, k, heading_variance, self.spec, joint, local, view)
 
     def landmarks(self) -> Landmarks:
         """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""
@@ -300,8 +225,8 @@ class StochasticMap:
         For relocation: place with a covariance that says nothing, then `update` with the pairings that were found.
         Raises ValueError, the map unchanged, where the pose is not finite or the covariance is none.
         """
-        at, P = _checked_pose(pose, covariance)
-        self._estimate_changes()
+        at, P = checked_pose(pose, covariance)
+        self.moved()
         self._x[:3] = self._at[:3] = at
         self._P[:3, : self._d] = 0.0
         self._P[:3, :3] = P
@@ -315,20 +240,12 @@ class StochasticMap:
         features = np.ascontiguousarray(features, dtype=np.int64)
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
-        self._estimate_changes()
+        self.moved()
         measured, passes = (scan.points, scan.covariances), (self._passes, self.spec.settled)
         refused = update(self._x, self._at, self._P, self.n, measured, features, passes, self._invariant)
         if refused != ACCEPTED:
-            raise self.refusal(scan, features, refused)
+            raise refused_update(refused, scan, features, self.n)
         ekf.record(features, self.step, (scan.sizes, scan.size_variances, scan.kinds), self._counted, self._sized)
-
-    def refusal(self, scan: Scan, features: IntArray, refused: int) -> ValueError:
-        """Why an update with these pairings was `refused` (see `mapping.update`)."""
-        if refused == NO_SUCH_FEATURE:
-            return ValueError(f"features: {features.tolist()} for a map of {self.n} features")
-        if refused == len(scan):
-            return ValueError("the innovation covariance is singular to working precision")
-        return bad_measurement(scan, refused)
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
         """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
@@ -341,9 +258,9 @@ class StochasticMap:
             if not ekf.add(self._x, self._at, self._P, self._d, scan.points[i], scan.covariances[i]):
                 raise bad_measurement(scan, i)
             known = float(scan.sizes[i]), float(scan.size_variances[i]), int(scan.kinds[i])
-            ekf.begin(self._counted, self._sized, self.n, self.step, self._next_id, *known)
-            self._next_id += 1
-            self._estimate_changes()
+            ekf.begin(self._counted, self._sized, self.n, self.step, self.next_id, *known)
+            self.next_id += 1
+            self.moved()
             self.n += 1
         return np.arange(first, self.n)
 
@@ -362,7 +279,7 @@ class StochasticMap:
         for columns in (self._counted, self._sized):
             columns[:, : len(kept)] = columns[:, kept]
         self.n = len(kept)
-        self._estimate_changes()
+        self.moved()
         return kept
 
     def unconfirmed(self) -> IntArray:
@@ -391,25 +308,7 @@ class StochasticMap:
         """An independent copy."""
         return copy.deepcopy(self)
 
-    def _joint_covariance(self, features: IntArray) -> _JointCovariance:
-        if self._shown is None:
-            self._shown = read_only(self._at), read_only(self._P)
-        return _JointCovariance(*self._shown, features, self.spec.second_order, self._estimate)
-
-    def _estimate_changes(self) -> None:
-        """What was predicted from the estimate until now is out of date, and says so when it is asked."""
-        self._estimate.stands = False
-        self._estimate = _Estimate()
-
-    def _existing(self, features: IntArray) -> IntArray:
-        features = np.ascontiguousarray(features, dtype=np.int64)
-        if np.any((features < 0) | (features >= self.n)):
-            raise ValueError(f"features: {features.tolist()} do not all exist in a map of {self.n} features")
-        return features
-
-    @property
-    def _d(self) -> int:
-        return 3 + 2 * self.n
+    # for steps that are compiled as a whole
 
     def make_room(self, more: int) -> None:
         """Room for so many more features: twice as much, or a quarter more where memory counts."""
@@ -432,66 +331,22 @@ class StochasticMap:
         """What compiled functions work on: no copies, so whoever writes to them says so with `learned`."""
         return self._x, self._at, self._P, self._counted, self._sized
 
-    @property
-    def next_id(self) -> int:
-        """Of the next feature; all ids given so far are smaller."""
-        return self._next_id
-
     def moved(self) -> None:
-        """Take over that a compiled step has moved the robot."""
-        self._estimate_changes()
+        """The estimate has changed: what was predicted from it is out of date, and says so when it is asked."""
+        self._estimate.stands = False
+        self._estimate = Estimate()
 
     def learned(self, created: int) -> None:
         """Take over what a compiled step has made of the arrays: so many features were added, or removed where < 0."""
-        self._estimate_changes()
+        self.moved()
         self.n += created
-        self._next_id += max(created, 0)
+        self.next_id += max(created, 0)
 
+    @property
+    def _d(self) -> int:
+        return 3 + 2 * self.n
 
-class _Estimate:
-    """Whether an estimate still stands: shared by the map and whatever was predicted from it."""
-
-    __slots__ = ("stands",)
-
-    def __init__(self) -> None:
-        self.stands = True
-
-
-@dataclass(frozen=True, slots=True)
-class _JointCovariance:
-    """`Prediction.joint`: H P Hᵀ from read-only arrays of the map that predicted, as long as that has not changed."""
-
-    at: Array  # (d,) state that Jacobians are evaluated at
-    P: Array  # (d, d) upper triangle
-    features: IntArray  # (k,) map index of each row
-    second_order: bool
-    estimate: _Estimate
-
-    def __call__(self, rows: IntArray) -> Array:
-        if not self.estimate.stands:
-            return _out_of_date(rows)
-        return measurement.joint_covariance(self.at, self.P, self.features[rows], self.second_order)
-
-
-def _out_of_date(rows: IntArray) -> Array:
-    """`Prediction.joint` of a map that has changed."""
-    raise RuntimeError("the map has changed since this prediction was made")
-
-
-def _checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
-    """Fresh arrays (3,), its heading wrapped, and (3, 3)."""
-    at, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
-    if at.shape != (3,) or not np.all(np.isfinite(at)):
-        raise ValueError(f"pose: expected 3 finite numbers, got {at.tolist()}")
-    if P.shape != (3, 3) or not is_covariance(P):
-        raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {P.tolist()}")
-    at[2] = wrap_angle(at[2])
-    return at, P
-
-
-def bad_measurement(scan: Scan, i: int) -> ValueError:
-    """That measurement i can neither update nor start a feature."""
-    return ValueError(
-        f"scan: measurement {i} is not finite, or its covariance is none: "
-        f"point {scan.points[i].tolist()}, covariance {scan.covariances[i].tolist()}"
-    )
+    def _joint_covariance(self, features: IntArray) -> JointCovariance:
+        if self._shown is None:
+            self._shown = read_only(self._at), read_only(self._P)
+        return JointCovariance(*self._shown, features, self.spec.second_order, self._estimate)

@@ -12,7 +12,8 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement
+from slam_gym.mapping.refusals import bad_measurement, refused_update
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
 from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of
@@ -258,7 +259,7 @@ class Slam:
     def _refusal(self, ended: int, what: int, scan: Scan, features: IntArray) -> ValueError:
         """Why `kernels.learn` did not come to its end."""
         if ended == kernels.REFUSED:
-            return self.map.refusal(scan, features, what)
+            return refused_update(what, scan, features, self.map.n)
         if ended == kernels.NOT_ADDED:
             return bad_measurement(scan, what)
         return ValueError(f"scan.covariances[{what}] leaves the innovation covariance singular")

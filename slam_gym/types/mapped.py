@@ -1,0 +1,86 @@
+"""What a map holds, for searches without a prior on the robot's pose, and what is local to what in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slam_gym.types.arguments import Array, IntArray, covariances_of, floats, kinds_of, points_of, sizes_of
+
+
+@dataclass(frozen=True, slots=True)
+class Locality:
+    """Which features of a map are local to which: L(j) for every feature j, in compressed rows.
+
+    It is symmetric, and every feature is local to itself. Where all features are local to all, there is no `Locality`
+    but None: n² of them would have to be written down.
+    """
+
+    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]
+    members: IntArray  # (e,) ascending within each row
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def of(self, feature: int) -> IntArray:
+        """L(feature), ascending."""
+        return self.members[self.starts[feature] : self.starts[feature + 1]]
+
+
+@dataclass(frozen=True, slots=True)
+class Landmarks:
+    """The features of a map, for searches without a prior on the robot's pose. In B.
+
+    Cross-covariances come in one of three ways: all of them (`covariance`), those of some pairs (`block_…`, as large
+    maps keep them), or none. Features without one are taken for independent.
+    """
+
+    positions: Array  # (n, 2) [m]
+    covariances: Array  # (n, 2, 2) [m²] marginals
+    sizes: Array  # (n,) [m] mapped intrinsic attribute, NaN where unknown
+    size_variances: Array  # (n,) [m²]
+    kinds: IntArray  # (n,) class, UNKNOWN_KIND where there is none
+    covariance: Array  # (2n, 2n) [m²] of all features together, or (0, 0)
+    block_starts: IntArray  # (n + 1,) the pairs (j, l) of j are entries block_starts[j]:block_starts[j + 1]; or (0,)
+    block_columns: IntArray  # (e,) l, ascending for each j; both (j, l) and (l, j) are there
+    blocks: Array  # (e, 2, 2) [m²] P_jl
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __repr__(self) -> str:
+        return f"Landmarks: {len(self)} features"
+
+    @classmethod
+    def from_points(
+        cls,
+        points: ArrayLike,
+        covariances: ArrayLike | None = None,
+        *,
+        sigma: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Landmarks:
+        """From positions (n, 2) [m] in B with exactly one of three: marginal `covariances`, `sigma`, or `covariance`.
+
+        `covariance` (2n, 2n) [m²] is that of all features together; the other two say that they are independent.
+        Arguments and errors are those of `Scan.from_points`.
+        """
+        at = points_of("points", points)
+        n, whole = len(at), np.empty((0, 0))
+        if covariance is None:
+            marginals = covariances_of("covariances", covariances, sigma, n)
+        elif covariances is not None or sigma is not None:
+            raise ValueError("covariance: given beside covariances or sigma; expected exactly one of the three")
+        else:
+            whole = floats("covariance", covariance, (2 * n, 2 * n))
+            marginals = np.ascontiguousarray(whole.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :])
+        none = np.empty(0, np.int64)
+        return cls(
+            at, marginals, *sizes_of(sizes, size_sigma, n), kinds_of(kinds, n), whole, none, none.copy(),
+            np.empty((0, 2, 2)),
+        )  # fmt: skip

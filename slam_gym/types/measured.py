@@ -1,0 +1,143 @@
+"""What the robot measures, and the truth about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slam_gym.types.arguments import (
+    UNKNOWN_KIND,
+    Array,
+    IntArray,
+    covariances_of,
+    floats,
+    kinds_of,
+    points_of,
+    sizes_of,
+)
+
+_LEFT_OUT: IntArray = np.empty(0, np.int64)
+
+SPURIOUS = -1
+"""The source of a measurement that comes from no feature."""
+
+UNLABELLED = -2
+"""The source of a measurement that nobody has labelled (recordings only)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """The motion of one tick, as the wheels report it."""
+
+    motion: Array  # (3,) [m, m, rad] pose at the end of the tick in the robot frame at its start
+    covariance: Array  # (3, 3) [m², m·rad, rad²] of `motion`
+
+    @classmethod
+    def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
+        """From a motion (3,) [m, m, rad] and its independent standard deviations (3,), or one number for all three.
+
+        Raises ValueError naming the argument whose shape does not fit.
+        """
+        moved, sigma = floats("motion", motion, (3,)), np.asarray(sigmas, np.float64)
+        if sigma.shape not in ((), (3,)):
+            raise ValueError(f"sigmas: shape {sigma.shape}, expected (3,) or one number")
+        return cls(moved, np.diag(np.broadcast_to(sigma, (3,)) ** 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """Point features seen at one instant. Cartesian in R; angles are the sensor's business only."""
+
+    points: Array  # (m, 2) [m] in R
+    covariances: Array  # (m, 2, 2) [m²] in R
+    sizes: Array  # (m,) [m] measured intrinsic attribute, NaN where unknown
+    size_variances: Array  # (m,) [m²], NaN where unknown
+    # (m,) class that the detector reports, UNKNOWN_KIND where it cannot tell; left out: it never can
+    kinds: IntArray = field(default_factory=lambda: _LEFT_OUT)
+
+    def __post_init__(self) -> None:
+        if self.kinds is _LEFT_OUT:
+            object.__setattr__(self, "kinds", np.full(len(self.points), UNKNOWN_KIND))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"Scan of {len(self)} measurements"
+
+    @classmethod
+    def from_points(
+        cls,
+        points: ArrayLike,
+        covariances: ArrayLike | None = None,
+        *,
+        sigma: ArrayLike | None = None,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Scan:
+        """From points (m, 2) [m] in R and either covariances or `sigma`.
+
+        Arguments:
+            covariances: (m, 2, 2) [m²], or (2, 2) for all measurements.
+            sigma: [m] standard deviation in both directions, one number or (m,).
+            sizes: (m,) [m] intrinsic attribute, NaN where unknown; with `size_sigma` [m], one number or (m,).
+            kinds: (m,) class of each, UNKNOWN_KIND where it has none.
+
+        Raises ValueError naming the argument whose shape does not fit, or where not exactly one of covariances and
+        sigma is given.
+        """
+        at = points_of("points", points)
+        marginals = covariances_of("covariances", covariances, sigma, len(at))
+        return cls(at, marginals, *sizes_of(sizes, size_sigma, len(at)), kinds_of(kinds, len(at)))
+
+    @classmethod
+    def from_polar(
+        cls,
+        ranges: ArrayLike,
+        bearings: ArrayLike,
+        range_sigma: ArrayLike,
+        bearing_sigma: ArrayLike,
+        *,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Scan:
+        """From ranges (m,) [m] and bearings (m,) [rad, 0 ahead, left positive] with independent standard deviations.
+
+        With c, s = cos β, sin β a measurement lies at r (c, s), and its covariance is σ_r² along the line of sight and
+        (r σ_β)² across it. Other arguments and errors are those of `from_points`.
+        """
+        r = floats("ranges", ranges, (-1,))
+        beta = floats("bearings", bearings, (len(r),))
+        c, s = np.cos(beta), np.sin(beta)
+        along = np.broadcast_to(np.asarray(range_sigma, np.float64), r.shape) ** 2
+        across = (r * np.broadcast_to(np.asarray(bearing_sigma, np.float64), r.shape)) ** 2
+        covariances = np.empty((len(r), 2, 2))
+        covariances[:, 0, 0] = c * c * along + s * s * across
+        covariances[:, 1, 1] = s * s * along + c * c * across
+        covariances[:, 0, 1] = covariances[:, 1, 0] = c * s * (along - across)
+        points = np.column_stack([r * c, r * s])
+        return cls.from_points(points, covariances, sizes=sizes, size_sigma=size_sigma, kinds=kinds)
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """One sweep of the range finder: the only source of free space and walls."""
+
+    bearings: Array  # (b,) [rad] in R
+    ranges: Array  # (b,) [m]; `max_range` where nothing was hit
+    max_range: float  # [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What only the simulator (or a label file) knows about a scan."""
+
+    pose: Array  # (3,) [m, m, rad] of the robot in W
+    sources: IntArray  # (m,) true feature behind each measurement, SPURIOUS or UNLABELLED
+
+    def __len__(self) -> int:
+        return len(self.sources)
