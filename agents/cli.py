@@ -41,7 +41,8 @@ def add_explore_options(parser: argparse.ArgumentParser, scenario: str) -> None:
     """What chooses the world and its SLAM."""
     world = parser.add_argument_group("world")
     parser.set_defaults(default_scenario=scenario)
-    world.add_argument("--scenario", help=f"name of a scenario (default: {scenario}; of a floor plan {ON_A_FLOOR})")
+    world.add_argument("--scenario", help="name of a scenario, or module:name of one of your own "
+                       f"(default: {scenario}; of a floor plan {ON_A_FLOOR})")  # fmt: skip
     add_override_option(world)
     add_floor_options(world)
     world.add_argument("--associator", help="name or module:function (default: that of the scenario)")
@@ -53,6 +54,21 @@ def add_floor_options(group: Any) -> None:
     """--floor-plan FILE and --resolution M."""
     group.add_argument("--floor-plan", metavar="FILE", help="drive on this floor instead: JSON, or an occupancy image")
     group.add_argument("--resolution", type=float, metavar="M", help="metres per pixel of an occupancy image")
+
+
+def add_episode_options(group: Any, default: int, of: str) -> None:
+    """--episodes N and --first K."""
+    group.add_argument("--episodes", type=int, default=default, metavar="N", help=f"{of} (default: %(default)s)")
+    group.add_argument("--first", type=int, default=0, metavar="K", help="the first of them: episode k is that of "
+                       "world k and seed k (default: %(default)s)")  # fmt: skip
+
+
+def episodes_of(a: argparse.Namespace) -> range:
+    """The episodes that the options above choose. ValueError where the first is negative, or there is none."""
+    require_positive(a, "episodes")
+    if a.first < 0:
+        raise ValueError(f"--first must be at least 0, not {a.first}")
+    return range(a.first, a.first + a.episodes)
 
 
 def add_rerun_option(group: Any) -> None:
@@ -121,7 +137,7 @@ def require_positive(a: argparse.Namespace, *names: str) -> None:
 
 def results_folder(name: str, resume: bool) -> Path:
     """A new folder under results/ of the current directory, or the latest one of that name."""
-    results = Path("results")
+    results, name = Path("results"), name.replace(":", ".")
     if not resume:
         return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     folders = sorted(results.glob(f"{name}-[0-9]*"))

@@ -9,10 +9,12 @@ import argparse
 from pathlib import Path
 
 from agents.cli import (
+    add_episode_options,
     add_execution_options,
     add_explore_options,
     add_rerun_option,
     command_line,
+    episodes_of,
     execution,
     explore_arguments,
     program,
@@ -35,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--model", nargs="+", default=[], metavar="FILE", help="model of a learned agent; several files are "
                    "several training seeds of it, pooled")  # fmt: skip
     p.add_argument("--trust", action="store_true", help="allow model files that can run code when read (SB3's .zip)")
-    p.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="per agent (default: %(default)s)")
+    add_episode_options(p, EPISODES, "per agent")
     p.add_argument("--no-films", dest="films", action="store_false", help="leave the films out")
     add_rerun_option(p)
     add_execution_options(p, "results/WORLD-TIME")
@@ -45,20 +47,21 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
-    require_positive(a, "episodes", "jobs")
+    require_positive(a, "jobs")
+    episodes = episodes_of(a)
     arguments = explore_arguments(a, split="test")
     out = a.out or results_folder(Path(arguments.world).name.split(".")[0], a.resume)
     drivers, how = drivers_of(a.agents, a.model, a.trust), execution(a, command_line("agents.evaluate", argv))
     try:
-        results = carry_out(driver_evaluation(drivers, arguments, a.episodes), out, how)
+        results = carry_out(driver_evaluation(drivers, arguments, episodes), out, how)
         if a.films:
             from agents.reports.film import make_films  # ffmpeg and pygame are needed for films only
 
-            make_films(drivers, arguments, out, how)
+            make_films(drivers, arguments, a.first, out, how)
         if a.rerun:
             from agents.reports.rerun_log import Drive, log_drives
 
-            log_drives(a.rerun, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
+            log_drives(a.rerun, a.first, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
     except KeyboardInterrupt:
         how.console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise

@@ -14,11 +14,13 @@ from typing import NamedTuple
 
 from agents.cli import (
     ON_A_FLOOR,
+    add_episode_options,
     add_execution_options,
     add_floor_options,
     add_override_option,
     add_rerun_option,
     command_line,
+    episodes_of,
     execution,
     program,
     require_positive,
@@ -64,11 +66,12 @@ def parser() -> argparse.ArgumentParser:
 def _add_loop_options(p: argparse.ArgumentParser) -> None:
     loop = p.add_argument_group("in the loop")
     loop.add_argument("--scenarios", nargs="+", metavar="NAME", help=f"of {', '.join(SCENARIOS)}, or levels of the "
-                      f"suite such as clutter/2 (default {' '.join(LOOPS)}; on a floor plan {ON_A_FLOOR})")  # fmt: skip
+                      f"suite such as clutter/2, or module:name (default {' '.join(LOOPS)}; on a floor plan "
+                      f"{ON_A_FLOOR})")  # fmt: skip
     add_floor_options(loop)
     add_rerun_option(loop)
     add_override_option(loop)
-    loop.add_argument("--episodes", type=int, default=EPISODES, metavar="N", help="a scenario (default: %(default)s)")
+    add_episode_options(loop, EPISODES, "a scenario")
     loop.add_argument("--driver", default="information_gain", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
                       "learned ones, or module:Class (default: %(default)s)")  # fmt: skip
     loop.add_argument("--relocation", nargs="+", type=search_or_none, metavar="SEARCH",
@@ -124,9 +127,9 @@ def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
         from agents.reports.rerun_log import Drive, log_drives
 
         first = replace(loops[0], relocation=searches[-1])
-        log_drives(target, [Drive(name, first, make_agent(a.driver), metered(name)[1]) for name in names])
+        log_drives(target, a.first, [Drive(name, first, make_agent(a.driver), metered(name)[1]) for name in names])
 
-    return Plan(associator_evaluation(names, loops, a.driver, a.episodes, searches), associators.tables, log)
+    return Plan(associator_evaluation(names, loops, a.driver, episodes_of(a), searches), associators.tables, log)
 
 
 def suite_plan(a: argparse.Namespace, out: Path) -> Plan:
@@ -149,7 +152,17 @@ def recording_plan(a: argparse.Namespace, out: Path) -> Plan:
 
 
 OPTIONS: dict[str, tuple[str, ...]] = {
-    "association": ("scenarios", "floor_plan", "resolution", "overrides", "episodes", "driver", "relocation", "rerun"),
+    "association": (
+        "scenarios",
+        "floor_plan",
+        "resolution",
+        "overrides",
+        "episodes",
+        "first",
+        "driver",
+        "relocation",
+        "rerun",
+    ),
     "suite": ("quick", "experiments", "relocators", "worlds", "problems"),
     "recording": ("data", "robots", "every", "merge", "clean", "reference", "relocation"),
 }
@@ -169,7 +182,7 @@ def _refuse_what_does_not_apply(a: argparse.Namespace, kind: str) -> None:
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
-    require_positive(a, "episodes", "jobs", "worlds", "problems", "every")
+    require_positive(a, "jobs", "worlds", "problems", "every")
     if a.suite and a.recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
     kind, planned = ("suite", suite_plan) if a.suite else ("association", loop_plan)

@@ -3,7 +3,9 @@ arguments that nobody knows."""
 
 from __future__ import annotations
 
+import importlib
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -130,3 +132,22 @@ def one_of(name: str, value: Any, known: Any) -> None:
     """Raise ValueError, listing the known values of an argument, where `value` is none of them."""
     if value not in known:
         raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")
+
+
+def imported(what: str, given: str, table: Mapping[str, Any], further: str = "") -> Any:
+    """What stands behind `"module:name"`: an attribute of the module, or what it enters in `table` as it is imported.
+
+    Raises ValueError, listing the names of the table and those that are `further` known, where there is none;
+    ModuleNotFoundError where the module is there but needs another that is not.
+    """
+    known = f"known: {', '.join(table)}{further}, or 'module:name'"
+    module, colon, name = given.partition(":")
+    if not colon:
+        raise ValueError(f"unknown {what} {given!r}; {known}")
+    try:
+        found = importlib.import_module(module)
+        return table[name] if name in table and not hasattr(found, name) else getattr(found, name)
+    except (ImportError, AttributeError, ValueError) as error:
+        if isinstance(error, ModuleNotFoundError) and not module.startswith(error.name or ""):
+            raise
+        raise ValueError(f"{what} {given!r}: {error}; {known}") from error

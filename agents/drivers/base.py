@@ -6,13 +6,14 @@ A new agent is one class with `name`, `action`, `reset` and `act`, and one line 
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from slam_gym.validation import imported
 
 ActionKind = Literal["goal", "twist"]
 Observation = Mapping[str, NDArray[Any]]
@@ -66,18 +67,7 @@ def visible(info: Info) -> dict[str, Any]:
 
 def find_agent(name: str) -> Any:
     """The class behind a name of `AGENTS` or a `module:Class`. ValueError lists the known names."""
-    target = AGENTS.get(name, name)
-    if ":" not in target:
-        raise ValueError(f"unknown agent {name!r}: the known ones are {', '.join(AGENTS)}, or give module:Class")
-    module, _, attribute = target.partition(":")
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        if error.name is not None and not module.startswith(error.name):
-            raise ValueError(f"agent {name!r} needs {error.name}: pip install 'slam_gym[agents]'") from error
-        raise ValueError(f"agent {name!r}: there is no module {module!r}") from error
-    except AttributeError as error:
-        raise ValueError(f"agent {name!r}: module {module!r} has no {attribute!r}") from error
+    return imported("agent", AGENTS.get(name, name), AGENTS)
 
 
 def is_learned(name: str) -> bool:

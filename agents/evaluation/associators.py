@@ -150,7 +150,7 @@ def associator_evaluation(
     associators: Sequence[str],
     loops: Sequence[ExploreArguments],
     driver: str,
-    episodes: int,
+    episodes: Sequence[int],
     relocations: Sequence[str | None] | None = None,
 ) -> Evaluation:
     """Every associator in every loop, with each of the `relocations` (default: that of each loop), checked.
@@ -166,7 +166,7 @@ def associator_evaluation(
                 _loop(associator, kind, driver)
         tasks += [
             AssociatorTask(name, kind, driver, k, subject(name, kind.relocation) if compared else name)
-            for k in range(episodes) for name in associators for kind in kinds
+            for k in episodes for name in associators for kind in kinds
         ]  # fmt: skip
     plain = loops[0].plain
     found = {"relocation": plain["relocation"] if relocations is None else list(relocations)}

@@ -84,21 +84,21 @@ def _env(arguments: ExploreArguments, action: str) -> gym.Env[Any, Any]:
     return arguments.make(action)
 
 
-def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, episodes: int) -> Evaluation:
+def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, episodes: Sequence[int]) -> Evaluation:
     """Every driver in every episode, checked. ValueError for whatever nobody knows; models are loaded for that."""
     for action in sorted({driver.make().action for driver in drivers}):
-        _warm_up(arguments.make(action))
+        _warm_up(arguments.make(action), episodes[0])
     about = {
         "models": {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model},
-        "seeds": [reset_arguments(k) for k in range(episodes)],
+        "seeds": [reset_arguments(k) for k in episodes],
     }
-    tasks = [DriverTask(driver, arguments, k) for k in range(episodes) for driver in drivers]
+    tasks = [DriverTask(driver, arguments, k) for k in episodes for driver in drivers]
     return Evaluation(DRIVERS, tasks, arguments.plain, lambda records: {"table": rows(records)}, about)
 
 
-def _warm_up(env: gym.Env[Any, Any]) -> None:
+def _warm_up(env: gym.Env[Any, Any], episode: int) -> None:
     """Compile the inner loops once instead of in every worker."""
-    env.reset(**reset_arguments(0))
+    env.reset(**reset_arguments(episode))
     env.step(0 if isinstance(env.action_space, gym.spaces.Discrete) else env.action_space.sample())
     env.close()
 

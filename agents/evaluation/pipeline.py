@@ -157,7 +157,8 @@ def _write(out: Path, evaluation: Evaluation, commands: list[dict[str, Any]], jo
     asked: dict[str, Any] = {
         f"{name}s": list(dict.fromkeys(getattr(key, name) for key in keys)) for name in ("name", "setting", "model")
     }
-    asked["episodes"] = max((key.episode + 1 for key in keys), default=0)
+    episodes = [key.episode for key in keys] or [0]
+    asked |= {"first": min(episodes), "episodes": max(episodes) + 1 - min(episodes)}
     records = _asked_for(journal, evaluation.kind.subject, asked)
     head = {"kind": evaluation.kind.name, "commands": commands, "complete": len(records) == len(keys)}
     about = {"conditions": evaluation.conditions, "asked": asked, **evaluation.about}
@@ -171,10 +172,11 @@ def _asked_for(records: Sequence[Record], subject: str, asked: dict[str, Any]) -
     """Those that were asked for, one of each key, in an order that does not depend on who finished first."""
     found = {Key.of_record(record, subject): record for record in records}
     names, settings, models = (asked[name] for name in ("names", "settings", "models"))
+    episodes = range(first := asked.get("first", 0), first + asked["episodes"])
     own = [
         key
         for key in found
-        if key.name in names and key.setting in settings and key.model in models and key.episode < asked["episodes"]
+        if key.name in names and key.setting in settings and key.model in models and key.episode in episodes
     ]
     own.sort(key=lambda k: (names.index(k.name), settings.index(k.setting), models.index(k.model), k.episode))
     return [found[key] for key in own]

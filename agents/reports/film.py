@@ -28,18 +28,20 @@ def film_path(out: Path, agent: str) -> Path:
     return out / "films" / f"{agent.replace(':', '.')}.mp4"
 
 
-def make_films(drivers: Sequence[Driver], arguments: ExploreArguments, out: Path, execution: Execution) -> None:
-    """One film per agent, of the first episode, by its first model; those that are there already stay."""
+def make_films(
+    drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path, execution: Execution
+) -> None:
+    """One film per agent, of that episode, by its first model; those that are there already stay."""
     first = {driver.agent: driver for driver in reversed(drivers)}
     paths = {agent: film_path(out, agent) for agent in first}
     missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
-    calls = [partial(_film_by, first[agent], arguments, paths[agent]) for agent in missing]
+    calls = [partial(_film_by, first[agent], arguments, episode, paths[agent]) for agent in missing]
     with execution.console.status(f"filming {', '.join(missing)}"):
         list(run_all(calls, execution.jobs, execution.backend))
 
 
-def _film_by(driver: Driver, arguments: ExploreArguments, path: Path) -> Path:
-    return film(arguments, driver.make(), 0, path)
+def _film_by(driver: Driver, arguments: ExploreArguments, episode: int, path: Path) -> Path:
+    return film(arguments, driver.make(), episode, path)
 
 
 def film(arguments: ExploreArguments, agent: Agent, episode: int, path: Path) -> Path:

@@ -89,8 +89,9 @@ def _cell(value: Value | None, digits: int, bold: bool, signed: bool) -> str:
 def provenance(content: dict[str, Any]) -> str:
     """Commands, conditions, models and versions, as text."""
     commands = [f"{c['command']}    # {c['started']}, {c.get('seconds', '?')} s" for c in content["commands"]]
-    last, split = content["asked"]["episodes"] - 1, content["conditions"].get("split")
-    seeds = f"episode k = 0 … {last}: reset(seed=k, options={{'world': k}}) of the {split} split" if split else ""
+    first, split = content["asked"].get("first", 0), content["conditions"].get("split")
+    episodes = f"{first} … {first + content['asked']['episodes'] - 1}"
+    seeds = f"episode k = {episodes}: reset(seed=k, options={{'world': k}}) of the {split} split" if split else ""
     models = [f"{Path(path).name}: sha256 {about['sha256']}, {_training(about)}"
               for path, about in content.get("models", {}).items()]  # fmt: skip
     facts = [_facts(content["conditions"]), seeds, *models, _facts(content["versions"])]

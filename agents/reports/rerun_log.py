@@ -133,8 +133,8 @@ def _down(points: Array) -> Array:
     return np.asarray(points, np.float64) * [1.0, -1.0]
 
 
-def log_drives(target: str, drives: Sequence[Drive]) -> None:
-    """One episode each, the first of the split; of several each gets a file of its own, or a recording of the viewer.
+def log_drives(target: str, episode: int, drives: Sequence[Drive]) -> None:
+    """That episode of each; of several each gets a file of its own, or a recording of the viewer.
 
     Raises ImportError where rerun-sdk is missing.
     """
@@ -144,6 +144,6 @@ def log_drives(target: str, drives: Sequence[Drive]) -> None:
         own = str(path.with_name(f"{path.stem}_{name.replace(':', '.')}{path.suffix}")) if several else target
         log = RerunLog(own, name)
         env = arguments.make(agent.action, associator=associator)
-        run_episode(env, agent, 0, watch=log)
+        run_episode(env, agent, episode, watch=log)
         env.close()
         log.close()

@@ -7,7 +7,6 @@ relocators: from a `Scan`, the `Landmarks` of a map and a `Locality` to a `Reloc
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -33,6 +32,7 @@ from slam_gym.association.tracking.policy import Policy, from_policy, greedy
 from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.triangles.index import indexed
 from slam_gym.types import Hypothesis, Relocator
+from slam_gym.validation import imported
 
 __all__ = [
     "ASSOCIATORS",
@@ -91,7 +91,7 @@ RELOCATORS: dict[str, Relocator] = {
 
 
 def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypothesis]:
-    """An associator from its name, `"module:function"`, or itself.
+    """An associator from its name, `"module:name"`, or itself.
 
     Raises ValueError, listing the known names, where there is none such.
     """
@@ -100,7 +100,7 @@ def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:
-    """A relocator from its name, `"module:function"`, or itself. Raises ValueError as `resolve_associator`."""
+    """A relocator from its name, `"module:name"`, or itself. Raises ValueError as `resolve_associator`."""
     found: Relocator = _resolve("relocator", relocator, RELOCATORS)
     return found
 
@@ -110,14 +110,7 @@ def _resolve(what: str, given: Any, table: Mapping[str, Any]) -> Any:
         return given
     if given in table:
         return table[given]
-    known = f"known: {', '.join(table)}, or 'module:function'"
-    module, colon, name = str(given).partition(":")
-    if not colon:
-        raise ValueError(f"unknown {what} {given!r}; {known}")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"{what} {given!r}: {error}; {known}") from error
+    found = imported(what, str(given), table)
     if not callable(found):
-        raise ValueError(f"{what} {given!r} is not callable; {known}")
+        raise ValueError(f"{what} {given!r} is not callable; known: {', '.join(table)}")
     return found

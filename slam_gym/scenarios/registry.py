@@ -12,6 +12,7 @@ from slam_gym.scenarios.buildings import BUILDINGS, floor_budget
 from slam_gym.scenarios.drift import CROWDED, DRIFTING
 from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
 from slam_gym.scenarios.suite import EXPERIMENTS, get_level
+from slam_gym.validation import imported
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.floor_plan_file import load_floor_plan
 from slam_gym.world.generators import AliasedGenerator, HallGenerator, OfficeGenerator
@@ -45,13 +46,20 @@ SCENARIOS: dict[str, Scenario] = {
 
 
 def get_scenario(name: str) -> Scenario:
-    """The scenario of that name, or of a level of the suite such as `closure/3`. ValueError lists the known ones."""
+    """The scenario of that name, of a level of the suite such as `closure/3`, or of `"module:name"`.
+
+    A module is imported: it registers a scenario by that name, or holds it in a variable so called. Raises ValueError,
+    listing the known names, where there is none.
+    """
     if name in SCENARIOS:
         return SCENARIOS[name]
     if name.partition("/")[0] in EXPERIMENTS and "/" in name:
         return get_level(name).scenario
     levels = ", ".join(f"{experiment}/…" for experiment in EXPERIMENTS)
-    raise ValueError(f"unknown scenario {name!r}; known: {', '.join(SCENARIOS)}; levels of the suite: {levels}")
+    found = imported("scenario", name, SCENARIOS, f"; levels of the suite: {levels}")
+    if not isinstance(found, Scenario):
+        raise ValueError(f"scenario {name!r} is of type {type(found).__name__}, not a Scenario")
+    return found
 
 
 def register(scenario: Scenario) -> None:

@@ -19,14 +19,16 @@ LINE = ["--scenario", "office-small", "--agents", "random", "nearest_frontier", 
 
 def test_the_command_leaves_a_table_files_and_a_report(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main([*LINE, "--jobs", "1", "--set", "budget=60", "--set", "sensor.range=4"]) == 0
+    assert main([*LINE, "--first", "7", "--jobs", "1", "--set", "budget=60", "--set", "sensor.range=4"]) == 0
     (out,) = (tmp_path / "results").glob("office-small-*")
     results = json.loads((out / "results.json").read_text())
     assert results["conditions"]["overrides"] == {"budget": 60, "sensor.range": 4}
-    assert {record["ticks"] for record in Journal(out / "episodes.jsonl").read()} == {60}
+    records = Journal(out / "episodes.jsonl").read()
+    assert {record["ticks"] for record in records} == {60} and {record["episode"] for record in records} == {7, 8, 9}
     page = Page((out / "report.html").read_text(encoding="utf-8"))
-    told = f"{results['table']['random']['map_error']['estimate']:.3f}"
-    assert told in page.text and told[:4] in capsys.readouterr().out
+    told = results["table"]["random"]["map_error"]["estimate"]
+    assert f"{told:.3f}" in page.text and f"{told:.2f}" in capsys.readouterr().out
+    assert "3 episodes" in page.text and "k = 7 … 9" in page.text
     assert "overrides.sensor.range 4" in page.text and "--set budget=60" in page.text
     with pytest.raises(ValueError, match=r"overrides .*sensor\.range.* not \{\}"):
         main([*LINE, "--jobs", "1", "--resume"])

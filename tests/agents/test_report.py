@@ -15,7 +15,7 @@ def test_every_kind_of_evaluation_has_a_report():
 
 
 def test_the_report_is_made_again(tmp_path, capsys):
-    evaluation = driver_evaluation([Driver("random")], ExploreArguments("office-small", (("budget", 40),)), 2)
+    evaluation = driver_evaluation([Driver("random")], ExploreArguments("office-small", (("budget", 40),)), range(2))
     carry_out(evaluation, tmp_path, Execution(console=Console(quiet=True)))
     assert main([str(tmp_path)]) == 0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -42,6 +42,24 @@ def test_a_user_s_scenario_is_found_by_its_name(monkeypatch) -> None:
             register(replace(mine, name=name))
 
 
+def test_a_scenario_in_a_user_s_module_is_found_through_the_module(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr("slam_gym.scenarios.registry.SCENARIOS", dict(SCENARIOS))
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_halls.py").write_text(
+        "from dataclasses import replace\nfrom slam_gym.scenarios import get_scenario, register\n"
+        "BUSY = replace(get_scenario('hall'), name='busy-hall', budget=30)\nregister(BUSY)\nDOORS = 3\n"
+    )
+    assert get_scenario("my_halls:busy-hall") is get_scenario("my_halls:BUSY")
+    assert ExploreEnv("my_halls:busy-hall").scenario.budget == 30
+    for name, message in (
+        ("my_halls:DOORS", "is of type int, not a Scenario"),
+        ("my_halls:calm-hall", "known: office-small"),
+        ("no_halls:BUSY", "No module named 'no_halls'; known: office-small"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            get_scenario(name)
+
+
 @pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
 @pytest.mark.parametrize("split", SPLITS)
 def test_worlds_are_reproducible_differ_and_can_be_explored(scenario, split) -> None:

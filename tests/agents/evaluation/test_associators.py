@@ -29,7 +29,7 @@ NAMES = ["nearest_neighbour", "true_association"]
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    evaluation = associator_evaluation(NAMES, [ExploreArguments("office-small")], "nearest_frontier", 2)
+    evaluation = associator_evaluation(NAMES, [ExploreArguments("office-small")], "nearest_frontier", range(2))
     return carry_out(evaluation, tmp_path_factory.mktemp("associators"), Execution(console=Console(quiet=True)))
 
 
@@ -105,13 +105,13 @@ def test_the_table_is_that_of_the_records(finished):
 
 def test_relocations_are_compared_under_names_of_their_own():
     evaluation = associator_evaluation(
-        ["jcbb", "true_association"], [ExploreArguments("office-small")], "random", 2, [None, "gcbb"]
+        ["jcbb", "true_association"], [ExploreArguments("office-small")], "random", range(2), [None, "gcbb"]
     )
     names = ["jcbb", "jcbb + gcbb", "true_association", "true_association + gcbb"]
     assert [task.keys[0].name for task in evaluation.tasks] == 2 * names
     assert [task.arguments.relocation for task in evaluation.tasks[:4]] == [None, "gcbb"] * 2
     assert evaluation.conditions["relocation"] == [None, "gcbb"]
-    one = associator_evaluation(["jcbb"], [ExploreArguments("office-small")], "random", 1, ["indexed"])
+    one = associator_evaluation(["jcbb"], [ExploreArguments("office-small")], "random", range(1), ["indexed"])
     assert one.tasks[0].keys[0].name == "jcbb" and one.tasks[0].arguments.relocation == "indexed"
 
 

@@ -15,7 +15,7 @@ from slam_gym.metrics.statistics import interquartile_mean
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     evaluation = driver_evaluation(
-        drivers_of(["random", "nearest_frontier"], [], False), ExploreArguments("office-small"), 3
+        drivers_of(["random", "nearest_frontier"], [], False), ExploreArguments("office-small"), range(3)
     )
     return carry_out(evaluation, tmp_path_factory.mktemp("drivers"), Execution(console=Console(quiet=True)))
 

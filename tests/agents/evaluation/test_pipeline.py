@@ -21,11 +21,11 @@ SMALL = ExploreArguments("office-small")
 
 
 def drivers() -> Evaluation:
-    return driver_evaluation([Driver("random"), Driver("nearest_frontier")], SMALL, 2)
+    return driver_evaluation([Driver("random"), Driver("nearest_frontier")], SMALL, range(2))
 
 
 def associators() -> Evaluation:
-    return associator_evaluation(["nearest_neighbour", "true_association"], [SMALL], "nearest_frontier", 2)
+    return associator_evaluation(["nearest_neighbour", "true_association"], [SMALL], "nearest_frontier", range(2))
 
 
 def suite() -> Evaluation:
@@ -95,6 +95,15 @@ def test_what_is_done_is_left_out_of_a_task_and_more_can_be_added(tmp_path):
     assert grown.names == ["a", "b"] and grown.content["count"] == 4
     shrunk = carry_out(counting([Counting(0)]), tmp_path, Execution(resume=True, console=QUIET))
     assert len(shrunk.records) == 2 and shrunk.content["complete"]
+
+
+def test_other_worlds_are_added_beside_those_that_are_there(tmp_path):
+    carry_out(counting([Counting(0), Counting(1)]), tmp_path, Execution(console=QUIET))
+    later = carry_out(counting([Counting(201), Counting(200)]), tmp_path, Execution(resume=True, console=QUIET))
+    assert later.content["asked"]["first"] == 200 and later.content["asked"]["episodes"] == 2
+    assert sorted({record["episode"] for record in later.records}) == [200, 201] and later.content["complete"]
+    again = carry_out(counting([Counting(1), Counting(0)]), tmp_path, Execution(resume=True, console=QUIET))
+    assert sorted({record["episode"] for record in again.records}) == [0, 1]
 
 
 def test_two_processes_find_the_same_as_one(tmp_path):

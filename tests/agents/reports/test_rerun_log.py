@@ -22,7 +22,7 @@ def test_ellipses_hold_95_percent():
 @pytest.mark.skipif(not INSTALLED, reason="rerun-sdk is not installed: pip install 'slam_gym[rerun]'")
 def test_every_drive_gets_a_recording(tmp_path):
     drives = [Drive(name, WORLD, make_agent("nearest_frontier"), name) for name in ("jcbb", "true_association")]
-    log_drives(str(tmp_path / "runs" / "first.rrd"), drives)
+    log_drives(str(tmp_path / "runs" / "first.rrd"), 0, drives)
     files = sorted(path.name for path in (tmp_path / "runs").iterdir())
     assert files == ["first_jcbb.rrd", "first_true_association.rrd"]
     assert all((tmp_path / "runs" / name).stat().st_size > 10_000 for name in files)
