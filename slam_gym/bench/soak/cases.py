@@ -101,17 +101,29 @@ _CLASSES: dict[str, Callable[..., Any]] = {
     "Associate": AssociateEnv,
     "Relocate": RelocateEnv,
 }
+# Robots that are lost, and agents that decide every pairing, take ten to a hundred times as long for a tick: their
+# episodes are shorter, so that all kinds of cases share the time of a soak, and none the number of its episodes.
+SHARES = {"noise x 20": 0.1, "clutter 10": 0.2, "all at once": 0.1, "floor of 200 m": 0.5}
+_DECIDED = 0.25  # the same for Associate, where a tick is some ten decisions
+_LEAST = 20  # [ticks]
 _ROTA = ("Explore",) * 7 + ("Associate",) * 2 + ("Relocate",)
 _MAPPING = 150  # [ticks] at most for the map of Relocate, which is made before the first step
 
 
 def case(number: int, seed: int, ticks: int) -> Case:
-    """The `number`-th case of a soak; scenarios and extremes go round, the rest is drawn."""
+    """The `number`-th case of a soak; scenarios and extremes go round, the rest is drawn.
+
+    Args:
+        number: which, from 0
+        seed: of the soak
+        ticks: of the longest episodes; half of that to all of it is drawn, times the share of what is driven
+    """
     rng = np.random.default_rng((seed, number))
     env = _ROTA[number % len(_ROTA)]
     scenario = list(SCENARIOS)[number % len(SCENARIOS)]
     extreme = list(EXTREMES)[(number // len(_ROTA) + number) % len(EXTREMES)]
-    budget = int(rng.integers(ticks // 2, ticks + 1))
+    share = SHARES.get(extreme, 1.0) * (_DECIDED if env == "Associate" else 1.0)
+    budget = max(int(share * rng.integers(ticks // 2, ticks + 1)), min(ticks, _LEAST))
     if env == "Relocate":
         budget = min(budget, _MAPPING)
     return Case(number, env, scenario, extreme, budget, _OPTIONS[env](rng))

@@ -105,7 +105,7 @@ def run(
     *,
     ticks: int = 1_000_000,
     minutes: float = math.inf,
-    length: int = 400,
+    length: int = 2000,
     seed: int = 0,
     first: int = 0,
 ) -> None:

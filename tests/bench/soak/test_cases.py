@@ -18,7 +18,16 @@ def test_they_follow_from_seed_and_number_and_go_round_everything():
     explore = [c.options for c in cases if c.env == "Explore"]
     assert {o["associator"] for o in explore} == set(ASSOCIATORS)
     assert {o["relocation"] for o in explore} == {None, *RELOCATORS}
-    assert all(50 <= c.ticks <= 100 for c in cases) and "case 7: Associate" in str(cases[7])
+    assert "case 7: Associate" in str(cases[7])
+
+
+def test_episodes_are_long_where_a_tick_is_short_and_never_longer_than_asked_for():
+    cases = [case(k, 0, 1000) for k in range(640)]
+    explore = {name: [c.ticks for c in cases if c.env == "Explore" and c.extreme == name] for name in EXTREMES}
+    assert all(500 <= ticks <= 1000 for ticks in explore["as it is"] + explore["no noise"])
+    assert all(50 <= ticks <= 100 for ticks in explore["all at once"])
+    assert all(20 <= c.ticks <= 250 for c in cases if c.env != "Explore")
+    assert case(7, 0, 10).ticks == 10
 
 
 @pytest.mark.parametrize("name", EXTREMES)
