@@ -40,7 +40,8 @@ COPIES = {
 """Pages of the site that are files of the repository."""
 
 ROOMS = {
-    "slam_gym": "The data that flows, geometry, checks of arguments",
+    "slam_gym": "Geometry, checks of arguments",
+    "slam_gym.types": "The data that flows",
     "slam_gym.world": "The truth: floor plans, physics, sensors",
     "slam_gym.mapping": "The stochastic map",
     "slam_gym.navigation": "What the robot itself knows of space",
@@ -345,13 +346,7 @@ def _constants(module: str) -> dict[str, str]:
     body = ast.parse(path.read_text(encoding="utf-8")).body
     found = {}
     for node, after in pairwise(body):
-        target = (
-            node.target
-            if isinstance(node, ast.AnnAssign)
-            else node.targets[0]
-            if isinstance(node, ast.Assign)
-            else None
-        )
+        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         if isinstance(target, ast.Name) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
             found[target.id] = str(after.value.value).partition("\n")[0]
     return found

@@ -69,10 +69,11 @@ _WHERE = {
     "slam.local_maps": ("LocalMapSlam",),
     "slam.relocation": ("RelocatingSlam", "relocate_by"),
     "slam.slam": ("Slam", "SlamSpec"),
-    "types": (
-        "UNKNOWN_KIND", "UNPAIRED", "Hypothesis", "Landmarks", "Locality", "Odometry", "Prediction", "Relocation",
-        "Scan",
-    ),
+    "types.arguments": ("UNKNOWN_KIND",),
+    "types.decided": ("UNPAIRED", "Hypothesis", "Relocation"),
+    "types.expected": ("Prediction",),
+    "types.mapped": ("Landmarks", "Locality"),
+    "types.measured": ("Odometry", "Scan"),
     "world.floor_plan": ("FloorPlan",),
 }  # fmt: skip
 _MODULE_OF = {name: f"slam_gym.{module}" for module, names in _WHERE.items() for name in names}
