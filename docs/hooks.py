@@ -11,7 +11,7 @@ import ast
 import inspect
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -102,11 +102,22 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Fill in the table of the benchmarks."""
-    rows = [f"| `python -m slam_gym.bench {name}` | {benchmark.about} |" for name, benchmark in BENCHMARKS.items()]
-    return markdown.replace("<!-- benchmarks -->", "\n".join(["| Benchmark | What it measures |", "|---|---|", *rows]))
+    rows = [f"`python -m slam_gym.bench {name}` | {benchmark.about}" for name, benchmark in BENCHMARKS.items()]
+    return markdown.replace("<!-- benchmarks -->", _table("Benchmark | What it measures", rows))
 
 
-# -- what is copied --------------------------------------------------------------------------------------------------
+# -- how pages are put together ---------------------------------------------------------------------------------------
+
+
+def _page(*parts: str) -> str:
+    """Paragraphs with a blank line between them; what is empty is left out."""
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _table(titles: str, rows: Iterable[str]) -> str:
+    """Markdown of a table, its `titles` and rows as they stand between the outer bars."""
+    lines = [titles, "|".join(["---"] * len(titles.split("|"))), *rows]
+    return "\n".join(f"| {line} |" if line[0] != "-" else f"|{line}|" for line in lines)
 
 
 def _pages() -> Iterator[tuple[str, str]]:
@@ -166,34 +177,18 @@ def _environment(spec: Any) -> str:
     class_ = _class_of(spec)
     made = gym.make(spec.id).unwrapped
     arguments = inspect.signature(class_.__init__).parameters
-    rows = [f"| `{name}` | `{p.default!r}` |" for name, p in arguments.items() if p.default is not p.empty]
-    spaces = [f"| `{name}` | `{space}` |" for name, space in made.observation_space.items()]
-    text = inspect.getdoc(class_) or ""
-    return "\n".join(
-        [
-            f"# {spec.id}",
-            "",
-            f"![A picture of {spec.id}](../pictures/{_file(spec.id)}.png){{ .picture }}",
-            "",
-            text,
-            "",
-            "## Arguments and their defaults",
-            "",
-            "| Argument | Default |",
-            "|---|---|",
-            *rows,
-            "",
-            "## Spaces, with the defaults",
-            "",
-            f"Action space: `{made.action_space}`",
-            "",
-            "| Observation | Space |",
-            "|---|---|",
-            *spaces,
-            "",
-            f"Reference: [`{class_.__name__}`](../reference/slam_gym.envs.md)",
-            "",
-        ]
+    rows = [f"`{name}` | `{p.default!r}`" for name, p in arguments.items() if p.default is not p.empty]
+    spaces = [f"`{name}` | `{space}`" for name, space in made.observation_space.items()]
+    return _page(
+        f"# {spec.id}",
+        f"![A picture of {spec.id}](../pictures/{_file(spec.id)}.png){{ .picture }}",
+        inspect.getdoc(class_) or "",
+        "## Arguments and their defaults",
+        _table("Argument | Default", rows),
+        "## Spaces, with the defaults",
+        f"Action space: `{made.action_space}`",
+        _table("Observation | Space", spaces),
+        f"Reference: [`{class_.__name__}`](../reference/slam_gym.envs.md)",
     )
 
 
@@ -201,20 +196,13 @@ def _environment(spec: Any) -> str:
 
 
 def _scenario_index() -> str:
-    rows = [f"| [`{s.name}`]({s.name}.md) | {s.budget} | {_worlds(s)} | {_about(s)} |" for s in SCENARIOS.values()]
-    return "\n".join(
-        [
-            "# Scenarios",
-            "",
-            "A scenario is everything that defines an episode but its seed: a generator of worlds, a robot with its",
-            "sensors, noise and filter, and a budget. [Your own scenario](../own/scenario.md) says how to change one.",
-            "",
-            "| Scenario | Ticks (.1 s) | Worlds | |",
-            "|---|---|---|---|",
-            *rows,
-            "| [`closure/0` …](suite.md) | 600 | of the suite, one for each of its 40 levels | |",
-            "",
-        ]
+    rows = [f"[`{s.name}`]({s.name}.md) | {s.budget} | {_worlds(s)} | {_about(s)}" for s in SCENARIOS.values()]
+    suite = "[`closure/0` …](suite.md) | 600 | of the suite, one for each of its 40 levels | "
+    return _page(
+        "# Scenarios",
+        "A scenario is everything that defines an episode but its seed: a generator of worlds, a robot with its "
+        "sensors, noise and filter, and a budget. [Your own scenario](../own/scenario.md) says how to change one.",
+        _table("Scenario | Ticks (.1 s) | Worlds | ", [*rows, suite]),
     )
 
 
@@ -246,55 +234,36 @@ def _compared(path: str, one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]
 
 def _scenario(scenario: Scenario) -> str:
     generator = scenario.generator
-    drawn = [f"| `generator.{field.name}` | `{getattr(generator, field.name)!r}` |" for field in fields(generator)]
-    rows = [f"| `{path}` | `{value!r}` | `{default!r}` |" for path, value, default in _differences(scenario)]
-    differs = ["| Setting | Here | Default |", "|---|---|---|", *rows] if rows else ["Everything is at its default."]
-    return "\n".join(
-        [
-            f"# {scenario.name}",
-            "",
-            f"![A world of {scenario.name}](../pictures/scenario_{scenario.name}.png){{ .picture }}",
-            "",
-            *([f"**{_about(scenario)}**", ""] if _about(scenario) else []),
-            f"*Test world 1, driven by `information_gain` for all of its {scenario.budget} ticks of .1 s.*",
-            "",
-            f"`{type(generator).__name__}`: {inspect.getdoc(type(generator))}",
-            "",
-            "## What differs from the defaults",
-            "",
-            *differs,
-            "",
-            "## What its worlds are drawn from",
-            "",
-            "| Setting | Here |",
-            "|---|---|",
-            *drawn,
-            "",
-            "[Your own scenario](../own/scenario.md) says how to change any of this by name.",
-            "",
-        ]
+    drawn = [f"`generator.{field.name}` | `{getattr(generator, field.name)!r}`" for field in fields(generator)]
+    rows = [f"`{path}` | `{value!r}` | `{default!r}`" for path, value, default in _differences(scenario)]
+    return _page(
+        f"# {scenario.name}",
+        f"![A world of {scenario.name}](../pictures/scenario_{scenario.name}.png){{ .picture }}",
+        f"**{_about(scenario)}**" if _about(scenario) else "",
+        f"*Test world 1, driven by `information_gain` for all of its {scenario.budget} ticks of .1 s.*",
+        f"`{type(generator).__name__}`: {inspect.getdoc(type(generator))}",
+        "## What differs from the defaults",
+        _table("Setting | Here | Default", rows) if rows else "Everything is at its default.",
+        "## What its worlds are drawn from",
+        _table("Setting | Here", drawn),
+        "[Your own scenario](../own/scenario.md) says how to change any of this by name.",
     )
 
 
 def _suite() -> str:
-    parts = [
-        "# Levels of the suite",
-        "",
-        "Seven experiments, each a sweep over one knob in five levels, from easy to hard. A level goes by its id",
-        "wherever the name of a scenario is taken: `closure/3`. Scores: [Associators](../results/associators.md).",
-        "",
-    ]
+    parts = []
     for experiment in EXPERIMENTS.values():
-        ids = [f"`{level.id}`" for level in experiment.levels]
-        knobs = [f"{level.knob:g}" for level in experiment.levels]
-        parts += [f"## {experiment.name}", "", f"**{experiment.question}** {experiment.why}", ""]
-        parts += [
-            f"| | {' | '.join(ids)} |",
-            "|---" * (1 + len(ids)) + "|",
-            f"| {experiment.axis} | {' | '.join(knobs)} |",
-            "",
-        ]
-    return "\n".join(parts)
+        ids = " | ".join(f"`{level.id}`" for level in experiment.levels)
+        knobs = " | ".join(f"{level.knob:g}" for level in experiment.levels)
+        parts += [f"## {experiment.name}", f"**{experiment.question}** {experiment.why}"]
+        parts.append(_table(f" | {ids}", [f"{experiment.axis} | {knobs}"]))
+    return _page(
+        "# Levels of the suite",
+        f"{len(EXPERIMENTS)} experiments, each a sweep over one knob in five levels, from easy to hard. A level goes "
+        "by its id wherever the name of a scenario is taken: `closure/3`. "
+        "Scores: [Associators](../results/associators.md).",
+        *parts,
+    )
 
 
 # -- reference -------------------------------------------------------------------------------------------------------
@@ -323,20 +292,19 @@ def _has_docstring(path: Path) -> bool:
 
 
 def _reference_index() -> str:
-    rows = [f"| [`{room}`]({room}.md) | {about} |" for room, about in ROOMS.items()]
-    packages = ["| Package | |", "|---|---|", *rows]
-    names = ["| `from slam_gym import …` | |", "|---|---|", *map(_public_name, slam_gym.__all__)]
-    return "\n".join(["# Reference", "", *packages, "", "## What users import", "", *names, ""])
+    rows = [f"[`{room}`]({room}.md) | {about}" for room, about in ROOMS.items()]
+    names = _table("`from slam_gym import …` | ", map(_public_name, slam_gym.__all__))
+    return _page("# Reference", _table("Package | ", rows), "## What users import", names)
 
 
 def _public_name(name: str) -> str:
     """A row of the table of public names, with a link to where the thing is defined."""
     thing = getattr(slam_gym, name)
     if callable(thing):
-        return f"| [`{name}`][{thing.__module__}.{name}] | {(inspect.getdoc(thing) or '').partition(chr(10))[0]} |"
+        return f"[`{name}`][{thing.__module__}.{name}] | {(inspect.getdoc(thing) or '').partition(chr(10))[0]}"
     module = slam_gym._MODULE_OF[name]
     about = _constants(module).get(name)
-    return f"| [`{name}`][{module}.{name}] | {about} |" if about else f"| `{name}` | = {thing} |"
+    return f"[`{name}`][{module}.{name}] | {about}" if about else f"`{name}` | = {thing}"
 
 
 def _constants(module: str) -> dict[str, str]:
@@ -359,7 +327,7 @@ def _reference(room: str, about: str) -> str:
         path = ROOT / name.replace(".", "/") / "__init__.py"
         if path.is_file():  # what a package merely passes on stands where it is defined
             blocks[-1] += f"    options:\n      members: {json.dumps(_defined(path))}\n"
-    return "\n".join([f"# {room}", "", f"{about}.", "", *blocks])
+    return _page(f"# {room}", f"{about}.", "\n".join(blocks))
 
 
 def _defined(path: Path) -> list[str]:

@@ -69,11 +69,10 @@ _WHERE = {
     "slam.local_maps": ("LocalMapSlam",),
     "slam.relocation": ("RelocatingSlam", "relocate_by"),
     "slam.slam": ("Slam", "SlamSpec"),
-    "types.arguments": ("UNKNOWN_KIND",),
     "types.decided": ("UNPAIRED", "Hypothesis", "Relocation"),
     "types.expected": ("Prediction",),
     "types.mapped": ("Landmarks", "Locality"),
-    "types.measured": ("Odometry", "Scan"),
+    "types.measured": ("UNKNOWN_KIND", "Odometry", "Scan"),
     "world.floor_plan": ("FloorPlan",),
 }  # fmt: skip
 _MODULE_OF = {name: f"slam_gym.{module}" for module, names in _WHERE.items() for name in names}

@@ -18,7 +18,7 @@ JOIN = " + "
 
 LOST = Column("map_lost", "lost", 3, "lower", rare=True)
 LOST_MEANS = (
-    f"lost: share of episodes with a map error above {LOST_ERROR:g} "
+    f"lost: fraction of episodes with a map error above {LOST_ERROR:g} "
     f"or more than {LOST_DUPLICATES:g} features mapped twice"
 )
 
@@ -50,7 +50,7 @@ def headline(records: Sequence[Record]) -> list[Table]:
 
 
 def _errors(records: Sequence[Record]) -> dict[str, Interval | float]:
-    """Scenario → mean map error; and of all scenarios the mean, the median and the share of lost maps."""
+    """Scenario → mean map error; and of all scenarios the mean, the median and the fraction of lost maps."""
     by_scenario = {name: sample(own, "map_error").summary(mean) for name, own in by_setting(records).items()}
     errors, lost = sample(records, "map_error"), sample(records, "map_lost")
     middle = float(np.median(errors.values))

@@ -16,7 +16,8 @@ from agents.reports.page import Report, card, heading, image, note, table
 
 _WORDS = (
     note("Interquartile mean over episodes, 95&nbsp;% bootstrap interval below it. Bold: the best of the column, and "
-         "all whose interval overlaps with it; true association, which nothing could know, is left out of that.")
+         "all whose interval overlaps with it; nothing, where all do. True association, which nothing could know, is "
+         "left out.")
     + note("<b>Precision</b>: of the pairings, those with the right feature. <b>Recall</b>: of the measurements whose "
            "feature is in the map, those paired with it. <b>Exact</b> scans have no wrong and no missing pairing. "
            "<b>Dupl.</b>: features that the map ends up having more than once. <b>Nodes</b> of the interpretation tree "

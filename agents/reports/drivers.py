@@ -17,7 +17,7 @@ from agents.reports.page import Report, card, heading, image, label, note, table
 
 _WORDS = (
     note("Interquartile mean over episodes, 95&nbsp;% bootstrap interval below it. Bold: the best of the column, and "
-         "all whose interval overlaps with it.")
+         "all whose interval overlaps with it; nothing, where all do.")
     + note("<b>Map error</b> is GOSPA (p = 1, α = 2, c = 2σ₀) over σ₀N: 1 for an empty map, 0 for a perfect one; "
            "missed, misplaced and duplicate features all cost. <b>Coverage</b> is the fraction of the reachable floor "
            "that was seen. <b>Precision</b> and <b>recall</b> judge data association, measurement by measurement. "

@@ -127,12 +127,11 @@ class CovisibilityGraph:
         at = int(np.searchsorted(neighbours, j))
         return int(self._counts[i, at]) if at < len(neighbours) and neighbours[at] == j else 0
 
-    def neighbours(self, i: int, at_least: int = 1) -> IntArray:
-        """Features seen together with i in at least so many scans, ascending. Raises IndexError like `count`."""
+    def neighbours(self, i: int) -> IntArray:
+        """Features seen together with i, ascending. Raises IndexError like `count`."""
         if not 0 <= i < self.n:
             raise IndexError(f"feature {i} in a graph of {self.n}")
-        row = slice(0, self._degrees[i])
-        return self._neighbours[i, row][self._counts[i, row] >= at_least]
+        return self._neighbours[i, : self._degrees[i]].copy()
 
     def local_to(self, features: IntArray) -> BoolArray:
         """(n,) the features given, but for UNPAIRED, and all their neighbours. Raises ValueError as `see_together`."""

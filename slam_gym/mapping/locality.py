@@ -8,7 +8,6 @@ symmetric and reflexive. None stands for everything, and searches in full.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,21 +15,16 @@ from scipy.spatial import cKDTree
 
 from slam_gym._compile import compiled
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.types import Array, IntArray, Landmarks, Locality
-
-_NO_COVARIANCE = np.empty((0, 0))
+from slam_gym.types import Array, IntArray, Locality
 
 
-def covisible(graph: CovisibilityGraph, at_least: int = 1, hops: int = 1) -> Locality:
-    """Features seen together in at least so many scans, or linked by up to `hops` such pairs.
+def covisible(graph: CovisibilityGraph, hops: int = 1) -> Locality:
+    """Features seen together in a scan, or linked by up to `hops` such pairs.
 
     One hop is the source's choice. It misses pairs that lie side by side but never met in one scan; two hops find those
-    that were both seen with a third feature, at several times the size. Raises ValueError where either is below 1.
+    that were both seen with a third feature, at several times the size. Raises ValueError for fewer than one hop.
     """
-    if at_least < 1 or hops < 1:
-        raise ValueError(f"at_least, hops: {at_least}, {hops}: less than 1")
-    edges, counts = graph.edges()
-    return linked(graph.n, edges[counts >= at_least], hops)
+    return linked(graph.n, graph.edges().pairs, hops)
 
 
 def linked(n: int, pairs: IntArray, hops: int = 1) -> Locality:
@@ -95,23 +89,6 @@ def locality_sizes(locality: Locality | None, n: int) -> IntArray:
     if len(locality) != n:
         raise ValueError(f"locality: of {len(locality)} features, for a map of {n}")
     return np.diff(locality.starts)
-
-
-def with_blocks(landmarks: Landmarks, locality: Locality) -> Landmarks:
-    """The same landmarks with the covariance of local pairs only, as large maps keep it.
-
-    Raises ValueError where the landmarks hold no full covariance (2n, 2n) or the locality is of another map.
-    """
-    n = len(landmarks)
-    if landmarks.covariance.shape != (2 * n, 2 * n):
-        raise ValueError(f"landmarks.covariance: shape {landmarks.covariance.shape}, expected ({2 * n}, {2 * n})")
-    if len(locality) != n:
-        raise ValueError(f"locality: of {len(locality)} features, for {n} landmarks")
-    starts, members = locality.starts.copy(), locality.members.copy()
-    blocks = _gather(np.ascontiguousarray(landmarks.covariance), starts, members)
-    return replace(
-        landmarks, covariance=_NO_COVARIANCE.copy(), block_starts=starts, block_columns=members, blocks=blocks
-    )
 
 
 @compiled
@@ -194,15 +171,3 @@ def _blocks_of(map_of: IntArray) -> tuple[IntArray, IntArray]:
         for k in range(starts[j + 1] - starts[j]):
             members[starts[j] + k] = features[base + k]
     return starts, members
-
-
-@compiled
-def _gather(covariance: Array, starts: IntArray, members: IntArray) -> Array:
-    """(e, 2, 2) the blocks P_jl of a full covariance (2n, 2n)."""
-    out = np.empty((len(members), 2, 2))
-    for j in range(len(starts) - 1):
-        for e in range(starts[j], starts[j + 1]):
-            a, b = 2 * j, 2 * members[e]
-            out[e, 0, 0], out[e, 0, 1] = covariance[a, b], covariance[a, b + 1]
-            out[e, 1, 0], out[e, 1, 1] = covariance[a + 1, b], covariance[a + 1, b + 1]
-    return out

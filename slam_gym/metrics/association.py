@@ -73,16 +73,6 @@ class Tally:
         return _ratio(2 * self.tp, self.tp + self.fp + self.in_map)
 
     @property
-    def new_precision(self) -> float:
-        """Fraction of the started features that are real and were not in the map; NaN where none was started."""
-        return _ratio(self.new_right, self.new_right + self.new_wrong)
-
-    @property
-    def new_recall(self) -> float:
-        """Fraction of the measurements of features not in the map that started one; NaN where there was none."""
-        return _ratio(self.new_right, self.not_in_map)
-
-    @property
     def exact(self) -> float:
         """Fraction of scans whose whole hypothesis is right; NaN without scans."""
         return _ratio(self.scans_exact, self.scans)

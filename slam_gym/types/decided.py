@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slam_gym.types.arguments import Array, BoolArray, IntArray
+from slam_gym.types._arguments import Array, BoolArray, IntArray
 from slam_gym.types.expected import Experience, Prediction
 from slam_gym.types.mapped import Landmarks, Locality
 from slam_gym.types.measured import Scan

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.types.arguments import Array, BoolArray, IntArray, floats, kinds_of, points_of, sizes_of
+from slam_gym.types._arguments import Array, BoolArray, IntArray, floats, kinds_of, points_of, sizes_of
 
 View = Callable[[Array, Array], Array]
 """From positions (k, 2) [m] in R and covariances (k, 2, 2) to the probability (k,) that the sensor has each in view."""

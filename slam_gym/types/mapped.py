@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.types.arguments import Array, IntArray, covariances_of, floats, kinds_of, points_of, sizes_of
+from slam_gym.types._arguments import Array, IntArray, covariances_of, floats, kinds_of, points_of, sizes_of
 
 
 @dataclass(frozen=True, slots=True)

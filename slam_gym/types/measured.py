@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.types.arguments import (
+from slam_gym.types._arguments import (
     UNKNOWN_KIND,
     Array,
     IntArray,

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, linked, locality_sizes, same_local_map, with_blocks, within
-from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Locality
+from slam_gym.mapping.locality import covisible, linked, locality_sizes, same_local_map, within
+from slam_gym.types import Array, BoolArray, IntArray, Locality
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.ray_casting import WallIndex, pull_back
 from slam_gym.world.reachability import reachable
@@ -42,10 +41,10 @@ def test_covisibility_equals_powers_of_the_relation() -> None:
     for _ in range(150):
         n = int(rng.integers(1, 25))
         graph, counts = random_graph(rng, n)
-        at_least, hops = int(rng.integers(1, 4)), int(rng.integers(1, 5))
-        once = ((counts >= at_least) | np.eye(n, dtype=np.bool_)).astype(np.int64)
+        hops = int(rng.integers(1, 5))
+        once = ((counts > 0) | np.eye(n, dtype=np.bool_)).astype(np.int64)
         expected = np.linalg.matrix_power(once, hops) > 0
-        np.testing.assert_array_equal(dense(covisible(graph, at_least, hops)), expected)
+        np.testing.assert_array_equal(dense(covisible(graph, hops)), expected)
 
 
 def test_links_equal_powers_of_the_relation() -> None:
@@ -81,7 +80,6 @@ def test_every_locality_is_symmetric_and_reflexive_and_sizes_are_counted() -> No
     graph, _ = random_graph(rng, 60)
     for locality in (
         covisible(graph),
-        covisible(graph, at_least=2),
         covisible(graph, hops=2),
         within(rng.uniform(0, 9, (60, 2)), 2.0),
         same_local_map(rng.integers(0, 6, 60)),
@@ -92,41 +90,11 @@ def test_every_locality_is_symmetric_and_reflexive_and_sizes_are_counted() -> No
     np.testing.assert_array_equal(locality_sizes(None, 4), [4, 4, 4, 4])
 
 
-def some_landmarks(rng: np.random.Generator, n: int) -> Landmarks:
-    factor = rng.standard_normal((2 * n, 2 * n))
-    covariance = factor @ factor.T
-    marginals = np.array([covariance[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-    none, unknown = np.empty(0, np.int64), np.full(n, np.nan)
-    kinds, blocks = np.full(n, UNKNOWN_KIND), np.empty((0, 2, 2))
-    return Landmarks(rng.uniform(0, 9, (n, 2)), marginals, unknown, unknown, kinds, covariance, none, none, blocks)
-
-
-def test_blocks_are_those_of_the_full_covariance() -> None:
-    rng = np.random.default_rng(4)
-    for n in (0, 1, 2, 17):
-        landmarks = some_landmarks(rng, n)
-        locality = within(landmarks.positions, 3.0)
-        kept = with_blocks(landmarks, locality)
-        assert kept.covariance.shape == (0, 0)
-        np.testing.assert_array_equal(kept.block_starts, locality.starts)
-        for j in range(n):
-            for e in range(kept.block_starts[j], kept.block_starts[j + 1]):
-                i = kept.block_columns[e]
-                block = landmarks.covariance[2 * j : 2 * j + 2, 2 * i : 2 * i + 2]
-                np.testing.assert_array_equal(kept.blocks[e], block)
-        np.testing.assert_array_equal(kept.covariances, landmarks.covariances)
-
-
 def test_nothing_handed_out_is_shared() -> None:
     graph, _ = random_graph(np.random.default_rng(5), 20)
     first = covisible(graph)
     first.members[:] = 0
     assert dense(covisible(graph)).diagonal().all()
-    landmarks = some_landmarks(np.random.default_rng(6), 8)
-    locality = within(landmarks.positions, 3.0)
-    before = locality.members.copy()
-    with_blocks(landmarks, locality).block_columns[:] = 0
-    np.testing.assert_array_equal(locality.members, before)
 
 
 # --- what each cannot do ----------------------------------------------------------------------------------------------
@@ -199,9 +167,8 @@ def test_local_maps_fail_at_the_border() -> None:
 
 def test_what_makes_no_sense_is_refused() -> None:
     graph, _ = random_graph(np.random.default_rng(8), 5)
-    for arguments in ({"at_least": 0}, {"hops": 0}):
-        with pytest.raises(ValueError, match="hops"):
-            covisible(graph, **arguments)
+    with pytest.raises(ValueError, match="hops"):
+        covisible(graph, hops=0)
     for pairs in ([[0, 3]], [[0, 1], [1, 1]], [[-1, 0]]):
         with pytest.raises(ValueError, match="pairs"):
             linked(3, np.array(pairs))
@@ -214,17 +181,10 @@ def test_what_makes_no_sense_is_refused() -> None:
         within(np.zeros((2, 3)), 1.0)
     with pytest.raises(ValueError, match=r"map_of\[1\]"):
         same_local_map([0, -1])
-    landmarks = some_landmarks(np.random.default_rng(9), 4)
     with pytest.raises(ValueError, match="locality"):
         locality_sizes(within(np.zeros((3, 2)), 1.0), 4)
-    with pytest.raises(ValueError, match="locality"):
-        with_blocks(landmarks, within(np.zeros((3, 2)), 1.0))
-    with pytest.raises(ValueError, match="covariance"):
-        with_blocks(with_blocks(landmarks, within(landmarks.positions, 1.0)), within(landmarks.positions, 1.0))
 
 
 def test_an_empty_map_has_an_empty_locality() -> None:
     for locality in (covisible(CovisibilityGraph()), within(np.empty((0, 2)), 1.0), same_local_map([])):
         assert len(locality) == 0 and len(locality.members) == 0
-    landmarks = StochasticMap().landmarks()
-    assert len(with_blocks(landmarks, same_local_map([])).blocks) == 0

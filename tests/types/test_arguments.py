@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam_gym.types.arguments import UNKNOWN_KIND, covariances_of, floats, kinds_of, points_of, sizes_of
+from slam_gym.types._arguments import UNKNOWN_KIND, covariances_of, floats, kinds_of, points_of, sizes_of
 
 
 @pytest.mark.parametrize("value", [[1, 2, 3], (1, 2, 3), np.arange(1, 4, dtype=np.int32), np.float32([1, 2, 3])])
