@@ -18,15 +18,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.cli import add_associate_options, associate_arguments, program, require_positive, run_main
+from agents.cli import add_associate_options, add_episode_options, associate_arguments, episodes_of, program, run_main
 from agents.evaluation.episodes import AssociateArguments, reset_arguments
+from agents.evaluation.records import written_whole
 from agents.evaluation.tables import counted
 
 UNKNOWN_ACTION = -1  # the right action is not on offer, or nobody knows
@@ -61,10 +61,8 @@ def export(path: Path, arguments: AssociateArguments, *, first: int, episodes: i
     """Write the file, in one piece, and return the number of decisions."""
     arrays = decisions(arguments, first, episodes, mistakes)
     about = arguments.plain | {"first": first, "episodes": episodes, "mistakes": mistakes}
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    with partial.open("wb") as file:
+    with written_whole(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, format=np.array(FORMAT), setting=np.array(json.dumps(about)), **arrays)
-    partial.replace(path)
     return len(arrays["right"])
 
 
@@ -72,8 +70,7 @@ def parser() -> argparse.ArgumentParser:
     summary = "Write decisions of Associate-v0, with masks and right answers, for supervised learning."
     p = argparse.ArgumentParser(prog=program("agents.export_decisions"), description=summary)
     p.add_argument("file", type=Path, help="to write (.npz)")
-    p.add_argument("--episodes", type=int, default=10, metavar="N", help="default: %(default)s")
-    p.add_argument("--first", type=int, default=0, metavar="I", help="first world (default: %(default)s)")
+    add_episode_options(p, 10, "of the driver")
     p.add_argument("--split", default="train", help="train or test (default: %(default)s)")
     p.add_argument("--mistakes", type=float, default=0.2, metavar="FRACTION", help="of scans (default: %(default)s)")
     add_associate_options(p)
@@ -82,13 +79,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
-    require_positive(a, "episodes")
+    episodes = episodes_of(a)
     if not 0.0 <= a.mistakes <= 1.0:
         raise ValueError(f"--mistakes must be a fraction, not {a.mistakes}")
     if not a.file.parent.is_dir():
         raise FileNotFoundError(f"no such folder: {a.file.parent}")
     arguments = associate_arguments(a, a.split)
-    count = export(a.file, arguments, first=a.first, episodes=a.episodes, mistakes=a.mistakes)
+    count = export(a.file, arguments, first=a.first, episodes=len(episodes), mistakes=a.mistakes)
     print(f"wrote {a.file}: {count} decisions of {counted(a.episodes, 'episode')} of {a.scenario}")
     return 0
 

@@ -10,7 +10,8 @@ import math
 import os
 import platform
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -97,15 +98,22 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file beside its place, then put it there: on a full disk the old one stays whole."""
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Where to write what is then put in its place: interrupted, or on a full disk, the old file stays whole."""
     partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_text(text, encoding="utf-8", newline="")
+        yield partial
         os.replace(partial, path)
-    except OSError:
+    except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text in one piece."""
+    with written_whole(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="")
 
 
 def write_csv(path: Path, records: Sequence[Record]) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import pickle
 import zipfile
 from dataclasses import asdict, dataclass, fields
@@ -22,6 +21,7 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from torch import nn
 
+from agents.evaluation.records import written_whole
 from agents.learning.model_contents import MAX_BYTES, check_archive, check_description, check_weights
 from agents.learning.ppo import SCORING, Decision, Hyperparameters, policy_arguments
 from slam_gym._files import content_of
@@ -56,9 +56,8 @@ def save_model(path: Path, spec: ModelSpec, policy: Any, state: bytes = b"") -> 
     content["optimizer"] = policy.optimizer.state_dict()
     if state:
         content["state"] = torch.frombuffer(bytearray(state), dtype=torch.uint8)
-    partial = path.with_name(path.name + ".partial")
-    torch.save(content, partial)
-    os.replace(partial, path)
+    with written_whole(path) as partial:
+        torch.save(content, partial)
 
 
 def read_model(path: Path) -> tuple[ModelSpec, dict[str, Any]]:

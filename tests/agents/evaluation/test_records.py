@@ -6,7 +6,16 @@ import json
 import numpy as np
 import pytest
 
-from agents.evaluation.records import Journal, Key, setting_of, versions, write_csv, write_json, write_whole
+from agents.evaluation.records import (
+    Journal,
+    Key,
+    setting_of,
+    versions,
+    write_csv,
+    write_json,
+    write_whole,
+    written_whole,
+)
 from slam_gym.metrics.statistics import Interval
 
 
@@ -66,6 +75,15 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch)
     with pytest.raises(OSError):
         write_whole(tmp_path / "x.html", "new")
     assert (tmp_path / "x.html").read_text() == "old"
+
+
+def test_an_interruption_leaves_the_old_file_and_nothing_else(tmp_path):
+    write_whole(tmp_path / "model.pt", "old")
+    with pytest.raises(KeyboardInterrupt), written_whole(tmp_path / "model.pt") as partial:
+        partial.write_text("half of the n")
+        raise KeyboardInterrupt
+    assert [path.name for path in tmp_path.iterdir()] == ["model.pt"]
+    assert (tmp_path / "model.pt").read_text() == "old"
 
 
 def test_a_record_is_known_by_who_where_and_when():
