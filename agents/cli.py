@@ -16,6 +16,7 @@ from rich.console import Console
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.pipeline import Execution
+from agents.evaluation.records import stem
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
 from slam_gym.slam.relocation import SEARCH
@@ -137,7 +138,7 @@ def require_positive(a: argparse.Namespace, *names: str) -> None:
 
 def results_folder(name: str, resume: bool) -> Path:
     """A new folder under results/ of the current directory, or the latest one of that name."""
-    results, name = Path("results"), name.replace(":", ".")
+    results, name = Path("results"), stem(name)
     if not resume:
         return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     folders = sorted(results.glob(f"{name}-[0-9]*"))

@@ -20,7 +20,7 @@ from agents.drivers.base import AGENTS, make_agent
 from agents.evaluation.associators import find_associator
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.parallel import run_all
-from agents.evaluation.records import write_whole
+from agents.evaluation.records import stem, write_whole
 from agents.evaluation.tables import display_name
 from slam_gym.scenarios import SCENARIOS, get_scenario
 
@@ -30,7 +30,7 @@ WIDTH = 420  # [pixels] of a film on the page
 
 def film_path(out: Path, scenario: str, associator: str) -> Path:
     """Where a film lies; its last picture has the same name with .png."""
-    return out / f"{scenario.replace('/', '-')}_{display_name(associator).replace(' ', '_')}.mp4"
+    return out / f"{stem(scenario, associator)}.mp4"
 
 
 def _film(scenario: str, associator: str, driver: str, budget: int | None, world: int, path: Path) -> Path:

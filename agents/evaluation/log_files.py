@@ -9,7 +9,6 @@ LOG.ASSOCIATOR.errors.csv   the positions, aligned, against the reference
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from agents.evaluation.log_measures import compare
 from agents.evaluation.mapped_log import MappedLog
+from agents.evaluation.records import stem
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.trajectory_file import write_tum
 from slam_gym.types import Array
@@ -25,11 +25,6 @@ MAP_FIELDS = (
     "id", "identity", "confirmed", "seen", "x", "y", "variance_x", "covariance_xy", "variance_y", "size",
 )  # fmt: skip
 ERROR_FIELDS = ("time", "x", "y", "reference_x", "reference_y", "error")
-
-
-def stem(*names: str) -> str:
-    """A file's name for a log, and an associator that may itself be a path or `module:function`."""
-    return ".".join(re.sub(r"[^\w\-]+", "-", name).strip("-") for name in names)
 
 
 def write_mapped_log(folder: Path, log: Recording, associator: str, mapped: MappedLog) -> None:

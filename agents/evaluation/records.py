@@ -9,6 +9,7 @@ import json
 import math
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -96,6 +97,11 @@ class Journal:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def stem(*names: str) -> str:
+    """A file's name for things whose names may be paths, levels of the suite, or `module:name`."""
+    return ".".join(re.sub(r"[^\w\-]+", "-", name).strip("-") for name in names)
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from agents.evaluation.drivers import Driver
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.parallel import run_all
 from agents.evaluation.pipeline import Execution
+from agents.evaluation.records import stem
 
 FRAMES = 300
 RATE = 20  # [frames/s]
@@ -25,7 +26,7 @@ SLOW = 8  # frames a tick, around a kidnapping and a recovery
 
 def film_path(out: Path, agent: str) -> Path:
     """Where an agent's film lies; its last picture has the same name with .png."""
-    return out / "films" / f"{agent.replace(':', '.')}.mp4"
+    return out / "films" / f"{stem(agent)}.mp4"
 
 
 def make_films(

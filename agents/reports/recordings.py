@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.evaluation.log_files import read_columns, stem
+from agents.evaluation.log_files import read_columns
 from agents.evaluation.pipeline import Results
 from agents.evaluation.recordings import COLUMNS, FOLDER, FURTHER_COLUMNS, columns_with_numbers, numbers
-from agents.evaluation.records import Record
+from agents.evaluation.records import Record, stem
 from agents.evaluation.tables import Table, by_setting
 from agents.reports.log_figures import Columns, errors_over_time, maps
 from agents.reports.page import Report, card, heading, image, note, table

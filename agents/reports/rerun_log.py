@@ -14,6 +14,7 @@ import numpy as np
 
 from agents.drivers.base import Agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.records import stem
 from slam_gym.geometry import observe, relative, transform
 from slam_gym.types import NO_ID, UNPAIRED, Array, Associator
 
@@ -141,7 +142,7 @@ def log_drives(target: str, episode: int, drives: Sequence[Drive]) -> None:
     for name, arguments, agent, associator in drives:
         path = Path(target)
         several = target != SPAWN and len(drives) > 1
-        own = str(path.with_name(f"{path.stem}_{name.replace(':', '.')}{path.suffix}")) if several else target
+        own = str(path.with_name(f"{path.stem}_{stem(name)}{path.suffix}")) if several else target
         log = RerunLog(own, name)
         env = arguments.make(agent.action, associator=associator)
         run_episode(env, agent, episode, watch=log)

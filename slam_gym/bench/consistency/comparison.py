@@ -15,7 +15,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slam_gym.bench.answers import proportion
-from slam_gym.bench.consistency import pictures
 from slam_gym.bench.consistency.estimators import ASSOCIATORS, METHODS, DrivenLog, estimate
 from slam_gym.bench.consistency.logs import LoopSpec, floor, hall, loop, park
 from slam_gym.bench.recordings.places import gps_at
@@ -133,7 +132,7 @@ def run(
     only: Literal["loop", "hall", "floor", "park"] | None = None,
     quick: bool = False,
 ) -> None:
-    """Two tables, every run in a CSV file, and a picture.
+    """Two tables, and every run in a CSV file.
 
     Arguments:
         data: folder of the recordings (default: environment SLAM_GYM_DATA)
@@ -155,4 +154,3 @@ def run(
     report.table("Runs: medians, of ANEES with quartiles", runs_table(records))
     report.table("Differences from the standard EKF on the same logs", differences_table(records))
     report.rows("consistency", records)
-    report.pictures({"consistency": lambda: pictures.comparison(records)})

@@ -23,7 +23,6 @@ from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.association.triangles.index import FeatureIndex
 from slam_gym.bench.answers import ACCEPTED, attempt, count_answers, without_sizes
-from slam_gym.bench.recordings import pictures
 from slam_gym.bench.recordings.places import Place, PlacedScan, park, room
 from slam_gym.bench.records import Record, column, grouped, medians
 from slam_gym.bench.report import Report
@@ -143,7 +142,7 @@ def _percentiles(records: Sequence[Record], name: str, *wanted: int) -> str:
 def run(
     report: Report, *, data: Path | None = None, only: Literal["room", "park"] | None = None, quick: bool = False
 ) -> None:
-    """Three tables, every attempt in a CSV file, and a picture.
+    """Three tables, and every attempt in a CSV file.
 
     Arguments:
         data: folder of the recordings (default: environment SLAM_GYM_DATA)
@@ -167,4 +166,3 @@ def run(
     report.table("Localities: answers under the rule and from six pairings, effort", localities_table(records))
     report.table("How far right and wrong answers of six pairings or more lie apart", apart_table(records))
     report.rows("relocations", records)
-    report.pictures({"answers": lambda: pictures.answers(counts)})

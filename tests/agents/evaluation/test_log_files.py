@@ -6,9 +6,10 @@ import math
 import pytest
 from rich.console import Console
 
-from agents.evaluation.log_files import ERROR_FIELDS, MAP_FIELDS, read_columns, stem
+from agents.evaluation.log_files import ERROR_FIELDS, MAP_FIELDS, read_columns
 from agents.evaluation.pipeline import Execution, carry_out
 from agents.evaluation.recordings import Log, logs_of, recording_evaluation
+from agents.evaluation.records import stem
 from slam_gym.recordings import save
 from tests.agents.evaluation import posts_log
 
@@ -55,7 +56,3 @@ def test_evo_reads_the_trajectories_and_finds_the_same_error(out) -> None:
         error = metrics.APE(metrics.PoseRelation.translation_part)
         error.process_data((reference, estimate))
         assert error.get_statistic(metrics.StatisticsType.rmse) == pytest.approx(table[key], rel=1e-3)
-
-
-def test_names_of_files_hold_whatever_an_associator_is_called() -> None:
-    assert stem("mrclam/MRCLAM_Dataset6/robot1", "my.module:way") == "mrclam-MRCLAM_Dataset6-robot1.my-module-way"

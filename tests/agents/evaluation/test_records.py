@@ -10,6 +10,7 @@ from agents.evaluation.records import (
     Journal,
     Key,
     setting_of,
+    stem,
     versions,
     write_csv,
     write_json,
@@ -75,6 +76,10 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch)
     with pytest.raises(OSError):
         write_whole(tmp_path / "x.html", "new")
     assert (tmp_path / "x.html").read_text() == "old"
+
+
+def test_names_of_files_hold_whatever_an_associator_is_called() -> None:
+    assert stem("mrclam/MRCLAM_Dataset6/robot1", "my.module:way") == "mrclam-MRCLAM_Dataset6-robot1.my-module-way"
 
 
 def test_an_interruption_leaves_the_old_file_and_nothing_else(tmp_path):

@@ -32,7 +32,7 @@ def test_a_film_shows_the_episode_that_was_evaluated(tmp_path):
 
 def test_films_that_are_there_stay(tmp_path):
     path = filming.film_path(tmp_path, "agents.drivers.random:RandomAgent")
-    assert path.name == "agents.drivers.random.RandomAgent.mp4"
+    assert path.name == "agents-drivers-random-RandomAgent.mp4"
     path.parent.mkdir()
     path.with_suffix(".png").write_bytes(b"before")
     drivers = [Driver("agents.drivers.random:RandomAgent"), Driver("nearest_frontier")]

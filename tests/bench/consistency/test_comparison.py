@@ -1,7 +1,5 @@
 """Figures tell good estimators from bad ones: tables and the command."""
 
-import importlib.util
-
 import numpy as np
 import pytest
 
@@ -62,7 +60,6 @@ def test_the_command_prints_its_tables_and_says_what_it_leaves_out(monkeypatch, 
     ):
         assert words in shown
     assert len((tmp_path / "consistency.csv").read_text(encoding="utf-8").splitlines()) == 1 + 4 * 8
-    assert not importlib.util.find_spec("matplotlib") or (tmp_path / "consistency.png").stat().st_size > 10_000
     with pytest.raises(SystemExit):
         main(["consistency", "--quick", "--only", "park"])
     assert "nothing was run" in capsys.readouterr().err

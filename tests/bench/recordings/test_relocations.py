@@ -1,6 +1,5 @@
 """Relocation on real data: how scans are judged, and what is counted."""
 
-import importlib.util
 from dataclasses import replace
 
 import numpy as np
@@ -91,7 +90,6 @@ def test_the_command_prints_its_tables_and_writes_files(data_dir, monkeypatch, t
         assert words in shown
     lines = (tmp_path / "relocations.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 1 + 40 * 3 * 3
-    assert not importlib.util.find_spec("matplotlib") or (tmp_path / "answers.png").stat().st_size > 10_000
 
 
 def test_without_data_the_command_asks_for_it(monkeypatch, capsys):
