@@ -18,13 +18,16 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.types import Array, IntArray, Locality
 
 
-def covisible(graph: CovisibilityGraph, hops: int = 1) -> Locality:
-    """Features seen together in a scan, or linked by up to `hops` such pairs.
+def covisible(graph: CovisibilityGraph, at_least: int = 1, hops: int = 1) -> Locality:
+    """Features seen together in at least so many scans, or linked by up to `hops` such pairs.
 
     One hop is the source's choice. It misses pairs that lie side by side but never met in one scan; two hops find those
-    that were both seen with a third feature, at several times the size. Raises ValueError for fewer than one hop.
+    that were both seen with a third feature, at several times the size. Raises ValueError where either is below 1.
     """
-    return linked(graph.n, graph.edges().pairs, hops)
+    if at_least < 1:
+        raise ValueError(f"at_least: {at_least} is less than 1")
+    edges, counts = graph.edges()
+    return linked(graph.n, edges[counts >= at_least], hops)
 
 
 def linked(n: int, pairs: IntArray, hops: int = 1) -> Locality:

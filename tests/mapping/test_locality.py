@@ -41,10 +41,10 @@ def test_covisibility_equals_powers_of_the_relation() -> None:
     for _ in range(150):
         n = int(rng.integers(1, 25))
         graph, counts = random_graph(rng, n)
-        hops = int(rng.integers(1, 5))
-        once = ((counts > 0) | np.eye(n, dtype=np.bool_)).astype(np.int64)
+        at_least, hops = int(rng.integers(1, 4)), int(rng.integers(1, 5))
+        once = ((counts >= at_least) | np.eye(n, dtype=np.bool_)).astype(np.int64)
         expected = np.linalg.matrix_power(once, hops) > 0
-        np.testing.assert_array_equal(dense(covisible(graph, hops)), expected)
+        np.testing.assert_array_equal(dense(covisible(graph, at_least, hops)), expected)
 
 
 def test_links_equal_powers_of_the_relation() -> None:
@@ -80,6 +80,7 @@ def test_every_locality_is_symmetric_and_reflexive_and_sizes_are_counted() -> No
     graph, _ = random_graph(rng, 60)
     for locality in (
         covisible(graph),
+        covisible(graph, at_least=2),
         covisible(graph, hops=2),
         within(rng.uniform(0, 9, (60, 2)), 2.0),
         same_local_map(rng.integers(0, 6, 60)),
@@ -167,8 +168,9 @@ def test_local_maps_fail_at_the_border() -> None:
 
 def test_what_makes_no_sense_is_refused() -> None:
     graph, _ = random_graph(np.random.default_rng(8), 5)
-    with pytest.raises(ValueError, match="hops"):
-        covisible(graph, hops=0)
+    for name in ("at_least", "hops"):
+        with pytest.raises(ValueError, match=name):
+            covisible(graph, **{name: 0})
     for pairs in ([[0, 3]], [[0, 1], [1, 1]], [[-1, 0]]):
         with pytest.raises(ValueError, match="pairs"):
             linked(3, np.array(pairs))
