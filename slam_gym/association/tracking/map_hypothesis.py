@@ -92,7 +92,7 @@ class MostProbable:
 
     Called as any associator. The density λ is (prior + Σ unpaired) / (prior / density + Σ area), each scan weighing
     `memory` of the next, so that it follows a robot from known into unknown space. The area of a scan is `area`, or
-    that of the box around its measurements. `options` go to `map_hypothesis`.
+    what its measurements tell (`scan_area`). `options` go to `map_hypothesis`.
     """
 
     density: float = 0.02  # [1/m²] λ to begin with, and now

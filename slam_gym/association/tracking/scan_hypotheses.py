@@ -279,11 +279,17 @@ def _grouped(positions: Array, order: IntArray, together: float, group: IntArray
 
 @compiled
 def scan_area(points: Array) -> float:
-    """[m²] of the box around the measurements (m, 2), 0 without any."""
+    """[m²] that a scan has shown, 0 without any measurement: the box around the measurements (m, 2), and no less than
+    a sector from the robot to the farthest of them, of one radian to either side.
+
+    A box about one or two measurements is far too small, and what is seldom there would seem to be everywhere.
+    """
     if len(points) == 0:
         return 0.0
     left, right, bottom, top = points[0, 0], points[0, 0], points[0, 1], points[0, 1]
-    for i in range(1, len(points)):
-        left, right = min(left, points[i, 0]), max(right, points[i, 0])
-        bottom, top = min(bottom, points[i, 1]), max(top, points[i, 1])
-    return float(max((right - left) * (top - bottom), _MIN_AREA))
+    farthest = 0.0  # squared
+    for i in range(len(points)):
+        x, y = points[i]
+        left, right, bottom, top = min(left, x), max(right, x), min(bottom, y), max(top, y)
+        farthest = max(farthest, x * x + y * y)
+    return float(max((right - left) * (top - bottom), farthest, _MIN_AREA))

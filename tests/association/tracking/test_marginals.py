@@ -9,7 +9,7 @@ from scipy.special import gammaln, logsumexp
 
 from slam_gym.association.tracking.marginals import DETECTIONS, NOTHING_SEEN, marginals
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import UNPAIRED, Experience, Odometry, Scan
+from slam_gym.types import UNPAIRED, Experience, Odometry, Prediction, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
 from tests.oracles.densities import MODEL, RATES, WIDE, small_problem
@@ -61,6 +61,23 @@ def test_learned_odds_are_added_to_every_hypothesis_that_makes_their_pairing(see
     assert near.pairings == pytest.approx(expected, abs=0.002)  # the search follows the odds as well
 
 
+def area_shown(scan):
+    """[m²] of the box around the measurements, and no less than a sector as far as the farthest, two radians wide."""
+    if not len(scan):
+        return 0.0
+    box, farthest = np.prod(np.ptp(scan.points, axis=0)), np.hypot(*scan.points.T).max()
+    return max(float(box), 0.5 * 2.0 * farthest**2, 1.0)
+
+
+def test_a_scan_of_one_measurement_shows_more_than_a_square_metre():
+    """Where a robot looks √13 m far and sees one thing, λ is one in 13 m²."""
+    known, prediction = None, Prediction.from_gaussian([[9.0, 9.0]], 0.01 * np.eye(2))
+    for _ in range(100):
+        scan = Scan.from_points([[3.0, 2.0]], sigma=0.1)
+        known = marginals(scan, dataclasses.replace(prediction, experience=known)).experience
+    assert known.area / known.unpaired == pytest.approx(13.0)
+
+
 @pytest.mark.parametrize("seed", range(60))
 def test_what_is_not_known_is_integrated_out(seed):
     """λ by its Γ distribution, P_D over its values, both as the run has shown them so far."""
@@ -68,8 +85,7 @@ def test_what_is_not_known_is_integrated_out(seed):
     rng = np.random.default_rng(seed)
     known = Experience(float(rng.uniform(0, 20)), float(rng.uniform(0, 200)), rng.normal(0.0, 2.0, len(DETECTIONS)))
     every = densities.every_hypothesis(scan, prediction)
-    box = max(float(np.prod(np.ptp(scan.points, axis=0))), 1.0) if len(scan) else 0.0
-    a, b = 1.0 + known.unpaired, 50.0 + known.area + box
+    a, b = 1.0 + known.unpaired, 50.0 + known.area + area_shown(scan)
     log_densities = []
     for rows in every:
         u = rows.count(UNPAIRED)
