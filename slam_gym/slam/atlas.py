@@ -3,7 +3,7 @@
 **Loops.** Old features that the way back has made ambiguous (so uncertain, seen from those the robot has just paired,
 that others lie within their gates) are not offered to the associator: a scan pairs them wrongly now and then, and one
 wrong scan decides where the map ends. They are left to `slam.loops`, which looks for the recent part of the map among
-them. What it finds is made equal; features that this leaves twice are fused as soon as it is plain (`slam.twins`).
+them. (Associators that weigh all hypotheses are offered them all the same.) What it finds is made equal; features that this leaves twice are fused as soon as it is plain (`slam.twins`).
 
 **Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
 robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
@@ -101,9 +101,13 @@ class AtlasSlam(RelocatingSlam):
         return self._fused.copy()
 
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
-        """As `Slam` does, without old features that are ambiguous."""
+        """As `Slam` does, without old features that are ambiguous, unless the associator weighs all hypotheses.
+
+        Such a one says what it learns from scan to scan. It refuses by itself what is ambiguous, and would take for new
+        what it is not offered.
+        """
         prediction = super().predict_features(scan, odometry)
-        if self.atlas.loops is None:
+        if self.atlas.loops is None or self._experience is not None:
             return prediction
         k = len(prediction)
         kept, worth = np.empty(k, np.int64), k * chi2_gate(2, prediction.confidence) / self.reach**2

@@ -143,6 +143,17 @@ def test_old_features_that_are_ambiguous_are_not_offered_and_others_are() -> Non
     assert offered["sure"] < offered["all"] and known["sure"] >= known["all"] - 5
 
 
+def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_atlas() -> None:
+    """It would take for new what it is not offered."""
+    log, maps = loop_drive(2, 250), []
+    for slam in (Slam(SPEC), AtlasSlam(SPEC, nobody, atlas=EARLY)):
+        for odometry, scan, _ in log.steps:
+            slam.step(odometry, scan, "marginal")
+        maps.append(slam.map)
+    assert len(maps[0]) > 20
+    np.testing.assert_array_equal(maps[0].mean, maps[1].mean)
+
+
 def test_without_patience_there_is_one_map_only() -> None:
     log, slam = loop_drive(0, 160, 100, 0.014), AtlasSlam(SPEC, nobody, view_from, AtlasSpec(patience=None))
     map_it(slam, log)
