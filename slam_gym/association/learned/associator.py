@@ -10,11 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from slam_gym.association.learned.inputs import INPUTS, VERSION, inputs_of
 from slam_gym.association.learned.network import Network, load_network, log_odds
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tree import Tree
-from slam_gym.types import Array, Hypothesis, Prediction, Scan
+from slam_gym.types import UNKNOWN_KIND, Array, Hypothesis, Prediction, Scan
 
 WEIGHTS = "associator"
 
@@ -49,7 +51,17 @@ def learned_associator(
     The network knows that what was seen once may be clutter. Probabilities that say so are calibrated, but a robot that
     went by them at full cost would never confirm what is new: hence the lower `provisional_cost`.
 
+    Where nobody tells what is in view, and no measurement has a size or a kind, there is little but places to go by,
+    which `marginal` knows all about: it decides alone, at full cost.
+
     Raises ValueError as `marginal`, and as `load_network` where there are no such weights.
     """
+    if not _told_more(scan, prediction):
+        return marginal(scan, prediction, cost=cost, width=width)
     least, odds = min(cost, provisional_cost), learned_odds(weights)
     return marginal(scan, prediction, cost=cost, provisional_cost=least, width=width, learned=odds)
+
+
+def _told_more(scan: Scan, prediction: Prediction) -> bool:
+    """Whether anything but places is known."""
+    return bool(prediction.view is not None or np.isfinite(scan.sizes).any() or (scan.kinds != UNKNOWN_KIND).any())

@@ -10,8 +10,16 @@ from slam_gym.association import resolve_associator
 from slam_gym.association.learned.associator import WEIGHTS, learned_odds
 from slam_gym.association.learned.inputs import INPUTS, VERSION
 from slam_gym.association.learned.network import shapes_for
-from slam_gym.types import UNPAIRED, Odometry, Prediction, Scan
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Prediction, Scan
 from tests.oracles import association as oracles
+
+
+def problem(seed):
+    """Eight measurements before ten features, sizes and all."""
+    rng = np.random.default_rng(seed)
+    scan, prediction = oracles.problem(rng, 8, 10, spread=2.0)
+    few, many = ({"sizes": rng.uniform(0.2, 1.0, k), "size_variances": np.full(k, 0.01)} for k in (8, 10))
+    return dataclasses.replace(scan, **few), dataclasses.replace(prediction, **many)
 
 
 def test_it_goes_by_its_name_wherever_associators_do():
@@ -42,11 +50,26 @@ def test_sizes_tell_apart_what_places_do_not():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_an_answer_depends_neither_on_the_order_of_features_nor_on_where_the_map_begins(seed):
-    scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
+    scan, prediction = problem(seed)
     order = np.random.default_rng(seed).permutation(10)
     first, second = learned_associator(scan, prediction), learned_associator(scan, prediction.rows(order))
     assert first.features.tolist() == second.features.tolist()
     np.testing.assert_allclose(first.posterior.marginals, second.posterior.marginals, atol=1e-6)
+
+
+@pytest.mark.parametrize("told", ["nothing", "sizes", "kinds", "view"])
+def test_where_places_are_all_there_is_marginal_decides_alone(told):
+    differ = 0
+    for seed in range(10):
+        (scan, prediction), nan = problem(seed), np.full(8, np.nan)
+        sizes = {} if told == "sizes" else {"sizes": nan, "size_variances": nan}
+        kinds = np.full(8, 1 if told == "kinds" else UNKNOWN_KIND)
+        view = (lambda p, c: np.full(len(p), 0.5)) if told == "view" else None
+        scan = dataclasses.replace(scan, **sizes, kinds=kinds)
+        prediction = dataclasses.replace(prediction, view=view)
+        own, other = learned_associator(scan, prediction), marginal(scan, prediction)
+        differ += not np.array_equal(own.posterior.unpaired, other.posterior.unpaired)
+    assert (differ == 0) == (told == "nothing")
 
 
 def test_weights_for_other_inputs_are_refused_by_name():
@@ -66,7 +89,7 @@ def test_the_network_is_small():
 
 
 def test_cost_is_that_of_marginal():
-    scan, prediction = oracles.problem(np.random.default_rng(1), 8, 10, spread=2.0)
+    scan, prediction = problem(1)
     cheap, dear = learned_associator(scan, prediction, cost=1.0), learned_associator(scan, prediction, cost=1e4)
     assert dear.pairings <= cheap.pairings
     with pytest.raises(ValueError, match="cost: "):
