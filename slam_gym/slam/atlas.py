@@ -3,7 +3,8 @@
 **Loops.** Old features that the way back has made ambiguous (so uncertain, seen from those the robot has just paired,
 that others lie within their gates) are not offered to the associator: a scan pairs them wrongly now and then, and one
 wrong scan decides where the map ends. They are left to `slam.loops`, which looks for the recent part of the map among
-them. (Associators that weigh all hypotheses are offered them all the same.) What it finds is made equal; features that this leaves twice are fused as soon as it is plain (`slam.twins`).
+them. What it finds is made equal; features that this leaves twice are fused as soon as it is plain (`slam.twins`).
+(Associators that weigh all hypotheses are offered them all the same.)
 
 **Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
 robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
