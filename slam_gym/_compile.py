@@ -23,11 +23,14 @@ from typing import Any, TypeVar, cast
 import llvmlite.binding
 import numba
 
+from slam_gym._kernels import Kernel
+
 F = TypeVar("F", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(r"^\s*(?:from (slam_gym[\w.]*) import ([^\n(]*|\([^)]*\))|import (slam_gym[\w.]*))", re.MULTILINE)
 _TARGET = f"{numba.__version__} {sys.implementation.cache_tag} {llvmlite.binding.get_host_cpu_name()}"
+_OPTIONS = {"nopython": True, "nogil": True, "error_model": "numpy"}
 _STALE_AFTER = 3 * 24 * 3600  # [s] folders of other versions are removed when untouched for so long
 
 
@@ -122,13 +125,17 @@ def inlined(function: F) -> F:
 
 
 def _compiled(function: F, inline: bool) -> F:
+    config: Any = numba.config
+    if config.DISABLE_JIT:
+        return function
     folder = _folder(Path(function.__code__.co_filename))
     _folders.add(folder)
-    config: Any = numba.config
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder) if folder else before
     try:
-        options: Any = {"cache": folder is not None, "nogil": True, "error_model": "numpy", "forceinline": inline}
-        return cast(F, numba.njit(**options)(function))
+        kernel = Kernel(function, {}, _OPTIONS | {"forceinline": inline})
+        if folder is not None:
+            kernel.cache_in(folder)
+        return cast(F, kernel)
     finally:
         config.CACHE_DIR = before

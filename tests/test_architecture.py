@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "geometry", "_compile", "_files", "validation", "weights"}
+BASE = {"types", "geometry", "_compile", "_arrays", "_files", "validation", "weights"}
 ESTIMATE = BASE | {"mapping", "navigation", "association"}
 SIMULATION = ESTIMATE | {"world", "slam", "metrics", "recordings", "scenarios"}
 ALLOWED = {
     "types": set(),
-    "_compile": set(),
+    "_kernels": set(),
+    "_compile": {"_kernels"},
+    "_arrays": {"types", "_compile"},
     "_files": set(),
     "weights": {"_files"},
     "geometry": {"types", "_compile"},

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled, inlined
 from slam_gym.association.compatibility import Candidates, joint_gates, plain
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
@@ -312,15 +313,23 @@ def add_pairing(pairings: Pairings, node: Node, d: int, following: int) -> Node:
     p, count, slots = len(node.path), len(pairings.slots), pairings.slots
     path, innovations, added = np.empty(p + 1, np.int64), np.empty((count, 5)), np.empty(count)
     w, pivot = np.empty((count, 2 * p + 4, 2)), pivot_of(slots[d], read(node.innovations, d))
-    path[:p], path[p] = node.path, d
+    fill_from(path, node.path)
+    path[p] = d
     for q in range(p + 1):
-        innovations[path[q]], w[path[q], : 2 * p] = node.innovations[path[q]], node.w[path[q], : 2 * p]
+        fill_from(innovations[path[q]], node.innovations[path[q]])
+        _fill_rows(w[path[q]], node.w[path[q]], 2 * p)
     for c in range(following, count):
-        w[c, : 2 * p] = node.w[c, : 2 * p]
+        _fill_rows(w[c], node.w[c], 2 * p)
         e = condition(pairings.covariance, w, pivot, d, p, c, slots[c], read(node.innovations, c))
         store(innovations, c, e)
         added[c] = squared(e)
     return Node(node.level + 1, path, node.distance + node.added[d], innovations, added, w)
+
+
+@inlined
+def _fill_rows(target: Array, source: Array, rows: int) -> None:
+    for r in range(rows):
+        target[r, 0], target[r, 1] = source[r, 0], source[r, 1]
 
 
 @compiled

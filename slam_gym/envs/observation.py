@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from slam_gym._arrays import ascending
 from slam_gym._compile import compiled
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
@@ -113,7 +114,7 @@ def _encode(points: Array, covariances: Array, sizes: Array, out: Float32Array) 
 
     What comes after them is left as it is. An unknown size, NaN, shows as 0.
     """
-    order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2)
+    order = ascending(points[:, 0] ** 2 + points[:, 1] ** 2)
     for place in range(min(len(out) // 7, points.shape[0])):
         i, at = order[place], 7 * place
         sx, sy = math.sqrt(max(covariances[i, 0, 0], 0.0)), math.sqrt(max(covariances[i, 1, 1], 0.0))

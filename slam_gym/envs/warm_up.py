@@ -1,6 +1,8 @@
-"""Compiling on two cores: the first run ever has a process of its own compile half of the inner loops into the cache.
+"""Compiling on two cores: the first run ever has a process of its own compile part of the inner loops into the cache.
 
-The main process compiles what an episode needs first (world, senses, filter), this one what it needs last.
+The main process compiles what it comes to. This one begins with what takes longest, the SLAM step, goes on with what an
+episode needs last, and ends with what only some episodes need. Whoever comes to a kernel that the other is compiling
+waits for it.
 """
 
 from __future__ import annotations
@@ -13,15 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam_gym import geometry, validation
+from slam_gym import geometry
 from slam_gym._compile import announce_compilation
-from slam_gym.association import compatibility, jcbb, tree
-from slam_gym.association.tracking import branch_and_bound
+from slam_gym.association import jcbb
 from slam_gym.envs import observation
-from slam_gym.mapping import covisibility, ekf, foresight, linear_algebra, measurement, update
+from slam_gym.mapping import linear_algebra
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.metrics import association, consistency, map_quality, point_assignment
-from slam_gym.navigation import grid, key_poses, polyline, redrawing, visibility
+from slam_gym.metrics import association, map_quality, point_assignment
+from slam_gym.navigation import grid, key_poses, visibility
 from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
@@ -30,16 +31,15 @@ from slam_gym.navigation.pursuit import follow
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.simulation import appraisal
 from slam_gym.slam import kernels, lost, slam, whole_step
-from slam_gym.types import Array, Beams, Prediction, Scan
-from slam_gym.world import boxes, detection, driving, ray_casting, reachability, wall_grid
+from slam_gym.slam.slam import Slam
+from slam_gym.types import Array, Beams, Odometry, Prediction, Scan
+from slam_gym.world import boxes, detection, driving, reachability, wall_grid
 
 COMPILED = (
-    geometry, slam, lost, validation, compatibility, tree, observation, covisibility, ekf, grid, key_poses, polyline,
-    redrawing, linear_algebra, measurement, point_assignment, association, consistency, map_quality, boxes, detection,
-    ray_casting, reachability, update, visibility, wall_grid, foresight, appraisal, kernels, driving,
-    whole_step, branch_and_bound,
+    geometry, slam, lost, observation, grid, key_poses, linear_algebra, point_assignment, association, boxes, detection,
+    driving, reachability, visibility, wall_grid, appraisal, kernels, whole_step,
 )  # fmt: skip
-"""The modules whose inner loops run in every episode, whoever drives and associates."""
+"""The modules of which Python calls inner loops in every episode, whoever drives and associates."""
 
 
 def compile_on_two_cores() -> bool:
@@ -57,7 +57,7 @@ def compile_on_two_cores() -> bool:
 def main() -> None:
     """Call every loop of the second half once, on the least data that reaches it."""
     points = np.array([[1.0, 0.0], [1.0, 1.0]])
-    _associate(points)
+    _step(points)
     map_quality.map_error(points, points, 0.5)
     pose, explored = np.zeros(3), ExploredGrid(np.array([-4.0, -4.0, 4.0, 4.0]))
     _sweep(explored, points)
@@ -70,6 +70,12 @@ def main() -> None:
     length_left(path, pose[:2])
     mean, covariance = np.concatenate([pose, points.ravel()]), 0.01 * np.eye(7)
     expected_reduction(mean, covariance, explored, points, reach=6.0, sigma=0.1, drift=np.full((2, 3), 0.01))
+    _associate(points)
+
+
+def _step(points: Array) -> None:
+    """One step of SLAM."""
+    Slam().step(Odometry(np.zeros(3), 1e-4 * np.eye(3)), Scan.from_points(points, sigma=0.1))
 
 
 def _sweep(explored: ExploredGrid, points: Array) -> None:

@@ -72,8 +72,13 @@ def keep_rows(out: Room, kept: IntArray) -> None:
     """Move the rows `kept` (j,), ascending, to the front."""
     known, sizes, near, positions, covariances, across = out
     for row in range(len(kept)):
-        known[:, row], sizes[:, row], near[row] = known[:, kept[row]], sizes[:, kept[row]], near[kept[row]]
-        positions[row], covariances[row], across[row] = positions[kept[row]], covariances[kept[row]], across[kept[row]]
+        was = kept[row]  # entry by entry: slices take two seconds to compile
+        near[row] = near[was]
+        for k in range(2):
+            sizes[k, row], positions[row, k], across[row, k] = sizes[k, was], positions[was, k], across[was, k]
+            covariances[row, k, 0], covariances[row, k, 1] = covariances[was, k, 0], covariances[was, k, 1]
+        for k in range(4):
+            known[k, row] = known[k, was]
 
 
 def prediction_of(

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import count_pairs, keep_nodes
@@ -128,7 +129,8 @@ def forget(
             gone += 1
         else:
             became[j], kept[left] = left, j
-            counted[:, left], sized[:, left] = counted[:, j], sized[:, j]
+            fill_from(counted[:, left], counted[:, j])
+            fill_from(sized[:, left], sized[:, j])
             left += 1
     ekf.keep(x, at, P, kept)
     keep_nodes(neighbours, counts, degrees, n, kept)

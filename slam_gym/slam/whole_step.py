@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import distance_of, gate_pairings, paired_rows
 from slam_gym.association.tracking.branch_and_bound import NODE_LIMIT, search_from_root
@@ -77,7 +78,7 @@ def whole_step(
     k = foresee(arrays, n, step, yes, *odometry, reach, second_order, local, degrees, recent.ravel(), room)
     if k < 0:
         return LEFT_ALONE, 0, 0, 0, 0.0, 0, 0, 0, False
-    pose[:3], pose[3] = x[:3], P[2, 2]
+    pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
     if ambiguous < math.inf:
         kept, worth = np.empty(k, np.int64), k * gates[1] / (reach * reach)
         left = unambiguous(near[:k], positions[:k], known[0, :k], arrays, worth, ambiguous, kept)
@@ -149,9 +150,9 @@ def _decide(
     if fault:
         return _Found(False, 0.0, 0, tests, 0, False)
     if form == NEAREST:
-        rows[:] = nearest(len(points), starts, slots, offered)
+        fill_from(rows, nearest(len(points), starts, slots, offered))
     else:
-        rows[:] = mutual(len(points), starts, slots, offered)
+        fill_from(rows, mutual(len(points), starts, slots, offered))
     distance, chosen = 0.0, paired_rows(rows)
     if len(chosen) > 0:
         distance = distance_of(points, noise, positions, rows, joint_covariance(at, P, features[chosen], second_order))

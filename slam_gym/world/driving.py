@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
@@ -116,7 +117,7 @@ def drive_freely(
         after[VX] += x * (1.0 / figures.mass) * step
         after[VY] += y * (1.0 / figures.mass) * step
         after[TURNING] += torque * (1.0 / figures.moment) * step
-    state[:] = after
+    fill_from(state, after)
     end_of_tick(state, motion)
     return True
 

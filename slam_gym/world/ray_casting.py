@@ -174,11 +174,12 @@ def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
     d = s = 0
     for disc in movers.discs:
         if math.hypot(disc[0] - x, disc[1] - y) <= reach + disc[2]:
-            discs[d] = disc
+            discs[d, 0], discs[d, 1], discs[d, 2] = disc[0], disc[1], disc[2]
             d += 1
     for k in range(len(movers.segments)):
         if squared_distance(x, y, movers.segments, k) <= reach * reach:
-            segments[s] = movers.segments[k]
+            for end in range(4):
+                segments[s, end] = movers.segments[k, end]
             s += 1
     return Movers(discs[:d], segments[:s])
 

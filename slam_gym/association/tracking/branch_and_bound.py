@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.association.tracking.heading import Turning, condition_errors, distance_with, join
 from slam_gym.association.tree import (
@@ -119,7 +120,7 @@ def _search(
     measured, held, depth = pairings.measured, len(node.path), len(gates)
     stack = _stack_at(pairings, node, first, depth, turning)
     path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
-    path[:held] = node.path
+    fill_from(path, node.path)
     best_path, best, best_distance = path.copy(), held, stack.distance[held]
     p, nodes, tests, limit_hit = held, 0, 0, False
     while p >= held:

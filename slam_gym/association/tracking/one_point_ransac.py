@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym._arrays import ascending
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate, joint_distance
 from slam_gym.association.tracking.near_first import Found, near_first
@@ -97,7 +98,7 @@ def _nearest_first(distances: Array, slots: IntArray, measured: IntArray, gate: 
     for c in before:
         taken_slots[slots[c]], taken[measured[c]] = True, True
     out, count = np.empty(len(slots), np.int64), 0
-    for c in np.argsort(distances):
+    for c in ascending(distances):
         if not distances[c] < gate:
             break
         if not taken[measured[c]] and not taken_slots[slots[c]]:

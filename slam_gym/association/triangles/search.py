@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from slam_gym._arrays import ascending
 from slam_gym._compile import compiled
 from slam_gym.association.triangles.pose import FIT, Look, Store, StoreArrays
 from slam_gym.association.triangles.seeds import is_indexed, try_triple
@@ -118,7 +119,7 @@ def _instead_of(look: Look, store: Store, triple: IntArray, found: Found, done: 
     if count <= m - _wanted(found):
         return triple.copy().reshape(1, 3)
     chosen, number = np.empty((m, 3), np.int64), 0
-    for at in np.argsort(radii[:count], kind="mergesort")[: m - _wanted(found) + 1]:
+    for at in ascending(radii[:count])[: m - _wanted(found) + 1]:
         if not done[_number(thirds[at])]:
             chosen[number] = thirds[at]
             number += 1
@@ -225,7 +226,7 @@ def _triples(look: Look, store: Store, groups: int, loose: bool, done: BoolArray
                         short = is_indexed(look, store, triple)
                         radii[count] = _longest_first(look.points, triple) + (0.0 if short else _WIDE)
                         count, indexed = count + 1, indexed + short
-    return triples[:count][np.argsort(radii[:count], kind="mergesort")], indexed
+    return triples[:count][ascending(radii[:count])], indexed
 
 
 @compiled
