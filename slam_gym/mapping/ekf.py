@@ -97,10 +97,9 @@ def covariance_of(P: Array, features: IntArray) -> Array:
 
 
 @compiled
-def relative_area(P: Array, reference: int, feature: int) -> float:
-    """[m²] √det(P_jj + P_rr − P_jr − P_rj) of the feature j and the reference r to know it from."""
-    xx, xy, yy = _difference(P, 3 + 2 * reference, 3 + 2 * feature)
-    return math.sqrt(max(xx * yy - xy * xy, 0.0))
+def relative_covariance(P: Array, reference: int, feature: int) -> tuple[float, float, float]:
+    """[m²] xx, xy and yy of P_jj + P_rr − P_jr − P_rj of the feature j and the reference r to know it from."""
+    return _difference(P, 3 + 2 * reference, 3 + 2 * feature)
 
 
 @compiled

@@ -6,6 +6,10 @@ wrong scan decides where the map ends. They are left to `slam.loops`, which look
 them. What it finds is made equal; features that this leaves twice are fused as soon as it is plain (`slam.twins`).
 (Associators that weigh all hypotheses are offered them all the same.)
 
+**First links.** Where a scan pairs a feature or two that the robot has not seen for long, a neighbour that nobody has
+mapped may be what was measured, half a metre beside it: a door has two jambs, and 20 m away a gate is as wide. Such
+pairings are learned from once there are so many that chance hardly brings them all (`kernels.hold_back`).
+
 **Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
 robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
 looked for in those before. Once it is recognised, the maps are joined with a relation that says nothing, the pairs made
@@ -45,12 +49,15 @@ class AtlasSpec:
 
     loops: LoopSpec | None = field(default_factory=LoopSpec)  # None: they are not looked for
     ambiguous: float = 0.5  # other features expected in the gate of an old one from which it is left to the loops
+    chance: float = 0.05  # of all pairings of a scan with old features being wrong, above which none is learned from
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
     rejoin: int = 5  # [scans] from one attempt to recognise a map before to the next
 
     def __post_init__(self) -> None:
         if not self.ambiguous > 0.0:
             raise ValueError(f"AtlasSpec.ambiguous: {self.ambiguous} is no number > 0")
+        if not 0.0 <= self.chance <= 1.0:
+            raise ValueError(f"AtlasSpec.chance: {self.chance} is not between 0 and 1")
         if self.patience is not None and self.patience < 0:
             raise ValueError(f"AtlasSpec.patience: {self.patience} is negative")
         if self.rejoin < 1:
@@ -83,6 +90,7 @@ class AtlasSlam(RelocatingSlam):
         super().__init__(spec, relocate, view_from)
         self.atlas = atlas or AtlasSpec()
         self._ambiguous = math.inf if self.atlas.loops is None else self.atlas.ambiguous
+        self._chance = 1.0 if self.atlas.loops is None else self.atlas.chance
         self.left: list[Left] = []  # maps before the current one that were not joined yet, oldest first
         self.loops: list[tuple[int, IntArray]] = []  # step and pairs (k, 2) of ids of each loop that was closed
         self.joins: list[tuple[int, IntArray]] = []  # the same of maps that were joined
@@ -111,17 +119,27 @@ class AtlasSlam(RelocatingSlam):
         if self.atlas.loops is None or self._experience is not None:
             return prediction
         k = len(prediction)
-        kept, worth = np.empty(k, np.int64), k * chi2_gate(2, prediction.confidence) / self.reach**2
+        kept, gate = np.empty(k, np.int64), chi2_gate(2, prediction.confidence)
         left = kernels.unambiguous(
             prediction.near,
             prediction.positions,
+            prediction.covariances,
             prediction.features,
             self.map.arrays,
-            worth,
-            self.atlas.ambiguous,
+            (k * gate / self.reach**2, gate, self.atlas.ambiguous),
             kept,
         )
         return prediction if left == k else prediction.rows(kept[:left])
+
+    def _believed(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis without pairings with old features that may all be chance: see `kernels.hold_back`."""
+        features, m = hypothesis.features.copy(), self.map
+        expected = prediction.features, prediction.near, prediction.positions, prediction.covariances
+        gate = chi2_gate(2, prediction.confidence)
+        held = kernels.hold_back(
+            features, expected, m.arrays[3], scan.covariances, gate, m.spec.confirmations, self._chance
+        )
+        return replace(hypothesis, features=features, dof=hypothesis.dof - 2 * held) if held else hypothesis
 
     def _conclude(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None

@@ -90,11 +90,15 @@ class RelocatingSlam(Slam):
             self.tracker.believe(hypothesis)
             return self._remember(scan, prediction, hypothesis, learned)
         if not self.tracker.doubts(prediction, hypothesis, self.map.established(prediction.features)):
-            return self._learn(scan, prediction, hypothesis)
+            return self._learn(scan, prediction, self._believed(scan, prediction, hypothesis))
         found = self.relocate(self, scan) if self.lost else None
         if found is None:
             return self._learn_nothing(prediction, scan)
         return self._go_on_from(found, scan)
+
+    def _believed(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> Hypothesis:
+        """The part of a hypothesis that is learned from: all of it."""
+        return hypothesis
 
     def _renumber(self, became: IntArray) -> None:
         super()._renumber(became)
@@ -107,7 +111,8 @@ class RelocatingSlam(Slam):
         self.map.place(found.pose, UNKNOWN_POSE)
         self.tracker.believe(hypothesis)
         self._relocations += 1
-        return self._learn(scan, self.predict_features(scan, _STILL), hypothesis)
+        everything = Slam.predict_features(self, scan, _STILL)  # nothing is known of the pose: all would be ambiguous
+        return self._learn(scan, everything, hypothesis)
 
     def _learn_nothing(self, prediction: Prediction, scan: Scan) -> SlamStep:
         """The step of a scan that is not believed: the map stays as the odometry left it."""

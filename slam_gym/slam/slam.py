@@ -90,6 +90,7 @@ class Slam:
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
         self._ambiguous = math.inf  # others in the gate of an old feature, from which it is not on offer
+        self._chance = 1.0  # of being wrong, above which pairings with old features are held back
         self._warned = False
         self._looks = None if self.spec.repeat is None else Looks(*self.spec.repeat)
         self._passes, self._invariant = self.spec.map.passes, self.spec.map.right_invariant
@@ -175,7 +176,7 @@ class Slam:
     def _nature(self, reach: float) -> Nature:
         """How `whole_step` is to be taken."""
         spec = self.spec
-        return spec.map.second_order, spec.locality, reach, self._ambiguous, *self._trust()
+        return spec.map.second_order, spec.locality, reach, self._ambiguous, self._chance, *self._trust()
 
     def _trust(self) -> tuple[float, bool]:
         """The fraction of the measurements that must be paired if a scan is to be learned from at once, or whether any

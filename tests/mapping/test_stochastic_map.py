@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.ekf import relative_area
+from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry
 from tests.mapping.small_maps import FEJ, KEEP, STILL, h, landmarks, mapped
@@ -223,7 +223,7 @@ def test_what_is_told_of_some_features_is_that_of_the_whole_map() -> None:
     np.testing.assert_array_equal(m.covariance_of(chosen), P[np.ix_(entries, entries)])
     first, second = np.array([4, 0, 8]), np.array([0, 3, 5, 6])
     gate = 1e4
-    found, areas = m.distances_between(first, second, gate), [relative_area(m.arrays[2], 4, j) for j in second]
+    found, told = m.distances_between(first, second, gate), [relative_covariance(m.arrays[2], 4, j) for j in second]
     for b, j in enumerate(second):
         for a, i in enumerate(first):
             if i == j:
@@ -235,7 +235,7 @@ def test_what_is_told_of_some_features_is_that_of_the_whole_map() -> None:
             distance = apart @ np.linalg.solve(S, apart)
             assert found[a, b] == (pytest.approx(distance, rel=1e-6) if distance < gate else np.inf)
             if i == 4:
-                assert areas[b] == pytest.approx(np.sqrt(np.linalg.det(S)), rel=1e-6)
+                assert told[b] == pytest.approx((S[0, 0], S[0, 1], S[1, 1]), rel=1e-6, abs=1e-12)
 
 
 def test_features_that_do_not_exist_are_not_told_of() -> None:

@@ -58,7 +58,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
 }
 ON_THE_PAGE: dict[str, tuple[tuple[Any, str], ...]] = {
     "EKF predict, features in reach": ((StochasticMap, "prediction"),),
-    "ambiguous features": ((kernels, "unambiguous"),),
+    "ambiguous features": ((kernels, "unambiguous"), (kernels, "hold_back")),
     "association": ((JudgedSlam, "associate"),),
     "EKF update, new features, covisibility": ((Slam, "_learn"),),
 }
