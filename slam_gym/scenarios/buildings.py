@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.scenarios.scenario import Scenario
+from slam_gym.slam.slam import SlamSpec
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.reachability import free_cells, indoor
@@ -21,6 +23,7 @@ BUILDINGS: tuple[Scenario, ...] = (
         "building",  # large rooms, and a robot that sees across them: by default that of floor plan files
         _LARGE_ROOMS,
         budget=3_000,
+        slam=SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6, crowded=0.5),  # jambs stand in pairs
         sensor=SensorSpec(range=20.0),  # 9 features in sight on real floors, more than 20 in one scan of thirty
         beams=BeamSpec(count=90, range=20.0),
         wall_compass=True,  # where a hall shows no feature, its walls still say where the robot is heading

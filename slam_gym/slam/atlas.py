@@ -126,7 +126,7 @@ class AtlasSlam(RelocatingSlam):
             prediction.covariances,
             prediction.features,
             self.map.arrays,
-            (k * gate / self.reach**2, gate, self.atlas.ambiguous),
+            (k * gate / self.reach**2, gate, self.atlas.ambiguous, self.spec.crowded),
             kept,
         )
         return prediction if left == k else prediction.rows(kept[:left])

@@ -188,32 +188,34 @@ def unambiguous(
     covariances: Array,
     features: IntArray,
     arrays: MapArrays,
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     kept: IntArray,
 ) -> int:
     """Rows of a prediction but for features near none of those lately paired, in whose gates others are to be expected.
 
-    How well they are known is asked from the feature amid those that are near, or else from the robot: what it does not
-    know of its own place is the same for all. How many others are in a gate is taken from its area, as if features were
-    spread evenly, and, since they stand in pairs and rows, from how many have a neighbour as near as the gate is wide.
+    How well they are known is asked from the feature amid those that are near: what the robot does not know of its own
+    place is the same for all. How many others are in a gate is taken from its area, as if features were spread evenly.
+    Where they stand in pairs and rows, it is asked besides how many of them have a neighbour as near as the gate is
+    wide; and where none is near, from the robot.
 
-    `limits`: others in a gate for each [m²] of √det of the covariance; gate [χ²]; how many of them an old feature may
-    have at most. The rows are entered in `kept` (k,); returns their number.
+    `limits`: others in a gate for each [m²] of √det of the covariance; gate [χ²]; how many others an old feature may
+    have, and of how many features a neighbour so near, as a fraction; 1 if that is not to be asked. The rows are
+    entered in `kept` (k,); returns their number.
     """
-    worth, gate, most = limits
+    worth, gate, most, crowded = limits
     amid, count = _amid(near, positions, features), 0
     apart = np.empty(0)
     for row in range(len(near)):
-        if not near[row]:
+        if not near[row] and (amid != UNPAIRED or crowded < 1.0):
             xx, xy, yy = covariances[row, 0, 0], covariances[row, 0, 1], covariances[row, 1, 1]
             if amid != UNPAIRED:
                 xx, xy, yy = ekf.relative_covariance(arrays[2], amid, features[row])
             if worth * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
                 continue
             largest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-            if len(apart) == 0:
+            if len(apart) == 0 and crowded < 1.0:
                 apart = _to_nearest(positions)
-            if (apart < gate * largest).sum() > most * len(near):
+            if (apart < gate * largest).sum() > crowded * len(near):
                 continue
         kept[count] = row
         count += 1

@@ -58,6 +58,7 @@ class SlamSpec:
     lost_fraction: float = 0.3  # a scan that pairs less of the features that should be in view is doubted …
     lost_scans: int = 5  # … and so many of them in a row have lost the robot
     min_expected: int = 3  # features that should be in view, without which no scan is doubted
+    crowded: float = 1.0  # fraction of features with a neighbour in the gate of an old one, above which it is ambiguous
     repeat: tuple[float, float] | None = None  # [m] to drive or [rad] to turn until a feature is learned from again
 
     def __post_init__(self) -> None:
@@ -65,6 +66,8 @@ class SlamSpec:
             raise ValueError(f"SlamSpec.reach: expected a finite length > 0 [m] or None, got {self.reach}")
         if self.new_confidence is not None and not 0.0 < self.new_confidence < 1.0:
             raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
+        if not 0.0 <= self.crowded <= 1.0:
+            raise ValueError(f"SlamSpec.crowded: {self.crowded} is not between 0 and 1")
         if not 0.0 <= self.lost_fraction <= 1.0:
             raise ValueError(f"SlamSpec.lost_fraction: {self.lost_fraction} is not between 0 and 1")
         for name in ("recent", "lost_scans", "min_expected"):
@@ -176,7 +179,7 @@ class Slam:
     def _nature(self, reach: float) -> Nature:
         """How `whole_step` is to be taken."""
         spec = self.spec
-        return spec.map.second_order, spec.locality, reach, self._ambiguous, self._chance, *self._trust()
+        return spec.map.second_order, spec.locality, reach, self._ambiguous, spec.crowded, self._chance, *self._trust()
 
     def _trust(self) -> tuple[float, bool]:
         """The fraction of the measurements that must be paired if a scan is to be learned from at once, or whether any
