@@ -132,7 +132,12 @@ class AtlasSlam(RelocatingSlam):
         return prediction if left == k else prediction.rows(kept[:left])
 
     def _believed(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> Hypothesis:
-        """The hypothesis without pairings with old features that may all be chance: see `kernels.hold_back`."""
+        """The hypothesis without pairings with old features that may all be chance: see `kernels.hold_back`.
+
+        Who weighs all hypotheses has refused by itself what is ambiguous.
+        """
+        if hypothesis.experience is not None:
+            return hypothesis
         features, m = hypothesis.features.copy(), self.map
         expected = prediction.features, prediction.near, prediction.positions, prediction.covariances
         gate = chi2_gate(2, prediction.confidence)
