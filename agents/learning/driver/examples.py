@@ -68,12 +68,6 @@ class Drive:
         return Examples(*(np.array(part) for part in zip(*states)))
 
 
-def _tried(sketch: Sketch, policy: Policy, legal: BoolArray) -> Array:
-    """(k,) what is mapped in the end when each legal goal is taken now."""
-    ends = [100.0 * (1.0 - played(sketch.fork(), policy, k)) if may else 0.0 for k, may in enumerate(legal)]
-    return np.array(ends)
-
-
 def policy_of(weights: Weights | None) -> Policy:
     """Who drives a sketch: information gain, or the learner with these weights."""
 

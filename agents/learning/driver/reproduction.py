@@ -22,7 +22,14 @@ from agents.reproduce import figure
 from slam_gym.types import Array
 from slam_gym.weights import Card, Weights
 
-SCENARIOS = ("office", "office", "aliased", "hall")  # the buildings: where features are, wheels do not tell
+SCENARIOS = (
+    "office",
+    "aliased",
+    "hall",
+    "office",
+    "aliased",
+    "crowd",
+)  # the buildings: where features are, wheels do not tell
 FIRST_WORLD, HELD_OUT = 40_000, 5  # of the train split; every fifth is held out
 
 

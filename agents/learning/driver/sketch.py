@@ -13,19 +13,18 @@ from collections.abc import Callable
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, Observation
+from agents.learning.driver.stretches import STRETCH, Surroundings, drive_along, look
 from slam_gym.envs.goal_observation import encode_goals
-from slam_gym.geometry import compose, observe
+from slam_gym.geometry import observe
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.polyline import points_ahead
 from slam_gym.simulation.driver import APART, ARRIVED, is_free, way_to
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, WORTH_SEEING, Goals, Tried, clearances, frontiers_on_offer
-from slam_gym.types import Array, BoolArray
-from slam_gym.world.ray_casting import NO_DISCS
+from slam_gym.types import Array, Beams, BoolArray
+from slam_gym.world.ray_casting import WallIndex, pull_back
 
-STRETCH, SPEED = 4, 0.095  # [ticks] between looks, and [m/tick] along a path
-TURN, FREE_TURN = 4.0, 0.3  # [ticks/rad] for what a path turns by at once, but for so much [rad]
 REPLAN = 4  # [stretches] between looks at whether the path still holds
 QUARTER = 8  # [ticks] for a quarter of a turn
 
@@ -37,21 +36,20 @@ class Sketch:
 
     def __init__(self, episode: Episode, budget: int) -> None:
         self.budget, self.ticks = budget, 0
-        self._scenario, self._sensor, self._base = episode.scenario, episode.sensor, episode.base
-        self._rng = copy.deepcopy(episode.rng)
-        self._furniture = np.array(episode.world.furniture_segments)
-        self._features, self._counted = episode.site.plan.features.positions, episode.site.observable
+        self._scenario, self._around = episode.scenario, _surroundings(episode)
+        self._counted = episode.site.observable
+        self._sightings = np.zeros(len(self._around.features), np.int64)
+        self._enough = -(-episode.scenario.slam.map.confirmations // STRETCH)
         side, shape = episode.grid.resolution, np.array(episode.grid.cells.shape[::-1])
         self._grid = ExploredGrid(np.concatenate([episode.grid.origin, episode.grid.origin + side * shape]), side)
-        self._seen: BoolArray = np.zeros(len(self._features), np.bool_)
         self._tried, self._looked = Tried(), Tried()
-        self._arrive(np.zeros(3))
+        self._look(np.zeros(3))
         self._offer()
 
     def fork(self) -> Sketch:
-        """A drive that goes on from here by itself, with the same noise to come."""
+        """A drive that goes on from here by itself."""
         other = copy.copy(self)
-        other._grid, other._seen, other._rng = copy.deepcopy(self._grid), self._seen.copy(), copy.deepcopy(self._rng)
+        other._grid, other._sightings = copy.deepcopy(self._grid), self._sightings.copy()
         other._tried, other._looked = copy.deepcopy(self._tried), copy.deepcopy(self._looked)
         return other
 
@@ -62,7 +60,13 @@ class Sketch:
     @property
     def missed(self) -> float:
         """The fraction of the features that are not mapped: what there is of the map error here."""
-        return 1.0 - float(self._seen[self._counted].mean())
+        return 1.0 - float(self._mapped[self._counted].mean())
+
+    @property
+    def _mapped(self) -> BoolArray:
+        """(N,) features that were in sight often enough."""
+        out: BoolArray = self._sightings >= self._enough
+        return out
 
     @property
     def legal(self) -> BoolArray:
@@ -73,7 +77,7 @@ class Sketch:
 
     def observation(self) -> Observation:
         """What the environment would show, as far as tokens of goals are made of it."""
-        seen = observe(self._base, self._features[self._seen])
+        seen = observe(self._around.base, self._around.features[self._mapped])
         return {
             "goals": encode_goals(self.goals, self._here),
             "image": self._grid.egocentric(self._here, np.ascontiguousarray(seen)),
@@ -103,53 +107,56 @@ class Sketch:
         areas = np.where(legal, self._grid.expected_area(spots, self._scenario.beams.range), 0.0)
         self.goals = Goals(spots, lengths, areas, np.zeros(SLOTS), legal)
 
-    def _arrive(self, here: Array) -> None:
+    def _look(self, here: Array) -> None:
         """Be at a pose (3,) in B, and look."""
-        self._here, pose = here, compose(self._base, here)
-        self._grid.integrate(here, self._sensor.beams(pose, self._rng, NO_DISCS, self._furniture))
-        self._seen[self._sensor.in_sight(pose, NO_DISCS, self._furniture)] = True
+        self._here = here
+        self._enter(here, look(self._around, here, self._sightings))
+
+    def _enter(self, here: Array, ranges: Array) -> None:
+        self._grid.integrate(here, Beams(self._around.bearings, ranges, self._around.reach))
 
     def _look_around(self) -> None:
         self._looked.add(self._here[:2])
         for _ in range(4):
             if not self.over:
                 self.ticks += QUARTER
-                self._arrive(self._here + np.array([0.0, 0.0, 0.5 * math.pi]))
+                self._look(self._here + np.array([0.0, 0.0, 0.5 * math.pi]))
 
     def _drive(self, goal: Array) -> None:
-        asked, path, stretches, seen = goal, self._field.path(goal), 0, False
+        asked, path, seen = goal, self._field.path(goal), False
         while len(path) > 1 and not self.over and math.dist(self._here[:2], goal) >= ARRIVED:
             path = self._along(path)
-            stretches += 1
-            if stretches % REPLAN == 0 and len(path) > 1:
-                seen = bool(self._grid.expected_area(goal[None], self._scenario.beams.range)[0] < WORTH_SEEING)
+            if len(path) > 1:
+                seen = bool(self._grid.expected_area(goal[None], self._around.reach)[0] < WORTH_SEEING)
                 path = path[:0] if seen else self._still_open(path, goal)
                 goal = path[-1] if len(path) else goal
         if not seen and not self.over:
             self._tried.add(asked)
 
     def _along(self, path: Array) -> Array:
-        """One stretch along a path (p, 2), p ≥ 2, that begins here; what is left of it."""
-        (x, y, heading), left, turned, at = self._here, STRETCH * SPEED, 0.0, 1
-        while left > 1e-9 and at < len(path):
-            dx, dy = path[at, 0] - x, path[at, 1] - y
-            length = math.hypot(dx, dy)
-            if length > 1e-6:
-                before, heading = heading, math.atan2(dy, dx)
-                turned += max(0.0, abs(math.remainder(heading - before, 2.0 * math.pi)) - FREE_TURN)
-                part = min(1.0, left / length)
-                x, y, left = x + part * dx, y + part * dy, left - part * length
-            if left > 1e-9:
-                at += 1
-        self.ticks += STRETCH + round(TURN * turned)
-        self._arrive(np.array([x, y, heading]))
-        return np.concatenate([self._here[None, :2], path[at:]])
+        """A few stretches along a path (p, 2), p ≥ 2, that begins here; what is left of it."""
+        left = self.budget - self.ticks
+        driven = drive_along(self._around, self._here, path, REPLAN, ARRIVED, left, self._sightings)
+        for here, ranges in zip(driven.poses, driven.ranges):
+            self._enter(here, ranges)
+        self._here, self.ticks = driven.poses[-1], self.ticks + driven.ticks
+        return np.concatenate([self._here[None, :2], path[driven.passed :]])
 
     def _still_open(self, path: Array, goal: Array) -> Array:
         """The path itself, or where a wall has been drawn across it another one, or as near as will do, or (0, 2)."""
         if is_free(self._grid, points_ahead(path, path[0], APART)):
             return path
         return way_to(self._grid, self._scenario.robot.radius, self._here[:2], goal)
+
+
+def _surroundings(episode: Episode) -> Surroundings:
+    plan, sensor, beams = episode.site.plan, episode.scenario.sensor, episode.scenario.beams
+    walls = WallIndex(np.concatenate([plan.walls, episode.world.furniture_segments]))
+    part = beams.field_of_view / beams.count
+    return Surroundings(
+        walls.packed, plan.features.positions, pull_back(plan.features), episode.base, sensor.min_range, sensor.range,
+        0.5 * sensor.field_of_view, part * (np.arange(beams.count) + 0.5 * (1 - beams.count)), beams.range,
+    )  # fmt: skip
 
 
 def played(sketch: Sketch, policy: Policy, first: int | None = None) -> float:

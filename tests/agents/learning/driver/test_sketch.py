@@ -66,3 +66,11 @@ def test_nobody_looks_around_twice_at_one_place(env):
     assert sketch.legal[LOOK_AROUND]
     sketch.step(LOOK_AROUND)
     assert sketch.ticks == 4 * QUARTER and not sketch.legal[LOOK_AROUND]
+
+
+def test_among_people_a_feature_must_be_in_sight_for_longer(env):
+    crowd = ExploreArguments("crowd", split="train").make("goal")
+    one, several = begun(env, 4), begun(crowd, 4, 300)
+    assert one.missed < 1.0 and several.missed == 1.0  # after the first look
+    several.step(LOOK_AROUND)
+    assert several.missed < 1.0
