@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.drivers.goal_tokens import TOKEN_FIELDS, Tokens
+from agents.drivers.goal_tokens import TOKEN_FIELDS, Tokens, most_promising
 from slam_gym.types import Array, BoolArray
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -62,6 +62,12 @@ def scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Arra
     members = ({name: array[i] for name, array in arrays.items()} for i in range(size.members))
     found: Array = np.mean([_scores(member, size, tokens, legal) for member in members], axis=0)
     return np.where(legal, found, -np.inf)
+
+
+def choose(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> int:
+    """The goal of the highest score among the most promising of those that are legal."""
+    rows, weighed = most_promising(tokens, legal)
+    return int(rows[np.argmax(scores(arrays, size, weighed, legal[rows]))])
 
 
 def _scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Array:

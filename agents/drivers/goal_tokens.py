@@ -14,7 +14,7 @@ from agents.drivers.base import LOOK_AROUND, Observation
 from agents.drivers.information_gain import GainSpec, rates
 from slam_gym.envs.goal_observation import unsquash_goals
 from slam_gym.envs.observation import METRES, PIXELS
-from slam_gym.types import Array
+from slam_gym.types import Array, BoolArray, IntArray
 
 _REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal in which the image is summed up
 _AROUND = tuple(f"{what} within {reach}" for reach in _REACHES for what in ("free", "wall", "features", "unknown"))
@@ -29,6 +29,7 @@ COMMON = (
 TOKEN_FIELDS = (*OWN, *COMMON)
 """Columns of a token: a goal's own, and what all goals of an observation share."""
 
+CHOICES = 4  # goals that are weighed at a decision, those of the highest rates: further down hardly any is better
 _MOST_TICKS = 5_000.0  # [ticks] that are taken to be left while the budget is not known
 
 
@@ -43,6 +44,12 @@ class Tokens(NamedTuple):
 def ticks_left(budget: float, used: float) -> float:
     """[ticks] from the fraction of the `budget` that is left and the ticks `used`; many at the start, untold then."""
     return min(_MOST_TICKS, used * budget / (1.0 - budget)) if budget < 1.0 and used > 0.0 else _MOST_TICKS
+
+
+def most_promising(tokens: Tokens, legal: BoolArray) -> tuple[IntArray, Tokens]:
+    """(CHOICES,) the goals of the highest rates, best first, and their tokens; goals that are not legal come last."""
+    rows = np.argsort(-np.where(legal, tokens.rates, -np.inf), kind="stable")[:CHOICES]
+    return rows, Tokens(*(part[rows] for part in tokens))
 
 
 def tokens_of(observation: Observation, used: float) -> Tokens:

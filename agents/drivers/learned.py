@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
-from agents.drivers.goal_network import Size, scores, shapes
+from agents.drivers.goal_network import Size, choose, shapes
 from agents.drivers.goal_tokens import TOKEN_FIELDS, tokens_of
 from agents.drivers.information_gain import InformationGain
 from slam_gym.envs.goal_observation import unsquash_goals
@@ -15,7 +15,7 @@ from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
 from slam_gym.weights import Weights, load
 
-VERSION = 2  # of the tokens: weights trained on others are refused
+VERSION = 3  # of the tokens: weights trained on others are refused
 SIZE = Size()
 
 
@@ -47,7 +47,7 @@ class LearnedDriver:
         tokens = tokens_of(observation, self._ticks)
         place = transform(np.asarray(info["pose"], float), tokens.places[:1])
         legal[LOOK_AROUND] = self._looked.times(place)[0] == 0
-        chosen = int(np.argmax(scores(self._arrays, SIZE, tokens, legal)))
+        chosen = choose(self._arrays, SIZE, tokens, legal)
         if chosen == LOOK_AROUND:
             self._looked.add(place[0])
         return chosen

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from agents.drivers.goal_network import GAP, Size, gaps_between, greedy_score, scores, shapes
-from agents.drivers.goal_tokens import TOKEN_FIELDS, Tokens
+from agents.drivers.goal_network import GAP, Size, choose, gaps_between, greedy_score, scores, shapes
+from agents.drivers.goal_tokens import CHOICES, TOKEN_FIELDS, Tokens, most_promising
 
 SIZE = Size(width=8, heads=2, layers=2, members=2)
 RNG = np.random.default_rng(0)
@@ -45,3 +45,15 @@ def test_without_a_residual_it_is_the_greedy_driver():
 def test_gaps_are_symmetric_distances_that_end_somewhere():
     gaps = gaps_between(np.array([[0.0, 0.0], [3.0, 4.0], [100.0, 0.0]]))
     assert np.allclose(gaps, gaps.T) and np.isclose(gaps[0, 1], 5.0 / GAP) and gaps[0, 2] == 4.0
+
+
+def test_it_chooses_among_the_most_promising_goals_that_are_legal():
+    tokens, legal = some_tokens(goals=12)
+    rows, weighed = most_promising(tokens, legal)
+    best = np.flatnonzero(legal)[np.argsort(-tokens.rates[legal])][:CHOICES]
+    assert np.array_equal(rows, best) and np.array_equal(weighed.fields, tokens.fields[best])
+    for scale in (1.0, -1.0):
+        turned = ARRAYS | {name: scale * ARRAYS[name] for name in ("score.weight", "score.bias", "greed")}
+        expected = best[scores(turned, SIZE, weighed, np.ones(CHOICES, bool)).argmax()]
+        assert choose(turned, SIZE, tokens, legal) == expected
+    assert choose(ARRAYS, SIZE, tokens, np.arange(12) == 5) == 5

@@ -3,7 +3,7 @@
 import numpy as np
 
 from agents.drivers.goal_network import shapes
-from agents.drivers.goal_tokens import TOKEN_FIELDS
+from agents.drivers.goal_tokens import TOKEN_FIELDS, most_promising, tokens_of
 from agents.drivers.learned import SIZE, VERSION
 from agents.evaluation.episodes import ExploreArguments
 from agents.learning.driver.examples import Drive, policy_of, together
@@ -23,8 +23,11 @@ def test_the_values_are_what_is_mapped_in_the_end():
     env = ExploreArguments("office-small", split="train").make("goal")
     env.reset(seed=9, options={"world": 9})
     sketch = Sketch(env.unwrapped.episode, 300)
-    for slot in np.flatnonzero(found.legal[0]):
-        assert found.values[0, slot] == 100.0 * (1.0 - played(sketch.fork(), greedy, int(slot)))
+    rows, tokens = most_promising(tokens_of(sketch.observation(), sketch.ticks), sketch.legal)
+    assert np.array_equal(found.tokens[0], tokens.fields) and rows[0] == greedy(sketch)
+    assert np.array_equal(found.legal[0], sketch.legal[rows]) and found.legal[0].sum() > 1
+    for k in np.flatnonzero(found.legal[0]):
+        assert found.values[0, k] == 100.0 * (1.0 - played(sketch.fork(), greedy, int(rows[k])))
 
 
 def test_who_drives_on_decides_what_a_goal_is_worth():
