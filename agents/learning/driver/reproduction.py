@@ -38,7 +38,7 @@ class Plan:
     """How many episodes are driven, a scenario after the other, and how often networks are trained on them."""
 
     scenarios: Sequence[str] = SCENARIOS
-    episodes: Sequence[int] = (400,)  # driven on by information gain; from the second number on by the learner
+    episodes: Sequence[int] = (2_000,)  # driven on by information gain; from the second number on by the learner
     seeds: Sequence[int] = (0, 1, 2)  # the networks of the first `size.members` ship
     size: Size = SIZE
     training: Training = field(default_factory=lambda: Training(epochs=15))

@@ -36,6 +36,7 @@ class Regrets(NamedTuple):
 
 def fit(train: Examples, size: Size, training: Training) -> GoalNetwork:
     """A network that predicts the values of goals, up to what they have in common."""
+    torch.set_num_threads(1)  # sums in one order, or the weights would depend on the number of cores
     torch.manual_seed(training.seed)
     rng, network = np.random.default_rng(training.seed), GoalNetwork(size)
     own = train.tokens[train.legal]
