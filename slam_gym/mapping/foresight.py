@@ -12,7 +12,7 @@ from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.covisibility import mark_local
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.map_spec import MapSpec
-from slam_gym.types import Array, BoolArray, IntArray, Prediction, View
+from slam_gym.types import Array, BoolArray, Experience, IntArray, Prediction, View
 
 Room = tuple[IntArray, Array, BoolArray, Array, Array, Array]
 """Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
@@ -89,6 +89,7 @@ def prediction_of(
     joint: Callable[[IntArray], Array],
     local: Callable[[IntArray], BoolArray] | None,
     view: View | None,
+    experience: Experience | None = None,
 ) -> Prediction:
     """The prediction of the k features that `foresee` has entered in `room`, with what is looked up only when asked."""
     known, sized, near, positions, covariances, across = room
@@ -107,6 +108,7 @@ def prediction_of(
         joint=joint,
         local=local,
         view=view,
+        experience=experience,
         sightings=known[3, :k],
         provisional=np.less(known[3, :k], spec.confirmations),
     )

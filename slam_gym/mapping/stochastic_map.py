@@ -21,7 +21,7 @@ from slam_gym.mapping.linear_algebra import aligned_zeros, padded, read_only
 from slam_gym.mapping.map_spec import MapSpec as MapSpec
 from slam_gym.mapping.refusals import bad_measurement, checked_pose, existing, refused_update
 from slam_gym.mapping.update import ACCEPTED, update
-from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Prediction, Scan, View
+from slam_gym.types import Array, BoolArray, Experience, IntArray, Landmarks, Odometry, Prediction, Scan, View
 
 _NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
 _LARGE = 512  # features
@@ -206,13 +206,14 @@ class StochasticMap:
         graph: CovisibilityGraph | None,
         view: View | None,
         stands: bool = True,
+        experience: Experience | None = None,
     ) -> Prediction:
         """The prediction of the k features that `foresee` has entered in `room`; where it no longer `stands`, since the
         map has changed by now, nothing is looked up there any more."""
         features = room[0][0, :k]
         joint = self._joint_covariance(features) if stands else out_of_date
         local = None if graph is None else graph.among_rows(features)
-        return prediction_of(room, k, heading_variance, self.spec, joint, local, view)
+        return prediction_of(room, k, heading_variance, self.spec, joint, local, view, experience)
 
     def landmarks(self) -> Landmarks:
         """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""

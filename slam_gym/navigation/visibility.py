@@ -30,6 +30,10 @@ _NOTHING_EXPLORED = ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0)
 _NOWHERE = np.zeros(3)
 
 
+SensorFigures = tuple[float, float, float, float]  # half the field of view [rad], near and far [m], `unknown`
+SightArrays = tuple[SensorFigures, tuple[Cells, Array, float]]  # and explored space: cells, origin [m], resolution [m]
+
+
 class _Sensor(NamedTuple):
     half: float  # [rad] of the field of view
     near: float  # [m]
@@ -55,6 +59,11 @@ class FieldOfView:
         if not 0.0 <= self.unknown <= 1.0:
             raise ValueError(f"FieldOfView.unknown: {self.unknown} is not a probability")
 
+    @property
+    def figures(self) -> SensorFigures:
+        """As compiled functions take them."""
+        return 0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown)
+
     def in_view(
         self, positions: Array, covariances: Array, explored: ExploredCells | None = None, pose: Array | None = None
     ) -> Array:
@@ -71,10 +80,11 @@ class FieldOfView:
         """
         if explored is not None and (pose is None or not np.isfinite(pose).all()):
             raise ValueError(f"pose: expected three finite numbers to look into explored space, got {pose}")
-        sensor = (0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown))
         cells, origin, resolution = explored or _NOTHING_EXPLORED
         at = _NOWHERE if pose is None else np.array(pose)  # copies: read-only ones would be compiled for anew
-        out, fault = _in_view(positions, covariances, sensor, (cells, np.array(origin), resolution), at)
+        out, fault = probabilities_in_view(
+            positions, covariances, self.figures, (cells, np.array(origin), resolution), at
+        )
         if fault >= 0:
             raise ValueError(
                 f"feature {fault}: position {positions[fault].tolist()} or covariance {covariances[fault].tolist()} is "
@@ -83,11 +93,40 @@ class FieldOfView:
         return out
 
 
+@dataclass(frozen=True, slots=True)
+class ViewsFrom:
+    """From a pose (3,) in B to `Prediction.view`: what the sensor has in view from there, as far as walls are known."""
+
+    field: FieldOfView
+    explored: ExploredCells
+
+    def __call__(self, pose: Array) -> ViewFromPose:
+        return ViewFromPose(self.field, self.explored, pose)
+
+    @property
+    def arrays(self) -> SightArrays:
+        """As `probabilities_in_view` takes them."""
+        cells, origin, resolution = self.explored
+        return self.field.figures, (cells, np.array(origin), resolution)
+
+
+@dataclass(frozen=True, slots=True)
+class ViewFromPose:
+    """What the sensor has in view from a pose."""
+
+    field: FieldOfView
+    explored: ExploredCells
+    pose: Array  # (3,) in B
+
+    def __call__(self, positions: Array, covariances: Array) -> Array:
+        return self.field.in_view(positions, covariances, self.explored, self.pose)
+
+
 @compiled
-def _in_view(
+def probabilities_in_view(
     positions: Array,
     covariances: Array,
-    sensor_figures: tuple[float, float, float, float],
+    sensor_figures: SensorFigures,
     explored: tuple[Cells, Array, float],
     pose: Array,
 ) -> tuple[Array, int]:

@@ -7,7 +7,6 @@ B, the frame of the robot's first pose.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +15,10 @@ from slam_gym.geometry import compose, observe, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Tally
 from slam_gym.metrics.point_assignment import indexed
-from slam_gym.navigation.explored_grid import ExploredCells, ExploredGrid
+from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.navigation.virtual_map import VirtualMap
-from slam_gym.navigation.visibility import FieldOfView
+from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.appraisal import appraise_map, appraise_pose
@@ -65,18 +64,6 @@ def survey(plan: FloorPlan, scenario: Scenario) -> Site:
     return Site(plan, index, cells, seen)
 
 
-@dataclass(frozen=True, slots=True)
-class _View:
-    """`Prediction.view`: what the sensor would have in view from a pose, as far as walls are known."""
-
-    field: FieldOfView
-    explored: ExploredCells
-    pose: Array  # (3,) in B
-
-    def __call__(self, positions: Array, covariances: Array) -> Array:
-        return self.field.in_view(positions, covariances, self.explored, self.pose)
-
-
 class Episode:
     """The state of one episode, moved on by `tick`.
 
@@ -104,18 +91,18 @@ class Episode:
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
         spec = _slam_spec(scenario, locality)
-        self.slam = slam_of(spec, relocate, self._view_from, atlas)
+        bounds = _bounds_in_base(site.plan.bounds, self.base)
+        self.grid = ExploredGrid(bounds, scenario.grid_resolution)
+        self._cells = self.grid.cells  # go on with the grid
+        sensor = scenario.sensor
+        field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
+        self.slam = slam_of(spec, relocate, ViewsFrom(field, self.grid.explored), atlas)
         # the truth tells new features as well: gates that are wide would starve it, and others would do better
         self._judged = JudgedSlam(self.slam, associator, informed=True)
         self.identities = self._judged.identities
         self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
-        bounds = _bounds_in_base(site.plan.bounds, self.base)
-        self.grid = ExploredGrid(bounds, scenario.grid_resolution)
-        self._explored, self._cells = self.grid.explored, self.grid.cells  # go on with the grid
         self._sweeps = MovableSweeps(self.grid)
         self._compass = WallCompass(scenario.beams.sigma) if scenario.wall_compass else None
-        sensor = scenario.sensor
-        self._field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
         self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
         self.targets = site.plan.features.positions[site.observable]  # (N, 2) true features that count, in W
@@ -167,10 +154,6 @@ class Episode:
         if not self.slam.doubted:  # from a pose that cannot be right, walls would be drawn where none are
             self._explore(step.ids)
         self._log(self.truth.pose)
-
-    def _view_from(self, pose: Array) -> Callable[[Array, Array], Array]:
-        """`Prediction.view` from a pose (3,) in B, as far as walls are known."""
-        return _View(self._field, self._explored, pose)
 
     def _explore(self, seen: IntArray) -> None:
         """Draw the beams from where the robot believes to be, and anew what the features `seen` (m,) have moved."""

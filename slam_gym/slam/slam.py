@@ -16,7 +16,7 @@ from slam_gym.mapping.refusals import bad_measurement, refused_update
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of
+from slam_gym.slam.at_once import Attempt, Run, are_plain, attempt, form_of, may_be_at_once
 from slam_gym.slam.kernels import Learned, Settings
 from slam_gym.slam.looks import Looks
 from slam_gym.slam.whole_step import Nature
@@ -188,14 +188,17 @@ class Slam:
 
     def _at_once(self, odometry: Odometry, scan: Scan, form: int) -> Attempt | None:
         """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""
-        if self._looks is not None or self._experience is not None or not are_plain(odometry, scan):
+        if self._looks is not None or not may_be_at_once(form, self.view_from, self._experience):
+            return None
+        if not are_plain(odometry, scan):
             return None
         m, graph, count = self.map, self.covisibility, len(scan.points)
         m.make_room(count)
         graph.make_room(count)
         self._turn(count)
         recent, nature = (self._recent, self._learned % len(self._recent)), self._nature(self._reach_for(scan))
-        return attempt(m, graph, recent, odometry, scan, form, nature, self._settings(), self.view_from)
+        run = Run(self.view_from, self._experience)
+        return attempt(m, graph, recent, odometry, scan, form, nature, self._settings(), run)
 
     def _conclude(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None
@@ -221,7 +224,6 @@ class Slam:
         the right pairings, and each would start a duplicate: where scans come by the hundred, the rule deserves a wider
         gate (`new_confidence`) than the pairings do.
         """
-        self._experience = hypothesis.experience or self._experience
         m, graph, count, features = self.map, self.covisibility, len(scan.points), hypothesis.features
         m.make_room(count)
         graph.make_room(count)
@@ -242,6 +244,7 @@ class Slam:
     def _remember(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned) -> SlamStep:
         """What is kept beside the arrays follows what the compiled step has made of them."""
         ended, what, added, ids, created = learned
+        self._experience = hypothesis.experience or self._experience
         self.map.learned(added)
         self.covisibility.learned(added)
         if ended != kernels.DONE:

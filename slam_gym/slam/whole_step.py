@@ -66,40 +66,25 @@ def whole_step(
         room: is told the prediction; `pose` (4,) the predicted one, and the variance of its heading.
         out: (m,) are told decisions, ids, and which measurements have started a feature.
     """
-    n, step, next_id = numbers
-    second_order, offered, reach, ambiguous, crowded, chance, fraction, any_will_do = nature
-    (neighbours, _, degrees), (x, at, P, counted, _), (features, ids, new) = graph, arrays, out
+    (n, step, next_id), (second_order, offered, _, _, _, chance, fraction, any_will_do) = numbers, nature
+    (neighbours, _, degrees), (_, at, P, counted, _), (features, ids, new) = graph, arrays, out
     known, _, near, positions, covariances, _ = room
     points, noise = scan[0], scan[1]
     m, local = len(points), neighbours if offered else neighbours[:0]
-    yes, no = m >= 0, m < 0  # what is called with literals is compiled for them once more
-    _, fault = first_bad_measurement(points, noise)
-    needed = _widest(degrees, n) + m
-    if fault or needed > neighbours.shape[1]:
-        return LEFT_ALONE, 0, 0 if fault else needed, 0, 0.0, 0, 0, 0, False
-    k = foresee(arrays, n, step, yes, *odometry, reach, second_order, local, degrees, recent.ravel(), room)
+    no = m < 0  # what is called with literals is compiled for them once more
+    k, needed = begin(arrays, numbers, graph, recent, odometry, scan, nature, gates[1], room, pose)
     if k < 0:
-        return LEFT_ALONE, 0, 0, 0, 0.0, 0, 0, 0, False
-    pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
-    if ambiguous < math.inf:
-        kept, worth = np.empty(k, np.int64), k * gates[1] / (reach * reach)
-        limits = (worth, gates[1], ambiguous, crowded)
-        left = unambiguous(near[:k], positions[:k], covariances[:k], known[0, :k], arrays, limits, kept)
-        if left < k:
-            keep_rows(room, kept[:left])
-            k = left
+        return LEFT_ALONE, 0, needed, 0, 0.0, 0, 0, 0, False
     expected = (known[0, :k], positions[:k], covariances[:k], near[:k])
     whole = (at, P, second_order, local, degrees, n)
     found = _decide(form, points, noise, expected, whole, gates, features)
     if not found.valid:
         return PREDICTED, k, 0, 0, 0.0, 0, 0, 0, False
     answer = found.distance, found.nodes, found.individual_tests, found.joint_tests, found.limit_hit
-    paired = 0
     for i in range(m):
         if features[i] != UNPAIRED:
             features[i] = known[0, features[i]]
-            paired += counted[ekf.SEEN, features[i]] >= settings[4]
-    if not (paired >= fraction * m or (any_will_do and paired > 0)):
+    if not is_plain(features, counted, settings[4], fraction, any_will_do):
         return ANSWERED, k, 0, 0, *answer
     if chance < 1.0:
         hold_back(
@@ -111,6 +96,56 @@ def whole_step(
         settings, ids,
     )  # fmt: skip
     return ended, k, what, added, *answer
+
+
+@compiled
+def begin(
+    arrays: MapArrays,
+    numbers: tuple[int, int, int],
+    graph: GraphArrays,
+    recent: IntArray,
+    odometry: tuple[Array, Array],
+    scan: ScanArrays,
+    nature: Nature,
+    gate: float,
+    room: Room,
+    pose: Array,
+) -> tuple[int, int]:
+    """Predict; the rows of the prediction, and 0. Where nothing was done, −1, and the width that the graph needs or 0.
+
+    `gate` is the χ² gate of a pairing; other arguments are those of `whole_step`.
+    """
+    (n, step, _), (second_order, offered, reach, ambiguous, crowded, _, _, _) = numbers, nature
+    (neighbours, _, degrees), (x, _, P, _, _) = graph, arrays
+    known, _, near, positions, covariances, _ = room
+    m, local = len(scan[0]), neighbours if offered else neighbours[:0]
+    yes = m >= 0  # what is called with literals is compiled for them once more
+    _, fault = first_bad_measurement(scan[0], scan[1])
+    needed = _widest(degrees, n) + m
+    if fault or needed > neighbours.shape[1]:
+        return -1, 0 if fault else needed
+    k = foresee(arrays, n, step, yes, *odometry, reach, second_order, local, degrees, recent.ravel(), room)
+    if k < 0:
+        return -1, 0
+    pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
+    if ambiguous < math.inf:
+        kept, worth = np.empty(k, np.int64), k * gate / (reach * reach)
+        limits = (worth, gate, ambiguous, crowded)
+        left = unambiguous(near[:k], positions[:k], covariances[:k], known[0, :k], arrays, limits, kept)
+        if left < k:
+            keep_rows(room, kept[:left])
+            k = left
+    return k, 0
+
+
+@compiled
+def is_plain(features: IntArray, counted: IntArray, confirmations: int, fraction: float, any_will_do: bool) -> bool:
+    """Whether the decisions (m,) pair so much with confirmed features that the scan is to be learned from at once."""
+    paired = 0
+    for feature in features:
+        if feature != UNPAIRED:
+            paired += counted[ekf.SEEN, feature] >= confirmations
+    return paired >= fraction * len(features) or (any_will_do and paired > 0)
 
 
 @compiled

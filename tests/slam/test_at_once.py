@@ -3,20 +3,23 @@
 import numpy as np
 import pytest
 
-from slam_gym.association import ASSOCIATORS, jcbb, nearest_neighbour, singles
+from slam_gym.association import ASSOCIATORS, jcbb, learned_associator, marginal, nearest_neighbour, singles
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import are_plain, form_of
+from slam_gym.slam.at_once import are_plain, form_of, may_be_at_once
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import Odometry, Scan
+from slam_gym.types import Experience, Odometry, Scan
 
 STILL = Odometry(np.zeros(3), np.diag([1e-4, 1e-4, 1e-5]))
+SEEN = Experience(1.0, 20.0, np.zeros(5))
 HERE = Scan.from_points([[1.0, 0.0], [2.0, 1.0], [0.0, -3.0]], sigma=0.02)
 
 
-def test_three_associators_are_known_by_name_and_as_functions_and_no_stranger_is() -> None:
+def test_five_associators_are_known_by_name_and_as_functions_and_no_stranger_is() -> None:
     known = {name for name, associate in ASSOCIATORS.items() if form_of(associate) is not None}
-    assert known == {"jcbb", "nearest_neighbour", "singles"}
-    assert len({form_of(asked(name)) for name in known}) == 3
+    assert known == {"jcbb", "nearest_neighbour", "singles", "marginal", "learned"}
+    assert len({form_of(asked(name)) for name in known}) == 5
     assert form_of(lambda scan, prediction: jcbb(scan, prediction)) is None
 
 
@@ -48,6 +51,19 @@ def test_what_is_refused_leaves_everything_as_it_was(associate) -> None:
     np.testing.assert_array_equal(slam.map.mean, before)
     np.testing.assert_array_equal(slam.predict_features(HERE).near, recent)
     assert slam.map.step == 1
+
+
+def test_what_weighs_views_must_know_where_to_look_and_nothing_else_has_experience() -> None:
+    sight = ViewsFrom(FieldOfView(2.0, 6.0), ExploredGrid(np.array([0.0, 0.0, 1.0, 1.0])).explored)
+    for associate in (marginal, learned_associator):
+        form = form_of(associate)
+        assert form is not None
+        assert may_be_at_once(form, sight, SEEN) and may_be_at_once(form, sight, None)
+        assert not may_be_at_once(form, None, None) and not may_be_at_once(form, lambda pose: sight(pose), None)
+    form = form_of(jcbb)
+    assert form is not None
+    assert may_be_at_once(form, sight, None) and may_be_at_once(form, None, None)
+    assert not may_be_at_once(form, sight, SEEN)
 
 
 def test_the_prediction_of_a_step_that_has_learned_is_out_of_date() -> None:

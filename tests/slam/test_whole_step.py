@@ -30,6 +30,10 @@ def told(step: SlamStep) -> dict[str, Any]:
     for part in (step.prediction, step.hypothesis):
         out |= {field.name: getattr(part, field.name) for field in fields(part) if field.name not in _ASKED}
     out["effort"] = replace(out["effort"], seconds=0.0)
+    for name in ("posterior", "experience"):
+        if (part := getattr(step.hypothesis, name)) is not None:
+            del out[name]
+            out |= {f"{name}.{field.name}": getattr(part, field.name) for field in fields(part)}
     return out
 
 
@@ -38,6 +42,7 @@ def assert_twins(one: Slam, other: Slam, log: Any, associate: Associator) -> Non
     page = stranger(associate)
     for odometry, scan, *_ in log:
         ours, theirs = told(one.step(odometry, scan, associate)), told(other.step(odometry, scan, page))
+        assert ours.keys() == theirs.keys()
         for name, value in ours.items():
             np.testing.assert_array_equal(value, theirs[name], err_msg=name)
         assert (one.lost, one.doubted, one.map.n) == (other.lost, other.doubted, other.map.n)

@@ -15,7 +15,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import plain
 from slam_gym.association.tree import Pairings, Tree, innovation_of, squared
-from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Prediction
+from slam_gym.types import UNKNOWN_KIND, Array, Experience, IntArray, Prediction
 
 VERSION = 1
 INPUTS = (
@@ -51,7 +51,7 @@ _NEAREST, _FARTHEST = 1e-2, 30.0  # [m] between neighbours
 _UNPAIRED, _AREA = 1.0, 50.0  # [m²] what is taken for known before the first scan
 
 
-class _Known(NamedTuple):
+class Known(NamedTuple):
     """What is known of the prediction's features (k,), as far as it is."""
 
     positions: Array  # (k, 2) [m]
@@ -64,7 +64,7 @@ class _Known(NamedTuple):
     visibility: Array  # (k,) or (0,)
 
 
-class _Seen(NamedTuple):
+class Seen(NamedTuple):
     """The measurements (m,)."""
 
     points: Array  # (m, 2) [m]
@@ -76,14 +76,14 @@ class _Seen(NamedTuple):
 def inputs_of(tree: Tree, visibility: Array | None) -> Array:
     """(c, inputs) of each pairing of a tree of which none is given; `visibility` (k,) of the prediction's features."""
     scan, prediction = tree.scan, tree.prediction
-    seen = _Seen(plain(scan.points), plain(scan.sizes), plain(scan.size_variances), plain(scan.kinds))
+    seen = Seen(plain(scan.points), plain(scan.sizes), plain(scan.size_variances), plain(scan.kinds))
     near = plain(prediction.near).astype(np.float64)
-    return _inputs(tree.pairings, tree.rows, seen, _known(prediction, visibility), near, _run(prediction))
+    return numbers_of(tree.pairings, tree.rows, seen, _known(prediction, visibility), near, _run(prediction))
 
 
-def _known(prediction: Prediction, visibility: Array | None) -> _Known:
+def _known(prediction: Prediction, visibility: Array | None) -> Known:
     nobody, uncounted = np.empty(0), np.empty(0, np.int64)
-    return _Known(
+    return Known(
         plain(prediction.positions),
         plain(prediction.covariances),
         plain(prediction.sizes),
@@ -97,15 +97,19 @@ def _known(prediction: Prediction, visibility: Array | None) -> _Known:
 
 def _run(prediction: Prediction) -> tuple[float, float, float]:
     """σ of the heading, and the two inputs on the run so far."""
-    sigma, past = math.sqrt(max(prediction.heading_variance, 0.0)), prediction.experience
+    return math.sqrt(max(prediction.heading_variance, 0.0)), *run_so_far(prediction.experience)
+
+
+def run_so_far(past: Experience | None) -> tuple[float, float]:
+    """The two inputs on the run so far."""
     if past is None:
-        return sigma, math.log(_UNPAIRED / _AREA), 0.0
-    return sigma, math.log((_UNPAIRED + past.unpaired) / (_AREA + past.area)), 1.0
+        return math.log(_UNPAIRED / _AREA), 0.0
+    return math.log((_UNPAIRED + past.unpaired) / (_AREA + past.area)), 1.0
 
 
 @compiled
-def _inputs(
-    pairings: Pairings, rows: IntArray, seen: _Seen, known: _Known, near: Array, run: tuple[float, float, float]
+def numbers_of(
+    pairings: Pairings, rows: IntArray, seen: Seen, known: Known, near: Array, run: tuple[float, float, float]
 ) -> Array:
     count, m = len(pairings.slots), len(seen.points)
     out, weight = np.empty((count, 26)), np.empty(count)
@@ -135,7 +139,7 @@ def _inputs(
 
 
 @compiled
-def _of_pairing(pairings: Pairings, rows: IntArray, seen: _Seen, known: _Known, c: int, row: Array) -> float:
+def _of_pairing(pairings: Pairings, rows: IntArray, seen: Seen, known: Known, c: int, row: Array) -> float:
     """Enter what concerns the pairing alone; its weight among rivals."""
     i, j, e = pairings.measured[c], rows[pairings.slots[c]], innovation_of(pairings, c)
     R, distance = pairings.noise[i], squared(e)
@@ -155,7 +159,7 @@ def _of_pairing(pairings: Pairings, rows: IntArray, seen: _Seen, known: _Known, 
 
 
 @compiled
-def _of_scan(by_measurement: Array, known: _Known, run: tuple[float, float, float]) -> Array:
+def _of_scan(by_measurement: Array, known: Known, run: tuple[float, float, float]) -> Array:
     """The inputs that are those of the scan and the run."""
     m, k, strange, expected, spread = len(by_measurement), len(known.positions), 0, 0.0, 0.0
     for i in range(m):

@@ -40,19 +40,33 @@ class Heading(NamedTuple):
 
 def headings(prediction: Prediction) -> list[Heading]:
     """The parts of a prediction: one, itself, where its heading is well known."""
-    sigma = math.sqrt(max(prediction.heading_variance, 0.0))
-    if sigma <= _WIDE or not len(prediction):
+    phi, log_weights = split(prediction.heading_variance)
+    if len(phi) == 1 or not len(prediction):
         return [Heading(0.0, prediction)]
-    spread = math.sqrt(sigma**2 - NARROW**2)
-    n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)
-    phi = 2.0 * NARROW * np.arange(-n, n + 1)
-    weights = np.exp(-0.5 * (phi / spread) ** 2)
-    joint, slope = prediction.joint(np.arange(len(prediction))), prediction.heading_covariances / sigma**2
-    parts = _predicted(plain(prediction.positions), slope, plain(joint), sigma**2, np.array(phi))
+    joint, variance = prediction.joint(np.arange(len(prediction))), max(prediction.heading_variance, 0.0)
+    parts = predicted(plain(prediction.positions), plain(prediction.heading_covariances), plain(joint), variance, phi)
     return [
-        Heading(math.log(weight / weights.sum()), _turned(prediction, turn, parts, k))
-        for k, (turn, weight) in enumerate(zip(phi.tolist(), weights.tolist()))
+        Heading(weight, _turned(prediction, turn, parts, k))
+        for k, (turn, weight) in enumerate(zip(phi.tolist(), log_weights.tolist()))
     ]
+
+
+@compiled
+def split(variance: float) -> tuple[Array, Array]:
+    """The headings φ_k [rad] (h,) that a variance [rad²] is split into, and the logs of their weights; one, where it
+    is small."""
+    if not math.sqrt(max(variance, 0.0)) > _WIDE:
+        return np.zeros(1), np.zeros(1)
+    spread, total = math.sqrt(variance - NARROW * NARROW), 0.0
+    n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)
+    phi, weights = np.empty(2 * n + 1), np.empty(2 * n + 1)
+    for k in range(2 * n + 1):
+        phi[k] = 2.0 * NARROW * (k - n)
+        weights[k] = math.exp(-0.5 * (phi[k] / spread) ** 2)
+        total += weights[k]
+    for k in range(2 * n + 1):
+        weights[k] = math.log(weights[k] / total)
+    return phi, weights
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +78,7 @@ class _Joint:
     across: Array  # (k, 2) [m/rad] g_j
 
     def __call__(self, rows: IntArray) -> Array:
-        return _joint(self.given, self.phi, self.across, rows)
+        return joint_of_part(self.given, self.phi, self.across, rows)
 
 
 def _turned(prediction: Prediction, phi: float, parts: tuple[Array, Array, Array, Array], k: int) -> Prediction:
@@ -81,12 +95,12 @@ def _turned(prediction: Prediction, phi: float, parts: tuple[Array, Array, Array
 
 
 @compiled
-def _predicted(
-    positions: Array, slope: Array, joint: Array, variance: float, headings: Array
+def predicted(
+    positions: Array, with_heading: Array, joint: Array, variance: float, headings: Array
 ) -> tuple[Array, Array, Array, Array]:
     """m (h, k, 2), g (h, k, 2) and the covariances (h, k, 2, 2) of each part, and what they have in common: the
-    covariance (2k, 2k) once the heading is known. `slope` is c/σ² (k, 2)."""
-    h, k = len(headings), len(positions)
+    covariance (2k, 2k) once the heading is known. `with_heading` (k, 2) are the c, `variance` is σ²."""
+    h, k, slope = len(headings), len(positions), with_heading / variance
     moved, across, covariances = np.empty((h, k, 2)), np.empty((h, k, 2)), np.empty((h, k, 2, 2))
     given, slopes, one = np.empty((2 * k, 2 * k)), slope.copy().reshape(2 * k), np.empty(1, np.int64)
     for i in range(2 * k):
@@ -101,12 +115,12 @@ def _predicted(
             moved[part, j, 0], moved[part, j, 1] = c * x + s * y, c * y - s * x
             g[j, 0], g[j, 1] = c * ax + s * ay + moved[part, j, 1], c * ay - s * ax - moved[part, j, 0]
             one[0] = j
-            covariances[part, j] = _joint(given, phi, g, one)
+            covariances[part, j] = joint_of_part(given, phi, g, one)
     return moved, across, covariances, given
 
 
 @compiled
-def _joint(given: Array, phi: float, across: Array, rows: IntArray) -> Array:
+def joint_of_part(given: Array, phi: float, across: Array, rows: IntArray) -> Array:
     """(2r, 2r) covariance of the features at `rows` in a part."""
     c, s, v = math.cos(phi), math.sin(phi), NARROW * NARROW
     out = np.empty((2 * len(rows), 2 * len(rows)))

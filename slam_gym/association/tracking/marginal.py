@@ -67,18 +67,25 @@ def marginal(
     thresholds = np.full(len(prediction), threshold)
     if provisional_cost is not None and prediction.provisional is not None:
         thresholds[prediction.provisional] = provisional_cost / (provisional_cost + 1.0)
-    decided = _decided(*found[:5], plain(prediction.features), thresholds, threshold)
-    rows, features, probabilities, new, runner_up, own, second, total, paired = decided
-    log_density = total + math.log(own) if own > 0.0 else -math.inf
+    answer = decided(*found[:5], plain(prediction.features), thresholds, threshold)
+    rows, features, probabilities, new, runner_up, own, second, total, paired = answer
     return Hypothesis(
         features,
         joint_distance(scan, prediction, rows).squared,
         2 * paired,
         found.effort,
-        Posterior(log_density, own, runner_up, second, marginals=probabilities, unpaired=found.unpaired),
+        posterior_of(own, second, total, runner_up, probabilities, found.unpaired),
         new=new,
         experience=found.experience,
     )
+
+
+def posterior_of(
+    own: float, second: float, total: float, runner_up: IntArray, probabilities: Array, unpaired: Array
+) -> Posterior:
+    """From what `decided` answers, and the probabilities (m,) of nothing in the map."""
+    log_density = total + math.log(own) if own > 0.0 else -math.inf
+    return Posterior(log_density, own, runner_up, second, marginals=probabilities, unpaired=unpaired)
 
 
 class _Place(NamedTuple):
@@ -87,7 +94,7 @@ class _Place(NamedTuple):
 
 
 @compiled
-def _decided(
+def decided(
     hypotheses: IntArray,
     weights: Array,
     log_densities: Array,
@@ -110,14 +117,14 @@ def _decided(
         paired += rows[i] != UNPAIRED
         new[i] = rows[i] == UNPAIRED and unpaired[i] > threshold
     own, second = _placed(hypotheses, weights, rows)
-    decided, other = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
+    chosen, other = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
     for i in range(m):
-        decided[i] = features[rows[i]] if rows[i] != UNPAIRED else UNPAIRED
+        chosen[i] = features[rows[i]] if rows[i] != UNPAIRED else UNPAIRED
         if second.first >= 0 and hypotheses[second.first, i] != UNPAIRED:
             other[i] = features[hypotheses[second.first, i]]
     most = log_densities.max()
     total = most + math.log(np.exp(log_densities - most).sum())
-    return rows, decided, probabilities, new, other, own.weight, second.weight, total, paired
+    return rows, chosen, probabilities, new, other, own.weight, second.weight, total, paired
 
 
 @compiled

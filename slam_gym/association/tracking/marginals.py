@@ -50,12 +50,12 @@ DETECTIONS = np.array([0.3, 0.5, 0.7, 0.85, 0.95])
 NOTHING_SEEN = Experience(0.0, 0.0, np.zeros(len(DETECTIONS)))
 """What is known before the first scan of a run."""
 
-_UNPAIRED, _AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is some .02 before anything was seen
+UNPAIRED_BEFORE, AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is some .02 before anything was seen
 _MEMORY = 0.95  # what a scan counts in the next
 _SURE, _SURELY = np.zeros(1), 1e9  # log weights where P_D is given; [m²] as good as seen where λ is
-_DOUBT = 4.0  # log density by which hypotheses of another heading may be better than the first look says
-_FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
-_TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
+DOUBT = 4.0  # log density by which hypotheses of another heading may be better than the first look says
+FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
+TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
 
 
 Learned = Callable[[Tree, Array | None], Array]
@@ -99,20 +99,26 @@ def marginals(
     kept = [part.search(width, least) for part, least in zip(parts, margins)]
     fit = [part.look.heading.log_weight + one.fit + belief.prices[one.unpaired] for part, one in zip(parts, kept)]
     seen = [
-        log_densities(one, views(one, part.visibility, _TOGETHER), belief.values, unseen)
+        log_densities(one, views(one, part.visibility, TOGETHER), belief.values, unseen)
         for part, one in zip(parts, kept)
     ]
     hypotheses = _joined([one.rows for one in kept])
-    summed = _summed(hypotheses, _joined(fit), _joined(seen), belief.weights, len(prediction))
-    scores, shares, by_value, pairings, unpaired = summed
+    sums = summed(hypotheses, _joined(fit), _joined(seen), belief.weights, len(prediction))
+    scores, shares, by_value, pairings, unpaired = sums
     weighed = detection is None and parts[0].visibility is not None
-    experience = Experience(
-        _MEMORY * (known.unpaired + float(unpaired.sum())),
-        _MEMORY * (known.area + area),
-        _MEMORY * by_value if weighed else known.detections,
-    )
+    experience = experience_after(known, unpaired, area, by_value if weighed else None)
     effort = functools.reduce(together, [one.effort for one in kept])
     return Marginals(hypotheses, shares, scores, pairings, unpaired, effort, experience)
+
+
+def experience_after(known: Experience, unpaired: Array, area: float, by_value: Array | None) -> Experience:
+    """With a scan of an `area` [m²] as well, of which `unpaired` (m,) tells; `by_value` (d,) are the log weights of
+    P_D, None where nobody can tell."""
+    return Experience(
+        _MEMORY * (known.unpaired + float(unpaired.sum())),
+        _MEMORY * (known.area + area),
+        known.detections if by_value is None else _MEMORY * by_value,
+    )
 
 
 class _Belief(NamedTuple):
@@ -133,15 +139,17 @@ class _Belief(NamedTuple):
 def _belief(detection: float | None, density: float | None, m: int, known: Experience, area: float) -> _Belief:
     """Of a scan of m measurements in `area` [m²]."""
     values, weights = (DETECTIONS, plain(known.detections)) if detection is None else (np.array([detection]), _SURE)
-    a, b = _UNPAIRED + known.unpaired, _AREA + known.area + area
+    a, b = UNPAIRED_BEFORE + known.unpaired, AREA + known.area + area
     if density is not None:
         a, b = _SURELY * density, _SURELY
-    mean, prices = _expected(values, weights, a, b, -1.0 if density is None else density, m)
+    mean, prices = expected_detections(values, weights, a, b, -1.0 if density is None else density, m)
     return _Belief(values, weights, mean, a, b, prices)
 
 
 @compiled
-def _expected(values: Array, weights: Array, a: float, b: float, density: float, m: int) -> tuple[float, Array]:
+def expected_detections(
+    values: Array, weights: Array, a: float, b: float, density: float, m: int
+) -> tuple[float, Array]:
     """The mean of P_D, and the log density (m + 1,) of leaving so many measurements unpaired; a λ < 0 is not known."""
     odds, prices = np.exp(weights - weights.max()), np.empty(m + 1)
     for u in range(m + 1):
@@ -169,7 +177,7 @@ class _Look(NamedTuple):
         starts = candidates.starts
         strange = int(np.count_nonzero(starts[1:] == starts[:-1]))
         rates = Rates(belief.detection, unseen, belief.density(strange))
-        at_most = heading.log_weight + _greatest_score(plain(scan.covariances), starts, rates[:])
+        at_most = heading.log_weight + greatest_score(plain(scan.covariances), starts, rates[:])
         at_most = at_most if learned is None else math.inf
         return cls(heading, candidates, rates, chi2_gate(2, gate), strange, belief.prices, learned, at_most)
 
@@ -192,10 +200,9 @@ class _Part(NamedTuple):
 
     def log_density(self, kept: Kept) -> float:
         """The greatest of the hypotheses kept, by the one P_D and what is in view from the predicted pose."""
-        look, starred = self.look, kept.unpaired - self.look.strange
-        scores = kept.beam.score - math.log(look.rates.density) * starred + look.prices[kept.unpaired]
-        missed = 0.0 if self.visibility is None else float(np.log1p(-look.rates.detection * self.visibility).sum())
-        return look.heading.log_weight + missed + float(scores.max())
+        look, seen = self.look, _SURE[:0] if self.visibility is None else self.visibility
+        found = greatest_density(kept.beam.score, kept.unpaired, look.rates[:], look.strange, look.prices, seen)
+        return look.heading.log_weight + found
 
 
 def _worth_searching(scan: Scan, looks: list[_Look], margin: float) -> tuple[list[_Part], list[float]]:
@@ -208,19 +215,37 @@ def _worth_searching(scan: Scan, looks: list[_Look], margin: float) -> tuple[lis
         if look.at_most <= best - margin:
             break
         part = look.part(scan)
-        kept = part.search(_FIRST_LOOK, margin)
+        kept = part.search(FIRST_LOOK, margin)
         score = look.heading.log_weight + float(kept.beam.score.max())
         found.append((score, part.log_density(kept), part))
         best = max(best, score)
     most = max(density for _, density, _ in found)
-    behind = [most - density - _DOUBT for _, density, _ in found]
+    behind = [most - density - DOUBT for _, density, _ in found]
     chosen = [k for k, (score, _, _) in enumerate(found) if score > best - margin and behind[k] < margin]
     chosen = chosen or [int(np.argmin(behind))]  # a score knows no price of what is compatible with nothing
     return [found[k][2] for k in chosen], [margin - max(behind[k], 0.0) for k in chosen]
 
 
 @compiled
-def _greatest_score(noise: Array, starts: IntArray, rates: tuple[float, float, float]) -> float:
+def greatest_density(
+    scores: Array,
+    unpaired: IntArray,
+    rates: tuple[float, float, float],
+    strange: int,
+    prices: Array,
+    visibility: Array,
+) -> float:
+    """Of the hypotheses (b,) that a search has kept, by one P_D and what is in view from the predicted pose."""
+    (detection, _, density), missed, most = rates, 0.0, -math.inf
+    for v in visibility:
+        missed += math.log1p(-detection * v)
+    for b in range(len(scores)):
+        most = max(most, scores[b] - math.log(density) * (unpaired[b] - strange) + prices[unpaired[b]])
+    return missed + most
+
+
+@compiled
+def greatest_score(noise: Array, starts: IntArray, rates: tuple[float, float, float]) -> float:
     """What no hypothesis of a search exceeds: the best of each measurement, in view for sure and without an error."""
     detection, _, density = rates
     gain, unpaired, total = math.log(detection) - math.log1p(-detection), math.log(density), 0.0
@@ -235,7 +260,7 @@ def _joined(arrays: list[Any]) -> Any:
 
 
 @compiled
-def _summed(
+def summed(
     hypotheses: IntArray, fit: Array, seen: Array, prior: Array, features: int
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Of the hypotheses the log densities and weights (b,), P_D summed over; the log weights of P_D (d,); and the sums

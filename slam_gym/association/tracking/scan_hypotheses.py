@@ -25,7 +25,7 @@ from slam_gym.association.tracking.path import Path, path_of, support_of
 from slam_gym.association.tree import PairingArrays, Pairings, Tree, write_rows
 from slam_gym.types import UNPAIRED, Array, Effort, IntArray, Prediction
 
-_HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
+HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
 _NOBODY_KNOWS, _NOBODY = np.empty((0, 0)), np.empty(0)
 
 
@@ -49,6 +49,18 @@ class Kept(NamedTuple):
     fit: Array  # (b,) log N(ν_H; 0, S_H), and the odds of its pairings
     unpaired: IntArray  # (b,) measurements that they pair with nothing
     effort: Effort
+
+
+class Searched(NamedTuple):
+    """`Kept` but for the tree, its effort in figures."""
+
+    beam: Beam
+    rows: IntArray  # (b, m)
+    fit: Array  # (b,)
+    unpaired: IntArray  # (b,)
+    nodes: int
+    tests: int  # joint tests
+    cut: bool  # the beam was full
 
 
 class Views(NamedTuple):
@@ -139,14 +151,14 @@ def views(kept: Kept, visibility: Array | None, together: float = 0.0) -> Views:
     if visibility is None:
         return Views(group, _NOBODY_KNOWS, tree.rows)
     prediction, rows = tree.prediction, tree.rows
-    if not prediction.view_moves or _all_below(plain(prediction.covariances), rows, together**2):
+    if not prediction.view_moves or all_below(plain(prediction.covariances), rows, together**2):
         return Views(group, visibility.reshape(1, -1), rows)
-    possible = visibility > _HARDLY
+    possible = visibility > HARDLY
     possible[rows] = False
     rows = np.concatenate((rows, np.flatnonzero(possible)))
     covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
     moved = Moved(*updated(tree.pairings._replace(covariance=covariance)[:], beam, prediction.positions[rows]))
-    first = _grouped(moved.positions, np.argsort(-beam.score, kind="stable"), together, group)
+    first = grouped(moved.positions, np.argsort(-beam.score, kind="stable"), together, group)
     positions, covariances = moved.positions[first].reshape(-1, 2), moved.covariances[first].reshape(-1, 2, 2)
     seen = prediction.visibility(positions, covariances)
     assert seen is not None
@@ -154,7 +166,7 @@ def views(kept: Kept, visibility: Array | None, together: float = 0.0) -> Views:
 
 
 @compiled
-def _all_below(covariances: Array, rows: IntArray, variance: float) -> bool:
+def all_below(covariances: Array, rows: IntArray, variance: float) -> bool:
     """Whether the positions at `rows` are all predicted with less than a variance, in x and in y."""
     for j in rows:
         if not (covariances[j, 0, 0] < variance and covariances[j, 1, 1] < variance):
@@ -165,11 +177,11 @@ def _all_below(covariances: Array, rows: IntArray, variance: float) -> bool:
 def log_densities(kept: Kept, seen: Views, detections: Array, unseen: float) -> Array:
     """log Π P_D v_j · Π (1 − P_D v_j) of each hypothesis, for each P_D of `detections`: (b, d)."""
     beam, slots = kept.beam, kept.tree.pairings.slots
-    return _log_densities(beam.pairings, beam.made, slots, *seen, detections, unseen)
+    return weighed_by_view(beam.pairings, beam.made, slots, *seen, detections, unseen)
 
 
 @compiled
-def _log_densities(
+def weighed_by_view(
     pairings: IntArray,
     made: IntArray,
     slots: IntArray,
@@ -211,12 +223,30 @@ def _search(
     width: int,
     margin: float,
 ) -> tuple[BeamArrays, IntArray, Array, IntArray, int, int, bool]:
-    """`Kept` but for the tree, its effort as nodes, tests and whether the beam was full; a plain tuple.
+    """`search_tree` in plain tuples."""
+    found = search_tree(
+        Pairings(*arrays), starts, given, rows, visibility, odds, Rates(*rates_given), gate, width, margin
+    )
+    return (
+        plainly(found.beam), found.rows, found.fit, found.unpaired, found.nodes, found.tests, found.cut,
+    )  # fmt: skip
 
-    The measurements' pairings begin after those given, at `starts` (l + 1,). An empty `visibility` (k,) says nothing,
-    nor do empty `odds` (c,).
-    """
-    pairings, rates = Pairings(*arrays), Rates(*rates_given)
+
+@compiled
+def search_tree(
+    pairings: Pairings,
+    starts: IntArray,
+    given: IntArray,
+    rows: IntArray,
+    visibility: Array,
+    odds: Array,
+    rates: Rates,
+    gate: float,
+    width: int,
+    margin: float,
+) -> Searched:
+    """`search`, of compiled functions. The measurements' pairings begin after those given, at `starts` (l + 1,). An
+    empty `visibility` (k,) says nothing, nor do empty `odds` (c,)."""
     gains = np.full(len(pairings.slots), math.log(rates.detection))
     for c in range(len(gains) if len(visibility) > 0 else 0):
         v = visibility[rows[pairings.slots[c]]]
@@ -236,7 +266,7 @@ def _search(
             fit[b] -= gains[beam.made[b, q]]
         decided[b] = UNPAIRED
         write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
-    return plainly(beam), decided, fit, unpaired, found.nodes, found.tests, found.cut
+    return Searched(beam, decided, fit, unpaired, found.nodes, found.tests, found.cut)
 
 
 @compiled
@@ -256,7 +286,7 @@ def _levels(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
 
 
 @compiled
-def _grouped(positions: Array, order: IntArray, together: float, group: IntArray) -> IntArray:
+def grouped(positions: Array, order: IntArray, together: float, group: IntArray) -> IntArray:
     """Enter the group of each hypothesis by the features (b, k, 2) where it puts them; the first in order of each."""
     first, count = np.empty(len(positions), np.int64), 0
     for b in order:
