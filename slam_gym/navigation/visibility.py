@@ -216,4 +216,4 @@ def _passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float)
             column, next_x = column + step_x, next_x + stride_x
         else:
             row, next_y = row + step_y, next_y + stride_y
-    return float(tau**through)
+    return float(tau**through) if through > 0.0 else 1.0

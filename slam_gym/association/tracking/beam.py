@@ -76,53 +76,91 @@ class Moved(NamedTuple):
     covariances: Array  # (b, k, 2, 2) [m²]
 
 
-class _Offer(NamedTuple):
-    """What may become of the hypotheses at a level."""
+class _Room(NamedTuple):
+    """Where a search works: room for B hypotheses, of which levels write the next ones beside their own."""
 
-    scores: Array  # (B, 1 + c) with `*`, then with each pairing on offer; −inf where it may not be or is hopeless
-    nodes: IntArray  # (B, 1 + c) of those pairings
+    score: Array  # (2, B)
+    pairings: IntArray  # (2, B)
+    made: IntArray  # (2, B, P)
+    nodes: IntArray  # (2, B, P)
+    together: IntArray  # (B,) how many of its first nodes each has in common with the one before
+    along: Array  # (P + 1, 5) innovations of a pairing along a path
+    offered: (
+        Array  # (B, 1 + c) scores with `*`, then with each pairing on offer; −inf where it may not be or is hopeless
+    )
+    joins: IntArray  # (B, 1 + c) nodes of those pairings
+    flat: Array  # (B (1 + c),) scores that may be kept
 
 
 @compiled
 def search(pairings: Pairings, levels: IntArray, prices: Prices) -> BeamSearch:
     """The best hypotheses over levels whose pairings begin and end at `levels` (l, 2), in the order of decision."""
-    room = pairings.given + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
-    beam, used = _begin(pairings, room)
-    along, nodes, tests, cut = np.empty((room + 1, 5)), 0, 0, False
+    place = pairings.given + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
+    room, joined = _room_for(levels, prices.width, place), _path_for(pairings, place)
+    used, kept, now, nodes, tests, cut = _begin(pairings, room, joined), 1, 0, 0, 0, False
     for level in range(len(levels)):
         first, last = levels[level, 0], levels[level, 1]
-        offer = _Offer(
-            np.full((len(beam.score), 1 + last - first), -math.inf),
-            np.zeros((len(beam.score), 1 + last - first), np.int64),
-        )
-        offer.scores[:, 0] = beam.score + prices.unpaired
-        best, together = offer.scores[:, 0].max(), _shared(beam)
+        best = _offer_none(room, now, kept, last - first, prices.unpaired)
         for c in range(first, last):
-            beam = _with_room(beam, used + len(beam.score))
-            scores, joins = offer.scores[:, 1 + c - first], offer.nodes[:, 1 + c - first]
-            price = (prices.gains[c], prices.margin)
-            best, used, more = _pair(pairings, beam, together, along, c, price, best, scores, joins, used)
+            joined = _with_room(joined, used + kept)
+            price = prices.gains[c], prices.margin
+            best, used, more = _pair(pairings, room, joined, now, kept, c, 1 + c - first, price, best, used)
             tests += more
-        floor, full = _floor(offer.scores, best - prices.margin, prices.width)
-        beam, cut = _next(beam, first, offer, floor, prices.width), cut or full
-        nodes += len(beam.score)
+        floor, full = _floor(room, kept, 1 + last - first, best - prices.margin, prices.width)
+        kept = _next(room, now, kept, first, 1 + last - first, floor, prices.width)
+        now, nodes, cut = 1 - now, nodes + kept, cut or full
+    beam = Beam(
+        room.score[now, :kept], room.pairings[now, :kept], room.made[now, :kept], room.nodes[now, :kept], joined
+    )
     return BeamSearch(beam, nodes, tests, cut)
+
+
+@compiled
+def _room_for(levels: IntArray, width: int, place: int) -> _Room:
+    """For so many hypotheses of so many pairings; fewer, where the levels have no more to offer."""
+    most, count = 0, 1
+    for level in range(len(levels)):
+        offers = 1 + levels[level, 1] - levels[level, 0]
+        most, count = max(most, offers), min(count * offers, width)
+    return _Room(
+        np.empty((2, count)), np.empty((2, count), np.int64), np.zeros((2, count, place), np.int64),
+        np.zeros((2, count, place), np.int64), np.zeros(count, np.int64), np.empty((place + 1, 5)),
+        np.empty((count, 1 + most)), np.zeros((count, 1 + most), np.int64), np.empty(count * (1 + most)),
+    )  # fmt: skip
+
+
+@compiled
+def _offer_none(room: _Room, now: int, kept: int, count: int, unpaired: float) -> float:
+    """Begin a level of `count` pairings: every hypothesis may go on with `*`. The best score so far."""
+    offered, score, pairings, nodes, together = room.offered, room.score, room.pairings, room.nodes, room.together
+    best = -math.inf
+    for b in range(kept):
+        offered[b, 0] = score[now, b] + unpaired
+        best = max(best, offered[b, 0])
+        for k in range(1, 1 + count):
+            offered[b, k] = -math.inf
+        together[b] = 0
+        p = min(pairings[now, b], pairings[now, b - 1]) if b > 0 else 0
+        while together[b] < p and nodes[now, b, together[b]] == nodes[now, b - 1, together[b]]:
+            together[b] += 1
+    return best
 
 
 @compiled
 def _pair(
     pairings: Pairings,
-    beam: Beam,
-    together: IntArray,
-    along: Array,
+    room: _Room,
+    joined: Path,
+    now: int,
+    kept: int,
     c: int,
+    place: int,
     price: tuple[float, float],
     best: float,
-    scores: Array,
-    nodes: IntArray,
     used: int,
 ) -> tuple[float, int, int]:
-    """Enter scores (B,) and nodes (B,) of pairing c, at its gain and the margin, after every hypothesis that allows it.
+    """Enter scores and nodes of pairing c, at its gain and the margin, after each of the `kept` hypotheses of `now`
+    that allows it, as offers number `place`.
 
     Returns the best score, the nodes in use, and how many were tested. Hypothesis b has its first together[b] nodes in
     common with the one before, and along[q] is the innovation of c after q nodes: both are worked out anew only from
@@ -130,32 +168,34 @@ def _pair(
     """
     gain, margin = price
     slots, covariance, local, given = pairings.slots, pairings.covariance, pairings.local, pairings.given
-    made, path, count, score = beam.made, beam.nodes, beam.pairings, beam.score
-    pivots, w, slot = beam.joined.pivots, beam.joined.w, slots[c]
+    made, path, count, score, along = room.made, room.nodes, room.pairings, room.score, room.along
+    together, offered, joins = room.together, room.offered, room.joins
+    pivots, w, slot = joined.pivots, joined.w, slots[c]
     most = gain + greatest_log_density(pairings.noise[pairings.measured[c]])
     valid, tests = 0, 0
     store(along, 0, innovation_of(pairings, c))
-    for b in range(len(score)):
-        valid, p = min(valid, together[b]), count[b]
-        if score[b] + most <= best - margin or (p > given and not is_local(local, slots[made[b, given]], slot)):
+    for b in range(kept):
+        valid, p = min(valid, together[b]), count[now, b]
+        before = score[now, b]
+        if before + most <= best - margin or (p > given and not is_local(local, slots[made[now, b, given]], slot)):
             continue
         e, free = read(along, valid), True
         for q in range(p):
-            free &= slots[made[b, q]] != slot
+            free &= slots[made[now, b, q]] != slot
         if not free:
             continue
         for q in range(valid, p):
-            d = path[b, q]
-            pivot = Pivot(slots[made[b, q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
+            d = path[now, b, q]
+            pivot = Pivot(slots[made[now, b, q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
             e = condition(covariance, w, pivot, d, q, _LOOKED_AT, slot, e)
             store(along, q + 1, e)
         distance, valid, tests = squared(e), p, tests + 1
-        if score[b] + most - 0.5 * distance <= best - margin:  # most end here, before the logarithm
+        if before + most - 0.5 * distance <= best - margin:  # most end here, before the logarithm
             continue
-        total = score[b] + gain - 0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
+        total = before + gain - 0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
         if total > best - margin:
-            scores[b], nodes[b], best = total, used, max(best, total)
-            _join(beam.joined, used, p, c, e)
+            offered[b, place], joins[b, place], best = total, used, max(best, total)
+            _join(joined, used, p, c, e)
             used += 1
     return best, used, tests
 
@@ -165,29 +205,54 @@ def updated(arrays: PairingArrays, beam: Beam, positions: Array) -> tuple[Array,
     """`Moved`: features after an update with each hypothesis of the beam.
 
     positions (k, 2) are those predicted, the covariance of `pairings` (2k, 2k); slot s is feature s. What a feature
-    would be measured at, free of noise, is conditioned on the path like any candidate.
+    would be measured at, free of noise, is conditioned on the path like any candidate: here all features at once, each
+    by what `tree.condition` does, so that w stands by rows and the loops over it run along them.
     """
-    pairings, k, together = Pairings(*arrays), len(positions), _shared(beam)
-    P, slots, made, path = pairings.covariance, pairings.slots, beam.made, beam.nodes
-    pivots, w = beam.joined.pivots, beam.joined.w
+    pairings, k, room = Pairings(*arrays), len(positions), beam.made.shape[1]
+    P, slots, made, path, pivots = pairings.covariance, pairings.slots, beam.made, beam.nodes, beam.joined.pivots
     moved, left = np.empty((len(made), k, 2)), np.empty((len(made), k, 2, 2))
-    along = np.empty((made.shape[1] + 1, 5))
+    w, e = np.empty((2 * room, 2 * k)), np.empty((room + 1, 5, k))
     for j in range(k):
-        s, valid = 2 * j, 0
-        store(along, 0, Innovation(0.0, 0.0, P[s, s], P[s, s + 1], P[s + 1, s + 1]))
-        for b in range(len(made)):
-            valid = min(valid, together[b])
-            e = read(along, valid)
-            for q in range(valid, beam.pairings[b]):
-                d = path[b, q]
-                pivot = Pivot(slots[made[b, q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
-                e = condition(P, w, pivot, d, q, _LOOKED_AT, j, e)
-                store(along, q + 1, e)
-            valid = beam.pairings[b]
-            moved[b, j, 0], moved[b, j, 1] = positions[j, 0] - e.x, positions[j, 1] - e.y
-            left[b, j, 0, 0], left[b, j, 0, 1] = max(e.xx, 0.0), e.xy
-            left[b, j, 1, 0], left[b, j, 1, 1] = e.xy, max(e.yy, 0.0)
+        e[0, 0, j], e[0, 1, j] = 0.0, 0.0
+        e[0, 2, j], e[0, 3, j], e[0, 4, j] = P[2 * j, 2 * j], P[2 * j, 2 * j + 1], P[2 * j + 1, 2 * j + 1]
+    valid = 0
+    for b in range(len(made)):
+        shared = 0
+        while b > 0 and shared < min(valid, beam.pairings[b]) and path[b, shared] == path[b - 1, shared]:
+            shared += 1
+        for q in range(shared, beam.pairings[b]):
+            _condition_all(P, beam.joined.w, pivots, path[b, q], slots[made[b, q]], q, w, e)
+        valid = beam.pairings[b]
+        for j in range(k):
+            moved[b, j, 0], moved[b, j, 1] = positions[j, 0] - e[valid, 0, j], positions[j, 1] - e[valid, 1, j]
+            left[b, j, 0, 0], left[b, j, 0, 1] = max(e[valid, 2, j], 0.0), e[valid, 3, j]
+            left[b, j, 1, 0], left[b, j, 1, 1] = e[valid, 3, j], max(e[valid, 4, j], 0.0)
     return moved, left
+
+
+@compiled
+def _condition_all(P: Array, known: Array, pivots: Array, d: int, slot: int, q: int, w: Array, e: Array) -> None:
+    """`tree.condition` for all features by node d, the q-th of the path, of a pairing with the feature in a slot."""
+    xx, yx, yy, u, v = pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4]
+    x, y, top, low = w[2 * q], w[2 * q + 1], P[2 * slot], P[2 * slot + 1]
+    for j in range(len(x)):
+        x[j], y[j] = top[j], low[j]
+    for r in range(2 * q):
+        a, b, row = known[d, r, 0], known[d, r, 1], w[r]
+        for j in range(len(x)):
+            x[j] -= a * row[j]
+            y[j] -= b * row[j]
+    for j in range(len(x)):
+        x[j] = x[j] * xx
+        y[j] = (y[j] - yx * x[j]) * yy
+    before, after = e[q], e[q + 1]
+    for j in range(e.shape[2]):
+        s00, s01, s10, s11 = x[2 * j], x[2 * j + 1], y[2 * j], y[2 * j + 1]
+        after[0, j] = before[0, j] - s00 * u - s10 * v
+        after[1, j] = before[1, j] - s01 * u - s11 * v
+        after[2, j] = before[2, j] - s00 * s00 - s10 * s10
+        after[3, j] = before[3, j] - s00 * s01 - s10 * s11
+        after[4, j] = before[4, j] - s01 * s01 - s11 * s11
 
 
 @inlined
@@ -198,44 +263,34 @@ def plainly(beam: Beam) -> BeamArrays:
 
 
 @compiled
-def _begin(pairings: Pairings, room: int) -> tuple[Beam, int]:
-    """The hypothesis of the given pairings, and the number of nodes in use."""
-    g, N = pairings.given, max(_NODES, pairings.given + 2)
-    joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * room, 2)))
-    beam = Beam(
-        np.zeros(1), np.zeros(1, np.int64), np.zeros((1, room), np.int64), np.zeros((1, room), np.int64), joined
-    )
-    offer, together, used = _Offer(np.zeros((1, 1)), np.zeros((1, 1), np.int64)), np.zeros(1, np.int64), _LOOKED_AT + 1
-    along = np.empty((room + 1, 5))
-    scores, nodes = offer.scores[:, 0], offer.nodes[:, 0]
-    for d in range(g):
-        scores[0] = -math.inf
-        _, used, _ = _pair(pairings, beam, together, along, d, (0.0, math.inf), -math.inf, scores, nodes, used)
-        beam.made[0, d], beam.nodes[0, d], beam.pairings[0], beam.score[0] = d, nodes[0], d + 1, scores[0]
-    return beam, used
+def _path_for(pairings: Pairings, place: int) -> Path:
+    """Nodes of hypotheses of so many pairings."""
+    N = max(_NODES, pairings.given + 2)
+    return Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * place, 2)))
 
 
 @compiled
-def _shared(beam: Beam) -> IntArray:
-    """How many of its first nodes each hypothesis has in common with the one before, (B,)."""
-    together = np.zeros(len(beam.score), np.int64)
-    for b in range(1, len(beam.score)):
-        p = min(beam.pairings[b], beam.pairings[b - 1])
-        while together[b] < p and beam.nodes[b, together[b]] == beam.nodes[b - 1, together[b]]:
-            together[b] += 1
-    return together
+def _begin(pairings: Pairings, room: _Room, joined: Path) -> int:
+    """Enter the hypothesis of the given pairings; the number of nodes in use."""
+    room.score[0, 0], room.pairings[0, 0], room.together[0], used = 0.0, 0, 0, _LOOKED_AT + 1
+    for d in range(pairings.given):
+        room.offered[0, 0] = -math.inf
+        _, used, _ = _pair(pairings, room, joined, 0, 1, d, 0, (0.0, math.inf), -math.inf, used)
+        room.made[0, 0, d], room.nodes[0, 0, d] = d, room.joins[0, 0]
+        room.pairings[0, 0], room.score[0, 0] = d + 1, room.offered[0, 0]
+    return used
 
 
 @compiled
-def _with_room(beam: Beam, nodes: int) -> Beam:
-    """The beam with room for so many nodes."""
-    joined, held = beam.joined, len(beam.joined.pairings)
+def _with_room(joined: Path, nodes: int) -> Path:
+    """The path with room for so many nodes."""
+    held = len(joined.pairings)
     if nodes <= held:
-        return beam
+        return joined
     count = 2 * nodes
     more = Path(np.empty(count, np.int64), np.empty((count, 5)), np.empty((count, joined.w.shape[1], 2)))
     more.pairings[:held], more.pivots[:held], more.w[:held] = joined.pairings, joined.pivots, joined.w
-    return Beam(beam.score, beam.pairings, beam.made, beam.nodes, more)
+    return more
 
 
 @inlined
@@ -248,36 +303,38 @@ def _join(joined: Path, node: int, p: int, c: int, e: Innovation) -> None:
 
 
 @compiled
-def _floor(offered: Array, least: float, width: int) -> tuple[float, bool]:
+def _floor(room: _Room, kept: int, offers: int, least: float, width: int) -> tuple[float, bool]:
     """The least score to be kept, and whether the width has turned hypotheses away."""
-    scores, count = np.empty(offered.size), 0
-    for score in offered.ravel():
-        if score >= least and score > -math.inf:
-            scores[count] = score
-            count += 1
+    offered, scores, count = room.offered, room.flat, 0
+    for b in range(kept):
+        for k in range(offers):
+            if offered[b, k] >= least and offered[b, k] > -math.inf:
+                scores[count] = offered[b, k]
+                count += 1
     if count <= width:
         return least, False
     return np.partition(scores[:count], count - width)[count - width], True
 
 
 @compiled
-def _next(beam: Beam, first: int, offer: _Offer, floor: float, width: int) -> Beam:
-    """The hypotheses of the next level: each that scores the floor with `*`, then with the pairings from `first` on."""
-    kept, room, offered = 0, beam.made.shape[1], offer.scores
-    score, count = np.empty(width), np.empty(width, np.int64)
-    made, nodes = np.empty((width, room), np.int64), np.empty((width, room), np.int64)
-    for b in range(len(offered)):
-        p = beam.pairings[b]
-        for k in range(offered.shape[1]):
-            if kept == width or not offered[b, k] >= floor or offered[b, k] == -math.inf:
+def _next(room: _Room, now: int, kept: int, first: int, offers: int, floor: float, width: int) -> int:
+    """Enter the hypotheses of the next level: each that scores the floor with `*`, then with the pairings from `first`
+    on. Returns their number."""
+    then, found, offered, joins = 1 - now, 0, room.offered, room.joins
+    score, count, made, nodes = room.score, room.pairings, room.made, room.nodes
+    for b in range(kept):
+        p = count[now, b]
+        for k in range(offers):
+            if found == width or not offered[b, k] >= floor or offered[b, k] == -math.inf:
                 continue
             for q in range(p):
-                made[kept, q], nodes[kept, q] = beam.made[b, q], beam.nodes[b, q]
-            score[kept], count[kept] = offered[b, k], p
+                made[then, found, q], nodes[then, found, q] = made[now, b, q], nodes[now, b, q]
+            score[then, found], count[then, found] = offered[b, k], p
             if k > 0:
-                made[kept, p], nodes[kept, p], count[kept] = first + k - 1, offer.nodes[b, k], p + 1
-            kept += 1
-    return Beam(score[:kept], count[:kept], made[:kept], nodes[:kept], beam.joined)
+                made[then, found, p], nodes[then, found, p] = first + k - 1, joins[b, k]
+                count[then, found] = p + 1
+            found += 1
+    return found
 
 
 @inlined

@@ -191,22 +191,29 @@ def weighed_by_view(
     detections: Array,
     unseen: float,
 ) -> Array:
-    out = np.empty((len(made), len(detections)))
-    groups, features = visibility.shape
-    missed, none = np.empty((groups, features)), np.empty(max(groups, 1))
+    out, (groups, features) = np.empty((len(made), len(detections))), visibility.shape
+    missed, paired = np.empty(features), np.empty((groups, len(columns)))
+    for g in range(groups):
+        for s in range(len(columns)):
+            paired[g, s] = math.log(max(visibility[g, columns[s]], unseen))
     for d in range(len(detections)):
         P = detections[d]
-        none[:] = 0.0
+        log_P = math.log(P)
+        if groups == 0:
+            for b in range(len(made)):
+                out[b, d] = 0.0 + pairings[b] * log_P
         for g in range(groups):
+            none = 0.0
             for j in range(features):
-                missed[g, j] = math.log1p(-P * visibility[g, j])
-                none[g] += missed[g, j]
-        for b in range(len(made)):
-            g = group[b]
-            out[b, d] = none[g] + pairings[b] * math.log(P)
-            for q in range(pairings[b] if groups > 0 else 0):
-                j = columns[slots[made[b, q]]]
-                out[b, d] += math.log(max(visibility[g, j], unseen)) - missed[g, j]
+                missed[j] = math.log1p(-P * visibility[g, j])
+                none += missed[j]
+            for b in range(len(made)):
+                if group[b] != g:
+                    continue
+                out[b, d] = none + pairings[b] * log_P
+                for q in range(pairings[b]):
+                    s = slots[made[b, q]]
+                    out[b, d] += paired[g, s] - missed[columns[s]]
     return out
 
 
@@ -294,7 +301,7 @@ def grouped(positions: Array, order: IntArray, together: float, group: IntArray)
         for g in range(count):
             other, near = first[g], True
             for k in range(positions.shape[1]):
-                x, y = positions[b, k] - positions[other, k]
+                x, y = positions[b, k, 0] - positions[other, k, 0], positions[b, k, 1] - positions[other, k, 1]
                 if not x * x + y * y < together * together:
                     near = False
                     break
