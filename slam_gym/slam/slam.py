@@ -178,8 +178,8 @@ class Slam:
 
     def _nature(self, reach: float) -> Nature:
         """How `whole_step` is to be taken."""
-        spec = self.spec
-        return spec.map.second_order, spec.locality, reach, self._ambiguous, spec.crowded, self._chance, *self._trust()
+        spec, ambiguous = self.spec, self._ambiguous if self._experience is None else math.inf
+        return spec.map.second_order, spec.locality, reach, ambiguous, spec.crowded, self._chance, *self._trust()
 
     def _trust(self) -> tuple[float, bool]:
         """The fraction of the measurements that must be paired if a scan is to be learned from at once, or whether any
