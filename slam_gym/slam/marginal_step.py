@@ -13,7 +13,7 @@ from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.foresight import Room
 from slam_gym.navigation.visibility import SightArrays
 from slam_gym.slam.by_marginals import Past, Rule, decide_by_marginals
-from slam_gym.slam.kernels import GraphArrays, ScanArrays, Settings, hold_back, learn
+from slam_gym.slam.kernels import GraphArrays, ScanArrays, Settings, learn
 from slam_gym.slam.narrow_headings import Foreseen, Scene
 from slam_gym.slam.whole_step import ANSWERED, LEFT_ALONE, PREDICTED, Nature, begin, is_plain
 from slam_gym.types import Array, BoolArray, IntArray
@@ -45,7 +45,7 @@ def marginal_step(
 ) -> tuple[int, int, int, int, tuple[float, float, float, float, float], tuple[int, int, int, bool]]:
     """`whole_step.whole_step` with `marginal` for associator; from the fifth on, what `Decisions` has as `figures` and
     `effort`. `past`, `rule` and `network` are those tuples, the last one of empty arrays where nothing is learned."""
-    (n, step, next_id), (second_order, _, _, _, _, chance, fraction, any_will_do) = numbers, nature
+    (n, step, next_id), (second_order, _, _, _, _, _, fraction, any_will_do) = numbers, nature
     features, ids, created, probabilities, new, runner_up, unpaired, by_value = out
     nothing, yes = ((0.0, 0.0, 0.0, 0.0, 0.0), (0, 0, 0, False)), turn >= 0
     k, needed = begin(arrays, numbers, graph, recent, odometry, scan, nature, gate, room, pose)
@@ -69,9 +69,6 @@ def marginal_step(
     by_value[:] = answer.by_value
     if not is_plain(features, arrays[3], settings[4], fraction, any_will_do):
         return ANSWERED, k, 0, 0, answer.figures, answer.effort
-    if chance < 1.0:
-        expected = foreseen.features, foreseen.near, foreseen.positions, foreseen.covariances
-        hold_back(features, expected, arrays[3], scan[1], gate, settings[4], chance)
     ended, what, added = learn(
         arrays, n, step, next_id, graph, recent[turn], scan, features, features, yes, created,
         (foreseen.positions, foreseen.covariances), settings, ids,

@@ -90,7 +90,9 @@ class RelocatingSlam(Slam):
             self.tracker.believe(hypothesis)
             return self._remember(scan, prediction, hypothesis, learned)
         if not self.tracker.doubts(prediction, hypothesis, self.map.established(prediction.features)):
-            return self._learn(scan, prediction, self._believed(scan, prediction, hypothesis))
+            hypothesis = self._believed(scan, prediction, hypothesis)
+            self.tracker.believe(hypothesis)  # what is held back is not expected to be seen again
+            return self._learn(scan, prediction, hypothesis)
         found = self.relocate(self, scan) if self.lost else None
         if found is None:
             return self._learn_nothing(prediction, scan)
