@@ -49,15 +49,12 @@ class AtlasSpec:
 
     loops: LoopSpec | None = field(default_factory=LoopSpec)  # None: they are not looked for
     ambiguous: float = 0.5  # other features expected in the gate of an old one from which it is left to the loops
-    chance: float = 0.05  # of all pairings of a scan with old features being wrong, above which none is learned from
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
     rejoin: int = 5  # [scans] from one attempt to recognise a map before to the next
 
     def __post_init__(self) -> None:
         if not self.ambiguous > 0.0:
             raise ValueError(f"AtlasSpec.ambiguous: {self.ambiguous} is no number > 0")
-        if not 0.0 <= self.chance <= 1.0:
-            raise ValueError(f"AtlasSpec.chance: {self.chance} is not between 0 and 1")
         if self.patience is not None and self.patience < 0:
             raise ValueError(f"AtlasSpec.patience: {self.patience} is negative")
         if self.rejoin < 1:
@@ -90,7 +87,7 @@ class AtlasSlam(RelocatingSlam):
         super().__init__(spec, relocate, view_from)
         self.atlas = atlas or AtlasSpec()
         self._ambiguous = math.inf if self.atlas.loops is None else self.atlas.ambiguous
-        self._chance = 1.0 if self.atlas.loops is None else self.atlas.chance
+        self._chance = 1.0 if self.atlas.loops is None else self.spec.chance
         self.left: list[Left] = []  # maps before the current one that were not joined yet, oldest first
         self.loops: list[tuple[int, IntArray]] = []  # step and pairs (k, 2) of ids of each loop that was closed
         self.joins: list[tuple[int, IntArray]] = []  # the same of maps that were joined

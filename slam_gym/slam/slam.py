@@ -59,6 +59,7 @@ class SlamSpec:
     lost_scans: int = 5  # … and so many of them in a row have lost the robot
     min_expected: int = 3  # features that should be in view, without which no scan is doubted
     crowded: float = 1.0  # fraction of features with a neighbour in the gate of an old one, above which it is ambiguous
+    chance: float = 1.0  # of all pairings of a scan with old features being wrong, above which none is learned from
     repeat: tuple[float, float] | None = None  # [m] to drive or [rad] to turn until a feature is learned from again
 
     def __post_init__(self) -> None:
@@ -68,6 +69,8 @@ class SlamSpec:
             raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
         if not 0.0 <= self.crowded <= 1.0:
             raise ValueError(f"SlamSpec.crowded: {self.crowded} is not between 0 and 1")
+        if not 0.0 <= self.chance <= 1.0:
+            raise ValueError(f"SlamSpec.chance: {self.chance} is not between 0 and 1")
         if not 0.0 <= self.lost_fraction <= 1.0:
             raise ValueError(f"SlamSpec.lost_fraction: {self.lost_fraction} is not between 0 and 1")
         for name in ("recent", "lost_scans", "min_expected"):

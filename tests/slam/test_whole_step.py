@@ -16,6 +16,7 @@ from slam_gym.types import Associator, Scan, SlamStep
 from tests.slam.rings import drive, ring_of_landmarks, view_from
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), reach=12.0)
+NEVER_AMBIGUOUS = AtlasSpec(ambiguous=1e9)
 _ASKED = ("joint", "local", "view")  # of a prediction, which hold for the moment that it was made at
 
 
@@ -54,10 +55,13 @@ def assert_twins(one: Slam, other: Slam, log: Any, associate: Associator) -> Non
         np.testing.assert_array_equal(edges, others)
 
 
-def log_of(seed: int, carried_at: int | None = None, steps: int = 220) -> Any:
+def log_of(seed: int, carried_at: int | None = None, steps: int = 220, in_pairs: bool = False) -> Any:
     """Round the block, among clutter: every third scan has a measurement of nothing."""
     rng = np.random.default_rng(seed)
-    for number, (odometry, scan, *rest) in enumerate(drive(ring_of_landmarks(rng), rng, steps, 0.02, carried_at).steps):
+    landmarks = ring_of_landmarks(rng)
+    if in_pairs:
+        landmarks = np.concatenate([landmarks, landmarks + 0.5])
+    for number, (odometry, scan, *rest) in enumerate(drive(landmarks, rng, steps, 0.02, carried_at).steps):
         if number % 3 == 0:
             more = Scan.from_points(rng.uniform(-4.0, 4.0, (1, 2)), sigma=0.05)
             scan = Scan(
@@ -86,6 +90,16 @@ def test_an_atlas_that_is_lost_and_closes_loops_is_the_page_s(ambiguous: float, 
     one, other = (AtlasSlam(SPEC, relocate_by("gcbb"), view, AtlasSpec(ambiguous=ambiguous)) for _ in range(2))
     assert_twins(one, other, log_of(3, carried_at=120), jcbb)
     assert one.map.n > 20 and len(one.maps) == len(other.maps)
+
+
+def test_so_is_one_that_holds_back_what_may_be_chance() -> None:
+    one, other, plain = (
+        AtlasSlam(replace(SPEC, chance=c), relocate_by("gcbb"), view_from, NEVER_AMBIGUOUS) for c in (0.05, 0.05, 1.0)
+    )
+    assert_twins(one, other, log_of(3, steps=330, in_pairs=True), jcbb)
+    for odometry, scan, *_ in log_of(3, steps=330, in_pairs=True):
+        plain.step(odometry, scan, jcbb)
+    assert not np.array_equal(plain.map.pose, one.map.pose)  # something was held back
 
 
 def test_so_is_one_that_relocates_only() -> None:
