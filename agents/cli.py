@@ -105,11 +105,13 @@ def add_associate_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--order", default=default.order, help="of the measurements (default: %(default)s)")
     group.add_argument("--compatibility", default=default.compatibility, help="joint or individual")
     group.add_argument("--wrong-cost", type=float, default=default.wrong_cost, metavar="C", help="default: %(default)s")
+    group.add_argument("--marginals", action="store_true", help="the observation has the marginals of the branches; a "
+                       "network starts from them")  # fmt: skip
 
 
 def associate_arguments(a: argparse.Namespace, split: str) -> AssociateArguments:
     """What the options above choose."""
-    names = ("scenario", "driver", "reward", "candidates", "order", "compatibility", "wrong_cost")
+    names = ("scenario", "driver", "reward", "candidates", "order", "compatibility", "wrong_cost", "marginals")
     return AssociateArguments(overrides=tuple(a.overrides), split=split, **{name: getattr(a, name) for name in names})
 
 

@@ -3,10 +3,14 @@
 Every choice passes through the same weights, together with the situation and a summary of all legal choices (Deep Sets,
 Zaheer et al. 2017). So a permutation of the choices permutes their scores, and their number K may change after
 training.
+
+Who is told the marginals of the branches starts from them: a fresh network decides as the associator `marginal` does,
+and what is learned is added to its log-odds.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,11 +20,12 @@ from sb3_contrib.common.maskable.policies import MaskableMultiInputActorCriticPo
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
+from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, ODDS_SCALE
 from slam_gym.envs.goal_observation import GOAL_FIELDS
 
 LEGAL = GOAL_FIELDS.index("legal")  # as in CANDIDATE_FIELDS
 _CONTEXT = ("measurement", "pairings", "path")
+_REFUSAL = math.log(10.0)  # log-odds of a pairing from which it is worth the risk that a wrong one costs ten right ones
 
 
 class SituationEncoder(BaseFeaturesExtractor):
@@ -53,17 +58,20 @@ class SituationEncoder(BaseFeaturesExtractor):
 class PathEncoder(BaseFeaturesExtractor):
     """Observation of Associate-v0 → one vector (B, width + K·F): measurement and path, encoded, then the candidates.
 
-    The budget is not looked at, so that a policy decides in the environment as it does as an associator elsewhere.
+    Behind them stand the marginals (K + 1), where the observation has them. The budget is not looked at, so that a
+    policy decides in the environment as it does as an associator elsewhere.
     """
 
     def __init__(self, observation_space: spaces.Dict, width: int = 64) -> None:
-        super().__init__(observation_space, features_dim=width + spaces.flatdim(observation_space["candidates"]))
+        self._choices = [name for name in ("candidates", "marginals") if name in observation_space.spaces]
+        choices = sum(spaces.flatdim(observation_space[name]) for name in self._choices)
+        super().__init__(observation_space, features_dim=width + choices)
         length = sum(spaces.flatdim(observation_space[key]) for key in _CONTEXT)
         self.context = nn.Sequential(nn.Linear(length, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh())
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         context = self.context(torch.cat([observations[key] for key in _CONTEXT], dim=1))
-        return torch.cat([context, observations["candidates"]], dim=1)
+        return torch.cat([context, *(observations[name] for name in self._choices)], dim=1)
 
 
 class Scorer(nn.Module):
@@ -110,14 +118,40 @@ class Scorer(nn.Module):
 
 
 class BranchScorer(Scorer):
-    """The same for branches (B, K + 1): `*`, the last, has a score of its own from situation and summary."""
+    """The same for branches (B, K + 1): `*`, the last, has a score of its own from situation and summary.
 
-    def __init__(self, width: int, choices: int, hidden: int) -> None:
+    Where the marginals are `told`, scores are added to the log-odds of the pairings, and to those at which one is worth
+    its risk for `*`.
+    """
+
+    def __init__(self, width: int, choices: int, hidden: int, told: bool = False) -> None:
         super().__init__(width, choices, hidden, fields=len(CANDIDATE_FIELDS))
+        self.told = told
         self.refuse = nn.Sequential(nn.Linear(hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
 
     def heads(self) -> list[nn.Sequential]:
         return [self.score, self.refuse]
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        features, odds = self._apart(features)
+        scores, latent = super().forward(features)
+        return scores + odds, latent
+
+    def forward_actor(self, features: Tensor) -> Tensor:
+        features, odds = self._apart(features)
+        return super().forward_actor(features) + odds
+
+    def forward_critic(self, features: Tensor) -> Tensor:
+        return super().forward_critic(self._apart(features)[0])
+
+    def _apart(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """The vector without the marginals, and the log-odds (B, K + 1) to start from: 0 where nothing is told."""
+        if not self.told:
+            return features, features.new_zeros(())
+        candidates = (features.shape[1] - self.width - 1) // (self.fields + 1)
+        features, squashed = features.tensor_split([self.width + candidates * self.fields], dim=1)
+        odds = ODDS_SCALE * squashed / (1.0 - squashed.abs()).clamp(min=1e-3)
+        return features, torch.cat([odds[:, :-1], torch.full_like(odds[:, -1:], _REFUSAL)], dim=1)
 
     def _scores(self, situation: Tensor, embedded: Tensor, summary: Tensor) -> Tensor:
         refusal = self.refuse(torch.cat([situation, summary], dim=1))
@@ -163,6 +197,11 @@ class GoalPolicy(ScoringPolicy):
 
 
 class BranchPolicy(ScoringPolicy):
-    """Chooses branches of the interpretation tree."""
+    """Chooses branches of the interpretation tree, from the marginals on where the observation has them."""
 
     encoder, scorer = PathEncoder, BranchScorer
+
+    def _build_mlp_extractor(self) -> None:
+        assert isinstance(self.action_space, spaces.Discrete) and isinstance(self.observation_space, spaces.Dict)
+        told = "marginals" in self.observation_space.spaces
+        self.mlp_extractor = BranchScorer(self._width, int(self.action_space.n), self._hidden, told)

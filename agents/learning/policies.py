@@ -106,6 +106,8 @@ def load_associator(path: Path | str) -> Associator:
         raise ValueError(f"model {path}: a driver (action {spec.action!r}), not an associator")
     names = ("candidates", "order", "compatibility")
     try:
-        return from_policy(BestBranch(for_decisions(network)), **{name: spec.training[name] for name in names})
+        arguments = {name: spec.training[name] for name in names}
+        told = "marginals" in spec.observation
+        return from_policy(BestBranch(for_decisions(network)), marginals=told, **arguments)
     except (KeyError, ValueError, TypeError) as error:
         raise ValueError(f"model {path}: training: {error} is missing or wrong") from None
