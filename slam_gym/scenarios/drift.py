@@ -46,35 +46,35 @@ DRIFTING: tuple[Scenario, ...] = (
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[1],
-        associator="marginal",
+        associator="learned",
     ),
     Scenario(
         "drift-2",  # seven times as bad: nearest neighbours lose themselves
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[2],
-        associator="marginal",
+        associator="learned",
     ),
     Scenario(
         "drift-3",  # ten times as bad: a tick turns by 5° more or less than the wheels say
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[3],
-        associator="marginal",
+        associator="learned",
     ),
     Scenario(
         "aliased-drift",  # identical rooms, and wheels that do not tell them apart
         AliasedGenerator(),
         budget=450,
         odometry=DRIFT[2],
-        associator="marginal",
+        associator="learned",
     ),
     Scenario(
         "hall-drift",  # long views, in which a wrong heading shows most
         HallGenerator(),
         budget=450,
         odometry=DRIFT[2],
-        associator="marginal",
+        associator="learned",
         sensor=_HALL_SENSOR,
     ),
     Scenario(
@@ -82,7 +82,7 @@ DRIFTING: tuple[Scenario, ...] = (
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[2],
-        associator="marginal",
+        associator="learned",
         **CROWDED,
     ),
     Scenario(
@@ -90,7 +90,7 @@ DRIFTING: tuple[Scenario, ...] = (
         OfficeGenerator(),
         budget=450,
         odometry=DRIFT[2],
-        associator="marginal",
+        associator="learned",
         sensor=_FEW_AND_BAD,
     ),
     Scenario(
@@ -98,7 +98,7 @@ DRIFTING: tuple[Scenario, ...] = (
         LoopGenerator(),
         budget=900,
         odometry=DRIFT[1],
-        associator="marginal",
+        associator="learned",
         sensor=_SHORT_SIGHT,
     ),
 )
