@@ -34,6 +34,7 @@ from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, N
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at
+_LEAST_WEIGHT = 1e-100  # of some edge, without which no vector leads: squares of less vanish
 
 
 class _Graph(NamedTuple):
@@ -120,7 +121,7 @@ def _largest_cliques(solver: Any, library: str, graph: _Graph) -> Iterable[list[
 def _leading_cluster(graph: _Graph) -> list[list[int]]:
     """One hypothesis from the leading eigenvector, or none."""
     v, (a, b) = len(graph.features), graph.edges.T
-    if not len(graph.edges):
+    if graph.weights.max(initial=0.0) < _LEAST_WEIGHT:
         return []
     affinity: csr_array = coo_array((graph.weights, (a, b)), shape=(v, v)).tocsr()
     affinity = affinity + affinity.T

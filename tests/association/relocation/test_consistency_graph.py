@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import RELOCATORS, max_clique
+from slam_gym.association.relocation.consistency_graph import _Graph, _leading_cluster
 from tests.oracles import relocation as oracles
 
 
@@ -33,3 +34,10 @@ def test_spectral_finds_the_robot_often_and_believes_nothing_outside():
         right += found.accepted and np.hypot(*(found.pose - pose)[:2]) < 0.3
         assert not RELOCATORS["spectral"](oracles.inside(seed + 100)[1], landmarks, None).accepted
     assert right >= 15
+
+
+def test_edges_whose_weights_vanish_lead_to_no_hypothesis():
+    features, edges = np.arange(4), np.array([[0, 1], [0, 2], [1, 3]])
+    for weight in (0.0, 1e-200):
+        assert _leading_cluster(_Graph(features, features, edges, np.full(3, weight))) == []
+    assert sorted(_leading_cluster(_Graph(features, features, edges, np.array([1.0, 1e-200, 0.0])))[0]) == [0, 1]
