@@ -51,7 +51,6 @@ from slam_gym.association.triangles.store import (
     move_pool,
     number_of_cells,
     paint_features,
-    share_painted,
     sigma_table,
 )
 from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
@@ -109,7 +108,6 @@ class FeatureIndex:
         self._progress = np.zeros(5, np.int64)  # as in `enter_triangles`
         self._positions, self._details = np.empty((0, 2)), np.empty((0, 6))
         self._starts, self._crowding_of = np.zeros(64), -1
-        self._painted = 0  # features when the shares painted were looked at
         self._make_room(64)
         if landmarks is not None:
             self.add(positions, covariances, landmarks.sizes, landmarks.size_variances, landmarks.kinds)
@@ -284,7 +282,7 @@ class FeatureIndex:
         power = max(math.ceil(0.5 * math.log2(room)), 3)
         self._heads = np.full((1 << power, 1 << power), _EMPTY, np.int32)
         self._following = np.empty(room, np.int32)
-        self._bits = np.zeros(5 << (2 * power + 3), np.uint8)
+        self._bits = np.zeros(5 << (2 * power + 1), np.uint32)
         self._settings[POWER] = power + 4
         enter_grid(self._heads, self._following, self._settings[SIDE], self._positions, 0, self.n)
         self._settings[WIDEST] = _FLOOR
@@ -292,7 +290,7 @@ class FeatureIndex:
 
     def _paint(self, first: int) -> None:
         size, radius, power = self._settings[SIZE], self._settings[RADIUS], int(self._settings[POWER])
-        gate, behind = chi2_gate(2, 0.99), 1 << (2 * power - 3)
+        gate, behind = chi2_gate(2, 0.99), 1 << (2 * power - 5)
         for level, bits in enumerate((self._bits[:behind], self._bits[behind:])):
             scale = 1.0 + level
             paint_features(
@@ -304,9 +302,6 @@ class FeatureIndex:
         """Triangles, grid and bitmaps of the features from `first` on."""
         self._settings[FEATURES] = self.n
         self._paint(first)
-        if self.n > 1.1 * self._painted:
-            share_painted(self._bits, self._settings, self._positions, self.n)
-            self._painted = self.n
         while True:
             enter_triangles(
                 self._cells, self._pool, self._heads, self._following, self._positions, self._details, self._settings,

@@ -21,6 +21,8 @@ from slam_gym.association.triangles.verify import ALIKE, ALL, LIMIT, MODE, Found
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 _WIDE = 1e12  # [m] put on top of the radius of triples too wide for the index
+_WIDE_COSTS = 20.0  # times as much as the others
+_MOVES = 200  # attempts to move a measurement to another group
 KEPT = 16  # hypotheses remembered: the best and those that tie with it
 
 
@@ -85,27 +87,57 @@ def _enough(found: Found) -> int:
 @compiled
 def _try_groups(look: Look, store: Store, found: Found, groups: int, loose: bool, done: BoolArray) -> bool:
     """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them."""
-    triples, indexed = _triples(look, store, groups, loose, done)
+    order, starts = _near_groups(look, store, groups)
+    triples, indexed = _triples(look, store, order, starts, loose, done)
     for t in range(len(triples)):
-        for triple in triples[t : t + 1] if t < indexed else _instead_of(look, store, triples[t], found, done):
+        triple, pairs = triples[t], np.empty((0, 4), np.int64)
+        if t >= indexed:
+            pairs = _instead_of(look, store, triple, order, starts, loose)
+        for other in pairs:
+            try_triple(look, store, other[:3], found, other[3])
+        if len(pairs) == 0:
             try_triple(look, store, triple, found)
             done[_number(triple)] = True
-        done[_number(triples[t])] = True
         if found.spent[LIMIT] > 0 or _decided(found) or _enough(found) > groups:
             return False
     return True
 
 
 @compiled
-def _instead_of(look: Look, store: Store, triple: IntArray, found: Found, done: BoolArray) -> IntArray:
+def _instead_of(look: Look, store: Store, triple: IntArray, order: IntArray, starts: IntArray, loose: bool) -> IntArray:
     """What to look up instead of a triple too wide for the index: two of it, each time with another third measurement.
 
-    Of m measurements a hypothesis leaves out m − k at most, so of m − k + 1 thirds it has one, whichever two stand for
-    the triple with each of them. Only where the index reaches fewer are the features gone through.
+    Returns these triples and which measurement of the wide one each leaves out, (t, 4); none where the index does not
+    reach enough of them.
+
+    The groups were cut in two again and again. Of two halves with g and h groups, one holds 2g + 1 or 2h + 1
+    measurements of a hypothesis with 2(g + h) + 1, and so on down to a group with 3: it is enough to look triples up
+    for hypotheses of which all halves on the way down hold as many. In a half of s measurements, s − 2g − 1 at most are
+    no part of the hypothesis, so that of s − 2g of them, besides the triple, one is: whichever two stand for the triple
+    with each of these. Among the halves on the way, that with the smallest of such triples is chosen.
     """
-    m, count = len(look.points), 0
-    thirds, radii, other = np.empty((m, 3), np.int64), np.empty(m), np.empty(3, np.int64)
-    for i in range(m):
+    groups, least, best = len(starts) - 1, math.inf, np.empty((0, 4), np.int64)
+    low, high, leaf = 0, groups, 0
+    while not np.any(order[starts[leaf] : starts[leaf + 1]] == triple[0]):
+        leaf += 1
+    while True:
+        quota = 2 * (high - low) + 1 + (loose and high == groups)
+        chosen, radius = _thirds(look, store, triple, order[starts[low] : starts[high]], quota)
+        if len(chosen) > 0 and radius <= least:
+            best, least = chosen, radius
+        if high - low == 1:
+            return best
+        middle = low + (high - low) // 2
+        low, high = (low, middle) if leaf < middle else (middle, high)
+
+
+@compiled
+def _thirds(look: Look, store: Store, triple: IntArray, some: IntArray, quota: int) -> tuple[IntArray, float]:
+    """As many triples (t, 4), as in `_instead_of`, as it takes with thirds from `some` measurements, of which `quota`
+    are paired, and the sum of their radii [m]; none where there are too few."""
+    count, needed = 0, len(some) - quota + 1
+    thirds, radii, other = np.empty((len(some), 4), np.int64), np.empty(len(some)), np.empty(3, np.int64)
+    for i in some:
         if i == triple[0] or i == triple[1] or i == triple[2]:
             continue
         least = math.inf
@@ -114,16 +146,13 @@ def _instead_of(look: Look, store: Store, triple: IntArray, found: Found, done: 
             if is_indexed(look, store, other):
                 radius = _longest_first(look.points, other)
                 if radius < least:
-                    thirds[count], radii[count], least = other, radius, radius
+                    thirds[count, :3], thirds[count, 3] = other, triple[(k + 2) % 3]
+                    radii[count] = least = radius
         count += least < math.inf
-    if count <= m - _wanted(found):
-        return triple.copy().reshape(1, 3)
-    chosen, number = np.empty((m, 3), np.int64), 0
-    for at in ascending(radii[:count])[: m - _wanted(found) + 1]:
-        if not done[_number(thirds[at])]:
-            chosen[number] = thirds[at]
-            number += 1
-    return chosen[:number]
+    if count < needed:
+        return thirds[:0], 0.0
+    chosen = ascending(radii[:count])[:needed]
+    return thirds[chosen], radii[chosen].sum()
 
 
 @compiled
@@ -192,6 +221,67 @@ def _groups(points: Array, groups: int) -> tuple[IntArray, IntArray]:
 
 
 @compiled
+def _near_groups(look: Look, store: Store, groups: int) -> tuple[IntArray, IntArray]:
+    """As `_groups`, but measurements change places, or groups, as long as that leaves fewer triples too wide."""
+    order, starts = _groups(look.points, groups)
+    m, group, count = len(order), np.empty(len(order), np.int64), 0
+    wide, pair = np.zeros((m, m), np.bool_), np.empty(3, np.int64)
+    for g in range(groups):
+        group[order[starts[g] : starts[g + 1]]] = g
+    for within in (True, False):  # as a rule there are none within groups, and nothing is left to do
+        for i in range(m):
+            for k in range(i):
+                pair[0], pair[1], pair[2] = i, k, k
+                if (group[i] == group[k]) == within and not is_indexed(look, store, pair):
+                    wide[i, k] = wide[k, i] = True
+                    count += within
+        if count == 0:
+            return order, starts
+    left, i = _MOVES, 0
+    while i < m and left > 0:
+        left -= 1
+        i = 0 if np.any(wide[i] & (group == group[i])) and _moves(group, groups, wide, i) else i + 1
+    for g in range(groups):
+        members = np.flatnonzero(group == g)
+        starts[g + 1] = starts[g] + len(members)
+        order[starts[g] : starts[g + 1]] = members
+    return order, starts
+
+
+@compiled
+def _moves(group: IntArray, groups: int, wide: BoolArray, i: int) -> bool:
+    """Move measurement i to another group, or let it change places with one of there, if that costs less."""
+    of = group[i]
+    before = _cost(group, of, wide)
+    for g in range(groups):
+        both = before + (_cost(group, g, wide) if g != of else 0.0)
+        for k in range(-1, len(group) if g != of else -1):  # −1: for nothing in exchange
+            if k >= 0 and group[k] != g:
+                continue
+            group[i] = g
+            if k >= 0:
+                group[k] = of
+            if _cost(group, of, wide) + _cost(group, g, wide) < both:
+                return True
+            group[i] = of
+            if k >= 0:
+                group[k] = g
+    return False
+
+
+@compiled
+def _cost(group: IntArray, g: int, wide: BoolArray) -> float:
+    """Of looking up the triples of one group, in units of one that the index reaches."""
+    members, cost = np.flatnonzero(group == g), 0.0
+    for p in range(len(members)):
+        for q in range(p):
+            for r in range(q):
+                i, k, l = members[p], members[q], members[r]
+                cost += _WIDE_COSTS if wide[i, k] or wide[k, l] or wide[l, i] else 1.0
+    return cost
+
+
+@compiled
 def _extent(points: Array, chosen: IntArray, axis: int) -> float:
     low, high = math.inf, -math.inf
     for i in chosen:
@@ -200,15 +290,16 @@ def _extent(points: Array, chosen: IntArray, axis: int) -> float:
 
 
 @compiled
-def _triples(look: Look, store: Store, groups: int, loose: bool, done: BoolArray) -> tuple[IntArray, int]:
+def _triples(
+    look: Look, store: Store, order: IntArray, starts: IntArray, loose: bool, done: BoolArray
+) -> tuple[IntArray, int]:
     """Triples of measurements within groups and not yet `done`, (t, 3): those with small circumcircles first.
 
     Those too wide for the index come last; how many do not is the second result. If `loose`, the last group has only
     triples such that any four of it hold one: in three parts, those within a part and from one part two and one of the
     next.
     """
-    order, starts = _groups(look.points, groups)
-    room = 0
+    groups, room = len(starts) - 1, 0
     for g in range(groups):
         size = starts[g + 1] - starts[g]
         room += size * (size - 1) * (size - 2) // 6

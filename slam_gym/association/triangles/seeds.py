@@ -23,9 +23,10 @@ from slam_gym.association.triangles.store import (
     features_around,
     features_between,
 )
-from slam_gym.association.triangles.verify import BINARY, LIMIT, TRIES, Found, Seed, spend, verify
-from slam_gym.types import Array, IntArray
+from slam_gym.association.triangles.verify import AT_ONCE, BINARY, LIMIT, TRIES, Found, Seed, spend, verify
+from slam_gym.types import UNPAIRED, Array, IntArray
 
+_PLACES = 8  # of a bitmap that are looked up for one measurement, at most
 _PER_TRIANGLE, _PER_FEATURE = 0.02, 0.25
 """Poses that take as long as the comparison of a triangle of the index, and as the look at a feature without it."""
 
@@ -42,17 +43,16 @@ def _side(points: Array, noise: Array, i: int, l: int) -> tuple[float, float]:
 
 
 @compiled
-def _arrange(look: Look, store: Store, triple: IntArray) -> tuple[Seed, float, float]:
+def _arrange(look: Look, store: Store, triple: IntArray, first: int) -> tuple[Seed, float, float]:
     """The seed of a triple, its error variance v [m²] per pairing, and its inertia [m²] about the centroid.
 
     A pose fitted to three pairings has variance v/3 at their centroid and v/inertia in heading. Measurements are put in
-    order of the radius of their gate, given that pose.
+    order of the radius of their gate, given that pose, but for measurement `first`, if it is one.
     """
-    points, m, radius = look.points, len(look.points), store.settings[RADIUS]
+    points, m = look.points, len(look.points)
     x = (points[triple[0], 0] + points[triple[1], 0] + points[triple[2], 0]) / 3.0
     y = (points[triple[0], 1] + points[triple[1], 1] + points[triple[2], 1]) / 3.0
-    offsets, order, levels, gates = np.empty((m, 2)), np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m)
-    around = np.empty((m, 3))
+    offsets, order, gates, around = np.empty((m, 2)), np.empty(m, np.int64), np.empty(m), np.empty((m, 3))
     variance, inertia, count = store.settings[WIDEST], 0.0, 0
     for i in range(m):
         offsets[i, 0], offsets[i, 1] = points[i, 0] - x, points[i, 1] - y
@@ -63,22 +63,54 @@ def _arrange(look: Look, store: Store, triple: IntArray) -> tuple[Seed, float, f
         if i == triple[0] or i == triple[1] or i == triple[2]:
             continue
         square, near = offsets[i, 0] ** 2 + offsets[i, 1] ** 2 + 1e-12, look.widest[i] + variance / 3.0
-        turned = square * variance / (inertia + 1e-12)
-        gate = look.gates[1] * (near + turned)
-        near += store.settings[WIDEST]
-        around[i, 0], around[i, 1] = (
-            1.0 / (look.gates[1] * near * square),
-            1.0 / (look.gates[1] * (near + turned) * square),
-        )
-        around[i, 2] = math.sqrt(look.gates[1] * (near + turned))
-        levels[i] = 0 if gate <= radius * radius else 1 if gate <= 4.0 * radius * radius else 2
+        turned, gate = square * variance / (inertia + 1e-12), look.gates[1]
+        wide = near + store.settings[WIDEST]
+        around[i, 0], around[i, 1] = 1.0 / (gate * wide * square), 1.0 / (gate * (wide + turned) * square)
+        around[i, 2] = math.sqrt(gate * (wide + turned))
         p = count
-        while p > 0 and gates[p - 1] > gate:
+        while p > 0 and (gates[p - 1] > near + turned or i == first) and order[p - 1] != first:
             order[p], gates[p] = order[p - 1], gates[p - 1]
             p -= 1
-        order[p], gates[p] = i, gate
+        order[p], gates[p] = i, near + turned
         count += 1
-    return Seed(triple.copy(), np.empty(3), np.empty(3), order[:count], levels, offsets, around), variance, inertia
+    starts, places, levels = _places(look, offsets, order[:count], gates, variance, store.settings[RADIUS])
+    seed = Seed(triple.copy(), np.empty(3), np.empty(3), order[:count], starts, places, levels, offsets, around)
+    return seed, variance, inertia
+
+
+@compiled
+def _places(
+    look: Look, offsets: Array, order: IntArray, gates: Array, variance: float, radius: float
+) -> tuple[IntArray, Array, IntArray]:
+    """Where to look into the bitmaps for each measurement in `order`: starts, places and levels of a `Seed`.
+
+    A gate's semi-axes squared, its feature known exactly, are `narrow` along the line of sight from the centroid and
+    `wide` across it. Discs of radius r in a row across, at most 2√(r² − narrow) apart, cover all of it but what is
+    beyond √wide − r. Discs of features less well known are painted larger by as much as it takes. There are no places
+    where neither bitmap does with `_PLACES`.
+    """
+    count, chi2 = 0, look.gates[1]
+    starts, places = np.zeros(len(order) + 1, np.int64), np.zeros((2, _PLACES * len(order) + AT_ONCE))
+    levels = np.zeros(_PLACES * len(order) + AT_ONCE, np.int64)
+    for p in range(len(order)):
+        k = order[p]
+        narrow, wide = chi2 * (look.widest[k] + variance / 3.0), math.sqrt(chi2 * gates[p])
+        for level in range(2):
+            r = radius * (1.0 + level)
+            end, half = max(wide - r, 0.0), math.sqrt(max(r * r - narrow, 0.0))
+            if end > half * (_PLACES - 1):
+                continue
+            number = 1 if end == 0.0 else 1 + math.ceil(end / half)
+            x, y = offsets[k, 0], offsets[k, 1]
+            turn = end / math.hypot(x, y) if number > 1 else 0.0
+            for i in range(number):
+                part = turn * (2.0 * i / max(number - 1, 1) - 1.0)
+                places[0, count], places[1, count], levels[count] = x - part * y, y + part * x, level
+                count += 1
+            break
+        starts[p + 1] = count
+    count += -count % AT_ONCE
+    return starts, places[:, :count].copy(), levels[:count]
 
 
 @compiled
@@ -92,10 +124,13 @@ def is_indexed(look: Look, store: Store, triple: IntArray) -> bool:
 
 
 @compiled
-def try_triple(look: Look, store: Store, triple: IntArray, found: Found) -> None:
-    """Look up the map triangles like a triple of measurements, however turned, and verify the poses they imply."""
+def try_triple(look: Look, store: Store, triple: IntArray, found: Found, required: int = UNPAIRED) -> None:
+    """Look up the map triangles like a triple of measurements, however turned, and verify the poses they imply.
+
+    Poses that explain nothing of measurement `required`, if it is one, are not looked at any further.
+    """
     found.spent[TRIES] += 1
-    seed, variance, inertia = _arrange(look, store, triple)
+    seed, variance, inertia = _arrange(look, store, triple, required)
     if not inertia > 0.0:
         return
     longest, widest = 0.0, 0.0
@@ -114,7 +149,7 @@ def try_triple(look: Look, store: Store, triple: IntArray, found: Found) -> None
         if indexed and seed.sides[0] + 2.0 * margin >= longest:
             like, compared = _matches(store.cells, store.pool, store.settings, look.gates[0], seed.sides, seed.doubts)
             spend(found, BINARY, compared, _PER_TRIANGLE * compared)
-            verify(look, store, seed, like, variance, inertia, found)
+            verify(look, store, seed, like, variance, inertia, found, required != UNPAIRED)
         elif not indexed and seed.sides[0] <= min(seed.sides[1], seed.sides[2]):
             _visit_features(look, store, seed, variance, inertia, margin, found)
 
@@ -199,4 +234,4 @@ def _visit_features(
                 b = math.hypot(positions[l, 0] - x, positions[l, 1] - y)
                 if l != i and l != j and abs(a - seed.sides[1]) <= margin and abs(b - seed.sides[2]) <= margin:
                     one[0, 0], one[0, 1], one[0, 2] = i, j, l
-                    verify(look, store, seed, one, variance, inertia, found)
+                    verify(look, store, seed, one, variance, inertia, found, False)

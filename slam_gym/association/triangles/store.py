@@ -21,15 +21,14 @@ from slam_gym._compile import compiled
 from slam_gym.types import Array, IntArray
 
 Small = NDArray[np.int32]
-Bits = NDArray[np.uint8]
+Bits = NDArray[np.uint32]
 
 START, COUNT, ROOM, CODE = 0, 1, 2, 3  # columns of `cells` (c, 4): stretch of the pool; largest code of σ in it
-SIDE, REACH, QUANTUM, BUDGET, SIZE, RADIUS, WIDEST, FEATURES, POWER, PAINTED = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+SIDE, REACH, QUANTUM, BUDGET, SIZE, RADIUS, WIDEST, FEATURES, POWER = 0, 1, 2, 3, 4, 5, 6, 7, 8
 TABLE = 16
 """Entries of `settings`: side of the grid [m], longest side of triangles [m], quantum q [m], triangles allowed per
 feature, cell [m] and radius [m] of the fine bitmap, largest λ(C_j) [m²], number of features, log₂ of the fine bitmap's
-side, share painted, near features, of the fine bitmap and of the coarse one; from TABLE on, the variances that codes
-stand for."""
+side; from TABLE on, the variances that codes stand for."""
 
 CODES = 256
 CROWD = 4096  # features around one that are looked at; triangles run out long before
@@ -66,21 +65,13 @@ def paint(bits: Bits, power: int, size: float, x: float, y: float, radius: float
         left, right = math.floor((x - half) / size), math.floor((x + half) / size)
         for column in range(left, min(right, left + mask) + 1):
             at = bit_number(column & mask, row & mask, power)
-            bits[at >> 3] |= np.uint8(1 << (at & 7))
+            bits[at >> 5] |= np.uint32(1 << (at & 31))
 
 
 @compiled
 def bit_number(column: int, row: int, power: int) -> int:
-    """Place of a cell in a bitmap of side 2^power: by tiles of 32 × 16 cells, a cache line each."""
+    """Place of a cell in a bitmap of side 2^power: by tiles of 16 words of 32 cells, a cache line each."""
     return (row >> 4) << (power + 4) | (column >> 5) << 9 | (row & 15) << 5 | (column & 31)
-
-
-@compiled
-def is_painted(bits: Bits, first: int, power: int, x: float, y: float) -> int:
-    """The bit of the cell (x, y), in cells, of a bitmap that begins at bit `first`."""
-    mask = (1 << power) - 1
-    at = first + bit_number(math.floor(x) & mask, math.floor(y) & mask, power)
-    return (int(bits[at >> 3]) >> (at & 7)) & 1
 
 
 @compiled
@@ -99,21 +90,6 @@ def paint_features(
     for j in range(first, n):
         wide = math.sqrt(radius * radius + gate * largest_variance(details[j, 0], details[j, 1], details[j, 2]))
         paint(bits, power, size, positions[j, 0], positions[j, 1], wide)
-
-
-@compiled
-def share_painted(bits: Bits, settings: Array, positions: Array, n: int) -> None:
-    """Write to `settings` what share of places near features is painted, in either bitmap, by those around some 500."""
-    power, hits, places, step = int(settings[POWER]), np.zeros(2), 0, max(n // 500, 1)
-    for j in range(0, n, step):
-        turn = 2.4 * places  # by the golden angle, so that no two look the same way
-        x = positions[j, 0] + 0.5 * settings[REACH] * math.cos(turn)
-        y = positions[j, 1] + 0.5 * settings[REACH] * math.sin(turn)
-        places += 1
-        for level in range(2):
-            cell = settings[SIZE] * (1.0 + level)
-            hits[level] += is_painted(bits, level << (2 * power), power - level, x / cell, y / cell)
-    settings[PAINTED], settings[PAINTED + 1] = hits[0] / max(places, 1), hits[1] / max(places, 1)
 
 
 @compiled

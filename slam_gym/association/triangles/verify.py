@@ -13,11 +13,12 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.triangles.pose import FIT, Look, Store, alike, is_local, pair_around, settle
-from slam_gym.association.triangles.store import POWER, SIDE, SIZE, Bits, Small, is_painted
-from slam_gym.types import UNPAIRED, Array, IntArray
+from slam_gym.association.triangles.store import POWER, SIDE, SIZE, Small, bit_number
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 NODES, BINARY, TRIES, LEAVES, JOINT, LIMIT, WORK = 0, 1, 2, 3, 4, 5, 6  # of `spent`
 MODE = 2  # of `state`
+AT_ONCE = 16  # places in a bitmap that one turn of a vectorised loop works out
 _LEAF = 30.0  # poses that take as long as fitting and pairing one hypothesis
 ALL, ALIKE = 0, 1
 """What of a pose is tested: that it may explain enough of the scan; that it explains all but pairings / 3 − 1 of what
@@ -31,7 +32,10 @@ class Seed(NamedTuple):
     sides: Array  # (3,) [m] between corners 0–1, 1–2, 2–0
     doubts: Array  # (3,) [m²] variances of those
     order: IntArray  # (m − 3,) the others, those first whose feature must be nearest to where the pose puts them
-    levels: IntArray  # (m,) bitmap that covers the gate of each: 0 fine, 1 coarse, 2 neither
+    starts: IntArray  # (m − 2,) of the others, in order: where their places start, and where the last one's end
+    places: Array  # (2, p) [m] from the centroid: the gate of a measurement touches nothing if none of its is painted
+    levels: IntArray  # (p,) in which bitmap each of these is looked up: 0 the fine one, 1 the coarse one
+    # Places and levels are filled up with zeros to a multiple of `AT_ONCE`.
     offsets: Array  # (m, 2) [m] from the centroid, by measurement
     around: Array  # (m, 3) their gates: Σ of the weighted squares of (error · offset), (error × offset) is 1; reach [m]
 
@@ -58,93 +62,62 @@ def spend(found: Found, what: int, amount: int, work: float) -> None:
 
 @compiled
 def verify(
-    look: Look, store: Store, seed: Seed, triangles: Small, variance: float, inertia: float, found: Found
+    look: Look, store: Store, seed: Seed, triangles: Small, variance: float, inertia: float, found: Found, strict: bool
 ) -> None:
-    """Hold the poses that the triangles (t, 3) imply against the whole scan: bitmaps first, then the exact tests."""
+    """Hold the poses that the triangles (t, 3) imply against the whole scan: bitmaps first, then the exact tests.
+
+    If `strict`, only those that explain the first measurement in order.
+    """
     if len(triangles) == 0:
         return
     spend(found, NODES, len(triangles), len(triangles))
     if found.spent[LIMIT] > 0:
         return
-    order, allowed = seed.order, len(look.points) - found.state[0] - (found.state[1] == 0)
+    asked, allowed = seed.order >= 0, len(look.points) - found.state[0] - (found.state[1] == 0)
     if found.state[MODE] == ALIKE:
-        order, allowed = order[found.features[0][order] != UNPAIRED], max(found.state[0] // 3 - 1, 0)
-    chosen, poses = _promising(
-        store.positions,
-        store.heads,
-        store.following,
-        store.bits,
-        store.settings,
-        seed.corners,
-        order,
-        seed.levels,
-        seed.offsets,
-        seed.around,
-        triangles,
-        allowed,
-    )
+        asked, allowed = found.features[0][seed.order] != UNPAIRED, max(found.state[0] // 3 - 1, 0)
+    if strict:
+        first = np.arange(len(asked)) == 0
+        triangles = triangles[_promising(store, seed, first, triangles, 0)[0]]
+    chosen, poses = _promising(store, seed, asked, triangles, allowed)
     for at in range(len(chosen)):
         if found.spent[LIMIT] > 0:
             return
-        _examine(look, store, seed, triangles[chosen[at]], poses[chosen[at]], variance, inertia, found)
+        _examine(look, store, seed, triangles[chosen[at]], poses[:, chosen[at]], variance, inertia, found)
 
 
 @compiled
-def _promising(
-    positions: Array,
-    heads: Small,
-    following: Small,
-    bits: Bits,
-    settings: Array,
-    corners: IntArray,
-    order: IntArray,
-    levels: IntArray,
-    offsets: Array,
-    around: Array,
-    triangles: Small,
-    allowed: int,
-) -> tuple[IntArray, Array]:
-    """Which triangles imply a pose at which no more than `allowed` measurements find nothing; all poses (x, y, c, s).
+def _promising(store: Store, seed: Seed, asked: BoolArray, triangles: Small, allowed: int) -> tuple[IntArray, Array]:
+    """Which triangles imply a pose at which no more than `allowed` measurements find nothing, and all poses (4, t).
 
-    The first bitmap tests, as many as it takes to give a pose up, are made of every pose without a branch, so that the
-    processor waits for many places of the bitmap at a time; the rest are made one after another of those still left.
+    Of each pose all places are worked out first, in a loop of their own, which vectorises, then looked up.
     """
-    poses, tests, whole, count = _implied_poses(positions, corners, offsets, triangles), 0, len(triangles), 0
-    chosen, missing = np.empty(whole + 1, np.int64), np.empty(whole + 1, np.int64)
-    left = np.empty(whole + 1, np.int64)
-    while tests < min(len(order), 62) and levels[order[tests]] < 2:
-        tests += 1
-    first = min(tests, allowed + 1)
-    power, per_metre = int(settings[POWER]), 1.0 / settings[SIZE]
-    behind = 1 << (2 * power)  # the coarse bitmap follows the fine one
-    for at in range(whole):
-        x, y, c, s = poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3]
-        misses, which = 0, 0
-        for p in range(first):
-            k = order[p]
-            px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
-            level = levels[k]
-            scale = per_metre if level == 0 else 0.5 * per_metre
-            miss = 1 - is_painted(bits, behind * level, power - level, px * scale, py * scale)
-            misses, which = misses + miss, which | miss << p
-        chosen[count], missing[count], left[count] = at, which, allowed - misses
-        count += misses <= allowed
-    for p in range(first, tests):
-        whole, count, k = count, 0, order[p]
-        level = levels[k]
-        scale = per_metre if level == 0 else 0.5 * per_metre
-        for q in range(whole):
-            at = chosen[q]
-            x, y, c, s = poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3]
-            px, py = x + c * offsets[k, 0] - s * offsets[k, 1], y + s * offsets[k, 0] + c * offsets[k, 1]
-            miss = 1 - is_painted(bits, behind * level, power - level, px * scale, py * scale)
-            chosen[count], missing[count], left[count] = at, missing[q] | miss << p, left[q] - miss
-            count += left[count] >= 0
-    kept = 0
-    for q in range(count):
-        at = chosen[q]
-        pose = (poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3])
-        if _meets(positions, heads, following, settings, order, offsets, around, pose, missing[q], left[q]):
+    bits, settings, starts, levels = store.bits, store.settings, seed.starts, seed.levels
+    poses, u, v = _implied_poses(store.positions, seed.corners, seed.offsets, triangles), seed.places[0], seed.places[1]
+    words, shifts, power = np.empty(len(levels), np.int64), np.empty(len(levels), np.int64), int(settings[POWER])
+    chosen, kept, tests = np.empty(len(triangles), np.int64), 0, 0
+    for p in range(len(asked)):
+        tests = p + 1 if asked[p] else tests
+    used = starts[tests] + -starts[tests] % AT_ONCE
+    for at in range(len(triangles)):
+        x, y, c, s = poses[0, at], poses[1, at], poses[2, at], poses[3, at]
+        for i in range(used):
+            level = levels[i]
+            scale, across = (1.0 - 0.5 * level) / settings[SIZE], power - level
+            column = math.floor((x + c * u[i] - s * v[i]) * scale) & ((1 << across) - 1)
+            row = math.floor((y + s * u[i] + c * v[i]) * scale) & ((1 << across) - 1)
+            # The coarse bitmap follows the fine one.
+            words[i], shifts[i] = (level << (2 * power) | bit_number(column, row, across)) >> 5, column & 31
+        left = allowed
+        for p in range(tests):
+            hit = int(not asked[p] or starts[p] == starts[p + 1])
+            for i in range(starts[p], starts[p + 1]):
+                hit |= int(bits[np.uint64(words[i])]) >> shifts[i] & 1
+            left -= 1 - hit
+            if left < 0:
+                break
+        pose = (x, y, c, s)
+        if left >= 0 and _meets(store, seed, asked, pose, allowed):
             chosen[kept] = at
             kept += 1
     return chosen[:kept], poses
@@ -152,47 +125,38 @@ def _promising(
 
 @compiled
 def _implied_poses(positions: Array, corners: IntArray, offsets: Array, triangles: Small) -> Array:
-    """Least-squares fits of the corners to triangles (t, 3): x, y of their centroid, cos θ, sin θ, (t, 4)."""
-    poses, u, v = np.empty((len(triangles), 4)), np.empty(3), np.empty(3)
+    """Least-squares fits of the corners to triangles (t, 3): x, y of their centroid, cos θ, sin θ, (4, t)."""
+    t = len(triangles)
+    u, v, F, poses = np.empty(3), np.empty(3), np.empty((6, t)), np.empty((4, t))
     for k in range(3):
         u[k], v[k] = offsets[corners[k], 0], offsets[corners[k], 1]
-    for at in range(len(triangles)):
-        i, j, l = int(triangles[at, 0]), int(triangles[at, 1]), int(triangles[at, 2])
-        ax, ay, bx, by = positions[i, 0], positions[i, 1], positions[j, 0], positions[j, 1]
-        cx, cy = positions[l, 0], positions[l, 1]
+    for q in range(t):
+        for k in range(3):
+            j = np.uint64(triangles[q, k])
+            F[2 * k, q], F[2 * k + 1, q] = positions[j, 0], positions[j, 1]
+    for q in range(t):
+        ax, ay, bx, by, cx, cy = F[0, q], F[1, q], F[2, q], F[3, q], F[4, q], F[5, q]
         x, y = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0
         c = (ax - x) * u[0] + (ay - y) * v[0] + (bx - x) * u[1] + (by - y) * v[1] + (cx - x) * u[2] + (cy - y) * v[2]
         s = (ay - y) * u[0] - (ax - x) * v[0] + (by - y) * u[1] - (bx - x) * v[1] + (cy - y) * u[2] - (cx - x) * v[2]
         scale = 1.0 / math.sqrt(c * c + s * s)
-        poses[at, 0], poses[at, 1], poses[at, 2], poses[at, 3] = x, y, c * scale, s * scale
+        poses[0, q], poses[1, q], poses[2, q], poses[3, q] = x, y, c * scale, s * scale
     return poses
 
 
 @compiled
-def _meets(
-    positions: Array,
-    heads: Small,
-    following: Small,
-    settings: Array,
-    order: IntArray,
-    offsets: Array,
-    around: Array,
-    pose: tuple[float, float, float, float],
-    missing: int,
-    allowed: int,
-) -> bool:
-    """Whether no more than `allowed` of the measurements in `order` miss every feature at a pose.
-
-    Those whose bits are set in `missing`, by place in `order`, are known to miss and counted already.
+def _meets(store: Store, seed: Seed, asked: BoolArray, pose: tuple[float, float, float, float], allowed: int) -> bool:
+    """Whether no more than `allowed` of the measurements `asked`, (m − 3,) in order, miss every feature at a pose.
 
     Gates are ellipses here, long across the line of sight from the seed, since its heading is what is least known.
     """
     x, y, c, s = pose
-    side, mask, left = settings[SIDE], len(heads) - 1, allowed
-    for p in range(len(order)):
-        if missing >> min(p, 62) & 1:
+    positions, heads, following, side = store.positions, store.heads, store.following, store.settings[SIDE]
+    offsets, around, mask, left = seed.offsets, seed.around, len(heads) - 1, allowed
+    for p in range(len(asked)):
+        if not asked[p]:
             continue
-        k = order[p]
+        k = seed.order[p]
         u, v = c * offsets[k, 0] - s * offsets[k, 1], s * offsets[k, 0] + c * offsets[k, 1]
         px, py, reach = x + u, y + v, around[k, 2]
         bottom, lowest = math.floor((py - reach) / side), math.floor((px - reach) / side)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from slam_gym.association.triangles.index import FeatureIndex
-from slam_gym.association.triangles.store import COUNT, START, enter_grid, features_around, is_painted, paint, place_of
+from slam_gym.association.triangles.store import COUNT, START, bit_number, enter_grid, features_around, paint, place_of
 from tests.association.triangles.small_maps import (
     SIGMA,
     assert_same,
@@ -97,10 +97,12 @@ def test_features_around_a_place_are_those_within_the_radius_wherever_the_grid_w
 def test_a_disc_painted_covers_all_its_points_and_little_else() -> None:
     rng, power, size = np.random.default_rng(42), 6, 0.5
     for _ in range(20):
-        bits = np.zeros(1 << (2 * power - 3), np.uint8)
+        bits = np.zeros(1 << (2 * power - 5), np.uint32)
         at, radius = rng.uniform(-50.0, 50.0, 2), rng.uniform(0.1, 5.0)
         paint(bits, power, size, *at, radius)
         places = at + rng.uniform(-8.0, 8.0, (500, 2))
-        painted = np.array([is_painted(bits, 0, power, x / size, y / size) for x, y in places], bool)
+        columns, rows = (np.floor(places.T / size).astype(int)) & ((1 << power) - 1)
+        numbers = np.array([bit_number(column, row, power) for column, row in zip(columns, rows)])
+        painted = (bits[numbers >> 5] >> (numbers & 31) & 1).astype(bool)
         off = np.hypot(*(places - at).T)
         assert painted[off <= radius].all() and not painted[off > radius + size * np.sqrt(2.0)].any()
