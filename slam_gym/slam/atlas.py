@@ -120,10 +120,10 @@ class AtlasSlam(RelocatingSlam):
         left = kernels.unambiguous(
             prediction.near,
             prediction.positions,
-            prediction.covariances,
             prediction.features,
             self.map.arrays,
-            (k * gate / self.reach**2, gate, self.atlas.ambiguous, self.spec.crowded),
+            k * gate / self.reach**2,
+            self.atlas.ambiguous,
             kept,
         )
         return prediction if left == k else prediction.rows(kept[:left])

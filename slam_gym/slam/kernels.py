@@ -183,39 +183,21 @@ def _fits(point: Array, noise: Array, expected: tuple[Array, Array], gate: float
 
 @compiled
 def unambiguous(
-    near: BoolArray,
-    positions: Array,
-    covariances: Array,
-    features: IntArray,
-    arrays: MapArrays,
-    limits: tuple[float, float, float, float],
-    kept: IntArray,
+    near: BoolArray, positions: Array, features: IntArray, arrays: MapArrays, worth: float, most: float, kept: IntArray
 ) -> int:
     """Rows of a prediction but for features near none of those lately paired, in whose gates others are to be expected.
 
     How well they are known is asked from the feature amid those that are near: what the robot does not know of its own
     place is the same for all. How many others are in a gate is taken from its area, as if features were spread evenly.
-    Where they stand in pairs and rows, it is asked besides how many of them have a neighbour as near as the gate is
-    wide; and where none is near, from the robot.
 
-    `limits`: others in a gate for each [m²] of √det of the covariance; gate [χ²]; how many others an old feature may
-    have, and of how many features a neighbour so near, as a fraction; 1 if that is not to be asked. The rows are
-    entered in `kept` (k,); returns their number.
+    `worth`: others in a gate for each [m²] of √det of the covariance; `most`: how many an old feature may have. The
+    rows are entered in `kept` (k,); returns their number.
     """
-    worth, gate, most, crowded = limits
     amid, count = _amid(near, positions, features), 0
-    apart = np.empty(0)
     for row in range(len(near)):
-        if not near[row] and (amid != UNPAIRED or crowded < 1.0):
-            xx, xy, yy = covariances[row, 0, 0], covariances[row, 0, 1], covariances[row, 1, 1]
-            if amid != UNPAIRED:
-                xx, xy, yy = ekf.relative_covariance(arrays[2], amid, features[row])
+        if not near[row] and amid != UNPAIRED:
+            xx, xy, yy = ekf.relative_covariance(arrays[2], amid, features[row])
             if worth * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
-                continue
-            largest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-            if len(apart) == 0 and crowded < 1.0:
-                apart = _to_nearest(positions)
-            if (apart < gate * largest).sum() > crowded * len(near):
                 continue
         kept[count] = row
         count += 1
@@ -237,18 +219,6 @@ def _amid(near: BoolArray, positions: Array, features: IntArray) -> int:
             if u * u + v * v < least:
                 amid, least = features[row], u * u + v * v
     return amid
-
-
-@compiled
-def _to_nearest(positions: Array) -> Array:
-    """(k,) [m²] squares of the distances from each of the positions (k, 2) to the nearest other one."""
-    out = np.full(len(positions), math.inf)
-    for a in range(len(positions)):
-        for b in range(a):
-            x, y = positions[a, 0] - positions[b, 0], positions[a, 1] - positions[b, 1]
-            square = x * x + y * y
-            out[a], out[b] = min(out[a], square), min(out[b], square)
-    return out
 
 
 Expected = tuple[IntArray, BoolArray, Array, Array]

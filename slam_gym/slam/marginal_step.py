@@ -45,7 +45,7 @@ def marginal_step(
 ) -> tuple[int, int, int, int, tuple[float, float, float, float, float], tuple[int, int, int, bool]]:
     """`whole_step.whole_step` with `marginal` for associator; from the fifth on, what `Decisions` has as `figures` and
     `effort`. `past`, `rule` and `network` are those tuples, the last one of empty arrays where nothing is learned."""
-    (n, step, next_id), (second_order, _, _, _, _, _, fraction, any_will_do) = numbers, nature
+    (n, step, next_id), (second_order, _, _, _, _, fraction, any_will_do) = numbers, nature
     features, ids, created, probabilities, new, runner_up, unpaired, by_value = out
     nothing, yes = ((0.0, 0.0, 0.0, 0.0, 0.0), (0, 0, 0, False)), turn >= 0
     k, needed = begin(arrays, numbers, graph, recent, odometry, scan, nature, gate, room, pose)

@@ -58,7 +58,6 @@ class SlamSpec:
     lost_fraction: float = 0.3  # a scan that pairs less of the features that should be in view is doubted …
     lost_scans: int = 5  # … and so many of them in a row have lost the robot
     min_expected: int = 3  # features that should be in view, without which no scan is doubted
-    crowded: float = 1.0  # fraction of features with a neighbour in the gate of an old one, above which it is ambiguous
     chance: float = 1.0  # of all pairings of a scan with old features being wrong, above which none is learned from
     repeat: tuple[float, float] | None = None  # [m] to drive or [rad] to turn until a feature is learned from again
 
@@ -67,8 +66,6 @@ class SlamSpec:
             raise ValueError(f"SlamSpec.reach: expected a finite length > 0 [m] or None, got {self.reach}")
         if self.new_confidence is not None and not 0.0 < self.new_confidence < 1.0:
             raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
-        if not 0.0 <= self.crowded <= 1.0:
-            raise ValueError(f"SlamSpec.crowded: {self.crowded} is not between 0 and 1")
         if not 0.0 <= self.chance <= 1.0:
             raise ValueError(f"SlamSpec.chance: {self.chance} is not between 0 and 1")
         if not 0.0 <= self.lost_fraction <= 1.0:
@@ -182,7 +179,7 @@ class Slam:
     def _nature(self, reach: float) -> Nature:
         """How `whole_step` is to be taken."""
         spec, ambiguous = self.spec, self._ambiguous if self._experience is None else math.inf
-        return spec.map.second_order, spec.locality, reach, ambiguous, spec.crowded, self._chance, *self._trust()
+        return spec.map.second_order, spec.locality, reach, ambiguous, self._chance, *self._trust()
 
     def _trust(self) -> tuple[float, bool]:
         """The fraction of the measurements that must be paired if a scan is to be learned from at once, or whether any

@@ -29,11 +29,10 @@ from slam_gym.validation import first_bad_measurement
 JCBB, NEAREST, SINGLES = range(3)  # forms of associators
 LEFT_ALONE, PREDICTED, ANSWERED = -3, -2, -1  # how far it came, where it did not learn; else an answer of `learn`
 
-Nature = tuple[bool, bool, float, float, float, float, float, bool]
+Nature = tuple[bool, bool, float, float, float, float, bool]
 """Second order predictions; localities on offer; reach [m]; others in the gate of an old feature from which that is not
-on offer, and fraction of features with a neighbour in it; chance of being wrong above which pairings with old features
-are held back; fraction of the measurements that must be paired if the scan is to be learned from at once; or whether
-any pairing will do."""
+on offer; chance of being wrong above which pairings with old features are held back; fraction of the measurements that
+must be paired if the scan is to be learned from at once; or whether any pairing will do."""
 
 
 @compiled
@@ -66,7 +65,7 @@ def whole_step(
         room: is told the prediction; `pose` (4,) the predicted one, and the variance of its heading.
         out: (m,) are told decisions, ids, and which measurements have started a feature.
     """
-    (n, step, next_id), (second_order, offered, _, _, _, chance, fraction, any_will_do) = numbers, nature
+    (n, step, next_id), (second_order, offered, _, _, chance, fraction, any_will_do) = numbers, nature
     (neighbours, _, degrees), (_, at, P, counted, _), (features, ids, new) = graph, arrays, out
     known, _, near, positions, covariances, _ = room
     points, noise = scan[0], scan[1]
@@ -115,9 +114,9 @@ def begin(
 
     `gate` is the χ² gate of a pairing; other arguments are those of `whole_step`.
     """
-    (n, step, _), (second_order, offered, reach, ambiguous, crowded, _, _, _) = numbers, nature
+    (n, step, _), (second_order, offered, reach, ambiguous, _, _, _) = numbers, nature
     (neighbours, _, degrees), (x, _, P, _, _) = graph, arrays
-    known, _, near, positions, covariances, _ = room
+    known, _, near, positions, _, _ = room
     m, local = len(scan[0]), neighbours if offered else neighbours[:0]
     yes = m >= 0  # what is called with literals is compiled for them once more
     _, fault = first_bad_measurement(scan[0], scan[1])
@@ -130,8 +129,7 @@ def begin(
     pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
     if ambiguous < math.inf:
         kept, worth = np.empty(k, np.int64), k * gate / (reach * reach)
-        limits = (worth, gate, ambiguous, crowded)
-        left = unambiguous(near[:k], positions[:k], covariances[:k], known[0, :k], arrays, limits, kept)
+        left = unambiguous(near[:k], positions[:k], known[0, :k], arrays, worth, ambiguous, kept)
         if left < k:
             keep_rows(room, kept[:left])
             k = left
