@@ -8,12 +8,9 @@ dropped one by one until the rest does.
 
 from __future__ import annotations
 
-import importlib
-import itertools
 import math
 import time
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
@@ -28,12 +25,14 @@ from slam_gym.association.relocation.answer import (
     offer,
     relocation,
 )
+from slam_gym.association.relocation.cliques import largest_cliques
 from slam_gym.association.relocation.constraints import Path, binary_test, difference_covariance, far_apart
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, UNARY, Problem, problem_of
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at
+_BRANCHES = 1_000_000  # of the search for cliques
 _LEAST_WEIGHT = 1e-100  # of some edge, without which no vector leads: squares of less vanish
 
 
@@ -54,24 +53,19 @@ def max_clique(
     confidence: float = 0.99,
     min_pairings: int | None = None,
     node_limit: int = 20_000,
-    library: str = "cliquematch",
 ) -> Relocation:
     """The largest cliques of the graph of consistent pairings; of those that are jointly compatible, the least D².
 
-    `library` finds them: "cliquematch" (MIT) or "igraph" (GPL), neither of them in the core. Where the graph has more
-    than `node_limit` nodes it is not built: nothing is found, and `effort.limit_hit` says so; likewise where there are
-    more than 256 largest cliques, of which the others are not looked at. Raises ImportError, naming the extra, where
-    the library is missing; ValueError as `gcbb` does, and for another library.
+    Where the graph has more than `node_limit` nodes it is not built: nothing is found, and `effort.limit_hit` says so;
+    likewise where there are more than 256 largest cliques, of which the others are not looked at, and where the search
+    for them takes a million branches. Raises ValueError as `gcbb` does.
     """
-    if library not in ("cliquematch", "igraph"):
-        raise ValueError(f"library: {library!r} is neither 'cliquematch' nor 'igraph'")
-    solver, start = _import(library), time.perf_counter()
-    problem = problem_of(scan, landmarks, locality, confidence)
+    start, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
     graph = _consistent(problem, node_limit)
-    cliques = list(itertools.islice(_largest_cliques(solver, library, graph), _CLIQUES + 1))
-    if len(cliques) > _CLIQUES:
+    cliques = largest_cliques(graph.edges, len(graph.features), len(scan), _CLIQUES, _BRANCHES)
+    if not cliques.complete:
         problem.effort[LIMIT] = 1
-    found = _decide(problem, graph, cliques[:_CLIQUES], confidence)
+    found = _decide(problem, graph, cliques.members, confidence)
     seconds = time.perf_counter() - start
     return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
@@ -99,30 +93,11 @@ def spectral(
     return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
 
-def _import(library: str) -> Any:
-    try:
-        return importlib.import_module(library)
-    except ImportError as error:
-        raise ImportError(f"max_clique needs {library}: pip install 'slam_gym[bench]'") from error
-
-
-def _largest_cliques(solver: Any, library: str, graph: _Graph) -> Iterable[list[int]]:
-    if not len(graph.edges):
-        return []
-    if library == "igraph":
-        cliques: Iterable[list[int]] = solver.Graph(len(graph.features), graph.edges.tolist()).largest_cliques()
-        return cliques
-    # cliquematch counts vertices from 1
-    found = solver.Graph.from_edgelist((graph.edges + 1).astype(np.uint32), len(graph.features))
-    largest = len(found.get_max_clique())
-    return ([int(node) - 1 for node in clique] for clique in found.all_cliques(size=largest))
-
-
-def _leading_cluster(graph: _Graph) -> list[list[int]]:
-    """One hypothesis from the leading eigenvector, or none."""
+def _leading_cluster(graph: _Graph) -> IntArray:
+    """One hypothesis from the leading eigenvector (1, k), or none (0, 0)."""
     v, (a, b) = len(graph.features), graph.edges.T
     if graph.weights.max(initial=0.0) < _LEAST_WEIGHT:
-        return []
+        return np.empty((0, 0), np.int64)
     affinity: csr_array = coo_array((graph.weights, (a, b)), shape=(v, v)).tocsr()
     affinity = affinity + affinity.T
     agreement = np.abs(eigsh(affinity, k=1, which="LA", v0=np.ones(v))[1][:, 0]) if v > 2 else np.ones(v)
@@ -133,15 +108,14 @@ def _leading_cluster(graph: _Graph) -> list[list[int]]:
         neighbours = np.zeros(v, np.bool_)
         neighbours[affinity.indices[affinity.indptr[node] : affinity.indptr[node + 1]]] = True
         alive &= neighbours
-    return [cluster]
+    return np.array([cluster])
 
 
-def _decide(problem: Problem, graph: _Graph, cliques: list[list[int]], confidence: float) -> Found:
-    """The best of the cliques that are jointly compatible, or of what is left of them."""
-    members = np.array([node for clique in cliques for node in sorted(clique)], np.int64)
-    ends = np.cumsum([0, *map(len, cliques)]).astype(np.int64)
+def _decide(problem: Problem, graph: _Graph, cliques: IntArray, confidence: float) -> Found:
+    """The best of the cliques (c, k) that are jointly compatible, or of what is left of them."""
+    members = np.sort(cliques, axis=1)
     pairings = Path(graph.measurements[members], graph.features[members])
-    return _best_of(problem, pairings, ends, location_gates(len(problem.where.allowed), confidence))
+    return _best_of(problem, pairings, location_gates(len(problem.where.allowed), confidence))
 
 
 @compiled
@@ -195,25 +169,20 @@ def _consistent(problem: Problem, node_limit: int) -> _Graph:
 
 
 @compiled
-def _best_of(problem: Problem, pairings: Path, ends: IntArray, gates: Array) -> Found:
-    """The best of the hypotheses ends[c] … ends[c + 1] of `pairings`; where none holds, of what they shrink to."""
+def _best_of(problem: Problem, pairings: Path, gates: Array) -> Found:
+    """The best of the hypotheses, one a row of `pairings`; where none holds, of what they shrink to."""
     best, holds = nothing_found(len(problem.where.allowed)), False
-    for c in range(len(ends) - 1):
+    for c in range(len(pairings.features)):
         problem.effort[LEAVES] += 1
-        path = _part(pairings, ends[c], ends[c + 1])
+        path = Path(pairings.measurements[c].copy(), pairings.features[c].copy())
         holds = offer(best, problem, path, len(path.features), gates) or holds
-    for c in range(len(ends) - 1 if not holds else 0):
-        path = _part(pairings, ends[c], ends[c + 1])
+    for c in range(len(pairings.features) if not holds else 0):
+        path = Path(pairings.measurements[c].copy(), pairings.features[c].copy())
         while len(path.features) > 2 and not offer(best, problem, path, len(path.features), gates):
             path = _without_the_worst(problem, path)
         if len(path.features) == 2:
             offer(best, problem, path, 2, gates)
     return decide(best, gates[len(gates) - 1])
-
-
-@compiled
-def _part(pairings: Path, begin: int, end: int) -> Path:
-    return Path(pairings.measurements[begin:end].copy(), pairings.features[begin:end].copy())
 
 
 @compiled

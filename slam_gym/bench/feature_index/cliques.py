@@ -60,16 +60,8 @@ def igraph_clique(edges: IntArray, vertices: int) -> Timed[list[int]]:
     return Timed(list(found[0]), microseconds)
 
 
-def cliquematch_clique(edges: IntArray, vertices: int) -> Timed[list[int]]:
-    """cliquematch's get_max_clique, on a graph already built."""
-    edges = np.ascontiguousarray(edges + 1, np.uint64)
-    graph = importlib.import_module("cliquematch").Graph.from_edgelist(edges, vertices)
-    found, microseconds = timed(graph.get_max_clique, clock=PROCESS)
-    return Timed([int(v) - 1 for v in found], microseconds)
-
-
 Clique = Callable[[IntArray, int], Timed[list[int]]]
-PEERS: dict[str, Clique] = {"igraph": igraph_clique, "cliquematch": cliquematch_clique}
+PEERS: dict[str, Clique] = {"igraph": igraph_clique}
 
 
 def installed() -> list[str]:
