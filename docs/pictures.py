@@ -192,7 +192,7 @@ def drift() -> None:
     kinds = {
         "nearest neighbour": {"associator": "nearest_neighbour", "relocation": None},
         "JCBB": {"associator": "jcbb", "relocation": None},
-        "by marginals, found again when lost": {"associator": "marginal"},
+        "learned, found again when lost (the default)": {},
         "true association": {"associator": "true_association", "relocation": None},
     }
     _, axes = plt.subplots(2, 2, figsize=(10.5, 6.8), layout="constrained", sharex=True, sharey=True)

@@ -18,7 +18,7 @@ from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import Array
 
-PALETTE = ("#8a97a6", "#e08e45", "#3f9b7b", "#2f6db5", "#b04a8b", "#c6a02c", "#6554a4", "#a4503e")
+PALETTE = ("#8a97a6", "#e08e45", "#3f9b7b", "#2f6db5", "#b04a8b", "#c6a02c", "#6554a4", "#a4503e", "#4fb3bf")
 INK = "#1c2733"
 WIDTH, DPI = 10.4, 160  # [inches] of a figure
 MARKERS = "osD^vP*X"
