@@ -17,6 +17,7 @@ from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.pipeline import Execution
 from agents.evaluation.records import stem
+from slam_gym.association import ADVISERS
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
 from slam_gym.slam.relocation import SEARCH
@@ -105,8 +106,8 @@ def add_associate_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--order", default=default.order, help="of the measurements (default: %(default)s)")
     group.add_argument("--compatibility", default=default.compatibility, help="joint or individual")
     group.add_argument("--wrong-cost", type=float, default=default.wrong_cost, metavar="C", help="default: %(default)s")
-    group.add_argument("--marginals", action="store_true", help="the observation has the marginals of the branches; a "
-                       "network starts from them")  # fmt: skip
+    group.add_argument("--marginals", choices=ADVISERS, help="the observation tells what this associator's "
+                       "posterior says of each branch; a network starts from it")  # fmt: skip
 
 
 def associate_arguments(a: argparse.Namespace, split: str) -> AssociateArguments:

@@ -49,7 +49,8 @@ def train_as_asked(
 ) -> Path:
     """Train as the options above say; the path of the model. ValueError where they do not make sense, or `--out` holds
     a training already."""
-    hyper = load_hyperparameters(decision, a.hyperparameters)
+    advised = getattr(arguments, "marginals", None) is not None
+    hyper = load_hyperparameters("advised" if advised else decision, a.hyperparameters)
     require_positive(a, "timesteps", "envs", "eval_every")
     if a.envs is not None:
         hyper = replace(hyper, envs=a.envs)

@@ -4,13 +4,12 @@ Every choice passes through the same weights, together with the situation and a 
 Zaheer et al. 2017). So a permutation of the choices permutes their scores, and their number K may change after
 training.
 
-Who is told the marginals of the branches starts from them: a fresh network decides as the associator `marginal` does,
-and what is learned is added to its log-odds.
+Who is told the marginals of the branches starts from them: a fresh network decides as the associator does whose they
+are, and what is learned is added to its log-odds.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -24,8 +23,8 @@ from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, ODDS_SCA
 from slam_gym.envs.goal_observation import GOAL_FIELDS
 
 LEGAL = GOAL_FIELDS.index("legal")  # as in CANDIDATE_FIELDS
+FARTHEST = 1.0  # log-odds that a policy which starts from a posterior may add to it
 _CONTEXT = ("measurement", "pairings", "path")
-_REFUSAL = math.log(10.0)  # log-odds of a pairing from which it is worth the risk that a wrong one costs ten right ones
 
 
 class SituationEncoder(BaseFeaturesExtractor):
@@ -120,8 +119,8 @@ class Scorer(nn.Module):
 class BranchScorer(Scorer):
     """The same for branches (B, K + 1): `*`, the last, has a score of its own from situation and summary.
 
-    Where the marginals are `told`, scores are added to the log-odds of the pairings, and to those at which one is worth
-    its risk for `*`.
+    Where the marginals are `told`, scores are added to the log-odds by which each pairing is worth its risk, and to 0
+    for `*`.
     """
 
     def __init__(self, width: int, choices: int, hidden: int, told: bool = False) -> None:
@@ -135,14 +134,18 @@ class BranchScorer(Scorer):
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         features, odds = self._apart(features)
         scores, latent = super().forward(features)
-        return scores + odds, latent
+        return self._added(odds, scores), latent
 
     def forward_actor(self, features: Tensor) -> Tensor:
         features, odds = self._apart(features)
-        return super().forward_actor(features) + odds
+        return self._added(odds, super().forward_actor(features))
 
     def forward_critic(self, features: Tensor) -> Tensor:
         return super().forward_critic(self._apart(features)[0])
+
+    def _added(self, odds: Tensor, scores: Tensor) -> Tensor:
+        """What is learned moves no log-odds farther than `FARTHEST` from where they started."""
+        return odds + FARTHEST * torch.tanh(scores / FARTHEST) if self.told else scores
 
     def _apart(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """The vector without the marginals, and the log-odds (B, K + 1) to start from: 0 where nothing is told."""
@@ -151,7 +154,7 @@ class BranchScorer(Scorer):
         candidates = (features.shape[1] - self.width - 1) // (self.fields + 1)
         features, squashed = features.tensor_split([self.width + candidates * self.fields], dim=1)
         odds = ODDS_SCALE * squashed / (1.0 - squashed.abs()).clamp(min=1e-3)
-        return features, torch.cat([odds[:, :-1], torch.full_like(odds[:, -1:], _REFUSAL)], dim=1)
+        return features, torch.cat([odds[:, :-1], torch.zeros_like(odds[:, -1:])], dim=1)
 
     def _scores(self, situation: Tensor, embedded: Tensor, summary: Tensor) -> Tensor:
         refusal = self.refuse(torch.cat([situation, summary], dim=1))
@@ -185,6 +188,11 @@ class ScoringPolicy(MaskableMultiInputActorCriticPolicy):
     def scores(self, observations: dict[str, Tensor]) -> Tensor:
         """Logits of all choices, legal or not: (B, K) goals, or (B, K + 1) branches; K is that of the observations."""
         return self.mlp_extractor.forward_actor(self.extract_features(observations))
+
+    def may_move(self, free: bool) -> None:
+        """Whether training changes the scores, or only what the critic says of them."""
+        for head in self.mlp_extractor.heads():
+            head.requires_grad_(free)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return super()._get_constructor_parameters() | {"width": self._width, "hidden": self._hidden}

@@ -17,6 +17,7 @@ from agents.drivers.base import ActionKind, Info, legal_goals
 from agents.drivers.base import Observation as ExploreObservation
 from agents.learning.model_file import UNREADABLE, load_policy
 from agents.learning.networks import GoalPolicy
+from slam_gym.association import ADVISERS
 from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.policy import from_policy
 from slam_gym.types import Associator, BoolArray
@@ -107,7 +108,8 @@ def load_associator(path: Path | str) -> Associator:
     names = ("candidates", "order", "compatibility")
     try:
         arguments = {name: spec.training[name] for name in names}
-        told = "marginals" in spec.observation
-        return from_policy(BestBranch(for_decisions(network)), marginals=told, **arguments)
+        told = spec.training["marginals"]
+        adviser = None if told is None else ADVISERS[told]
+        return from_policy(BestBranch(for_decisions(network)), marginals=adviser, **arguments)
     except (KeyError, ValueError, TypeError) as error:
         raise ValueError(f"model {path}: training: {error} is missing or wrong") from None

@@ -7,6 +7,7 @@ goes on), progress.csv, and TensorBoard logs.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,7 @@ from agents.evaluation.records import Record, plain, versions
 from agents.learning.distributed import RayCollection
 from agents.learning.many_worlds import WorldsForLearning
 from agents.learning.model_file import ModelSpec, read_model, save_model
+from agents.learning.networks import ScoringPolicy
 from agents.learning.policies import BestBranch, PolicyAgent
 from agents.learning.ppo import Decision, Hyperparameters, make_algorithm
 from agents.learning.training_state import restore_state, state_of
@@ -67,6 +69,11 @@ class TrainingPlan:
     command: str = ""  # as it was typed
     workers: int | None = None  # processes that step the worlds; None: as many as there are cores
     backend: Backend = "local"
+
+    def decisions_from(self, start: int) -> int:
+        """How many it comes to that begins with `start`: rollouts are taken whole."""
+        rollout = self.hyperparameters.steps * self.hyperparameters.envs
+        return start + math.ceil(max(self.timesteps - start, 0) / rollout) * rollout
 
 
 def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
@@ -119,13 +126,17 @@ class Watch(BaseCallback):
         self.evaluated = -1  # decisions so far at the last evaluation
 
     def _on_training_start(self) -> None:
-        self._progress.update(self._bar, total=self.model._total_timesteps)
+        self._progress.update(self._bar, total=self._plan.decisions_from(self.model.num_timesteps))
+        if self._plan.hyperparameters.critic_first and not self.model.num_timesteps:
+            self.evaluate()  # where it starts from is to be beaten
 
     def _on_step(self) -> bool:
         self._progress.update(self._bar, completed=self.num_timesteps)
         return True
 
     def _on_rollout_start(self) -> None:
+        if isinstance(self.model.policy, ScoringPolicy):
+            self.model.policy.may_move(self.num_timesteps >= self._plan.hyperparameters.critic_first)
         self.keep()  # what the last rollout taught is in the weights: a training that is killed loses no more than one
 
     def _on_rollout_end(self) -> None:

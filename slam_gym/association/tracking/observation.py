@@ -67,7 +67,6 @@ PAIRINGS = 8
 POSITION_SCALE, SIGMA_SCALE, INNOVATION_SCALE, SIZE_SCALE = 6.0, 0.1, 0.3, 1.0  # [m]
 AGE_SCALE = 50.0  # [steps]
 COUNT_SCALE, FEW_SCALE, ODDS_SCALE = 10.0, 3.0, 3.0
-_IMPOSSIBLE = 1e-9
 
 _ALL_LOCAL = np.empty((0, 0), np.bool_)
 _SEEN = -1  # in place of a level
@@ -131,10 +130,8 @@ def nothing(candidates: int, *, marginals: bool = False) -> Observation:
     return {name: np.zeros(length, np.float32) for name, length in lengths(candidates, marginals=marginals).items()}
 
 
-def odds(probabilities: Array) -> Float32Array:
-    """`marginals`: the log-odds of each action, squashed: below −.87 for what is impossible, 0 for ½."""
-    p = np.clip(probabilities, _IMPOSSIBLE, 1.0 - _IMPOSSIBLE)
-    log_odds = np.log(p / (1.0 - p))
+def squashed_odds(log_odds: Array) -> Float32Array:
+    """`marginals`: what is advised of each action (`Advice`), squashed; above 0 for what is worth its risk."""
     return (log_odds / (np.abs(log_odds) + ODDS_SCALE)).astype(np.float32)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from slam_gym.association.tracking.advice import Adviser
 from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.types import Associator, BoolArray, Hypothesis, Prediction, Scan
@@ -19,7 +20,7 @@ def from_policy(
     candidates: int = 5,
     order: Order = "as_scanned",
     compatibility: Compatibility = "joint",
-    marginals: bool = False,
+    marginals: Adviser | None = None,
 ) -> Associator:
     """The associator that walks the tree by `policy`, with the arguments of `Walk`. It pickles if the policy does.
 
@@ -40,7 +41,7 @@ class _PolicyAssociator:
     candidates: int
     order: Order
     compatibility: Compatibility
-    marginals: bool
+    marginals: Adviser | None
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
         walk = Walk(

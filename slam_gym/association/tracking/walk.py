@@ -9,16 +9,17 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym.association.compatibility import Candidates, individual
-from slam_gym.association.tracking.marginals import marginals as marginals_of
+from slam_gym.association.tracking.advice import NEVER, Adviser
 from slam_gym.association.tracking.observation import (
     Choice,
     Observation,
     Surroundings,
     encode,
     nothing,
-    odds,
+    squashed_odds,
     surroundings_of,
 )
+from slam_gym.association.tracking.scan_hypotheses import candidate_gate
 from slam_gym.association.tree import (
     add_pairing,
     added_by,
@@ -52,7 +53,8 @@ class Walk:
         candidates: K.
         order: see `Order`.
         compatibility: see `Compatibility`.
-        marginals: the observation tells how probable each action is, by all hypotheses of a search (`marginals`).
+        marginals: who advises (`Advice`): the observation has `marginals`, and what is left unpaired starts a feature
+            where that is advised. Candidates are then taken from the posterior's wider gate (`candidate_gate`).
 
     Raises ValueError as `individual` does, and for arguments that are none of the known ones.
     """
@@ -65,10 +67,12 @@ class Walk:
         candidates: int = 5,
         order: Order = "as_scanned",
         compatibility: Compatibility = "joint",
-        marginals: bool = False,
+        marginals: Adviser | None = None,
     ) -> None:
         check_arguments(candidates, order, compatibility)
-        self._marginals = marginals_of(scan, prediction) if marginals else None
+        self._advice = None if marginals is None else marginals(scan, prediction)
+        if self._advice is not None:  # all that the posterior speaks of is on offer
+            prediction = replace(prediction, confidence=candidate_gate(prediction.confidence))
         self.K, self.joint = candidates, compatibility == "joint"
         self.candidates = _in_order(scan, prediction, order)
         self.tree = interpretation_tree(scan, prediction, self.candidates)
@@ -135,7 +139,7 @@ class Walk:
     def observation(self) -> Observation:
         """What a policy decides on: flat float32 vectors in [−1, 1], see `observation`. Fresh arrays; 0 at a leaf."""
         if self.done:
-            return nothing(self.K, marginals=self._marginals is not None)
+            return nothing(self.K, marginals=self._advice is not None)
         if self._surroundings is None:
             self._surroundings = surroundings_of(self.tree)
         starts, level = self.candidates.starts, self.level
@@ -143,26 +147,19 @@ class Walk:
         compatible = later - int(starts[level])
         choice = Choice(level, self.tree.levels, self.K, self.offered, self.hidden, compatible, later)
         observation = encode(self.tree, self.node, self._surroundings, choice)
-        return observation if self._marginals is None else observation | {"marginals": odds(self.marginals())}
+        return observation if self._advice is None else observation | {"marginals": squashed_odds(self.advised())}
 
-    def marginals(self) -> Array:
-        """(K + 1,) probability of each action, given the decisions so far; 0 where there is none on offer.
+    def advised(self) -> Array:
+        """(K + 1,) log-odds by which each action is worth its risk, of `*` those by which the measurement starts a
+        feature; `NEVER` where there is no such action.
 
-        Where no hypothesis agrees with those decisions, of the hypotheses as they are. Raises ValueError at a leaf, and
-        for a walk without marginals.
+        Raises ValueError at a leaf, and for a walk that nobody advises.
         """
-        if self._marginals is None:
-            raise ValueError("marginals: a walk without them was asked for")
-        hypotheses, weights = self._marginals.hypotheses, self._marginals.weights
-        earlier = self.candidates.measurements[: self.level]
-        agree = weights * (hypotheses[:, earlier] == self.decided[earlier]).all(axis=1)
-        weights = agree if agree.any() else weights
-        own = hypotheses[:, self.measurement]
-        out = np.zeros(self.K + 1)
-        for action, row in enumerate(self.rows.tolist()):
-            out[action] = weights[own == row].sum()
-        out[self.K] = weights[own == UNPAIRED].sum()
-        out /= weights.sum()
+        if self._advice is None:
+            raise ValueError("advised: a walk without marginals was asked for")
+        out = np.full(self.K + 1, NEVER)
+        out[: len(self.offered)] = self._advice.pairings[self.measurement, self.rows]
+        out[self.K] = self._advice.new[self.measurement]
         return out
 
     def take(self, action: int) -> None:
@@ -180,7 +177,10 @@ class Walk:
         """The answer that the path amounts to, with `*` for what is undecided."""
         effort = Effort(self.level, self.candidates.tests, self._tests)
         answer = hypothesis(self.tree, self.node, effort, exclusive=self.joint)
-        return answer if self._marginals is None else replace(answer, experience=self._marginals.experience)
+        if self._advice is None:
+            return answer
+        new = (answer.features == UNPAIRED) & (self._advice.new > 0.0)
+        return replace(answer, new=new, experience=self._advice.experience)
 
     def _proceed(self) -> None:
         """On to the next level with a choice; `*` alone is played."""

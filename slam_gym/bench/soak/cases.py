@@ -141,7 +141,7 @@ def _explore(rng: np.random.Generator) -> dict[str, Any]:
         "reward": _any(rng, "map_error", "a_opt", "d_opt", "entropy"),
         "locality": _any(rng, None, "covisibility"),
         "relocation": relocation,
-        "atlas": relocation is not None and bool(rng.integers(2)),
+        "atlas": relocation is not None and _any(rng, None, "marginal", "learned"),
     }
 
 
@@ -151,7 +151,7 @@ def _associate(rng: np.random.Generator) -> dict[str, Any]:
         "candidates": int(rng.integers(1, 9)),
         "compatibility": _any(rng, "joint", "individual"),
         "order": _any(rng, "as_scanned", "nearest_first", "fewest_candidates"),
-        "marginals": bool(rng.integers(2)),
+        "marginals": _any(rng, None, "marginal", "learned"),
         "driver": _any(rng, "nearest_frontier", "random"),
     }
 

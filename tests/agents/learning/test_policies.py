@@ -69,12 +69,12 @@ def test_a_model_file_gives_back_the_same_driver(tmp_path, action):
 ARGUMENTS = AssociateArguments("corridor", candidates=3, order="fewest_candidates")
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["from nothing", "from the marginals"])
+@pytest.fixture(scope="module", params=[None, "marginal", "learned"])
 def branch_model(request, tmp_path_factory):
     """The file of an associator that has not learned anything, but has opinions."""
     torch.manual_seed(0)
     path, hyper = tmp_path_factory.mktemp("branch") / "model.pt", load_hyperparameters("branch")
-    observation = {name: [n] for name, n in (lengths(3, marginals=request.param) | {"budget": 1}).items()}
+    observation = {name: [n] for name, n in (lengths(3, marginals=request.param is not None) | {"budget": 1}).items()}
     told = replace(ARGUMENTS, marginals=request.param)
     spec = ModelSpec("branch", observation, 4, vars(hyper).copy(), told.plain)
     policy = build_policy(spec)
@@ -84,9 +84,13 @@ def branch_model(request, tmp_path_factory):
     return path
 
 
+def told_by(path):
+    return read_model(path)[0].training["marginals"]
+
+
 def test_a_model_is_an_associator_that_decides_as_in_the_environment(branch_model):
     associate = load_associator(branch_model)
-    env = replace(ARGUMENTS, marginals=associate.marginals).make().unwrapped
+    env = replace(ARGUMENTS, marginals=told_by(branch_model)).make().unwrapped
     observation, info = env.reset(seed=0)
     over, look = False, 0
     while not over:
@@ -103,7 +107,7 @@ def test_a_model_is_an_associator_that_decides_as_in_the_environment(branch_mode
 
 def test_episodes_of_a_policy_are_reproduced(branch_model):
     associate = load_associator(branch_model)
-    env = replace(ARGUMENTS, marginals=associate.marginals).make()
+    env = replace(ARGUMENTS, marginals=told_by(branch_model)).make()
     one, other = (associate_episode(env, associate.policy, 4) for _ in range(2))
     assert one == other
     assert one["decisions"] > 100

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb, nearest_neighbour, singles
-from slam_gym.association.tracking.marginals import marginals
+from slam_gym.association.tracking.advice import NEVER, advice
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.association.tracking.walk import COMPATIBILITIES, ORDERS, Walk
 from slam_gym.association.tree import branches, extend, root
@@ -145,24 +145,19 @@ def test_bad_arguments_are_refused_by_name(options, message):
         from_policy(greedy, **options)
 
 
-def test_a_walk_tells_how_probable_its_actions_are_given_its_decisions():
-    """By the rule of Bayes: whoever draws every decision from them draws hypotheses by their weight."""
+def test_a_walk_shows_what_is_advised_of_each_action():
+    """Of the candidates on offer in their order, and of `*`; squashed, in the observation."""
     for scan, prediction in problems(10):
-        walk = Walk(scan, prediction, candidates=9, compatibility="individual", marginals=True)
-        found, agree = marginals(scan, prediction), 1.0
+        walk, told = Walk(scan, prediction, candidates=3, marginals=advice), advice(scan, prediction)
         while not walk.done:
-            told, seen = walk.marginals(), walk.observation()["marginals"]
-            assert told.sum() <= 1.0 + 1e-9 and (np.diff(seen[np.argsort(told)]) >= 0.0).all()
-            action = int(np.argmax(np.where(walk.mask, told, -1.0)))
-            agree *= told[action]
-            walk.take(action)
-        earlier = walk.hypothesis()
-        rows = walk.decided
-        assert agree == pytest.approx(found.weights[(found.hypotheses == rows).all(axis=1)].sum(), abs=1e-3)
-        assert earlier.experience.unpaired == found.experience.unpaired
+            out, seen = walk.advised(), walk.observation()["marginals"]
+            assert out[: len(walk.rows)].tolist() == told.pairings[walk.measurement, walk.rows].tolist()
+            assert (out[len(walk.rows) : 3] == NEVER).all() and out[3] == told.new[walk.measurement]
+            np.testing.assert_allclose(seen, out / (np.abs(out) + 3.0), rtol=1e-6)
+            walk.take(int(np.argmax(np.where(walk.mask, out, -np.inf))))
         assert not walk.observation()["marginals"].any()
 
 
-def test_marginals_that_were_not_asked_for_are_refused():
-    with pytest.raises(ValueError, match="without them"):
-        Walk(*next(problems(1)), candidates=9).marginals()
+def test_advice_that_was_not_asked_for_is_refused():
+    with pytest.raises(ValueError, match="without marginals"):
+        Walk(*next(problems(1)), candidates=9).advised()
