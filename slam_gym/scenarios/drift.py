@@ -1,7 +1,8 @@
 """Scenarios in which drift counts: between two looks the robot loses so much of its heading that association decides.
 
 At ten scans a second, with wheels that are good, every associator makes the same map. These wheels are worse, the other
-scenarios' by three (level 1) to ten (level 3), and the budgets end where drivers still differ.
+scenarios' by three (level 1) to ten (level 3), and the budgets end where drivers still differ;
+that of `patrol` ends long after all has been explored.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ CROWDED: _Crowd = {
 
 _FEW_AND_BAD = SensorSpec(range=3.5, detection=0.7, clutter=1.0, range_sigma=0.05, bearing_sigma=0.03)
 _SHORT_SIGHT = SensorSpec(range=4.0)
+_ROUGH = SensorSpec(range=4.0, range_sigma=0.1, bearing_sigma=0.02)
 _HALL_SENSOR = SensorSpec(range_sigma=0.04, bearing_sigma=0.015)
 
 DRIFTING: tuple[Scenario, ...] = (
@@ -100,5 +102,13 @@ DRIFTING: tuple[Scenario, ...] = (
         odometry=DRIFT[1],
         associator="learned",
         sensor=_SHORT_SIGHT,
+    ),
+    Scenario(
+        "patrol",  # a small office, known at half time: who goes back over it has the better map
+        OfficeGenerator(rooms=6),
+        budget=1_500,
+        odometry=DRIFT[1],
+        associator="learned",
+        sensor=_ROUGH,
     ),
 )

@@ -13,7 +13,8 @@ from slam_gym.world.sensor import OdometrySpec, Sensor
 
 def test_they_are_known_by_name() -> None:
     assert [scenario.name for scenario in DRIFTING] == [
-        "drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift", "sparse", "loop"
+        "drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift", "sparse", "loop",
+        "patrol",
     ]  # fmt: skip
     assert all(SCENARIOS[scenario.name] is scenario for scenario in DRIFTING)
 
