@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slam_gym.types._arguments import Array, BoolArray, IntArray
+from slam_gym.types._records import quick
 from slam_gym.types.expected import Experience, Prediction
 from slam_gym.types.mapped import Landmarks, Locality
 from slam_gym.types.measured import Scan
@@ -19,6 +20,7 @@ NO_ID = -1
 """In `SlamStep.ids`: the measurement was discarded."""
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Effort:
     """What a search spent."""
@@ -35,6 +37,7 @@ class Effort:
     orientation_tests: int = 0  # triples of pairings tested for their sense
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Posterior:
     """How probable a hypothesis is, among those that the search came across."""
@@ -47,6 +50,7 @@ class Posterior:
     unpaired: Array | None = None  # (m,) probability that each measurement is of nothing in the map; None: likewise
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
     """A path of the interpretation tree: one decision per measurement."""
@@ -101,6 +105,7 @@ Relocator = Callable[[Scan, Landmarks, Locality | None], Relocation]
 """Whatever finds the robot in a map without a prior. Locality None: all features are local to all."""
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class SlamStep:
     """What one SLAM step decided, in terms that outlive it.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_gym.types._arguments import Array, BoolArray, IntArray, floats, kinds_of, points_of, sizes_of
+from slam_gym.types._records import quick
 
 View = Callable[[Array, Array], Array]
 """From positions (k, 2) [m] in R and covariances (k, 2, 2) to the probability (k,) that the sensor has each in view."""
@@ -25,6 +26,7 @@ class Experience:
     detections: Array  # (d,) log weights of the values that P_D may have
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Prediction:
     """What the stochastic map expects to measure from the predicted pose: the features in reach, one a row.

@@ -17,6 +17,7 @@ from slam_gym.types._arguments import (
     points_of,
     sizes_of,
 )
+from slam_gym.types._records import quick
 
 _LEFT_OUT: IntArray = np.empty(0, np.int64)
 
@@ -46,6 +47,7 @@ class Odometry:
         return cls(moved, np.diag(np.broadcast_to(sigma, (3,)) ** 2))
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Scan:
     """Point features seen at one instant. Cartesian in R; angles are the sensor's business only."""
