@@ -121,7 +121,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         space; nothing has changed then. Where the step itself fails, as when an associator raises, the episode ends
         with the error: every further step raises RuntimeError, and `snapshot` is that of before the step.
         """
-        history = self._started(self._snapshot)
+        history = self._snapshot if self._snapshot is not None else self._started(self._snapshot)
         if self._failed:
             raise RuntimeError("the last step failed half-way: call reset(), or restore(snapshot()) to go back")
         if self._over:
@@ -270,7 +270,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     def _changed(self) -> None:
         """Show the present state to whoever watches."""
-        if self._replaying:
+        if self._replaying or not (self._watchers or self.render_mode):
             return
         for callback in self._watchers:
             callback(self)

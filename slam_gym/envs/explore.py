@@ -28,8 +28,6 @@ from slam_gym.slam.relocation import SEARCH, LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Associator, Relocator
 from slam_gym.validation import one_of
 
-_DECISIONS = 5  # the first counts of a tally: right pairings, wrong ones of three kinds, and missed ones
-
 
 class ExploreEnv(BaseEnv):
     """Explore an unknown building with a robot whose SLAM depends on where it goes.
@@ -119,19 +117,18 @@ class ExploreEnv(BaseEnv):
         goal_shape = (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
         self.observation_space = observation_space(self.measurements, goal_shape)
         self.action_space = spaces.Discrete(SLOTS) if self.goal_mode else spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._episode: Episode | None = None
 
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     @property
     def episode(self) -> Episode:
         """The running episode. Raises RuntimeError before the first reset."""
-        return self._started(self._episode)
+        return self._started(getattr(self, "_episode", None))
 
     @property
     def goals(self) -> Goals:
         """The goals on offer. Raises RuntimeError in twist mode, where there are none, and before the first reset."""
-        self._started(self._episode)
+        self._started(getattr(self, "_episode", None))
         if not self.goal_mode:
             raise RuntimeError("there are goals in goal mode only")
         return self._goals
@@ -172,7 +169,7 @@ class ExploreEnv(BaseEnv):
         return observation
 
     def _act(self, action: Any) -> float:
-        episode = self.episode
+        episode = self._episode
         self._begin_step()
         if self.goal_mode:
             slot = action if self._goals.legal[action] else goals_module.LOOK
@@ -193,7 +190,7 @@ class ExploreEnv(BaseEnv):
 
     @property
     def _over(self) -> bool:
-        return self.episode.over
+        return self._episode.over
 
     def _picture(self) -> Any:
         from slam_gym.rendering import explore_view
@@ -205,23 +202,24 @@ class ExploreEnv(BaseEnv):
         if self.goal_mode:
             return super()._checked(action)
         if getattr(action, "shape", None) == (2,) or np.shape(action) == (2,):
-            forward, turn = float(action[0]), float(action[1])
+            first, second = action.tolist() if isinstance(action, np.ndarray) else action
+            forward, turn = float(first), float(second)
             if -1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0:
                 return forward, turn
         raise ValueError(f"action {action!r}: expected two fractions (forward, turn) in [−1, 1]")
 
     def _begin_step(self) -> None:
-        self._counts_before = self.episode.identities.counts
-        self._ticks_before = max(self.episode.ticks, 0)
+        self._decided_before = self._episode.identities.decided
+        self._ticks_before = max(self._episode.ticks, 0)
 
     def _after_tick(self) -> None:
         if self.goal_mode:
-            self._places.pass_by(self.episode.estimates[-1][:2])
+            self._places.pass_by(self._episode.estimates[-1][:2])
         self._changed()
 
     def _observe(self) -> Observation:
-        episode = self.episode
-        slam_map, expected = episode.slam.map, episode.last_step.prediction
+        episode = self._episode
+        slam_map, expected = episode.slam.map, episode.last_step.expected
         left = 1.0 - episode.ticks / self.scenario.budget
         observation: Observation = observe(episode.scan, expected, slam_map, episode.grid, self.measurements, left)
         if self.goal_mode:
@@ -230,8 +228,8 @@ class ExploreEnv(BaseEnv):
         return observation
 
     def _info(self) -> Info:
-        episode = self.episode
-        right, *wrong, missed = (episode.identities.counts - self._counts_before)[:_DECISIONS].tolist()
+        episode = self._episode
+        right, *wrong, missed = [now - before for now, before in zip(episode.identities.decided, self._decided_before)]
         sources, truth = np.empty(self.measurements, np.int64), episode.truth
         sources.fill(SPURIOUS)
         sources[: len(truth.sources)] = truth.sources

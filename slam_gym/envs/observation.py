@@ -14,7 +14,7 @@ from slam_gym._compile import compiled
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import Blocks, Cells, draw_egocentric
-from slam_gym.types import Array, Prediction, Scan
+from slam_gym.types import Array, Expectation, Scan
 
 Float32Array = NDArray[np.float32]
 
@@ -64,7 +64,7 @@ _Points = tuple[Array, Array, Array]  # points (k, 2), their covariances (k, 2, 
 
 
 def observe(
-    scan: Scan, prediction: Prediction, slam_map: StochasticMap, grid: ExploredGrid, measurements: int, left: float
+    scan: Scan, expected: Expectation, slam_map: StochasticMap, grid: ExploredGrid, measurements: int, left: float
 ) -> dict[str, Any]:
     """All that does not depend on the kind of action, for scans of at most so many `measurements`, the fraction `left`
     of the budget among it.
@@ -72,17 +72,17 @@ def observe(
     Measurements, and map features where they were expected before the scan, in the robot frame; standard deviations of
     the pose; free space, walls and feature density around the robot, heading up.
     """
-    seen, expected = np.zeros(7 * measurements, np.float32), np.zeros(7 * FEATURES, np.float32)
+    seen, foreseen = np.zeros(7 * measurements, np.float32), np.zeros(7 * FEATURES, np.float32)
     uncertainty, image = np.empty(3, np.float32), np.empty((3, PIXELS, PIXELS), np.uint8)
     budget = np.empty(1, np.float32)
     budget[0] = left
     x, _, P, _, _ = slam_map.arrays
     _observe(
         (scan.points, scan.covariances, scan.sizes),
-        (prediction.positions, prediction.covariances, prediction.sizes),
-        x, P, slam_map.n, *grid.drawn, seen, expected, uncertainty, image,
+        (expected.positions, expected.covariances, expected.sizes),
+        x, P, slam_map.n, *grid.drawn, seen, foreseen, uncertainty, image,
     )  # fmt: skip
-    return {"scan": seen, "features": expected, "uncertainty": uncertainty, "image": image, "budget": budget}
+    return {"scan": seen, "features": foreseen, "uncertainty": uncertainty, "image": image, "budget": budget}
 
 
 @compiled

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.mapping import ekf, measurement
-from slam_gym.mapping.covisibility import mark_local
+from slam_gym.mapping.covisibility import CovisibilityGraph, mark_local
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.map_spec import MapSpec
 from slam_gym.types import Array, BoolArray, Experience, IntArray, Prediction, View
@@ -89,7 +89,7 @@ def prediction_of(
     joint: Callable[[IntArray], Array],
     local: Callable[[IntArray], BoolArray] | None,
     view: View | None,
-    experience: Experience | None = None,
+    experience: Experience | None,
 ) -> Prediction:
     """The prediction of the k features that `foresee` has entered in `room`, with what is looked up only when asked."""
     known, sized, near, positions, covariances, across = room
@@ -112,6 +112,49 @@ def prediction_of(
         sightings=known[3, :k],
         provisional=np.less(known[3, :k], spec.confirmations),
     )
+
+
+@dataclass(slots=True)
+class Outlook:
+    """What a compiled step has expected of its scan. The prediction is put together once somebody asks for it; the map
+    has changed by then."""
+
+    room: Room
+    k: int  # features
+    pose: Array  # (4,) that was predicted, and the variance of its heading
+    spec: MapSpec
+    graph: CovisibilityGraph | None  # None: all features are local to all
+    view_from: Callable[[Array], View] | None
+    experience: Experience | None = None
+    _made: Prediction | None = None
+
+    @property
+    def positions(self) -> Array:
+        """As `Prediction.positions`."""
+        return self.room[3][: self.k]
+
+    @property
+    def covariances(self) -> Array:
+        """As `Prediction.covariances`."""
+        return self.room[4][: self.k]
+
+    @property
+    def sizes(self) -> Array:
+        """As `Prediction.sizes`."""
+        return self.room[1][ekf.SIZES, : self.k]
+
+    @property
+    def prediction(self) -> Prediction:
+        """The same one whenever it is asked for."""
+        if self._made is None:
+            self._made = self.made_by(out_of_date)
+        return self._made
+
+    def made_by(self, joint: Callable[[IntArray], Array]) -> Prediction:
+        """The prediction of these features that looks joint covariances up with `joint`."""
+        local = None if self.graph is None else self.graph.among_rows(self.room[0][0, : self.k])
+        view = None if self.view_from is None else self.view_from(self.pose[:3])
+        return prediction_of(self.room, self.k, self.pose.item(3), self.spec, joint, local, view, self.experience)
 
 
 class Estimate:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.mapping.foresight import Estimate, JointCovariance, Room, foresee, out_of_date, prediction_of, room_for
+from slam_gym.mapping.foresight import Estimate, JointCovariance, Outlook, foresee, room_for
 from slam_gym.mapping.linear_algebra import aligned_zeros, padded, read_only
 from slam_gym.mapping.map_spec import MapSpec as MapSpec
 from slam_gym.mapping.refusals import bad_measurement, checked_pose, existing, refused_update
@@ -196,24 +196,12 @@ class StochasticMap:
         )  # fmt: skip
         if k < 0:
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
-        return self.foreseen(room, k, self._P.item(2, 2), graph, None if view_from is None else view_from(self.pose))
+        pose = np.array([*self._x[:3], self._P[2, 2]])
+        return self.foreseen(Outlook(room, k, pose, self.spec, graph, view_from))
 
-    def foreseen(
-        self,
-        room: Room,
-        k: int,
-        heading_variance: float,
-        graph: CovisibilityGraph | None,
-        view: View | None,
-        stands: bool = True,
-        experience: Experience | None = None,
-    ) -> Prediction:
-        """The prediction of the k features that `foresee` has entered in `room`; where it no longer `stands`, since the
-        map has changed by now, nothing is looked up there any more."""
-        features = room[0][0, :k]
-        joint = self._joint_covariance(features) if stands else out_of_date
-        local = None if graph is None else graph.among_rows(features)
-        return prediction_of(room, k, heading_variance, self.spec, joint, local, view, experience)
+    def foreseen(self, outlook: Outlook) -> Prediction:
+        """The prediction of what `foresee` has entered, as long as the map stays as it is."""
+        return outlook.made_by(self._joint_covariance(outlook.room[0][0, : outlook.k]))
 
     def landmarks(self) -> Landmarks:
         """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""

@@ -99,6 +99,12 @@ class Identities:
         return self._counts.copy()
 
     @property
+    def decided(self) -> list[int]:
+        """The first five of them: right pairings, wrong ones of three kinds, and missed ones."""
+        decided: list[int] = self._counts[:5].tolist()
+        return decided
+
+    @property
     def total(self) -> Tally:
         """Tally of all steps so far."""
         return Tally(*self._counts.tolist())
@@ -124,16 +130,20 @@ class Identities:
         """
         if len(step.ids) != len(truth.sources):
             raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
-        self.decisions, counts = np.empty(len(step.ids), np.int64), np.zeros(len(self._counts), np.int64)
-        started = _judge(step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions, counts)
-        self._last_counts, self._counts = counts, self._counts + counts
+        self.decisions = np.empty(len(step.ids), np.int64)
+        started = _judge(
+            step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions, self._last_counts,
+            self._counts,
+        )  # fmt: skip
         if started:
             for i in step.created.nonzero()[0].tolist():
                 self._add(step.ids.item(i), truth.sources.item(i))
-        for feature in step.returned.tolist():
-            self._add(feature, self._source.item(feature))
-        for feature in step.removed.tolist():
-            self._remove(feature)
+        if len(step.returned):
+            for feature in step.returned.tolist():
+                self._add(feature, self._source.item(feature))
+        if len(step.removed):
+            for feature in step.removed.tolist():
+                self._remove(feature)
 
     def _add(self, feature: int, source: int) -> None:
         self._source = _grown(self._source, feature, UNLABELLED)
@@ -171,8 +181,11 @@ def _judge(
     oldest: IntArray,
     decisions: IntArray,
     counts: IntArray,
+    total: IntArray,
 ) -> int:
-    """Enter the `Decision` (m,) on each measurement, count the fields of their Tally (12,); how many are started."""
+    """Enter the `Decision` (m,) on each measurement, count the fields of their Tally (12,), and add them to the `total`
+    (12,); how many are started."""
+    counts[:] = 0
     decisions[:], started = _UNJUDGED, 0
     for i in range(len(ids)):
         started += created[i]
@@ -195,6 +208,8 @@ def _judge(
             counts[_NEW_RIGHT if decisions[i] == _NEW else _NEW_WRONG] += 1
     mistakes = counts[_FP_WRONG] + counts[_FP_SPURIOUS] + counts[_FP_DUPLICATE] + counts[_FN]
     counts[_SCANS_EXACT] = counts[_SCANS] if mistakes == 0 else 0
+    for field in range(len(total)):
+        total[field] += counts[field]
     return started
 
 

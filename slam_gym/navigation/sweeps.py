@@ -7,7 +7,7 @@ until the next one. When it has moved by half a cell, they are taken out of the 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -24,13 +24,8 @@ MOST = 30_000  # sweeps that are kept; when there are more, every other one is g
 NO_PAIRS = np.empty((0, 2), np.int64)
 
 
-class _Pose(NamedTuple):
-    x: float  # [m] in B
-    y: float  # [m]
-    heading: float  # [rad]
-
-
-_NOWHERE = _Pose(math.inf, 0.0, 0.0)
+_Pose = tuple[float, float, float]  # x, y [m] and heading [rad] in B: plain numbers, since they are new at every tick
+_NOWHERE: _Pose = (math.inf, 0.0, 0.0)
 
 
 class Features(Protocol):
@@ -73,8 +68,8 @@ class MovableSweeps:
         become one since, the one that is kept first. Raises ValueError for a pose that is not finite, or another number
         of beams than before.
         """
-        here = _Pose(*pose.tolist())
-        if not math.isfinite(here.x + here.y + here.heading):
+        x, y, heading = here = pose.tolist()
+        if not math.isfinite(x + y + heading):
             raise ValueError(f"pose: expected finite numbers, got {pose}")
         if self._count and len(beams.ranges) != self._ranges.shape[1]:
             raise ValueError(f"beams: {len(beams.ranges)} of them, where sweeps so far had {self._ranges.shape[1]}")
@@ -170,14 +165,14 @@ class MovableSweeps:
 
 
 def _moved(pose: _Pose, motion: Array) -> _Pose:
-    """A pose after a motion (3,), as `compose`: in plain numbers, since this is done at every tick."""
-    x, y, turn = motion.tolist()
-    c, s = math.cos(pose.heading), math.sin(pose.heading)
-    return _Pose(pose.x + c * x - s * y, pose.y + s * x + c * y, pose.heading + turn)
+    """A pose after a motion (3,), as `compose`."""
+    (at_x, at_y, heading), (x, y, turn) = pose, motion.tolist()
+    c, s = math.cos(heading), math.sin(heading)
+    return at_x + c * x - s * y, at_y + s * x + c * y, heading + turn
 
 
 def _apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bool:
     """Two poses are more than a distance [m] or a turn [rad] apart."""
-    if abs(one.x - other.x) + abs(one.y - other.y) > distance:
+    if abs(one[0] - other[0]) + abs(one[1] - other[1]) > distance:
         return True
-    return abs(math.remainder(one.heading - other.heading, 2.0 * math.pi)) > turn
+    return abs(math.remainder(one[2] - other[2], 2.0 * math.pi)) > turn

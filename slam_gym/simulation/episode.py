@@ -86,7 +86,7 @@ class Episode:
     ) -> None:
         self.scenario = scenario
         self.site = site
-        self.rng = rng
+        self.rng, self._budget = rng, scenario.budget
         self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
@@ -122,7 +122,7 @@ class Episode:
     def tick(self, forward: float, turn: float) -> None:
         """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and take a SLAM step."""
         self._drive(forward, turn)
-        self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
+        self._take_in(self._judged.step(self.odometry, self.scan, self.truth, plain=True))
 
     def begin_tick(self, forward: float, turn: float) -> Prediction:
         """First half of a tick for those who associate from outside: drive, look, and predict what the scan shows."""
@@ -136,9 +136,10 @@ class Episode:
 
     def _drive(self, forward: float, turn: float) -> None:
         motion = self.world.tick(forward, turn)
-        carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
-        if carried_to is not None:
-            self.world.place(carried_to)
+        if self.kidnapping.planned:
+            carried_to = self.kidnapping.destination(self.ticks + 1, self.poses, self.site.cells, self.rng)
+            if carried_to is not None:
+                self.world.place(carried_to)
         self._sense(motion)
 
     def _sense(self, motion: Motion) -> None:
@@ -172,7 +173,8 @@ class Episode:
         self.poses.append(true_pose)
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
-        self.kidnapping.judge(self.ticks, is_right(distance, turn), slam.relocations, slam.lost)
+        if slam.relocations or self.kidnapping.happened is not None:
+            self.kidnapping.judge(self.ticks, is_right(distance, turn), slam.relocations, slam.lost)
 
     @property
     def tally(self) -> Tally:
@@ -182,7 +184,7 @@ class Episode:
     @property
     def over(self) -> bool:
         """The budget is spent."""
-        return self.ticks >= self.scenario.budget
+        return self.ticks >= self._budget
 
     @property
     def landmarks(self) -> Array:

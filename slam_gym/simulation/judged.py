@@ -23,7 +23,9 @@ class Steps(Protocol):
     @property
     def map(self) -> StochasticMap: ...
 
-    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = ...) -> SlamStep: ...
+    def step(
+        self, odometry: Odometry, scan: Scan, associator: str | Associator = ..., *, plain: bool = ...
+    ) -> SlamStep: ...
 
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep: ...
 
@@ -66,10 +68,12 @@ class JudgedSlam:
         """The decisions of the last step."""
         return self.identities.last
 
-    def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
-        """One SLAM step, judged. Raises as `Slam.step`."""
+    def step(self, odometry: Odometry, scan: Scan, truth: Truth, *, plain: bool = False) -> SlamStep:
+        """One SLAM step, judged. Raises as `Slam.step`, which says what `plain` is."""
         if self._at_once:
-            return self._judge(self.slam.step(odometry, scan, self._associate), truth)
+            step = self.slam.step(odometry, scan, self._associate, plain=plain)
+            self.identities.judge(step, truth)
+            return step
         asking = self.slam.asking_step(odometry, scan)
         return self._judge(send(asking, self.associate(scan, next(asking), truth)), truth)
 

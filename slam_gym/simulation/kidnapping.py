@@ -27,6 +27,11 @@ class Kidnapping:
         self.right = self.wrong = 0  # relocations that ended at the right pose, and elsewhere
         self._relocations = 0
 
+    @property
+    def planned(self) -> bool:
+        """It has not happened yet, but will."""
+        return self._spec is not None and self.happened is None
+
     def destination(self, tick: int, been: list[Array], cells: Array, rng: np.random.Generator) -> Array | None:
         """Pose (3,) in W that the robot is carried to in this tick; None where it is left alone.
 

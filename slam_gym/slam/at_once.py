@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from slam_gym.association.tracking.marginal import posterior_of
 from slam_gym.association.tracking.marginals import DETECTIONS, NOTHING_SEEN, experience_after
 from slam_gym.association.tracking.scan_hypotheses import candidate_gate
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.foresight import room_for
+from slam_gym.mapping.foresight import Outlook, room_for
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.kernels import Learned, ScanArrays, Settings
@@ -28,6 +28,7 @@ from slam_gym.types import (
     Array,
     Associator,
     Effort,
+    Expectation,
     Experience,
     Hypothesis,
     IntArray,
@@ -46,19 +47,9 @@ _NETWORK = tuple(np.empty(shape) for shape in (0, 0, 0, 0, (0, 0), 0, (0, 0), 0,
 _TOLD_NOTHING = (0.0, 0.0)
 
 
-class Run(NamedTuple):
-    """What a step may look up."""
-
-    view_from: Callable[[Array], View] | None
-    experience: Experience | None  # of the associator
-
-
-class Attempt(NamedTuple):
-    """How far a step came."""
-
-    prediction: Prediction
-    hypothesis: Hypothesis | None  # None: the associator has something to refuse
-    learned: Learned | None  # None: the scan was not learned from yet
+Attempt = tuple[Expectation, Hypothesis | None, Learned | None]
+"""How far a step came: what it expected; None: the associator has something to refuse; None: the scan was not learned
+from yet."""
 
 
 def form_of(associate: Associator) -> int | None:
@@ -94,21 +85,23 @@ def attempt(
     form: int,
     nature: Nature,
     settings: Settings,
-    run: Run,
+    view_from: Callable[[Array], View] | None,
+    experience: Experience | None,
 ) -> Attempt | None:
     """`whole_step`, or `marginal_step`, with a map and its graph, in which there is room for the scan.
 
     None where it did nothing. `recent`: features that recent scans paired, and the row in which those of this scan are
-    to be entered.
+    to be entered; `experience` is that of the associator.
     """
     if form in (MARGINAL, LEARNED):
-        return _by_marginals(m, graph, recent, odometry, scan, form == LEARNED, nature, settings, run)
-    view_from = run.view_from
-    count, room, pose, gates = len(scan.points), room_for(m.n), np.empty(4), joint_gates(len(scan), m.spec.confidence)
+        return _by_marginals(
+            m, graph, recent, odometry, scan, form == LEARNED, nature, settings, cast(ViewsFrom, view_from), experience
+        )
+    count, room, pose, gates = len(scan.points), room_for(m.n), np.empty(4), joint_gates(len(scan.points), m.spec.confidence)
     features, ids, created = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.bool_)
     ended = LEFT_ALONE
     while ended == LEFT_ALONE:
-        ended, k, what, added, distance, nodes, tests, joint_tests, limit_hit = whole_step(
+        ended, k, what, added, paired, distance, *effort = whole_step(
             form, m.arrays, (m.n, m.step, m.next_id), graph.arrays, *recent, (odometry.motion, odometry.covariance),
             arrays_of(scan), nature, gates, settings, room, pose, (features, ids, created),
         )  # fmt: skip
@@ -116,16 +109,19 @@ def attempt(
             if not what:
                 return None
             graph.widen(what)
-    stands, view = ended in (PREDICTED, ANSWERED), None if view_from is None else view_from(pose[:3])
-    if stands:
-        m.moved()
-    prediction = m.foreseen(room, k, pose.item(3), graph if nature[1] else None, view, stands)
+    outlook = Outlook(room, k, pose, m.spec, graph if nature[1] else None, view_from)
     if ended == PREDICTED:
-        return Attempt(prediction, None, None)
-    paired = count - int(np.count_nonzero(features == UNPAIRED))
-    effort = Effort(nodes, tests, joint_tests, limit_hit)
-    hypothesis = Hypothesis(features, distance, 2 * paired, effort, exclusive=form == JCBB)
-    return Attempt(prediction, hypothesis, None if ended == ANSWERED else Learned(ended, what, added, ids, created))
+        return _standing(m, outlook), None, None
+    hypothesis = Hypothesis(features, distance, 2 * paired, Effort(*effort), exclusive=form == JCBB)
+    if ended == ANSWERED:
+        return _standing(m, outlook), hypothesis, None
+    return outlook, hypothesis, (ended, what, added, ids, created)
+
+
+def _standing(m: StochasticMap, outlook: Outlook) -> Prediction:
+    """The prediction of a map that has moved, but not learned yet."""
+    m.moved()
+    return m.foreseen(outlook)
 
 
 def _by_marginals(
@@ -137,14 +133,15 @@ def _by_marginals(
     learned: bool,
     nature: Nature,
     settings: Settings,
-    run: Run,
+    view_from: ViewsFrom,
+    experience: Experience | None,
 ) -> Attempt | None:
     """`marginal_step`; see `attempt`."""
-    count, room, pose, known = len(scan.points), room_for(m.n), np.empty(4), run.experience or NOTHING_SEEN
+    count, room, pose, known = len(scan.points), room_for(m.n), np.empty(4), experience or NOTHING_SEEN
     features, ids, runner_up = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     created, new, by_value = np.empty(count, np.bool_), np.empty(count, np.bool_), np.empty(len(DETECTIONS))
-    probabilities, unpaired, view_from = np.empty(count), np.empty(count), cast(ViewsFrom, run.view_from)
-    (rule, network), told = _rule(m.spec.confidence, learned), run_so_far(run.experience) if learned else _TOLD_NOTHING
+    probabilities, unpaired = np.empty(count), np.empty(count)
+    (rule, network), told = _rule(m.spec.confidence, learned), run_so_far(experience) if learned else _TOLD_NOTHING
     out = features, ids, created, probabilities, new, runner_up, unpaired, by_value
     past, ended = (known.unpaired, known.area, DETECTIONS, plain(known.detections), *told), LEFT_ALONE
     while ended == LEFT_ALONE:
@@ -157,13 +154,9 @@ def _by_marginals(
             if not what:
                 return None
             graph.widen(what)
-    stands = ended in (PREDICTED, ANSWERED)
-    if stands:
-        m.moved()
-    local = graph if nature[1] else None
-    prediction = m.foreseen(room, k, pose.item(3), local, view_from(pose[:3]), stands, run.experience)
+    outlook = Outlook(room, k, pose, m.spec, graph if nature[1] else None, view_from, experience)
     if ended == PREDICTED:
-        return Attempt(prediction, None, None)
+        return _standing(m, outlook), None, None
     distance, own, second, total, area = figures
     paired = count - int(np.count_nonzero(features == UNPAIRED))
     hypothesis = Hypothesis(
@@ -171,7 +164,9 @@ def _by_marginals(
         posterior_of(own, second, total, runner_up, probabilities, unpaired), new=new,
         experience=experience_after(known, unpaired, area, by_value),
     )  # fmt: skip
-    return Attempt(prediction, hypothesis, None if ended == ANSWERED else Learned(ended, what, added, ids, created))
+    if ended == ANSWERED:
+        return _standing(m, outlook), hypothesis, None
+    return outlook, hypothesis, (ended, what, added, ids, created)
 
 
 @functools.cache

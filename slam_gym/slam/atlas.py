@@ -38,7 +38,7 @@ from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
 from slam_gym.slam.relocation import Relocate, RelocatingSlam
 from slam_gym.slam.slam import Slam, SlamSpec, ViewFrom
 from slam_gym.slam.twins import find_twins
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Odometry, Prediction, Scan, SlamStep
+from slam_gym.types import UNPAIRED, Effort, Expectation, Hypothesis, IntArray, Odometry, Prediction, Scan, SlamStep
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 
@@ -99,12 +99,12 @@ class AtlasSlam(RelocatingSlam):
     @property
     def maps(self) -> tuple[StochasticMap, ...]:
         """The current map, then those that are not joined with it, in the coordinates that they were left with."""
-        return (self.map, *(left.map for left in self.left))
+        return (self.map, *[left.map for left in self.left]) if self.left else (self.map,)
 
     @property
     def fused(self) -> IntArray:
         """(k, 2) ids of features that became one in the last step, the one that is kept first."""
-        return self._fused.copy()
+        return self._fused.copy() if len(self._fused) else NO_PAIRS
 
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """As `Slam` does, without old features that are ambiguous, unless the associator weighs all hypotheses.
@@ -144,13 +144,13 @@ class AtlasSlam(RelocatingSlam):
         return replace(hypothesis, features=features, dof=hypothesis.dof - 2 * held) if held else hypothesis
 
     def _conclude(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None
+        self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned | None = None
     ) -> SlamStep:
         """As `RelocatingSlam` does, then what the atlas makes of it."""
         self._fused = NO_PAIRS
-        step = super()._conclude(scan, prediction, hypothesis, learned)
-        self._lost_for = self._lost_for + 1 if self.lost else 0
-        if self.doubted:
+        step = super()._conclude(scan, expected, hypothesis, learned)
+        self._lost_for = self._lost_for + 1 if self.tracker.lost else 0
+        if self.tracker.doubted:
             return step
         if self.left and self.map.step % self.atlas.rejoin == 0:
             step = self._rejoin(step, scan)

@@ -24,14 +24,9 @@ Settings = tuple[int, float, bool, float, int, int]
 a feature must have been confirmed."""
 
 
-class Learned(NamedTuple):
-    """What `learn` has made of a scan."""
-
-    ended: int  # DONE, NARROW, REFUSED, SINGULAR or NOT_ADDED
-    what: int  # there is to say about that
-    added: int  # features
-    ids: IntArray  # (m,) of the feature behind each measurement, or NO_ID
-    created: BoolArray  # (m,) which of them have begun
+Learned = tuple[int, int, int, IntArray, BoolArray]
+"""What `learn` has made of a scan: its answer; (m,) id of the feature behind each measurement, or NO_ID; (m,) which of
+them have begun."""
 
 
 @compiled

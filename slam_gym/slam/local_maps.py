@@ -72,7 +72,9 @@ class LocalMapSlam:
         """(3,) [m, m, rad] of the robot in the base of the first map, before any join."""
         return self.maps.pose
 
-    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
+    def step(
+        self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb", *, plain: bool = False
+    ) -> SlamStep:
         """Move by `odometry`, then learn from `scan`: in the current local map, or in a new one if that is closed.
 
         Arguments and errors are those of `Slam.step`.

@@ -44,7 +44,7 @@ class Tracker:
     def __init__(self, fraction: float, scans: int, min_expected: int) -> None:
         self.fraction, self.scans, self.min_expected = fraction, scans, min_expected
         self.doubted = 0  # scans in a row
-        self._last_paired = _NOTHING  # (p,) features that the last scan believed was paired with
+        self._last_paired = _NOTHING  # (m,) features that the last scan believed was paired with, or UNPAIRED
         self._least_cosine = 1.0  # of the directions of all that was measured so far
         self._looks = 0  # scans since that last fell
 
@@ -92,7 +92,7 @@ class Tracker:
     def believe(self, hypothesis: Hypothesis) -> None:
         """The hypothesis holds: tracking goes on from it."""
         self.doubted = 0
-        self._last_paired = hypothesis.features[hypothesis.features != UNPAIRED]
+        self._last_paired = hypothesis.features.copy()
 
     def forget(self) -> None:
         """Begin anew, in another map."""
@@ -100,8 +100,7 @@ class Tracker:
 
     def renumber(self, became: IntArray) -> None:
         """Each of the map's n features `became` (n,) another, or UNPAIRED where it is gone."""
-        still = became[self._last_paired]
-        self._last_paired = still[still != UNPAIRED]
+        self._last_paired = np.append(became, UNPAIRED)[self._last_paired]
 
     def _plainly_right(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
         """So much is paired that nothing else needs to be asked: what nearly every scan is like.

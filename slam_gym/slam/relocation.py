@@ -21,6 +21,7 @@ from slam_gym.types import (
     UNPAIRED,
     Array,
     Effort,
+    Expectation,
     Hypothesis,
     IntArray,
     Locality,
@@ -81,14 +82,15 @@ class RelocatingSlam(Slam):
         return self.tracker.trust(blind=self.view_from is None)
 
     def _conclude(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None
+        self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned | None = None
     ) -> SlamStep:
         """As `Slam` does, unless the scan is doubted."""
-        if prediction.view is None:
+        if self.view_from is None:
             self.tracker.look(scan.points)
         if learned is not None:
             self.tracker.believe(hypothesis)
-            return self._remember(scan, prediction, hypothesis, learned)
+            return self._remember(scan, expected, hypothesis, learned)
+        prediction = expected.prediction
         if not self.tracker.doubts(prediction, hypothesis, self.map.established(prediction.features)):
             hypothesis = self._believed(scan, prediction, hypothesis)
             self.tracker.believe(hypothesis)  # what is held back is not expected to be seen again

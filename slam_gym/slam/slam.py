@@ -16,7 +16,7 @@ from slam_gym.mapping.refusals import bad_measurement, refused_update
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import Attempt, Run, are_plain, attempt, form_of, may_be_at_once
+from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of, may_be_at_once
 from slam_gym.slam.kernels import Learned, Settings
 from slam_gym.slam.looks import Looks
 from slam_gym.slam.whole_step import Nature
@@ -25,6 +25,7 @@ from slam_gym.types import (
     Array,
     Associator,
     BoolArray,
+    Expectation,
     Experience,
     Hypothesis,
     IntArray,
@@ -96,27 +97,32 @@ class Slam:
         self._chance = 1.0  # of being wrong, above which pairings with old features are held back
         self._warned = False
         self._looks = None if self.spec.repeat is None else Looks(*self.spec.repeat)
-        self._passes, self._invariant = self.spec.map.passes, self.spec.map.right_invariant
+        m, given = self.spec.map, self.spec.new_confidence
+        gate = chi2_gate(2, m.confidence if given is None else given)
+        self._fixed = m.passes, float(m.settled), m.right_invariant, gate, m.confirmations  # of the settings
 
     def __repr__(self) -> str:
         return f"Slam: {self.map!r}"
 
-    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
+    def step(
+        self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb", *, plain: bool = False
+    ) -> SlamStep:
         """Move by `odometry`, then learn from `scan` as `associator` (a name, `"module:function"`, a callable) decides.
 
+        `plain`: the arrays are known to have the shapes and types that they should, as those of a `Sensor` have.
         Raises ValueError, before anything is changed, for non-finite numbers, covariances that are none and an unknown
         associator; and for a hypothesis that does not fit scan and map, when only the motion has been predicted.
         """
         associate: Associator = associator if callable(associator) else asked(associator)
         form = form_of(associate)
-        taken = None if form is None else self._at_once(odometry, scan, form)
+        taken = None if form is None else self._at_once(odometry, scan, form, plain)
         if taken is None:
             associate = asked(associate)
             return answered(self.asking_step(odometry, scan), scan, associate)
-        prediction, hypothesis, learned = taken
+        expected, hypothesis, learned = taken
         if hypothesis is None:
-            hypothesis = associate(scan, prediction)
-        return self._conclude(scan, prediction, hypothesis, learned)
+            hypothesis = associate(scan, expected.prediction)
+        return self._conclude(scan, expected, hypothesis, learned)
 
     def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
         """The step of Castellanos, Neira and Tardós (2006), whoever associates: see `AskingStep`. Raises as `step`.
@@ -173,7 +179,8 @@ class Slam:
     def _reach_for(self, scan: Scan) -> float:
         """[m] within which features are predicted for a scan, from now on."""
         if self.spec.reach is None:
-            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, 3.0))
+            every = np.ones(len(scan), np.bool_)
+            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, every, 3.0))
         return float(self.reach)
 
     def _nature(self, reach: float) -> Nature:
@@ -186,27 +193,28 @@ class Slam:
         pairing will do: here, every scan is learned from."""
         return 0.0, False
 
-    def _at_once(self, odometry: Odometry, scan: Scan, form: int) -> Attempt | None:
+    def _at_once(self, odometry: Odometry, scan: Scan, form: int, plain: bool) -> Attempt | None:
         """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""
         if self._looks is not None or not may_be_at_once(form, self.view_from, self._experience):
             return None
-        if not are_plain(odometry, scan):
+        if not (plain or are_plain(odometry, scan)):
             return None
         m, graph, count = self.map, self.covisibility, len(scan.points)
         m.make_room(count)
         graph.make_room(count)
-        self._turn(count)
+        if count > self._recent.shape[1]:
+            self._turn(count)
         recent, nature = (self._recent, self._learned % len(self._recent)), self._nature(self._reach_for(scan))
-        run = Run(self.view_from, self._experience)
-        return attempt(m, graph, recent, odometry, scan, form, nature, self._settings(), run)
+        settings = self._settings()
+        return attempt(m, graph, recent, odometry, scan, form, nature, settings, self.view_from, self._experience)
 
     def _conclude(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned | None = None
+        self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned | None = None
     ) -> SlamStep:
         """What follows the associator's answer; `learned`, where `whole_step` has gone on already."""
         if learned is None:
-            return self._learn(scan, prediction, hypothesis)
-        return self._remember(scan, prediction, hypothesis, learned)
+            return self._learn(scan, expected.prediction, hypothesis)
+        return self._remember(scan, expected, hypothesis, learned)
 
     def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Update, add and maintain; what repeats earlier looks tells nothing (see `slam.looks`)."""
@@ -239,9 +247,9 @@ class Slam:
             )  # fmt: skip
             if ended == kernels.NARROW:
                 graph.widen(what)
-        return self._remember(scan, prediction, hypothesis, Learned(ended, what, added, ids, created))
+        return self._remember(scan, prediction, hypothesis, (ended, what, added, ids, created))
 
-    def _remember(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, learned: Learned) -> SlamStep:
+    def _remember(self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned) -> SlamStep:
         """What is kept beside the arrays follows what the compiled step has made of them."""
         ended, what, added, ids, created = learned
         self._experience = hypothesis.experience or self._experience
@@ -254,14 +262,12 @@ class Slam:
         self._learned += 1
         removed = self._forget(what, *self._settings()[-2:]) if what else _NO_FEATURES
         self.map.end_of_step()
-        return SlamStep(prediction, hypothesis, ids, created, removed)
+        return SlamStep(expected, hypothesis, ids, created, removed)
 
     def _settings(self) -> Settings:
         """What `kernels.learn` takes as its settings."""
-        spec, given = self.spec.map, self.spec.new_confidence
-        gate = chi2_gate(2, spec.confidence if given is None else given)
-        before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
-        return self._passes, float(spec.settled), self._invariant, gate, spec.confirmations, before
+        age = self.spec.map.unconfirmed_age
+        return *self._fixed, -1 if age is None else self.map.step - age
 
     def _refusal(self, ended: int, what: int, scan: Scan, features: IntArray) -> ValueError:
         """Why `kernels.learn` did not come to its end."""
@@ -281,7 +287,7 @@ class Slam:
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
         """Once, where one of the `new` measurements (m,) starts a feature so far away that it is never found again."""
-        beyond = 0.0 if self._warned else _farthest(scan.points[new], scan.covariances[new], -6.0)
+        beyond = 0.0 if self._warned else _farthest(scan.points, scan.covariances, new, -6.0)
         if beyond <= reach:
             return
         self._warned = True
@@ -322,10 +328,12 @@ def send(step: AskingStep, hypothesis: Hypothesis) -> SlamStep:
 
 
 @compiled
-def _farthest(points: Array, covariances: Array, sigmas: float) -> float:
-    """[m] The greatest ‖z‖ + `sigmas` · σ of the measurements (m,), σ² being the trace of the covariance."""
+def _farthest(points: Array, covariances: Array, chosen: BoolArray, sigmas: float) -> float:
+    """[m] The greatest ‖z‖ + `sigmas` · σ of the `chosen` measurements (m,), σ² being the trace of the covariance."""
     farthest = 0.0
     for i in range(len(points)):
+        if not chosen[i]:
+            continue
         sigma = math.sqrt(covariances[i, 0, 0] + covariances[i, 1, 1])
         farthest = max(farthest, math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2) + sigmas * sigma)
     return farthest

@@ -51,9 +51,9 @@ def whole_step(
     room: Room,
     pose: Array,
     out: tuple[IntArray, IntArray, BoolArray],
-) -> tuple[int, int, int, int, float, int, int, int, bool]:
+) -> tuple[int, int, int, int, int, float, int, int, int, bool]:
     """How far it came, the rows of the prediction, and of `learn` what there is to say and the features added; then of
-    the associator D²_H, nodes, individual and joint tests, and whether it met its limit.
+    the associator its pairings, D²_H, nodes, individual and joint tests, and whether it met its limit.
 
     Where nothing was done, what there is to say is the width that the graph needs, or 0.
 
@@ -73,20 +73,22 @@ def whole_step(
     no = m < 0  # what is called with literals is compiled for them once more
     k, needed = begin(arrays, numbers, graph, recent, odometry, scan, nature, gates[1], room, pose)
     if k < 0:
-        return LEFT_ALONE, 0, needed, 0, 0.0, 0, 0, 0, False
+        return LEFT_ALONE, 0, needed, 0, 0, 0.0, 0, 0, 0, False
     expected = (known[0, :k], positions[:k], covariances[:k], near[:k])
     whole = (at, P, second_order, local, degrees, n)
     found = _decide(form, points, noise, expected, whole, gates, features)
     if not found.valid:
-        return PREDICTED, k, 0, 0, 0.0, 0, 0, 0, False
+        return PREDICTED, k, 0, 0, 0, 0.0, 0, 0, 0, False
     answer = found.distance, found.nodes, found.individual_tests, found.joint_tests, found.limit_hit
+    paired = 0
     for i in range(m):
         if features[i] != UNPAIRED:
             features[i] = known[0, features[i]]
+            paired += 1
     if not is_plain(features, counted, settings[4], fraction, any_will_do):
-        return ANSWERED, k, 0, 0, *answer
+        return ANSWERED, k, 0, 0, paired, *answer
     if chance < 1.0:
-        hold_back(
+        paired -= hold_back(
             features, (known[0, :k], near[:k], positions[:k], covariances[:k]), counted, noise, gates[1], settings[4],
             chance,
         )  # fmt: skip
@@ -94,7 +96,7 @@ def whole_step(
         arrays, n, step, next_id, graph, recent[turn], scan, features, features, no, new, (expected[1], expected[2]),
         settings, ids,
     )  # fmt: skip
-    return ended, k, what, added, *answer
+    return ended, k, what, added, paired, *answer
 
 
 @compiled

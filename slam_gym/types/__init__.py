@@ -18,7 +18,7 @@ from slam_gym.types.decided import (
     Relocator,
     SlamStep,
 )
-from slam_gym.types.expected import DenseCovariance, Experience, Prediction, View
+from slam_gym.types.expected import DenseCovariance, Expectation, Experience, Prediction, View
 from slam_gym.types.mapped import Landmarks, Locality
 from slam_gym.types.measured import SPURIOUS, UNLABELLED, Beams, Odometry, Scan, Truth
 
@@ -34,6 +34,7 @@ __all__ = [
     "BoolArray",
     "DenseCovariance",
     "Effort",
+    "Expectation",
     "Experience",
     "Hypothesis",
     "IntArray",

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam_gym.types._arguments import Array, BoolArray, IntArray
 from slam_gym.types._records import quick
-from slam_gym.types.expected import Experience, Prediction
+from slam_gym.types.expected import Expectation, Experience, Prediction
 from slam_gym.types.mapped import Landmarks, Locality
 from slam_gym.types.measured import Scan
 
@@ -18,6 +18,9 @@ UNPAIRED = -1
 
 NO_ID = -1
 """In `SlamStep.ids`: the measurement was discarded."""
+
+
+_NOTHING: IntArray = np.empty(0, np.int64)
 
 
 @quick
@@ -114,10 +117,15 @@ class SlamStep:
     never changes and is never given twice.
     """
 
-    prediction: Prediction
+    expected: Expectation  # before the scan
     hypothesis: Hypothesis
     ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NO_ID = discarded
     created: BoolArray  # (m,) the measurement started a feature
     removed: IntArray  # ids of the features that the map has no longer at the end of the step
-    returned: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    returned: IntArray = field(default_factory=lambda: _NOTHING)
     # ids of features that were removed before, as another map was begun, and are back, as it was joined
+
+    @property
+    def prediction(self) -> Prediction:
+        """What the map expected."""
+        return self.expected.prediction

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,22 @@ class Experience:
     unpaired: float  # measurements of what is not in the map
     area: float  # [m²] that the scans showed
     detections: Array  # (d,) log weights of the values that P_D may have
+
+
+class Expectation(Protocol):
+    """A prediction, or what one is put together from once somebody asks for it."""
+
+    @property
+    def positions(self) -> Array: ...
+
+    @property
+    def covariances(self) -> Array: ...
+
+    @property
+    def sizes(self) -> Array: ...
+
+    @property
+    def prediction(self) -> Prediction: ...
 
 
 @quick
@@ -58,6 +74,11 @@ class Prediction:
 
     def __len__(self) -> int:
         return len(self.features)
+
+    @property
+    def prediction(self) -> Prediction:
+        """This one: see `Expectation`."""
+        return self
 
     def __repr__(self) -> str:
         return f"Prediction of {len(self)} features at confidence {self.confidence}"

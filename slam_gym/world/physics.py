@@ -19,6 +19,7 @@ from slam_gym.types import Array
 from slam_gym.world import boxes, driving
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
+from slam_gym.world.ray_casting import NO_DISCS
 from slam_gym.world.wall_grid import wall_grid
 
 _OVERLAP = 1e-3  # [m] that touching bodies keep, so that contacts last
@@ -133,7 +134,7 @@ class World:
     @property
     def people(self) -> Array:
         """(p, 3) [m] `x y radius` W, a copy."""
-        return self._people.discs.copy()
+        return self._people.discs.copy() if self._walkers else NO_DISCS
 
     def tick(self, forward: float, turn: float) -> Motion:
         """Drive for one tick at these fractions of the full speeds, clipped to [−1, 1]. Raises ValueError for NaN."""
