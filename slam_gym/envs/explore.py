@@ -123,7 +123,8 @@ class ExploreEnv(BaseEnv):
     @property
     def episode(self) -> Episode:
         """The running episode. Raises RuntimeError before the first reset."""
-        return self._started(getattr(self, "_episode", None))
+        running: Episode | None = getattr(self, "_episode", None)
+        return self._started(running)
 
     @property
     def goals(self) -> Goals:

@@ -21,7 +21,7 @@ from slam_gym.mapping.linear_algebra import aligned_zeros, padded, read_only
 from slam_gym.mapping.map_spec import MapSpec as MapSpec
 from slam_gym.mapping.refusals import bad_measurement, checked_pose, existing, refused_update
 from slam_gym.mapping.update import ACCEPTED, update
-from slam_gym.types import Array, BoolArray, Experience, IntArray, Landmarks, Odometry, Prediction, Scan, View
+from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Prediction, Scan, View
 
 _NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
 _LARGE = 512  # features

@@ -97,11 +97,16 @@ def attempt(
         return _by_marginals(
             m, graph, recent, odometry, scan, form == LEARNED, nature, settings, cast(ViewsFrom, view_from), experience
         )
-    count, room, pose, gates = len(scan.points), room_for(m.n), np.empty(4), joint_gates(len(scan.points), m.spec.confidence)
+    count, room, pose, gates = (
+        len(scan.points),
+        room_for(m.n),
+        np.empty(4),
+        joint_gates(len(scan.points), m.spec.confidence),
+    )
     features, ids, created = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.bool_)
     ended = LEFT_ALONE
     while ended == LEFT_ALONE:
-        ended, k, what, added, paired, distance, *effort = whole_step(
+        ended, k, what, added, paired, distance, nodes, tests, joint_tests, limit_hit = whole_step(
             form, m.arrays, (m.n, m.step, m.next_id), graph.arrays, *recent, (odometry.motion, odometry.covariance),
             arrays_of(scan), nature, gates, settings, room, pose, (features, ids, created),
         )  # fmt: skip
@@ -112,7 +117,8 @@ def attempt(
     outlook = Outlook(room, k, pose, m.spec, graph if nature[1] else None, view_from)
     if ended == PREDICTED:
         return _standing(m, outlook), None, None
-    hypothesis = Hypothesis(features, distance, 2 * paired, Effort(*effort), exclusive=form == JCBB)
+    effort = Effort(nodes, tests, joint_tests, limit_hit)
+    hypothesis = Hypothesis(features, distance, 2 * paired, effort, exclusive=form == JCBB)
     if ended == ANSWERED:
         return _standing(m, outlook), hypothesis, None
     return outlook, hypothesis, (ended, what, added, ids, created)

@@ -28,7 +28,7 @@ def quick(cls: type[T]) -> type[T]:
         lines.append("self.__post_init__()")
     known[cls.__name__] = cls
     exec(f"def __init__(self, {', '.join(signature)}):\n    " + "\n    ".join(lines), known)
-    cls.__init__ = known["__init__"]  # type: ignore[misc]
+    cls.__init__ = known["__init__"]  # type: ignore[method-assign, misc]
     return cls
 
 
