@@ -99,6 +99,7 @@ class Slam:
         self._looks = None if self.spec.repeat is None else Looks(*self.spec.repeat)
         m, given = self.spec.map, self.spec.new_confidence
         gate = chi2_gate(2, m.confidence if given is None else given)
+        self._known_reach = None if self.spec.reach is None else float(self.spec.reach)
         self._fixed = m.passes, float(m.settled), m.right_invariant, gate, m.confirmations  # of the settings
 
     def __repr__(self) -> str:
@@ -178,10 +179,11 @@ class Slam:
 
     def _reach_for(self, scan: Scan) -> float:
         """[m] within which features are predicted for a scan, from now on."""
-        if self.spec.reach is None:
-            every = np.ones(len(scan), np.bool_)
-            self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, every, 3.0))
-        return float(self.reach)
+        if self._known_reach is not None:
+            return self._known_reach
+        every = np.ones(len(scan), np.bool_)
+        self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, every, 3.0))
+        return self._farthest
 
     def _nature(self, reach: float) -> Nature:
         """How `whole_step` is to be taken."""

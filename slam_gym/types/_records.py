@@ -9,26 +9,23 @@ T = TypeVar("T")
 
 
 def quick(cls: type[T]) -> type[T]:
-    """The same frozen dataclass with slots and five fields or more, made in a third of the time.
+    """The same frozen dataclass with slots, made in a fraction of the time.
 
     A frozen dataclass enters each field by `object.__setattr__`, since its own refuses to. Here an instance is of an
-    open twin of the class, with the same slots, until its fields are filled in.
+    open twin of the class, with the same slots, until its fields are filled in; so it is `__new__` that makes it.
     """
     names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
-    twin = type(f"_Open{cls.__name__}", (), {"__slots__": tuple(names)})
-    known: dict[str, Any] = {"twin": twin, "become": object.__setattr__, "MISSING": MISSING}
-    lines = ["become(self, '__class__', twin)"]
-    signature = []
-    for field in fields(cls):  # type: ignore[arg-type]
-        given, line = _entered(field, known)
-        signature.append(given)
-        lines.append(line)
-    lines.append(f"self.__class__ = {cls.__name__}")
+    known: dict[str, Any] = {"MISSING": MISSING, "twin": type(f"_Open{cls.__name__}", (), {"__slots__": tuple(names)})}
+    entered = [_entered(field, known) for field in fields(cls)]  # type: ignore[arg-type]
+    lines = ["self = twin()", *(line for _, line in entered), "self.__class__ = cls"]
     if hasattr(cls, "__post_init__"):
         lines.append("self.__post_init__()")
-    known[cls.__name__] = cls
-    exec(f"def __init__(self, {', '.join(signature)}):\n    " + "\n    ".join(lines), known)
-    cls.__init__ = known["__init__"]  # type: ignore[method-assign, misc]
+    lines.append("return self")
+    exec(f"def __new__(cls, {', '.join(given for given, _ in entered)}):\n    " + "\n    ".join(lines), known)
+    changing: Any = cls
+    del changing.__init__  # that of `object` is left, which does nothing
+    changing.__new__ = known["__new__"]
+    changing.__reduce__ = lambda self: (type(self), tuple([getattr(self, name) for name in names]))
     return cls
 
 

@@ -16,6 +16,7 @@ View = Callable[[Array, Array], Array]
 """From positions (k, 2) [m] in R and covariances (k, 2, 2) to the probability (k,) that the sensor has each in view."""
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Experience:
     """What an associator has learned of the scans of a run: it says so in its `Hypothesis`, and the next `Prediction`

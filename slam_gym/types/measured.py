@@ -28,6 +28,7 @@ UNLABELLED = -2
 """The source of a measurement that nobody has labelled (recordings only)."""
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Odometry:
     """The motion of one tick, as the wheels report it."""
@@ -125,6 +126,7 @@ class Scan:
         return cls.from_points(points, covariances, sizes=sizes, size_sigma=size_sigma, kinds=kinds)
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Beams:
     """One sweep of the range finder: the only source of free space and walls."""
@@ -134,6 +136,7 @@ class Beams:
     max_range: float  # [m]
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Truth:
     """What only the simulator (or a label file) knows about a scan."""

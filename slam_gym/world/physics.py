@@ -16,6 +16,7 @@ import pymunk
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
+from slam_gym.types._records import quick
 from slam_gym.world import boxes, driving
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
@@ -70,6 +71,7 @@ def _check_positive(spec: object, may_be_zero: tuple[str, ...] = ()) -> None:
             raise ValueError(f"{type(spec).__name__}.{field.name} must be positive and finite, not {value}")
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Motion:
     """What one tick did to the robot."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -107,13 +107,8 @@ def _check(spec: object, positive: tuple[str, ...] = (), probabilities: tuple[st
             raise ValueError(f"{name} must be in (0, 2π] rad, not {value}")
 
 
-class Senses(NamedTuple):
-    """What a tick has to tell, and the truth behind the scan."""
-
-    odometry: Odometry
-    scan: Scan
-    truth: Truth
-    beams: Beams
+Senses = tuple[Odometry, Scan, Truth, Beams]
+"""What a tick has to tell, the truth behind the scan among it."""
 
 
 class Sensor:
@@ -141,7 +136,7 @@ class Sensor:
         self._walls = index.packed
         self._features = plan.features
         self._positions, self._pull_back = plan.features.positions, pull_back(plan.features)
-        self._polar, self._seen = np.empty((0, 2)), np.empty(0, np.int64)
+        self._polar, self._seen = np.empty((len(plan.features), 2)), np.empty(len(plan.features), np.int64)
         self._no_kinds = np.full(self.spec.max_features, UNKNOWN_KIND)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
@@ -158,9 +153,10 @@ class Sensor:
         """All that a tick has to tell, as `odometry`, `scan` and `beams` one after the other would."""
         if self.spec.kinds:  # which are drawn in between
             odometry = self.odometry(motion, rng)
-            return Senses(odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture))
+            return odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture)
         moving, told = (people, furniture), np.empty((4, 3))
-        self._make_room(len(people))
+        if len(people):
+            self._make_room(len(people))
         k = noticed(
             self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), told, self._walls, pose,
             self._positions, self._pull_back, moving, self._settings, self._polar, self._seen,
@@ -172,8 +168,8 @@ class Sensor:
             self._walls, pose, (k, self._polar, self._seen), self._sizes, moving, noise, self._settings,
             self._bearings, self._finder, out, ranges,
         )  # fmt: skip
-        beams = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
-        return Senses(Odometry(told[0], told[1:]), *_answer(pose, out, m, self._no_kinds[:m].copy()), beams)
+        beams = Beams(self._bearings.copy(), ranges, self._finder[0])
+        return Odometry(told[0], told[1:]), *_answer(pose, out, m, self._no_kinds[:m].copy()), beams
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
