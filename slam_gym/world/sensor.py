@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -107,8 +107,13 @@ def _check(spec: object, positive: tuple[str, ...] = (), probabilities: tuple[st
             raise ValueError(f"{name} must be in (0, 2π] rad, not {value}")
 
 
-Senses = tuple[Odometry, Scan, Truth, Beams]
-"""What a tick has to tell, the truth behind the scan among it."""
+class Senses(NamedTuple):
+    """What a tick has to tell, and the truth behind the scan."""
+
+    odometry: Odometry
+    scan: Scan
+    truth: Truth
+    beams: Beams
 
 
 class Sensor:
@@ -153,7 +158,7 @@ class Sensor:
         """All that a tick has to tell, as `odometry`, `scan` and `beams` one after the other would."""
         if self.spec.kinds:  # which are drawn in between
             odometry = self.odometry(motion, rng)
-            return odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture)
+            return Senses(odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture))
         moving, told = (people, furniture), np.empty((4, 3))
         if len(people):
             self._make_room(len(people))
@@ -169,7 +174,7 @@ class Sensor:
             self._bearings, self._finder, out, ranges,
         )  # fmt: skip
         beams = Beams(self._bearings.copy(), ranges, self._finder[0])
-        return Odometry(told[0], told[1:]), *_answer(pose, out, m, self._no_kinds[:m].copy()), beams
+        return Senses(Odometry(told[0], told[1:]), *_answer(pose, out, m, self._no_kinds[:m].copy()), beams)
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
