@@ -59,6 +59,7 @@ from slam_gym.validation import check_scan
 _GONE = -1  # new number of a feature that is dropped
 _EMPTY = -1  # head of a grid cell without features
 _POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
+_DECISIVE = 0.002  # probability of pairings by chance so small that no rival of the same number is looked for
 _FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
 _NO_LOCALITY = (np.empty(0, np.int64), np.empty(0, np.int64))
 
@@ -196,8 +197,8 @@ class FeatureIndex:
         `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule
         (`usual_pairings`); one pairing less is reported as ambiguous, and what explains less than that is not looked
         for. The search ends once no pose is unseen that explains as many measurements as the best. Unless `exhaustive`,
-        it also ends with one pairing more than needed and no other place found that looks alike: none that explains all
-        but k/3 − 1 of the same k measurements.
+        it also ends with one pairing more than needed, or with so many as chance brings once in 500 maps by the
+        rule, and no other place found that looks alike: none that explains all but k/3 − 1 of the same k measurements.
 
         `node_limit` bounds the work, as so many poses verified: fits, and features gone through where the index does
         not reach, count as several. Default: 20 000 and 3 for each feature, some three times what it takes to refuse a
@@ -209,8 +210,10 @@ class FeatureIndex:
         """
         start = time.perf_counter()
         check_scan(scan)
+        decisive = len(scan) + 1
         if min_pairings is None:
             min_pairings = self.usual_pairings(scan, confidence)
+            decisive = self.usual_pairings(scan, confidence, _DECISIVE)
         if min_pairings < 3:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
         for name, other in (("landmarks", landmarks), ("locality", locality)):
@@ -223,7 +226,7 @@ class FeatureIndex:
             self._store(),
             search_gates(len(scan), confidence),
             min_pairings,
-            len(scan) + 1 if exhaustive else min_pairings + 1,
+            len(scan) + 1 if exhaustive else min(decisive, min_pairings + 1),
             _POSES + _POSES_EACH * self.n if node_limit is None else node_limit,
         )
         best = int(np.argmin(squares)) if pairings else 0

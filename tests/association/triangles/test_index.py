@@ -244,3 +244,17 @@ def test_a_crowd_of_likenesses_ends_at_the_default_limit_and_says_so():
     assert bounded.effort.limit_hit and short.effort.limit_hit
     assert short.effort.nodes < bounded.effort.nodes < 40_000
     assert not index.relocate(scan, min_pairings=20).effort.limit_hit
+
+
+def test_with_as_many_pairings_as_chance_hardly_ever_brings_the_search_ends_at_once() -> None:
+    rng, tries, patiently = np.random.default_rng(48), 0, 0
+    truth = field(rng, 1000)
+    index = FeatureIndex(landmarks_at(truth))
+    for _ in range(30):
+        scan, pose, _ = view(rng, truth, 20, 11)
+        answer = index.relocate(scan)
+        other = index.relocate(scan, min_pairings=answer.min_pairings)
+        assert answer.accepted == other.accepted and (not answer.accepted or is_near(answer, pose))
+        np.testing.assert_array_equal(answer.features, other.features)
+        tries, patiently = tries + answer.effort.tries, patiently + other.effort.tries
+    assert tries < 0.8 * patiently
