@@ -102,15 +102,14 @@ def _places(
                 continue
             number = 1 if end == 0.0 else 1 + math.ceil(end / half)
             x, y = offsets[k, 0], offsets[k, 1]
-            turn = end / math.hypot(x, y) if number > 1 else 0.0
+            turn = end / math.sqrt(x * x + y * y) if number > 1 else 0.0
             for i in range(number):
                 part = turn * (2.0 * i / max(number - 1, 1) - 1.0)
                 places[0, count], places[1, count], levels[count] = x - part * y, y + part * x, level
                 count += 1
             break
         starts[p + 1] = count
-    count += -count % AT_ONCE
-    return starts, places[:, :count].copy(), levels[:count]
+    return starts, places, levels
 
 
 @compiled

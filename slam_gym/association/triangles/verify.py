@@ -33,9 +33,9 @@ class Seed(NamedTuple):
     doubts: Array  # (3,) [m²] variances of those
     order: IntArray  # (m − 3,) the others, those first whose feature must be nearest to where the pose puts them
     starts: IntArray  # (m − 2,) of the others, in order: where their places start, and where the last one's end
-    places: Array  # (2, p) [m] from the centroid: the gate of a measurement touches nothing if none of its is painted
-    levels: IntArray  # (p,) in which bitmap each of these is looked up: 0 the fine one, 1 the coarse one
-    # Places and levels are filled up with zeros to a multiple of `AT_ONCE`.
+    places: Array  # (2, ≥ p) [m] from the centroid: the gate of a measurement touches nothing if none of its is painted
+    levels: IntArray  # (≥ p,) in which bitmap each of these is looked up: 0 the fine one, 1 the coarse one
+    # Of places and levels there are `AT_ONCE` more, zeros: those worked out are a multiple of it.
     offsets: Array  # (m, 2) [m] from the centroid, by measurement
     around: Array  # (m, 3) their gates: Σ of the weighted squares of (error · offset), (error × offset) is 1; reach [m]
 
