@@ -113,9 +113,7 @@ def _promising(store: Store, seed: Seed, asked: BoolArray, triangles: Small, all
             hit = int(not asked[p] or starts[p] == starts[p + 1])
             for i in range(starts[p], starts[p + 1]):
                 hit |= int(bits[np.uint64(words[i])]) >> shifts[i] & 1
-            left -= 1 - hit
-            if left < 0:
-                break
+            left -= 1 - hit  # not given up early: there is no foretelling when, and waiting for it takes longer
         pose = (x, y, c, s)
         if left >= 0 and _meets(store, seed, asked, pose, allowed):
             chosen[kept] = at

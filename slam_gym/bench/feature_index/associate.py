@@ -35,6 +35,7 @@ _KINDS = (
     *(QueryKind(m, s, half) for m, s in ((10, 0.0), (10, 0.3), (20, 0.3), (20, 0.5)) for half in (False, True)),
     QueryKind(10, 0.3, half=False, inside=False),
     QueryKind(20, 0.5, half=False, inside=False),
+    QueryKind(20, 0.5, half=True, inside=False),
 )
 
 
@@ -87,9 +88,15 @@ def relocations(index: FeatureIndex, asked: Sequence[Query]) -> Record:
     times = [1e-3 * fastest(index.relocate, one.scan, clock=THREAD) for one in asked]
     right = [a.accepted and NEAR.holds(a.pose, one.pose) for a, one in zip(answers, asked)]
     return {
-        **{"ms": float(np.median(times)), "95 %": float(np.percentile(times, 95)), "right": float(np.mean(right))},
+        **{
+            "ms": float(np.median(times)),
+            "95 %": float(np.percentile(times, 95)),
+            "longest": max(times),
+            "right": float(np.mean(right)),
+        },
         "wrong": float(np.mean([a.accepted and not r for a, r in zip(answers, right)])),
         "ambiguous": float(np.mean([a.ambiguous for a in answers])),
+        "limit hit": float(np.mean([a.effort.limit_hit for a in answers])),
         "poses": float(np.median([a.effort.nodes for a in answers])),
         "tests": float(np.median([a.effort.binary_tests for a in answers])),
     }
