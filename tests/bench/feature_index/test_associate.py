@@ -26,7 +26,7 @@ def test_right_and_wrong_are_accepted_answers():
 
 def test_targets_are_of_sizes_and_of_sides():
     rows = scaling((1_000,), 1, np.random.default_rng(2))
-    assert len(rows) == 10
+    assert len(rows) == 11
     assert {row["target [ms]"] for row in rows if row["inside"]} == {TARGETS[1_000][0]}
     assert {row["target [ms]"] for row in rows if not row["inside"]} == {TARGETS[1_000][1]}
 
