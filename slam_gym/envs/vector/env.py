@@ -37,9 +37,9 @@ RESET_MASK = "reset_mask"  # the option by which Gymnasium resets some worlds on
 class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
     """N worlds of one of the environments, each bit for bit what the single environment is with the same seed.
 
-    The worlds are spread over `workers` processes, each of which steps its own one after the other and writes into
-    memory that all share. An error in a world is raised here, with the number of the world; the others have made their
-    step. Workers end with this process.
+    The worlds are spread over `workers` processes, this one among them, each of which steps its own one after the other
+    and writes into memory that all share. An error in a world is raised here, with the number of the world; the others
+    have made their step. Workers end with this process.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         Args:
             of: the class of the single environment, which `gym.make_vec` knows by its id.
             num_envs: how many worlds.
-            workers: processes; 0: all in this one; None: as many as there are cores, but 0 for one world or core.
+            workers: processes, of which this is the first; 0 or 1: all in this one; None: as many as there are cores.
             autoreset_mode: what happens at the end of an episode, as Gymnasium has it.
             max_episode_steps: after so many steps an episode is `truncated`; None: never.
             copy: hand out copies of the observations; else the shared arrays, which the next step overwrites.
@@ -84,7 +84,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         self._groups: Sequence[WorkerWorlds | _Here] = []
         self._drawing: Drawing | None = None
         self._infos: SharedInfos | None = None
-        if count == 0:
+        if count <= 1:
             self._buffers = layout.buffers(bytearray(layout.size))
             self._groups = [_Here(Worlds(making, self._rows[0], self._buffers))]
             return
@@ -124,7 +124,8 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         return self.step_wait()
 
     def step_async(self, actions: Any) -> None:
-        """Begin a step, and return while the workers carry it out. Raises as `step`."""
+        """Begin a step, and return while the workers carry it out; `step_wait` does the part of this process. Raises as
+        `step`."""
         self._check_running()
         self._buffers.actions[:] = self._checked(actions)
         for group, rows in zip(self._groups, self._rows):
@@ -201,8 +202,13 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         block = SharedBlock(layout.size)
         try:
             self._buffers = layout.buffers(block.memory)
-            self._groups = [WorkerWorlds(making, rows, layout, block.path) for rows in self._rows]
-            self._answers()
+            workers = [WorkerWorlds(making, rows, layout, block.path) for rows in self._rows[1:]]
+            # A process that waits takes its time to wake up: this one has no need to, as long as its part takes longest.
+            ahead = self._autoreset is not AutoresetMode.DISABLED
+            here = Worlds(making, self._rows[0], self._buffers.of(self._rows[0]), ahead)
+            for worker in workers:
+                worker.answer()
+            self._groups = [_Here(here), *workers]
             if self._autoreset is not AutoresetMode.DISABLED:
                 self._drawing = Drawing(making, layout, block.path)
         finally:
@@ -214,7 +220,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         layout = InfoLayout.of(plainest(infos), self.num_envs) if self._infos is None and infos else None
         if layout is None:
             return
-        if isinstance(self._groups[0], _Here):
+        if len(self._groups) == 1:
             here = bytearray(layout.size)
             self._infos = SharedInfos(layout, here)
             self._parts("share_infos", layout, here)
@@ -259,7 +265,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         for group in self._groups:
             try:
                 answers.append(group.answer())
-            except RuntimeError as error:
+            except Exception as error:
                 errors.append(error)
         if errors:
             raise errors[0]
