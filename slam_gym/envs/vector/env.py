@@ -203,7 +203,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         try:
             self._buffers = layout.buffers(block.memory)
             workers = [WorkerWorlds(making, rows, layout, block.path) for rows in self._rows[1:]]
-            # A process that waits takes its time to wake up: this one has no need to, as long as its part takes longest.
+            # A process that waits takes its time to wake up; this one has no need to while its own part lasts.
             ahead = self._autoreset is not AutoresetMode.DISABLED
             here = Worlds(making, self._rows[0], self._buffers.of(self._rows[0]), ahead)
             for worker in workers:
