@@ -103,6 +103,8 @@ class ExploreEnv(BaseEnv):
         super().__init__(split, render_mode, arguments=locals())
         one_of("action", action, ("goal", "twist"))
         one_of("locality", locality, ("covisibility", None))
+        if not isinstance(atlas, bool | AtlasSpec):
+            raise ValueError(f"atlas: expected True, False or an AtlasSpec, got {atlas!r}")
         self.scenario = scenario_on_floor(scenario, floor_plan, resolution, overrides)
         self.locality = locality
         self.render_covisibility = render_covisibility

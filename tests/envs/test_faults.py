@@ -29,6 +29,7 @@ from tests.rollouts import SCENARIOS, differences, episode, explore, random_acti
         ({"split": "validation"}, "split='validation'.*train, test"),
         ({"action": "drive"}, "action='drive'.*goal, twist"),
         ({"reward": "coverage"}, "'coverage'.*map_error, a_opt, d_opt, entropy"),
+        ({"atlas": "marginal"}, "atlas: expected True, False or an AtlasSpec, got 'marginal'"),
         ({"locality": "distance"}, "locality='distance'.*covisibility, None"),
         ({"render_mode": "ansi"}, "render_mode='ansi'.*None, rgb_array, rgb_array_list, human"),
         ({"associator": "icp"}, "'icp'.*known: .*jcbb, .*nearest_neighbour, .*true_association"),

@@ -141,7 +141,7 @@ def _explore(rng: np.random.Generator) -> dict[str, Any]:
         "reward": _any(rng, "map_error", "a_opt", "d_opt", "entropy"),
         "locality": _any(rng, None, "covisibility"),
         "relocation": relocation,
-        "atlas": relocation is not None and _any(rng, None, "marginal", "learned"),
+        "atlas": relocation is not None and bool(rng.integers(2)),
     }
 
 

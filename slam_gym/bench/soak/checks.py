@@ -60,11 +60,12 @@ class Checked:
         self._rng = np.random.default_rng((case.number, 1))
         self._actions = np.random.default_rng((case.number, 2))
         self._seed = case.number
-        self.steps, self.total = 0, 0.0
+        self.steps, self.total, self._began = 0, 0.0, False
 
     def play(self) -> Iterator[None]:
         """Reset, then one step at a time until the episode is over. Raises Broken, or what the environment raises."""
         observation, info = self.env.reset(seed=self._seed)
+        self._began = True
         self._check(observation, 0.0, info)
         first, over = self._error(), False
         yield
@@ -84,7 +85,7 @@ class Checked:
     @property
     def ticks(self) -> int:
         """Ticks of the episode so far: scans that the map has learned from. 0 before it began."""
-        if self.env._snapshot is None:
+        if not self._began:
             return 0
         if isinstance(self.env, ExploreEnv):
             return self.env.episode.ticks

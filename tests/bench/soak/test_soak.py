@@ -1,11 +1,13 @@
 """The soak in its shortest form: some episodes with extreme settings, and what is said where something breaks."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from slam_gym.bench.report import Report
 from slam_gym.bench.runner import FailedError, main
+from slam_gym.bench.soak.cases import EXTREMES
 from slam_gym.bench.soak.soak import growth, run, soak
 
 EXTREME = (0, 1, 5, 8, 14, 29)  # numbers of cases: all three environments, five kinds of settings
@@ -30,6 +32,15 @@ def test_what_breaks_is_named_and_fails_the_command(capsys, monkeypatch):
     with pytest.raises(FailedError, match="1 of 1 episodes"):
         run(Report(), ticks=1, minutes=0.01, length=10, first=2)
     assert "BROKEN case 2: Explore" in capsys.readouterr().out
+
+
+def test_an_episode_that_does_not_begin_is_named_too(monkeypatch):
+    def nowhere(rng):
+        raise OSError("no floor")
+
+    monkeypatch.setitem(EXTREMES, "as it is", lambda scenario: replace(scenario, generator=nowhere))
+    outcome = soak(0, 0, 20)
+    assert outcome.broken.startswith("OSError: no floor") and outcome.ticks == 0
 
 
 def test_growth_is_that_of_the_level_not_of_the_start():
