@@ -32,6 +32,7 @@ from slam_gym.association.tree import (
 from slam_gym.types import UNPAIRED, Array, Effort, IntArray
 
 NODE_LIMIT = 100_000  # of a search, unless another is given
+TEST_LIMIT = 1_000_000  # joint tests of a search: where a robot is lost, a node has thousands of candidates
 _UNDECIDED = -1  # in place of a level
 
 
@@ -127,7 +128,7 @@ def _search(
         if position[p] == stack.end[p] or not _promises(stack, p, best, best_distance):
             p -= 1
             continue
-        if nodes == node_limit:
+        if nodes == node_limit or tests >= TEST_LIMIT:
             limit_hit = True
             break
         c = stack.alive[p, position[p]]

@@ -15,8 +15,9 @@ def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) ->
     those paired in recent scans; those left over are then offered the other features, with the pairings of the first
     search kept, and there the first pairing restricts the others to its own locality.
 
-    `node_limit` bounds each of the two searches; where it is met, `effort.limit_hit` says so and the best hypothesis
-    found until then is returned. Raises ValueError as `individual` does, and for a node limit below 1.
+    `node_limit` bounds each of the two searches, and so do a million joint tests; where one is met, `effort.limit_hit`
+    says so and the best hypothesis found until then is returned. Raises ValueError as `individual` does, and for a node
+    limit below 1.
     """
     check_node_limit(node_limit)
 

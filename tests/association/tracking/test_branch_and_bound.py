@@ -29,3 +29,12 @@ def test_the_bound_counts_features_that_are_left_not_only_levels(seed):
     answer = jcbb(scan, prediction)
     assert answer.dof == 6
     assert answer.effort.nodes < 500
+
+
+def test_joint_tests_are_limited_where_a_node_has_thousands_of_candidates():
+    """A lost robot: all may be paired with all. A hundred thousand nodes would be some thirty million tests."""
+    scan, prediction = oracles.problem(np.random.default_rng(2), 20, 300, noise=1.0)
+    answer = jcbb(scan, prediction)
+    assert answer.effort.limit_hit and answer.effort.nodes < 20_000
+    assert 1_000_000 <= answer.effort.joint_tests <= 1_000_000 + 20 * 300
+    assert (answer.features != UNPAIRED).sum() == 20, "it is the best so far"
