@@ -1,8 +1,8 @@
 """Train what ships from nothing: `python -m agents.reproduce driver|associator|acceptance [--quick] [--out DIR]`.
 
 Writes DIR/NAME.npz and its card, and shows each figure of the training beside that of the card that ships, with the
-interval that it should lie in. `--quick` takes a small part of the worlds: it shows that the training runs and learns,
-not that it comes to the same.
+interval that it should lie in; exit status 1 where one lies outside. `--quick` takes a small part of the worlds: it
+shows that the training runs and learns, not that it comes to the same.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from agents.cli import program, results_folder, run_main
 from slam_gym import weights
@@ -26,6 +29,7 @@ TARGETS: dict[str, str] = {
 """What ships, by the name of its weights, and the function that trains it: (quick, command, say) → `Weights`."""
 
 Say = Callable[[str], None]
+_OUTSIDE = " — OUTSIDE"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -44,9 +48,25 @@ def compared(found: dict[str, Any], shipped: dict[str, Any]) -> list[str]:
         if card is not None:
             inside = card["low"] <= figure["estimate"] <= card["high"]
             line += f"; shipped {card['estimate']:.4g} [{card['low']:.4g}, {card['high']:.4g}]"
-            line += "" if inside else " — OUTSIDE"
+            line += "" if inside else _OUTSIDE
         lines.append(line)
     return lines
+
+
+def verdict(found: Weights, shipped: Weights) -> tuple[str, bool]:
+    """Whether all figures lie within the card's, and how far the arrays are from those that ship."""
+    lines = compared(found.card.metrics, shipped.card.metrics)
+    outside = sum(line.endswith(_OUTSIDE) for line in lines)
+    far = max((_farthest(found.arrays.get(name), own) for name, own in shipped.arrays.items()), default=0.0)
+    arrays = "the arrays that ship, bit for bit" if far == 0.0 else f"other arrays, by up to {far:.2g}"
+    figures = f"{outside} of {len(lines)} figures OUTSIDE the card" if outside else "all figures within the card"
+    return f"verdict: {figures}; {arrays}", not outside
+
+
+def _farthest(found: NDArray[Any] | None, shipped: NDArray[Any]) -> float:
+    if found is None or found.shape != shipped.shape:
+        return math.inf
+    return float(np.abs(found - shipped).max(initial=0.0))
 
 
 def figure(values: list[float]) -> dict[str, float]:
@@ -65,10 +85,16 @@ def main(argv: list[str]) -> int:
     found = reproduce(a.quick, f"python -m agents.reproduce {a.target}", lambda text: print(text, flush=True))
     path = out / f"{a.target}.npz"
     weights.write(path, found)
-    shipped = weights.card_of(a.target).metrics if a.target in weights.names() and not a.quick else {}
-    print("\n".join(compared(found.card.metrics, shipped)))
     print(f"wrote {path}")
-    return 0
+    if a.quick:
+        print("\n".join(compared(found.card.metrics, {})))
+        return 0
+    card = weights.card_of(a.target)
+    shipped = weights.load(a.target, card.version, card.inputs, card.shapes)
+    print("\n".join(compared(found.card.metrics, card.metrics)))
+    said, good = verdict(found, shipped)
+    print(said)
+    return 0 if good else 1
 
 
 if __name__ == "__main__":

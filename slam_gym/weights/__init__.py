@@ -20,7 +20,9 @@ from slam_gym._files import array_of, content_of, json_of, zip_members
 
 MAX_BYTES = 1 << 20  # of an archive, and of what it unpacks to
 _FOLDER = Path(__file__).parent
-_FIELDS = {"version": int, "inputs": list, "shapes": dict, "scenarios": list, "seeds": list, "command": str}
+_FIELDS = {
+    "version": int, "inputs": list, "shapes": dict, "scenarios": list, "seeds": list, "command": str, "note": str,
+}  # fmt: skip
 
 
 class Card(NamedTuple):
@@ -33,6 +35,7 @@ class Card(NamedTuple):
     seeds: tuple[int, ...]
     command: str  # that trains them from nothing
     metrics: dict[str, Any]  # of the training, as the command printed them
+    note: str = ""  # where the arrays are not those of the command: which they are, and why
 
 
 class Weights(NamedTuple):
@@ -102,8 +105,9 @@ def _text(card: Card) -> str:
 
 
 def _card(found: Any) -> Card:
-    if not isinstance(found, dict) or set(found) != set(Card._fields):
+    if not isinstance(found, dict) or set(found) | {"note"} != set(Card._fields):
         raise ValueError(f"its card has not the fields {', '.join(Card._fields)}")
+    found = {"note": "", **found}
     for name, kind in _FIELDS.items():
         if not isinstance(found[name], kind) or isinstance(found[name], bool):
             raise ValueError(f"its card: {name} is no {kind.__name__}")

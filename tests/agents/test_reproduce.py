@@ -1,10 +1,14 @@
 """The command that trains what ships from nothing."""
 
+import math
+
+import numpy as np
 import pytest
 
-from agents.reproduce import compared, figure, main
+from agents.reproduce import compared, figure, main, verdict
 from slam_gym import weights
 from slam_gym.association.learned.associator import learned_odds
+from slam_gym.weights import Card, Weights
 
 
 def test_the_associator_is_trained_from_nothing(tmp_path, capsys):
@@ -26,6 +30,20 @@ def test_figures_are_held_against_the_card():
         {"loss": {"estimate": 1.4}}, card
     )[0], compared({"other": {"estimate": 3.0}}, card)[0]  # fmt: skip
     assert "OUTSIDE" not in inside and "OUTSIDE" in outside and new == "other: 3"
+
+
+def test_the_verdict_tells_figures_and_arrays_apart():
+    def trained(loss, weight):
+        card = Card(1, ("range",), {}, ("office",), (0,), "python -m …", {"loss": figure([loss, loss + 0.1])})
+        return Weights(card, {"first": np.full(2, weight)})
+
+    shipped = trained(1.0, 0.5)
+    within = "verdict: all figures within the card; "
+    assert verdict(shipped, shipped) == (within + "the arrays that ship, bit for bit", True)
+    assert verdict(trained(1.1, 0.25), shipped) == (within + "other arrays, by up to 0.25", True)
+    for loss in (2.0, math.nan):
+        said, good = verdict(trained(loss, 0.5), shipped)
+        assert not good and said.startswith("verdict: 1 of 1 figures OUTSIDE the card")
 
 
 def test_the_recordings_have_to_be_there(monkeypatch, tmp_path):

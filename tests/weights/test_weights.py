@@ -31,6 +31,9 @@ def test_they_come_back_and_the_same_weights_are_the_same_bytes(path: Path, tmp_
     assert found.card == some().card._replace(shapes={"first": (4, 2), "bias": (3,)})
     write(tmp_path / "again.npz", found)
     assert (tmp_path / "again.npz").read_bytes() == path.read_bytes()
+    card = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    path.with_suffix(".json").write_text(json.dumps({k: v for k, v in card.items() if k != "note"}), encoding="utf-8")
+    assert load(path, 2, ("range", "age"), SHAPES).card == found.card  # a card without a note is one
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,11 @@ from dataclasses import dataclass, field, replace
 
 from agents.learning.associator.decisions import Decisions
 from agents.learning.associator.sources import HIDDEN, LEVELS, LOGS, LOOPS, VIEWS, VIEWS_AND_SIZES, Source
-from agents.learning.associator.training import Training, fit
+from agents.learning.associator.training import Odds, TensorBatch, Training, batches_of, fit, mean_loss
 from agents.reproduce import figure
+from slam_gym.association.learned.associator import WEIGHTS
 from slam_gym.association.learned.inputs import INPUTS, VERSION
+from slam_gym.association.learned.network import load_network
 from slam_gym.weights import Card, Weights
 
 HIDDEN_LOOPS = (
@@ -108,6 +110,7 @@ def trained(
     fits = []
     for seed in plan.seeds:
         network, losses = fit(train, held_out, replace(plan.training, seed=seed))
+        say(f"seed {seed}: cross-entropy held out, by epoch: {' '.join(f'{loss:.4f}' for loss in losses.curve)}")
         say(f"seed {seed}: cross-entropy {losses.held_out:.4f} held out, {losses.model:.4f} by the model alone")
         fits.append((network, losses))
     metrics = {
@@ -115,8 +118,17 @@ def trained(
         "cross-entropy trained on": figure([losses.train for _, losses in fits]),
         "cross-entropy held out, the model alone": figure([losses.model for _, losses in fits]),
         "scans": figure([float(len(train))]),
-    }
+    } | _of_shipped(batches_of(held_out, plan.training.batch))
     names = (*plan.levels, *plan.loops, *(f"recording:{name}" for name in plan.logs))
     card = Card(VERSION, INPUTS, {}, tuple(names), tuple(plan.seeds), command, metrics)
     best = min(range(len(fits)), key=lambda k: fits[k][1].held_out)
     return Weights(card, fits[best][0].arrays())
+
+
+def _of_shipped(held_out: list[TensorBatch]) -> dict[str, dict[str, float]]:
+    """What the weights that ship come to on the same scans; nothing where they were made for other inputs."""
+    try:
+        network = load_network(WEIGHTS, VERSION, INPUTS)
+    except ValueError:
+        return {}
+    return {"cross-entropy held out, the weights that ship": figure([mean_loss(Odds.of(network), held_out)])}

@@ -17,10 +17,16 @@ import torch
 from torch import Tensor, nn
 
 from agents.learning.associator.decisions import Batch, Decisions, flat
-from slam_gym.association.learned.network import FARTHEST
+from slam_gym.association.learned.network import FARTHEST, Network
 from slam_gym.types import Array
 
 _ENOUGH = 16.0  # log odds
+_PARAMETERS = {
+    "centre": "centre", "scale": "scale", "linear": "linear.weight", "offset": "linear.bias",
+    "first": "first.weight", "first_offset": "first.bias", "second": "second.weight", "second_offset": "second.bias",
+    "last": "last.weight",
+}  # fmt: skip
+"""What torch calls each array of `Network`."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,11 @@ class Losses(NamedTuple):
 
     model: float  # without the network
     train: float
-    held_out: float
+    curve: tuple[float, ...]  # held out, after each epoch
+
+    @property
+    def held_out(self) -> float:
+        return self.curve[-1]
 
 
 class Odds(nn.Module):
@@ -76,16 +86,20 @@ class Odds(nn.Module):
         on meets weights that are small."""
         return odds.clamp(-_ENOUGH, _ENOUGH) if self.training else odds
 
+    @classmethod
+    def of(cls, network: Network) -> Odds:
+        """The same as one that ships, fit to be judged."""
+        found = cls(network.centre, network.scale, len(network.last))
+        given = {parameter: getattr(network, name) for name, parameter in _PARAMETERS.items()}
+        for name, own in found.state_dict().items():
+            own.copy_(torch.from_numpy(given[name]).reshape(own.shape))
+        return found.eval()
+
     def arrays(self) -> dict[str, Array]:
         """As `network_of` takes them."""
         state = {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
-        return {
-            "centre": state["centre"], "scale": state["scale"],
-            "linear": state["linear.weight"][0], "offset": state["linear.bias"],
-            "first": state["first.weight"], "first_offset": state["first.bias"],
-            "second": state["second.weight"], "second_offset": state["second.bias"],
-            "last": state["last.weight"][0],
-        }  # fmt: skip
+        arrays = {name: state[parameter] for name, parameter in _PARAMETERS.items()}
+        return arrays | {name: arrays[name][0] for name in ("linear", "last")}  # of one score, not of a row of them
 
 
 class TensorBatch(NamedTuple):
@@ -143,22 +157,22 @@ def fit(train: Sequence[Decisions], held_out: Sequence[Decisions], how: Training
     torch.manual_seed(how.seed)
     torch.set_num_threads(1)
     rng = np.random.default_rng(how.seed)
-    order = rng.permutation(len(train)).tolist()
-    batches = [_batch([train[k] for k in order[at : at + how.batch]]) for at in range(0, len(order), how.batch)]
+    batches = batches_of([train[k] for k in rng.permutation(len(train)).tolist()], how.batch)
     network = Odds(*scale_of(train), how.hidden)
     optimizer = torch.optim.AdamW(network.parameters(), lr=how.rate, weight_decay=how.decay)
     steps = how.epochs * len(batches)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda k: 0.5 + 0.5 * math.cos(math.pi * k / steps))
+    others, curve = batches_of(held_out, how.batch), []
     for _ in range(how.epochs):
+        network.train()
         for k in rng.permutation(len(batches)).tolist():
             optimizer.zero_grad()
             loss_of(network(batches[k]), batches[k]).backward()
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             schedule.step()
-    network.eval()
-    others = [_batch(list(held_out[at : at + how.batch])) for at in range(0, len(held_out), how.batch)]
-    return network, Losses(mean_loss(None, others), mean_loss(network, batches), mean_loss(network, others))
+        curve.append(mean_loss(network.eval(), others))
+    return network, Losses(mean_loss(None, others), mean_loss(network, batches), tuple(curve))
 
 
 def mean_loss(network: Odds | None, batches: Sequence[TensorBatch]) -> float:
@@ -169,5 +183,6 @@ def mean_loss(network: Odds | None, batches: Sequence[TensorBatch]) -> float:
     return float(sum(found)) / total if total else math.nan
 
 
-def _batch(scans: list[Decisions]) -> TensorBatch:
-    return TensorBatch.of(flat(scans))
+def batches_of(scans: Sequence[Decisions], size: int) -> list[TensorBatch]:
+    """Of so many scans each, in their order."""
+    return [TensorBatch.of(flat(scans[at : at + size])) for at in range(0, len(scans), size)]

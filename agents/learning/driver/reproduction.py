@@ -83,11 +83,8 @@ def trained(plan: Plan, rounds: Sequence[tuple[int, Examples]], command: str, sa
     """Weights and card, from the states."""
     held_out = together(examples for world, examples in rounds if _is_held_out(world))
     train = together(examples for world, examples in rounds if not _is_held_out(world))
-    networks, regret = [], []
-    for seed in plan.seeds:
-        networks.append(fit(train, plan.size, replace(plan.training, seed=seed)))
-        regret.append(regrets(networks[-1:], held_out).learned)
-        say(f"seed {seed}: a choice loses {regret[-1].mean():.3f} hundredths of E on held-out worlds")
+    networks = [fitted(plan, seed, train, held_out, say) for seed in plan.seeds]
+    regret = [regrets([network], held_out).learned for network in networks]
     shipped = networks[: plan.size.members]
     mean, own = regrets(shipped, held_out), regrets(shipped, train)
     say(f"mean of {len(shipped)}: {mean.learned.mean():.3f}; the greedy driver: {mean.greedy.mean():.3f}")
@@ -100,6 +97,18 @@ def trained(plan: Plan, rounds: Sequence[tuple[int, Examples]], command: str, sa
     }
     card = Card(VERSION, TOKEN_FIELDS, {}, tuple(dict.fromkeys(plan.scenarios)), tuple(plan.seeds), command, metrics)
     return Weights(card, stacked(shipped))
+
+
+def fitted(plan: Plan, seed: int, train: Examples, held_out: Examples, say: Callable[[str], None]) -> GoalNetwork:
+    """One network; says what a choice loses on held-out worlds after each epoch."""
+    curve: list[float] = []
+
+    def judge(network: GoalNetwork) -> None:
+        curve.append(float(regrets([network], held_out).learned.mean()))
+
+    network = fit(train, plan.size, replace(plan.training, seed=seed), judge)
+    say(f"seed {seed}: a choice loses, hundredths of E held out, by epoch: {' '.join(f'{x:.3f}' for x in curve)}")
+    return network
 
 
 def _figure(regrets_of_seeds: Sequence[Array]) -> dict[str, float]:

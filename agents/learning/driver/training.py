@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,7 +35,9 @@ class Regrets(NamedTuple):
     greedy: Array
 
 
-def fit(train: Examples, size: Size, training: Training) -> GoalNetwork:
+def fit(
+    train: Examples, size: Size, training: Training, after_epoch: Callable[[GoalNetwork], None] = lambda network: None
+) -> GoalNetwork:
     """A network that predicts the values of goals, up to what they have in common."""
     torch.set_num_threads(1)  # sums in one order, or the weights would depend on the number of cores
     torch.manual_seed(training.seed)
@@ -55,6 +58,7 @@ def fit(train: Examples, size: Size, training: Training) -> GoalNetwork:
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             plan.step()
+        after_epoch(network)
     return network.eval()
 
 

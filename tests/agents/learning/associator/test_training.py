@@ -22,6 +22,7 @@ def test_the_network_is_that_of_the_package():
     arrays = network.arrays()
     found = log_odds(network_of(arrays), batch.inputs.astype(np.float64), batch.measured, batch.slots)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
+    assert torch.equal(Odds.of(network_of(arrays))(TensorBatch.of(batch)), network(TensorBatch.of(batch)))
 
 
 def test_training_starts_at_the_model_and_gets_better():
@@ -31,7 +32,8 @@ def test_training_starts_at_the_model_and_gets_better():
     assert torch.equal(untrained(batch), torch.zeros(len(batch.inputs)))
     network, losses = fit(scans, scans[:10], Training(hidden=4, epochs=20, batch=10))
     assert losses.train < loss_of(torch.zeros(len(batch.inputs)), batch) - 0.02
-    assert losses.held_out < losses.model and losses.held_out == mean_loss(network, [TensorBatch.of(flat(scans[:10]))])
+    assert len(losses.curve) == 20 and losses.held_out < losses.curve[0] < losses.model
+    assert losses.held_out == mean_loss(network, [TensorBatch.of(flat(scans[:10]))])
 
 
 def test_one_seed_is_one_training():
