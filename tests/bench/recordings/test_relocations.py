@@ -89,7 +89,7 @@ def test_the_command_prints_its_tables_and_writes_files(data_dir, monkeypatch, t
     for words in ("Answers by the number", "Localities", "rule", ">= 6", "limit hit", "room, surveyed"):
         assert words in shown
     lines = (tmp_path / "relocations.csv").read_text(encoding="utf-8").splitlines()
-    assert len(lines) == 1 + 40 * 3 * 3
+    assert len(lines) == 1 + 40 * 4 * 3
 
 
 def test_without_data_the_command_asks_for_it(monkeypatch, capsys):
