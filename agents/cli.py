@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -77,6 +77,20 @@ def add_rerun_option(group: Any) -> None:
     """--rerun FILE|spawn."""
     group.add_argument("--rerun", metavar="FILE", help="write first episodes for Rerun's viewer into FILE (.rrd), or "
                        "spawn it (needs rerun-sdk)")  # fmt: skip
+
+
+def require_rerun(a: argparse.Namespace) -> None:
+    """ImportError where --rerun is asked for and its package is missing: now, not after hours."""
+    if a.rerun:
+        from agents.reports.rerun_log import viewer
+
+        viewer()
+
+
+def say_where(files: Sequence[str], how: Execution) -> None:
+    """Tell which files there are now for Rerun's viewer."""
+    for file in files:
+        how.console.print(f"rerun: {file}", soft_wrap=True)
 
 
 def search_or_none(text: str) -> str | None:

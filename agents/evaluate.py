@@ -6,7 +6,6 @@ Writes into OUT: episodes.jsonl (--resume goes on from it), episodes.csv, result
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from agents.cli import (
     add_episode_options,
@@ -19,11 +18,13 @@ from agents.cli import (
     explore_arguments,
     program,
     require_positive,
+    require_rerun,
     results_folder,
     run_main,
+    say_where,
 )
 from agents.drivers.base import AGENTS, SHOWN
-from agents.evaluation.drivers import driver_evaluation, drivers_of, kidnappings, tables
+from agents.evaluation.drivers import driver_evaluation, drivers_of, kidnappings, tables, world_of
 from agents.evaluation.pipeline import carry_out
 from agents.evaluation.tables import print_table
 
@@ -48,9 +49,10 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
     require_positive(a, "jobs")
+    require_rerun(a)
     episodes = episodes_of(a)
     arguments = explore_arguments(a, split="test")
-    out = a.out or results_folder(Path(arguments.world).name.split(".")[0], a.resume)
+    out = a.out or results_folder(world_of(arguments.plain).split(".")[0], a.resume)
     drivers, how = drivers_of(a.agents, a.model, a.trust), execution(a, command_line("agents.evaluate", argv))
     try:
         results = carry_out(driver_evaluation(drivers, arguments, episodes), out, how)
@@ -61,7 +63,8 @@ def main(argv: list[str]) -> int:
         if a.rerun:
             from agents.reports.rerun_log import Drive, log_drives
 
-            log_drives(a.rerun, a.first, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
+            drives = [Drive(driver.agent, arguments, driver.make()) for driver in drivers]
+            say_where(log_drives(a.rerun, a.first, drives), how)
     except KeyboardInterrupt:
         how.console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise

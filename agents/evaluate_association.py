@@ -24,8 +24,10 @@ from agents.cli import (
     execution,
     program,
     require_positive,
+    require_rerun,
     results_folder,
     run_main,
+    say_where,
     search_or_none,
 )
 from agents.drivers.base import AGENTS, make_agent
@@ -111,7 +113,7 @@ class Plan(NamedTuple):
 
     evaluation: Evaluation
     tables: Callable[[Results], list[Table]]
-    log: Callable[[str], None] | None = None  # writes drives for Rerun's viewer
+    log: Callable[[str], list[str]] | None = None  # writes drives for Rerun's viewer; the files
 
 
 def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
@@ -122,12 +124,14 @@ def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
     loops = [ExploreArguments(name, tuple(a.overrides), **world) for name in dict.fromkeys(scenarios)]
     names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation or [None, SEARCH]))
 
-    def log(target: str) -> None:
+    def log(target: str) -> list[str]:
         """The first scenario, with the last of the searches."""
         from agents.reports.rerun_log import Drive, log_drives
 
         first = replace(loops[0], relocation=searches[-1])
-        log_drives(target, a.first, [Drive(name, first, make_agent(a.driver), metered(name)[1]) for name in names])
+        return log_drives(
+            target, a.first, [Drive(name, first, make_agent(a.driver), metered(name)[1]) for name in names]
+        )
 
     return Plan(associator_evaluation(names, loops, a.driver, episodes_of(a), searches), associators.tables, log)
 
@@ -185,6 +189,7 @@ def main(argv: list[str]) -> int:
     require_positive(a, "jobs", "worlds", "problems", "every")
     if a.suite and a.recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
+    require_rerun(a)
     kind, planned = ("suite", suite_plan) if a.suite else ("association", loop_plan)
     if a.recording:
         kind, planned = "recording", recording_plan
@@ -194,7 +199,7 @@ def main(argv: list[str]) -> int:
         plan = planned(a, out)
         results = carry_out(plan.evaluation, out, how)
         if a.rerun and plan.log:
-            plan.log(a.rerun)
+            say_where(plan.log(a.rerun), how)
     except KeyboardInterrupt:
         how.console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
         raise

@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.cli import add_explore_options, add_rerun_option, explore_arguments, program, run_main
+from agents.cli import add_explore_options, add_rerun_option, explore_arguments, program, require_rerun, run_main
 from agents.drivers.base import AGENTS, Agent, Info, make_agent, visible
 from agents.evaluation.associators import SIMPLEST_FIRST
 from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
@@ -125,6 +125,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: list[str]) -> int:
     a = parser().parse_args(argv)
+    require_rerun(a)
     watched = make_agent(a.agent, a.model) if a.agent else None
     arguments, controls = explore_arguments(a, split="train"), Controls()
     probe: Any = arguments.make("twist").unwrapped  # refuses what nobody knows; has the scenario's associator

@@ -28,7 +28,8 @@ class Length(NamedTuple):
 
 def add_training_options(p: argparse.ArgumentParser, default: Length, out: str) -> None:
     """What every training takes."""
-    p.add_argument("--timesteps", type=int, default=default.timesteps, help="decisions in all (default: %(default)s)")
+    p.add_argument("--timesteps", type=int, default=default.timesteps, help="decisions in all, rounded up to whole "
+                   "rollouts (default: %(default)s)")  # fmt: skip
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help="default: %(default)s")
     p.add_argument("--resume", action="store_true", help="go on from DIR/checkpoint.pt up to --timesteps")

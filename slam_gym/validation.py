@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan
+from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Odometry, Scan
 
 _CONDITION = 1e12  # of a measurement's covariance, beyond which an update loses all its digits
 _TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, to the variances' product
@@ -51,6 +51,16 @@ def first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
         if trace * trace > _CONDITION * determinant:
             return i, 5
     return -1, 0
+
+
+def check_inputs(odometry: Odometry, scan: Scan) -> None:
+    """Raise ValueError where a step is handed something else than a motion and a scan, or the two in turn."""
+    for name, given, expected, maker in (
+        ("odometry", odometry, Odometry, "Odometry.from_motion"),
+        ("scan", scan, Scan, "Scan.from_points"),
+    ):
+        if not isinstance(given, expected):
+            raise ValueError(f"{name}: {type(given).__name__}, expected {expected.__name__} ({maker} makes one)")
 
 
 def check_scan(scan: Scan) -> None:
@@ -131,7 +141,18 @@ def _fits(new: Any, decisions: IntArray) -> bool:
 def one_of(name: str, value: Any, known: Any) -> None:
     """Raise ValueError, listing the known values of an argument, where `value` is none of them."""
     if value not in known:
-        raise ValueError(f"{name}={value!r}; known: {', '.join(map(str, known))}")
+        raise ValueError(f"{name}={value!r}; {known_names(value, known)}")
+
+
+def known_names(given: Any, known: Iterable[Any], further: str = "") -> str:
+    """How an error about a name that nobody knows goes on: the one that was perhaps meant, and all that are known."""
+    from difflib import get_close_matches  # errors alone need it
+
+    names = [str(name) for name in known]
+    lower = {name.lower().replace("-", "_"): name for name in names}
+    close = get_close_matches(str(given).lower().replace("-", "_"), lower, n=1, cutoff=0.75)
+    meant = f"did you mean {lower[close[0]]!r}? " if close else ""
+    return f"{meant}known: {', '.join(names)}{further}"
 
 
 def imported(what: str, given: str, table: Mapping[str, Any], further: str = "") -> Any:
@@ -140,8 +161,8 @@ def imported(what: str, given: str, table: Mapping[str, Any], further: str = "")
     Raises ValueError, listing the names of the table and those that are `further` known, where there is none;
     ModuleNotFoundError where the module is there but needs another that is not.
     """
-    known = f"known: {', '.join(table)}{further}, or 'module:name'"
     module, colon, name = given.partition(":")
+    known = known_names(given, table, f"{further}, or 'module:name'")
     if not colon:
         raise ValueError(f"unknown {what} {given!r}; {known}")
     try:

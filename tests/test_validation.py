@@ -197,6 +197,8 @@ def test_an_argument_that_nobody_knows_is_refused_with_those_that_are_known() ->
     one_of("reward", None, ("a_opt", None))
     with pytest.raises(ValueError, match=r"^reward='money'; known: a_opt, d_opt, None$"):
         one_of("reward", "money", ("a_opt", "d_opt", None))
+    with pytest.raises(ValueError, match=r"^reward='A-opt'; did you mean 'a_opt'\? known: a_opt, d_opt$"):
+        one_of("reward", "A-opt", ("a_opt", "d_opt"))
 
 
 def test_measurements_of_any_scale_within_the_bound_leave_a_map_positive_semi_definite():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -118,10 +118,15 @@ def rows(records: Sequence[Record]) -> Rows:
     return {agent: estimates(own, COLUMNS) for agent, own in by_name(records, "agent").items()}
 
 
+def world_of(conditions: Mapping[str, Any]) -> str:
+    """What to call the world of an evaluation in a title: the name of the floor plan's file, or of the scenario."""
+    floor: str | None = conditions["floor_plan"]
+    return Path(floor).name if floor else str(conditions["scenario"])
+
+
 def tables(results: Results) -> list[Table]:
     """The table, of the agents in the order in which they were asked for."""
-    world = results.content["conditions"]["floor_plan"] or results.content["conditions"]["scenario"]
-    title = f"{world}, {counted(results.content['asked']['episodes'], 'episode')}"
+    title = f"{world_of(results.content['conditions'])}, {counted(results.content['asked']['episodes'], 'episode')}"
     table = Table(title, "agent", COLUMNS, rows(results.records))
     if Clairvoyant.name not in table.rows:
         return [table]

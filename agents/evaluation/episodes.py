@@ -67,11 +67,6 @@ class ExploreArguments(_Arguments):
         """So many of it, in so many processes (None: as many as there are cores), each reset where its episode ends."""
         return _many(EXPLORE, count, workers, action=action, **self.plain)
 
-    @property
-    def world(self) -> str:
-        """What to call it in a title."""
-        return self.scenario if self.floor_plan is None else self.floor_plan
-
 
 @dataclass(frozen=True)
 class AssociateArguments(_Arguments):

@@ -76,11 +76,14 @@ def estimate(
     """The statistic of values (n,) and its 95 % bootstrap interval, resampled within each of the strata (n,).
 
     Values that are not finite are left out; all NaN where none is left. The same values always give the same interval.
+    Where each stratum has but one value, nothing tells how they vary, and there is no interval.
     """
     finite = np.isfinite(values)
     if not finite.any():
         return Interval(math.nan, math.nan, math.nan)
     strata = None if strata is None else strata[finite]
+    if finite.sum() == (1 if strata is None else len(np.unique(strata))):
+        return Interval(float(statistic(values[finite])), math.nan, math.nan)
     return bootstrap_interval(
         values[finite], np.random.default_rng(0), strata=strata, resamples=resamples, statistic=statistic
     )
@@ -178,7 +181,7 @@ def cell(value: Value, digits: int, signed: bool = False) -> Cell:
     if not math.isfinite(value.estimate):
         return Cell("–")
     middle, low, high = (number(v, digits, signed) for v in (value.estimate, value.low, value.high))
-    return Cell(middle, f"{low}, {high}")
+    return Cell(middle, f"{low}, {high}" if math.isfinite(value.low) else "")
 
 
 def number(value: float, digits: int, signed: bool = False) -> str:

@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from agents.evaluation.drivers import kidnappings, tables
+from agents.evaluation.drivers import kidnappings, tables, world_of
 from agents.evaluation.headline import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import Record
@@ -40,13 +40,12 @@ def report(results: Results, folder: Path) -> Report:
     sections += [note("After so many ticks of driving: interquartile mean over episodes and its 95&nbsp;% bootstrap "
                       "band.")]  # fmt: skip
     sections += _comparison(groups) + _films(groups, folder)
-    world = Path(conditions["floor_plan"]).name if conditions["floor_plan"] else conditions["scenario"]
     subtitle = (
         f"slam_gym/Explore-v0, associator {conditions['associator'] or 'of the scenario'}, "
         f"{counted(results.content['asked']['episodes'], 'episode')} "
         f"per agent on the same {conditions['split']} worlds and seeds"
     )
-    return Report(f"Exploring {world}", subtitle, sections)
+    return Report(f"Exploring {world_of(conditions)}", subtitle, sections)
 
 
 def _comparison(groups: Mapping[str, Sequence[Record]]) -> list[str]:

@@ -27,6 +27,15 @@ _CIRCLE = np.stack([np.cos(_AROUND), np.sin(_AROUND)])  # (2, 25)
 _SIGMAS_95 = 2.4477  # √χ²_{2, .95}
 
 
+def viewer() -> Any:
+    """The package rerun. ImportError says what to install."""
+    try:
+        import rerun
+    except ImportError as error:
+        raise ImportError("--rerun needs rerun-sdk: pip install 'slam_gym[rerun]'") from error
+    return rerun
+
+
 class Drive(NamedTuple):
     """An episode to be written down."""
 
@@ -43,11 +52,7 @@ class RerunLog:
     """
 
     def __init__(self, target: str | Path, name: str) -> None:
-        try:
-            import rerun
-        except ImportError as error:
-            raise ImportError("--rerun needs rerun-sdk: pip install 'slam_gym[rerun]'") from error
-        self._rr: Any = rerun
+        rerun = self._rr = viewer()
         self._episode: Any = None  # that was written down last
         self._stream = rerun.RecordingStream(f"slam_gym: {name}")
         if str(target) == SPAWN:
@@ -134,11 +139,12 @@ def _down(points: Array) -> Array:
     return np.asarray(points, np.float64) * [1.0, -1.0]
 
 
-def log_drives(target: str, episode: int, drives: Sequence[Drive]) -> None:
+def log_drives(target: str, episode: int, drives: Sequence[Drive]) -> list[str]:
     """That episode of each; of several each gets a file of its own, or a recording of the viewer.
 
-    Raises ImportError where rerun-sdk is missing.
+    The files that were written. Raises ImportError where rerun-sdk is missing.
     """
+    written = []
     for name, arguments, agent, associator in drives:
         path = Path(target)
         several = target != SPAWN and len(drives) > 1
@@ -148,3 +154,5 @@ def log_drives(target: str, episode: int, drives: Sequence[Drive]) -> None:
         run_episode(env, agent, episode, watch=log)
         env.close()
         log.close()
+        written += [own] if own != SPAWN else []
+    return written

@@ -19,8 +19,9 @@ from agents.suite.problems import Judgement, TwoLaps, ask, judge, problems
 from agents.suite.reliability import binned, promised
 from agents.suite.relocation_problems import OUTCOMES, judge_relocation, relocation_problems
 from slam_gym.association import resolve_relocator
-from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, Experiment, get_level
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.types import Associator, Effort, Hypothesis, IntArray, Relocator
+from slam_gym.validation import one_of
 
 
 @dataclass(frozen=True)
@@ -144,16 +145,11 @@ def suite_evaluation(
     for name in relocators:
         resolve_relocator(name)
     tasks = []
-    for experiment in map(find_experiment, experiments):
+    for name in experiments:
+        one_of("experiment", name, EXPERIMENTS)
+    for experiment in (EXPERIMENTS[name] for name in experiments):
         asked = tuple(relocators if experiment.name == RELOCATION else associators)
         for level in experiment.levels[:: 2 if size.quick else 1]:
             worlds = range(size.worlds if asked else 0)
             tasks += [WorldTask(level.id, k, asked, size.problems, size.split) for k in worlds]
     return Evaluation(SUITE, tasks, vars(size), numbers)
-
-
-def find_experiment(name: str) -> Experiment:
-    """ValueError lists the known ones."""
-    if name not in EXPERIMENTS:
-        raise ValueError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
-    return EXPERIMENTS[name]

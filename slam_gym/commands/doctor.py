@@ -12,6 +12,8 @@ import slam_gym
 from slam_gym._compile import cache_folder
 from slam_gym.recordings.catalogue import DATA, PUBLISHED
 
+_MUCH = 500  # [MB] of compiled loops, more than one version of the package leaves
+
 
 def main(argv: list[str]) -> int:
     """Print it. Raises ValueError for arguments, of which there are none."""
@@ -34,18 +36,27 @@ def report() -> Iterator[str]:
 
 
 def _packages() -> Iterator[str]:
-    """Every package that the core or an extra asks for, its version or what installs it."""
-    seen: set[str] = set()
-    for line in requires("slam_gym") or []:
-        name, extra = _parsed(line)
-        if name in seen or name == "slam_gym":
-            continue
-        seen.add(name)
-        install = f"missing: pip install 'slam_gym[{extra}]'" if extra else "missing: pip install slam_gym"
-        try:
-            yield f"  {name:26} {version(name)}"
-        except PackageNotFoundError:
-            yield f"  {name:26} {install}"
+    """Every package that the core or an extra asks for: the versions of those that are there, and for each extra of
+    which some are missing a line that installs it. What several extras ask for stands at the smallest."""
+    asked: dict[str, list[str]] = {}
+    for name, extra in map(_parsed, requires("slam_gym") or []):
+        asked.setdefault(extra, []).append(name)
+    seen, missing = {"slam_gym"}, []
+    for extra, names in sorted(asked.items(), key=lambda each: (each[0] != "", len(each[1]))):
+        lacking = []
+        for name in sorted(set(names) - seen):
+            try:
+                yield f"  {name:26} {version(name)}"
+            except PackageNotFoundError:
+                lacking.append(name)
+        seen |= set(names)
+        if lacking:
+            install = f"pip install 'slam_gym[{extra}]'" if extra else "pip install slam_gym"
+            missing.append(f"  {install:34} ({', '.join(lacking)})")
+    if missing:
+        yield ""
+        yield "not installed; only what you use is needed:"
+        yield from missing
 
 
 def _parsed(requirement: str) -> tuple[str, str]:
@@ -61,8 +72,9 @@ def _cache() -> Iterator[str]:
     """Where compiled loops are kept, and how much of them."""
     folder = cache_folder()
     files = list(folder.rglob("*.nbc")) if folder.is_dir() else []
-    size = sum(file.stat().st_size for file in files) / 1e6
+    size = sum(file.stat().st_size for file in files) / 1e6  # [MB]
     state = f"{len(files)} compiled functions, {size:.0f} MB" if files else "empty: the first step ever compiles"
+    state += "; delete the folder to free it, it is made again" if size > _MUCH else ""
     writable = "" if os.access(folder if folder.is_dir() else folder.parent, os.W_OK) else ", not writable"
     yield f"compiled loops: {folder} ({state}{writable})"
 

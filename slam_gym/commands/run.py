@@ -53,8 +53,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name in ("-V", "--version"):
         print(f"slam_gym {slam_gym.__version__}")
         return 0
+    name = name.replace("_", "-")  # as the module of a command has it
     if name not in COMMANDS:
-        _say(f"unknown command {name!r}; known: {', '.join(COMMANDS)}")
+        from slam_gym.validation import known_names  # which imports numba
+
+        _say(f"unknown command {name!r}; {known_names(name, COMMANDS)}")
         return 2
     return _run(name, rest)
 

@@ -105,6 +105,8 @@ class ExploreEnv(BaseEnv):
         one_of("locality", locality, ("covisibility", None))
         if not isinstance(atlas, bool | AtlasSpec):
             raise ValueError(f"atlas: expected True, False or an AtlasSpec, got {atlas!r}")
+        if relocation is None and relocation_locality not in ("covisibility", None):
+            raise ValueError(f"relocation_locality={relocation_locality!r}: no relocation would search it")
         self.scenario = scenario_on_floor(scenario, floor_plan, resolution, overrides)
         self.locality = locality
         self.render_covisibility = render_covisibility

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.simulation.episode import Episode
+from slam_gym.validation import one_of
 
 
 def map_error(episode: Episode) -> float:
@@ -50,6 +51,5 @@ REWARDS: dict[str, Callable[[Episode], float]] = {
 
 def get_reward(name: str) -> Callable[[Episode], float]:
     """The error of that name. Raises ValueError that lists the known ones."""
-    if name not in REWARDS:
-        raise ValueError(f"unknown reward {name!r}; known: {', '.join(REWARDS)}")
+    one_of("reward", name, REWARDS)
     return REWARDS[name]

@@ -11,6 +11,7 @@ from types import NoneType
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from slam_gym.scenarios.scenario import Scenario
+from slam_gym.validation import known_names
 
 Plain = bool | int | float | str | None
 """The values that an override may have: those of JSON without lists and objects."""
@@ -71,8 +72,8 @@ def _changed(record: _Record, tree: Mapping[str, Any], prefix: str) -> _Record:
     known = [f.name for f in fields(record) if _can_change(getattr(record, f.name), hints[f.name])]  # type: ignore[arg-type]
     for name, change in tree.items():
         if name not in known:
-            where = f"known in {prefix[:-1]!r}" if prefix else "known"
-            raise ValueError(f"override {prefix + name!r}: there is no such field; {where}: {', '.join(known)}")
+            where = f" in {prefix[:-1]!r}" if prefix else ""
+            raise ValueError(f"override {prefix + name!r}: there is no such field{where}; {known_names(name, known)}")
         old = getattr(record, name)
         if not isinstance(change, dict):
             values[name] = _checked(prefix + name, change, hints[name])

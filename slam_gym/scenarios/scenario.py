@@ -10,6 +10,7 @@ import numpy as np
 
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import SlamSpec
+from slam_gym.validation import one_of
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
@@ -62,8 +63,7 @@ class Scenario:
 
 def world_seed(split: str, index: int) -> int:
     """Seed of the `index`-th world of a split. Raises ValueError for an unknown split or an index outside it."""
-    if split not in SPLITS:
-        raise ValueError(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
+    one_of("split", split, SPLITS)
     first, count = SPLITS[split]
     whole = isinstance(index, int | np.integer) and not isinstance(index, bool)
     if not (whole and 0 <= index < count):

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from slam_gym.scenarios.scenario import Scenario
+from slam_gym.validation import one_of
 from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
 from slam_gym.world.generators import AliasedGenerator, OfficeGenerator
@@ -223,8 +224,7 @@ RELOCATION = "kidnapped"
 def get_level(id: str) -> Level:
     """The frozen setting behind an id such as `closure/3`. Raises ValueError that lists what there is."""
     name, slash, number = id.partition("/")
-    if name not in EXPERIMENTS:
-        raise ValueError(f"unknown experiment {name!r}; known: {', '.join(EXPERIMENTS)}")
+    one_of("experiment", name, EXPERIMENTS)
     levels = EXPERIMENTS[name].levels
     if not slash or not number.isdecimal() or int(number) >= len(levels):
         raise ValueError(f"setting {id!r}: expected {name}/0 … {name}/{len(levels) - 1}")

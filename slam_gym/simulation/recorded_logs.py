@@ -29,6 +29,7 @@ from slam_gym.scenarios.recorded import slam_for
 from slam_gym.simulation.association_runs import ScanLog
 from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import Array, Odometry, Scan, Truth
+from slam_gym.validation import one_of
 
 PREFIX = "recording:"
 LOOKS = 500
@@ -55,8 +56,8 @@ def windows(
     See the module. Features have known places, which `reward="map_error"` asks for, if the recording has landmarks and
     the pose of every step. Raises ValueError for an unknown split, numbers below 1, and recordings too short to split.
     """
-    if split is not None and split not in SPLITS:
-        raise ValueError(f"unknown split {split!r}; known: {', '.join(SPLITS)}")
+    if split is not None:
+        one_of("split", split, SPLITS)
     if looks < 1:
         raise ValueError(f"looks={looks}: expected at least 1")
     log = recording.every(every)

@@ -35,7 +35,7 @@ from slam_gym.types import (
     SlamStep,
     View,
 )
-from slam_gym.validation import check_hypothesis, check_scan
+from slam_gym.validation import check_hypothesis, check_inputs, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
 _NO_PAIRS = np.empty((0, 2), np.int64)
@@ -114,6 +114,8 @@ class Slam:
         Raises ValueError, before anything is changed, for non-finite numbers, covariances that are none and an unknown
         associator; and for a hypothesis that does not fit scan and map, when only the motion has been predicted.
         """
+        if not plain:
+            check_inputs(odometry, scan)
         associate: Associator = associator if callable(associator) else asked(associator)
         form = form_of(associate)
         taken = None if form is None else self._at_once(odometry, scan, form, plain)

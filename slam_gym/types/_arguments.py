@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,6 +28,24 @@ def floats(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return out
 
 
+def deviations(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Standard deviations of that shape, from as many or from one for all. Raises ValueError naming the argument."""
+    given = np.asarray(value, np.float64)
+    if given.shape not in ((), shape):
+        raise ValueError(f"{name}: shape {given.shape}, expected one number or {_spoken(shape)}")
+    if (given < 0.0).any():
+        raise ValueError(f"{name}: {given.min():g} is negative, and no standard deviation")
+    return np.broadcast_to(given, shape)
+
+
+def in_radians(name: str, angles: Array) -> Array:
+    """The same angles. Raises ValueError where one is more than a turn: degrees, very likely."""
+    if (np.abs(angles) > 2.0 * math.pi).any():
+        far = angles.flat[np.abs(angles).argmax()]
+        raise ValueError(f"{name}: {far:g} rad is more than a turn; are these degrees? (numpy.deg2rad)")
+    return angles
+
+
 def _spoken(shape: tuple[int, ...]) -> str:
     return "(" + ", ".join("m" if side == -1 else str(side) for side in shape) + ("," if len(shape) == 1 else "") + ")"
 
@@ -44,10 +64,8 @@ def covariances_of(name: str, value: ArrayLike | None, sigma: ArrayLike | None, 
         if given.shape not in ((2, 2), (m, 2, 2)):
             raise ValueError(f"{name}: shape {given.shape}, expected ({m}, 2, 2) or (2, 2)")
         return np.array(np.broadcast_to(given, (m, 2, 2)), order="C")
-    deviation = np.asarray(sigma, np.float64)
-    if deviation.shape not in ((), (m,)):
-        raise ValueError(f"sigma: shape {deviation.shape}, expected one number or ({m},)")
-    return np.broadcast_to(deviation, (m,))[:, None, None] ** 2 * np.eye(2)
+    assert sigma is not None
+    return deviations("sigma", sigma, (m,))[:, None, None] ** 2 * np.eye(2)
 
 
 def sizes_of(sizes: ArrayLike | None, sigma: ArrayLike | None, m: int) -> tuple[Array, Array]:
@@ -56,10 +74,8 @@ def sizes_of(sizes: ArrayLike | None, sigma: ArrayLike | None, m: int) -> tuple[
         raise ValueError("sizes, size_sigma: expected both or neither")
     if sizes is None or sigma is None:
         return np.full(m, np.nan), np.full(m, np.nan)
-    given, deviation = floats("sizes", sizes, (m,)), np.asarray(sigma, np.float64)
-    if deviation.shape not in ((), (m,)):
-        raise ValueError(f"size_sigma: shape {deviation.shape}, expected one number or ({m},)")
-    return given, np.where(np.isnan(given), np.nan, deviation**2)
+    given = floats("sizes", sizes, (m,))
+    return given, np.where(np.isnan(given), np.nan, deviations("size_sigma", sigma, (m,)) ** 2)
 
 
 def kinds_of(kinds: ArrayLike | None, m: int) -> IntArray:

@@ -61,7 +61,7 @@ class Hypothesis:
     features: IntArray  # (m,) map feature paired with each measurement, UNPAIRED for `*`
     joint_distance: float  # D²_H of all its pairings together
     dof: int  # degrees of freedom of that distance: 2 per pairing
-    effort: Effort
+    effort: Effort = Effort()  # what it took to find it
     posterior: Posterior | None = None
     new: BoolArray | None = None  # (m,) which measurements start a feature; None: by the rule of `Slam`
     exclusive: bool = True  # no feature is paired twice; False: decided one by one, as nearest neighbour does

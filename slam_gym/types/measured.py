@@ -12,7 +12,9 @@ from slam_gym.types._arguments import (
     Array,
     IntArray,
     covariances_of,
+    deviations,
     floats,
+    in_radians,
     kinds_of,
     points_of,
     sizes_of,
@@ -40,12 +42,11 @@ class Odometry:
     def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
         """From a motion (3,) [m, m, rad] and its independent standard deviations (3,), or one number for all three.
 
-        Raises ValueError naming the argument whose shape does not fit.
+        Raises ValueError naming the argument whose shape does not fit, that is negative, or an angle in degrees.
         """
-        moved, sigma = floats("motion", motion, (3,)), np.asarray(sigmas, np.float64)
-        if sigma.shape not in ((), (3,)):
-            raise ValueError(f"sigmas: shape {sigma.shape}, expected (3,) or one number")
-        return cls(moved, np.diag(np.broadcast_to(sigma, (3,)) ** 2))
+        moved = floats("motion", motion, (3,))
+        in_radians("motion[2]", moved[2:])
+        return cls(moved, np.diag(deviations("sigmas", sigmas, (3,)) ** 2))
 
 
 @quick
@@ -89,8 +90,8 @@ class Scan:
             sizes: (m,) [m] intrinsic attribute, NaN where unknown; with `size_sigma` [m], one number or (m,).
             kinds: (m,) class of each, UNKNOWN_KIND where it has none.
 
-        Raises ValueError naming the argument whose shape does not fit, or where not exactly one of covariances and
-        sigma is given.
+        Raises ValueError naming the argument whose shape does not fit or that is negative, or where not exactly one of
+        covariances and sigma is given.
         """
         at = points_of("points", points)
         marginals = covariances_of("covariances", covariances, sigma, len(at))
@@ -111,13 +112,15 @@ class Scan:
         """From ranges (m,) [m] and bearings (m,) [rad, 0 ahead, left positive] with independent standard deviations.
 
         With c, s = cos β, sin β a measurement lies at r (c, s), and its covariance is σ_r² along the line of sight and
-        (r σ_β)² across it. Other arguments and errors are those of `from_points`.
+        (r σ_β)² across it. Other arguments and errors are those of `from_points`; bearings in degrees are refused.
         """
         r = floats("ranges", ranges, (-1,))
-        beta = floats("bearings", bearings, (len(r),))
+        if (r < 0.0).any():
+            raise ValueError(f"ranges: {r.min():g} m is negative")
+        beta = in_radians("bearings", floats("bearings", bearings, (len(r),)))
         c, s = np.cos(beta), np.sin(beta)
-        along = np.broadcast_to(np.asarray(range_sigma, np.float64), r.shape) ** 2
-        across = (r * np.broadcast_to(np.asarray(bearing_sigma, np.float64), r.shape)) ** 2
+        along = deviations("range_sigma", range_sigma, r.shape) ** 2
+        across = (r * deviations("bearing_sigma", bearing_sigma, r.shape)) ** 2
         covariances = np.empty((len(r), 2, 2))
         covariances[:, 0, 0] = c * c * along + s * s * across
         covariances[:, 1, 1] = s * s * along + c * c * across

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slam_gym._files import content_of, json_of
 from slam_gym.world.floor_plan import MAX_EXTENT, Door, Features, FloorPlan, FloorPlanError, Kind, Room, checked_array
-from slam_gym.world.image_file import read_image
+from slam_gym.world.image_file import read_image, require_image
 
 FORMAT, VERSION = "slam_gym floor plan", 1
 _MAX_JSON, _MAX_YAML = 1 << 24, 1 << 13  # bytes; real floors take less than a tenth of them
@@ -155,6 +155,7 @@ def _read_labelled_image(path: Path, resolution: float | None) -> _Raster:
     An array named `…_occ_map.npy.gz` is read together with its room labels `…_valid_space.npy.gz` where they lie beside
     it, the naming of the KTH floor plan data set.
     """
+    require_image(path)
     if resolution is None:
         raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
     image, labels = read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))

@@ -22,12 +22,17 @@ _PNM = re.compile(rb"P[1-6]((?:\s|#[^\n]*\n)+)(\d{1,9})((?:\s|#[^\n]*\n)+)(\d{1,
 """The header of a PGM file, and of its relatives, with width and height as groups 2 and 4."""
 
 
+def require_image(path: Path) -> None:
+    """FloorPlanError for a file that is, by its name, nothing that is read here."""
+    if not path.name.lower().endswith((".pgm", ".png", ".npy", ".npy.gz")):
+        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
+
+
 def read_image(path: Path) -> NDArray[Any]:
     """The pixels (h, w) of an image: uint8 of PGM and PNG, integers or bools of arrays, read-only."""
     if path.name.endswith((".npy", ".npy.gz")):
         return _read_array(path)
-    if path.suffix.lower() not in (".pgm", ".png"):
-        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
+    require_image(path)
     cv2 = import_cv2()
     content = _content(path)
     height, width = _declared(content)

@@ -27,7 +27,7 @@ def test_the_version_is_that_of_the_package(capsys):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (["evaluat"], "unknown command 'evaluat'; known: evaluate, "),
+        (["evaluat"], "unknown command 'evaluat'; did you mean 'evaluate'? known: evaluate, "),
         (["evaluate", "--scenario", "offic"], "unknown scenario 'offic'"),
         (["doctor", "now"], "doctor takes no arguments, got now"),
     ],

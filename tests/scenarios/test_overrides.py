@@ -63,11 +63,14 @@ def test_the_order_of_changes_does_not_matter() -> None:
     [
         (
             {"sensor.rnage": 4.0},
-            r"'sensor.rnage': there is no such field; known in 'sensor': range, min.*kinds",
+            r"'sensor.rnage': there is no such field in 'sensor'; did you mean 'range'\? known: range, min.*kinds",
         ),
         ({"snsor.range": 4.0}, r"'snsor': .*known: name, generator, budget, robot, dynamics, sensor"),
         ({"": 4.0}, r"'': there is no such field"),
-        ({"generator.room_width": 4.0}, r"known in 'generator': rooms, wall_thickness, joined, contents"),
+        (
+            {"generator.room_width": 4.0},
+            r"no such field in 'generator'; known: rooms, wall_thickness, joined, contents",
+        ),
         ({"generator": 4.0}, r"'generator': expected the name of a field in it"),
         ({"sensor": "good"}, r"'sensor': expected the name of a field in it, sensor\.…, got 'good'"),
         ({"kidnapping": 0.5}, r"'kidnapping': expected None or the name of a field in it|name of a field in it"),

@@ -29,7 +29,7 @@ def test_train_and_test_seeds_never_overlap() -> None:
     for index in (-1, SPLITS["test"][1], 1.5, float("nan")):
         with pytest.raises(ValueError, match=r"of split 'test': expected a whole number 0 … 9999"):
             world_seed("test", index)
-    with pytest.raises(ValueError, match=r"unknown split 'validation'; known: train, test"):
+    with pytest.raises(ValueError, match=r"split='validation'; known: train, test"):
         world_seed("validation", 0)
 
 

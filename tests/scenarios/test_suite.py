@@ -32,7 +32,7 @@ def test_a_sweep_turns_one_knob_and_nothing_else():
 @pytest.mark.parametrize(
     ("id", "said"),
     [
-        ("closures/1", "unknown experiment 'closures'; known: closure, drift"),
+        ("closures/1", r"experiment='closures'; did you mean 'closure'\? known: closure, drift"),
         ("closure", "'closure': expected closure/0 … closure/4"),
         ("closure/5", "expected closure/0 … closure/4"),
         ("closure/-1", "expected closure/0"),

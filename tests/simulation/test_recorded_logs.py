@@ -227,7 +227,7 @@ def test_numbers_out_of_range_are_refused(arc) -> None:
     for query, message in (("looks=0", "looks=0"), ("every=0", "every 0"), ("every=60", "'arc': 1 steps are too few")):
         with pytest.raises(ValueError, match=message):
             associate(f"{arc}?{query}")
-    with pytest.raises(ValueError, match="unknown split 'valid'"):
+    with pytest.raises(ValueError, match="split='valid'; known: train, test"):
         windows(drive(), "valid")
 
 

@@ -242,3 +242,22 @@ def test_a_drive_in_a_known_world_stays_accurate() -> None:
 def test_settings_that_cannot_be_are_refused_by_name(settings) -> None:
     with pytest.raises(ValueError, match=next(iter(settings))):
         SlamSpec(**settings)
+
+
+@pytest.mark.parametrize(
+    ("odometry", "scan", "message"),
+    [
+        (
+            Scan.from_points([[1, 2]], sigma=0.1),
+            Odometry.from_motion([1, 0, 0], 0.1),
+            "odometry: Scan, expected Odometry",
+        ),
+        ([1, 0, 0], Scan.from_points([[1, 2]], sigma=0.1), r"odometry: list, .*Odometry\.from_motion"),
+        (Odometry.from_motion([1, 0, 0], 0.1), [[1, 2]], r"scan: list, .*Scan\.from_points"),
+    ],
+)
+def test_a_step_says_what_it_was_handed_in_place_of_a_motion_and_a_scan(odometry, scan, message):
+    slam = Slam()
+    with pytest.raises(ValueError, match=message):
+        slam.step(odometry, scan)
+    assert not slam.map.pose.any()

@@ -47,6 +47,13 @@ def test_a_scan_does_not_share_memory_with_what_it_is_made_of() -> None:
         (lambda: Scan.from_polar([1, 2], [0.1], 0.1, 0.1), "bearings: shape"),
         (lambda: Odometry.from_motion([1, 0], 0.1), r"motion: shape \(2,\), expected \(3,\)"),
         (lambda: Odometry.from_motion([1, 0, 0], [0.1, 0.1]), "sigmas"),
+        (lambda: Odometry.from_motion([1, 0, 90], 0.1), r"motion\[2\]: 90 rad .* degrees"),
+        (lambda: Odometry.from_motion([1, 0, 0], [0.1, -0.1, 0.1]), "sigmas: -0.1 is negative"),
+        (lambda: Scan.from_polar([1, 2], [0.1, -45], 0.1, 0.1), "bearings: -45 rad .* degrees"),
+        (lambda: Scan.from_polar([1, -2], [0.1, 0.2], 0.1, 0.1), "ranges: -2 m is negative"),
+        (lambda: Scan.from_polar([1], [0.1], 0.1, -0.1), "bearing_sigma: -0.1 is negative"),
+        (lambda: Scan.from_points([[1, 2]], sigma=-0.1), "sigma: -0.1 is negative"),
+        (lambda: Scan.from_points([[1, 2]], sigma=0.1, sizes=[1], size_sigma=-1), "size_sigma: -1 is negative"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(make, message) -> None:

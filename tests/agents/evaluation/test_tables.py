@@ -15,6 +15,7 @@ from agents.evaluation.tables import (
     cell,
     difference,
     display_name,
+    estimate,
     estimates,
     print_table,
 )
@@ -100,3 +101,12 @@ def test_headers_are_never_cut_a_table_that_is_too_wide_goes_on_below(capsys):
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 80 and "…" not in text
     assert all(f"scenario-{k}" in text for k in range(9)) and text.count("associator") == text.count("marginal") == 2
+
+
+def test_one_value_of_each_stratum_has_no_interval_and_is_told_from_nothing() -> None:
+    alone, apart = estimate(np.array([0.7])), estimate(np.array([0.2, 0.4]), np.array([0, 1]))
+    assert (alone.estimate, apart.estimate) == pytest.approx((0.7, 0.3))
+    assert np.isnan([alone.low, alone.high, apart.low, apart.high]).all()
+    assert cell(alone, 3) == ("0.700", "")
+    assert best_names({"a": alone, "b": apart}, Column("x", "x", 3, "lower")) == set()
+    assert np.isfinite(estimate(np.array([0.2, 0.3, 0.4]), np.array([0, 0, 1])).low)

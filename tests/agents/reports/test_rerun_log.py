@@ -1,10 +1,12 @@
 """Episodes are written for Rerun's viewer, where it is there; where not, one sentence says what to install."""
 
 import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agents import evaluate, evaluate_association, play
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import ExploreArguments
 from agents.reports.rerun_log import Drive, RerunLog, ellipses, log_drives
@@ -22,9 +24,9 @@ def test_ellipses_hold_95_percent():
 @pytest.mark.skipif(not INSTALLED, reason="rerun-sdk is not installed: pip install 'slam_gym[rerun]'")
 def test_every_drive_gets_a_recording(tmp_path):
     drives = [Drive(name, WORLD, make_agent("nearest_frontier"), name) for name in ("jcbb", "true_association")]
-    log_drives(str(tmp_path / "runs" / "first.rrd"), 0, drives)
+    written = log_drives(str(tmp_path / "runs" / "first.rrd"), 0, drives)
     files = sorted(path.name for path in (tmp_path / "runs").iterdir())
-    assert files == ["first_jcbb.rrd", "first_true_association.rrd"]
+    assert files == ["first_jcbb.rrd", "first_true_association.rrd"] == [Path(name).name for name in written]
     assert all((tmp_path / "runs" / name).stat().st_size > 10_000 for name in files)
 
 
@@ -32,3 +34,12 @@ def test_every_drive_gets_a_recording(tmp_path):
 def test_what_is_missing_is_said_in_one_sentence(tmp_path):
     with pytest.raises(ImportError, match=r"^--rerun needs rerun-sdk: pip install 'slam_gym\[rerun\]'$"):
         RerunLog(tmp_path / "a.rrd", "nobody")
+
+
+@pytest.mark.skipif(INSTALLED, reason="rerun-sdk is installed")
+@pytest.mark.parametrize("command", [evaluate, evaluate_association, play])
+def test_a_command_says_so_before_it_drives(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ImportError, match="rerun-sdk"):
+        command.main(["--rerun", "a.rrd"])
+    assert not list(tmp_path.iterdir())
