@@ -1,15 +1,11 @@
 """Logs from strangers: each is read, or refused by an error that names it."""
 
-import faulthandler
 import gzip
 import hashlib
 import io
 import os
-import select
-import signal
 import subprocess
-import sys
-import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +17,7 @@ from slam_gym.recordings.mrclam_groups import stationary
 from slam_gym.recordings.victoria_park import victoria_park
 from tests.fuzz.attack import attack
 from tests.fuzz.inputs import archives, arrays, damaged, respelt
+from tests.fuzz.nursery import Nursery
 from tests.recordings.test_pose_graph import files
 from tests.recordings.test_recording import by_hand
 
@@ -71,7 +68,7 @@ def test_mrclam_sets(tmp_path, inputs, count) -> None:
 
 
 def test_matlab_files(tmp_path, inputs, count, monkeypatch) -> None:
-    """Each is read in a process of its own: one that is started takes half a second, so most are forked from here."""
+    """Each is read in a process of its own: one that is started takes half a second, so most are forked."""
     rows = np.array([[1.0, 1.0, 2.0, 0.1], [1.0, 2.0, 1.5, -0.3], [1.0, 3.0, 2.5, 0.4]])
     tables = {
         "landmark": np.array([[1.0, 0.0, 1.0], [2.0, 2.0, 0.0], [3.0, 1.0, 3.0]]),
@@ -82,38 +79,11 @@ def test_matlab_files(tmp_path, inputs, count, monkeypatch) -> None:
     path = tmp_path / "groups.mat"
     count(attack(stationary, path, damaged(*wholes), max(inputs // 200, 1)))
     if hasattr(os, "fork"):
-        monkeypatch.setattr(subprocess, "run", _forked)
         changed = arrays(rows).filter(lambda a: a.dtype.kind != "M").map(lambda a: _matlab(tables | {"measurement": a}))
-        count(attack(stationary, path, damaged(*wholes), inputs - inputs // 3))
-        count(attack(stationary, path, changed, inputs // 3))
-
-
-def _forked(command, timeout, **_) -> subprocess.CompletedProcess[bytes]:
-    """`subprocess.run` of what reads MATLAB files, in a process that has everything imported already."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            faulthandler.disable()  # some end in a fault, which is what the process is for
-            sys.stderr = os.fdopen(writing, "w")
-            code = matlab_child.main(*command[3:])
-            sys.stderr.flush()
-        finally:
-            os._exit(code)
-    os.close(writing)
-    said, over = b"", time.monotonic() + timeout
-    while select.select([reading], [], [], max(over - time.monotonic(), 0.0))[0]:
-        if not (part := os.read(reading, 4096)):
-            break
-        said += part
-    else:
-        os.kill(child, signal.SIGKILL)
-    os.close(reading)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if code == -signal.SIGKILL:
-        raise subprocess.TimeoutExpired(command, timeout)
-    return subprocess.CompletedProcess(command, code, b"", said)
+        with Nursery(Path(matlab_child.__file__)) as nursery:
+            monkeypatch.setattr(subprocess, "run", nursery.run)
+            count(attack(stationary, path, damaged(*wholes), inputs - inputs // 3))
+            count(attack(stationary, path, changed, inputs // 3))
 
 
 def _matlab(variables, **options) -> bytes:
