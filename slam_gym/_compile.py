@@ -124,7 +124,13 @@ def inlined(function: F) -> F:
     return _compiled(function, inline=True)
 
 
-def _compiled(function: F, inline: bool) -> F:
+def apart(function: F) -> F:
+    """`inlined`, for a function that writes to no array that overlaps another one: its loops need not look whether one
+    does, which makes short ones twice as fast."""
+    return _compiled(function, inline=True, apart=True)
+
+
+def _compiled(function: F, inline: bool, apart: bool = False) -> F:
     config: Any = numba.config
     if config.DISABLE_JIT:
         return function
@@ -133,7 +139,7 @@ def _compiled(function: F, inline: bool) -> F:
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder) if folder else before
     try:
-        kernel = Kernel(function, {}, _OPTIONS | {"forceinline": inline})
+        kernel = Kernel(function, {}, _OPTIONS | {"forceinline": inline}, apart)
         if folder is not None:
             kernel.cache_in(folder)
         return cast(F, kernel)

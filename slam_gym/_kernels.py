@@ -51,6 +51,14 @@ class _PartCompiler(Compiler):  # type: ignore[misc]
         return result._replace(entry_point=key)
 
 
+class _ApartCompiler(_PartCompiler):
+    """The same for a function whose arrays do not overlap: its loops need not find out whether they do."""
+
+    def compile_extra(self, func: Callable[..., object]) -> Any:
+        cast(Any, self).state.flags.noalias = True
+        return super().compile_extra(func)
+
+
 class _Called(CPUDispatcher):  # type: ignore[misc]
     """A kernel as other kernels call it."""
 
@@ -62,11 +70,15 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     """A kernel as Python calls it."""
 
     def __init__(
-        self, py_func: Callable[..., object], locals: dict[str, Any] | None, targetoptions: dict[str, Any]
+        self,
+        py_func: Callable[..., object],
+        locals: dict[str, Any] | None,
+        targetoptions: dict[str, Any],
+        apart: bool = False,
     ) -> None:
         super().__init__(py_func, locals, targetoptions | {"no_cfunc_wrapper": True})  # no C code calls it
         options = targetoptions | {"no_cfunc_wrapper": True, "no_cpython_wrapper": True}
-        self._called = _Called(py_func, locals, options, pipeline_class=_PartCompiler)
+        self._called = _Called(py_func, locals, options, pipeline_class=_ApartCompiler if apart else _PartCompiler)
         self._claims: Path | None = None
 
     def cache_in(self, folder: Path) -> None:

@@ -96,7 +96,8 @@ def assign_to(estimated: Array, index: Index, p: float) -> PointAssignment:
     for i in range(len(estimated)):
         if true_of[i] != UNPAIRED:
             j = true_of[i]
-            total += math.hypot(estimated[i, 0] - true[j, 0], estimated[i, 1] - true[j, 1]) ** p
+            distance = math.hypot(estimated[i, 0] - true[j, 0], estimated[i, 1] - true[j, 1])
+            total += distance if p == 1.0 else distance**p
             paired += 1
     return PointAssignment(true_of, total, paired)
 
