@@ -85,11 +85,16 @@ def whiten(L: Array, B: Array, nu: Array) -> None:
             w[j] *= first
             v[j] = (v[j] - below * w[j]) * second
         for i in range(k + 2, L.shape[0], 2):
-            p, q = B[i], B[i + 1]
-            pw, pv, qw, qv = L[i, k], L[i, k + 1], L[i + 1, k], L[i + 1, k + 1]
-            for j in range(len(w)):
-                p[j] -= pw * w[j] + pv * v[j]
-                q[j] -= qw * w[j] + qv * v[j]
+            _eliminate(B[i], B[i + 1], w, v, L[i, k : k + 2], L[i + 1, k : k + 2])
+
+
+@apart
+def _eliminate(p: Array, q: Array, w: Array, v: Array, by_p: Array, by_q: Array) -> None:
+    """Rows p and q −= rows w and v, times `by_p` (2,) and `by_q` (2,)."""
+    pw, pv, qw, qv = by_p[0], by_p[1], by_q[0], by_q[1]
+    for j in range(len(w)):
+        p[j] -= pw * w[j] + pv * v[j]
+        q[j] -= qw * w[j] + qv * v[j]
 
 
 def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:

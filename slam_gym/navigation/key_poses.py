@@ -75,10 +75,7 @@ class KeyPoses:
         map, or are no longer in it, have moved. A key pose that never had an anchor stays where it is.
         """
         arrays = (self._poses, self._drawn, self._anchors, self._places)
-        found, after = _moved(rows, arrays, ids, positions, 0.5 * reach, tolerance)
-        before = self._poses[found]
-        before[~self._drawn[found]] = math.nan
-        return Moved(found, before, after)
+        return Moved(*_moved(rows, arrays, ids, positions, 0.5 * reach, tolerance))
 
     def place(self, moved: Moved) -> None:
         """Note down that those key poses are drawn where they are now."""
@@ -187,19 +184,21 @@ def _moved(
     positions: Array,
     lever: float,
     tolerance: float,
-) -> tuple[IntArray, Array]:
-    """Those of the rows that have moved, and where they are now."""
+) -> tuple[IntArray, Array, Array]:
+    """`Moved`, of those rows."""
     (poses, drawn, anchors, places), row_of = arrays, _rows_of(ids)
-    found, after, count = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), 0
+    found, before, after = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), np.empty((len(rows), 3))
+    count = 0
     for k in rows:
         now = _now(k, poses, anchors, places, row_of, positions)
         there = math.isfinite(now[0])
+        changed = there or drawn[k]
         if there and drawn[k]:
             turned = abs(wrap_angle(now[2] - poses[k, 2]))
-            there = math.hypot(now[0] - poses[k, 0], now[1] - poses[k, 1]) + lever * turned > tolerance
+            changed = math.hypot(now[0] - poses[k, 0], now[1] - poses[k, 1]) + lever * turned > tolerance
+        if changed:
             found[count], after[count] = k, now
-            count += there
-        elif there or drawn[k]:
-            found[count], after[count] = k, now
+            for axis in range(3):
+                before[count, axis] = poses[k, axis] if drawn[k] else math.nan
             count += 1
-    return found[:count], after[:count]
+    return found[:count], before[:count], after[:count]

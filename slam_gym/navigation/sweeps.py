@@ -98,7 +98,9 @@ class MovableSweeps:
         last, share = len(self._keys) - 1, self._checks % SHARES
         self._checks, self._unchecked = self._checks + 1, 0
         at = (ids, positions, beams.max_range, 0.5 * self._grid.resolution)
-        moved = self._keys.moved(np.append(np.arange(share, last, SHARES), last), *at)
+        rows = np.arange(share, last + SHARES, SHARES)
+        rows[-1] = last
+        moved = self._keys.moved(rows, *at)
         corrected = len(moved.rows) > 0 and bool(moved.rows[-1] == last)
         if corrected:
             moved = self._keys.moved(np.arange(last + 1), *at)

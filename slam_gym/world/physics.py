@@ -140,9 +140,10 @@ class World:
 
     def tick(self, forward: float, turn: float) -> Motion:
         """Drive for one tick at these fractions of the full speeds, clipped to [−1, 1]. Raises ValueError for NaN."""
-        if math.isnan(forward) or math.isnan(turn):
-            raise ValueError(f"action ({forward}, {turn}) is not a number")
-        forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
+        if not (-1.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0):
+            if math.isnan(forward) or math.isnan(turn):
+                raise ValueError(f"action ({forward}, {turn}) is not a number")
+            forward, turn = min(max(forward, -1.0), 1.0), min(max(turn, -1.0), 1.0)
         motion = np.empty((3, 3))
         motion[0] = self.pose
         if not self._drive_freely(forward, turn, motion):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled, inlined
+from slam_gym._compile import apart, compiled, inlined
 from slam_gym.association.tracking.path import Path, append
 from slam_gym.association.tree import (
     Innovation,
@@ -238,15 +238,25 @@ def _condition_all(P: Array, known: Array, pivots: Array, d: int, slot: int, q: 
     for j in range(len(x)):
         x[j], y[j] = top[j], low[j]
     for r in range(2 * q):
-        a, b, row = known[d, r, 0], known[d, r, 1], w[r]
-        for j in range(len(x)):
-            x[j] -= a * row[j]
-            y[j] -= b * row[j]
+        _subtract(x, y, w[r], known[d, r, 0], known[d, r, 1])
     for j in range(len(x)):
         x[j] = x[j] * xx
         y[j] = (y[j] - yx * x[j]) * yy
-    before, after = e[q], e[q + 1]
-    for j in range(e.shape[2]):
+    _lessen(e[q], e[q + 1], x, y, u, v)
+
+
+@apart
+def _subtract(x: Array, y: Array, row: Array, a: float, b: float) -> None:
+    """x −= a · row, y −= b · row."""
+    for j in range(len(x)):
+        x[j] -= a * row[j]
+        y[j] -= b * row[j]
+
+
+@apart
+def _lessen(before: Array, after: Array, x: Array, y: Array, u: float, v: float) -> None:
+    """All innovations (5, k) `before` a pairing and `after` it, of which `tree.condition` makes its answer."""
+    for j in range(after.shape[1]):
         s00, s01, s10, s11 = x[2 * j], x[2 * j + 1], y[2 * j], y[2 * j + 1]
         after[0, j] = before[0, j] - s00 * u - s10 * v
         after[1, j] = before[1, j] - s01 * u - s11 * v
