@@ -24,6 +24,11 @@ def test_an_empty_cache_is_announced_once(tmp_path) -> None:
     assert announced.count("compiling") == 1 and "once, then cached" in announced
 
 
+def test_so_it_is_for_those_who_call_slam_themselves(tmp_path) -> None:
+    _, announced = run("from slam_gym import Slam\nSlam(), Slam()", NUMBA_CACHE_DIR=str(tmp_path))
+    assert announced.count("compiling") == 1
+
+
 def test_what_another_interpreter_has_compiled_is_no_use_to_this_one(tmp_path) -> None:
     fill = (
         "from slam_gym import _compile\n"

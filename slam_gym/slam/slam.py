@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._compile import announce_compilation, compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.refusals import bad_measurement, refused_update
@@ -85,6 +86,7 @@ class Slam:
     """
 
     def __init__(self, spec: SlamSpec | None = None, view_from: ViewFrom | None = None) -> None:
+        announce_compilation((sys.modules[__name__],))  # whose loops every step calls
         self.spec = spec or SlamSpec()
         self.view_from = view_from
         self.map = StochasticMap(self.spec.map)
