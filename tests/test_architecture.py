@@ -2,6 +2,7 @@
 { rendering, envs } → agents."""
 
 import ast
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -39,7 +40,8 @@ ALLOWED = {
 """The rooms that each room may import from, besides itself: always those below it."""
 
 
-def imports(path: Path) -> set[str]:
+@cache  # every test asks for all files
+def imports(path: Path) -> frozenset[str]:
     """Full names of the modules that a file imports, wherever in the file."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -48,7 +50,7 @@ def imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
+    return frozenset(names)
 
 
 def part(module: str) -> str:
