@@ -10,8 +10,9 @@ from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.recordings.recording import Recording
 from slam_gym.slam.slam import SlamSpec
 
-GENERIC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
-"""Of a log that nobody has chosen settings for; the reach is taken from its scans."""
+GENERIC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6, chance=0.05, anew=True)
+"""Of a log that nobody has chosen settings for; the reach is taken from its scans. With a limited view, a robot that
+comes back sees one old feature first, or one beside it that nobody has mapped."""
 
 VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.0, new_confidence=1.0 - 1e-6)
 """A trunk is seen in five of twenty scans. With two sightings, the map of the first half has 118 features more, 23 of

@@ -8,7 +8,9 @@ them. What it finds is made equal; features that this leaves twice are fused as 
 
 **First links.** Where a scan pairs a feature or two that the robot has not seen for long, a neighbour that nobody has
 mapped may be what was measured, half a metre beside it: a door has two jambs, and 20 m away a gate is as wide. Such
-pairings are learned from once there are so many that chance hardly brings them all (`kernels.hold_back`).
+pairings are learned from once there are so many that chance hardly brings them all (`kernels.hold_back`). A robot that
+waits for them with few others in view is soon so uncertain that everything fits something, and learns nothing more:
+with `SlamSpec.anew`, what is kept from pairing starts features, and the recent part of the map grows all the same.
 
 **Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
 robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
@@ -26,7 +28,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.compatibility import chi2_gate, plain
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import equate
 from slam_gym.mapping.map_state import successor
@@ -38,7 +40,18 @@ from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
 from slam_gym.slam.relocation import Relocate, RelocatingSlam
 from slam_gym.slam.slam import Slam, SlamSpec, ViewFrom
 from slam_gym.slam.twins import find_twins
-from slam_gym.types import UNPAIRED, Effort, Expectation, Hypothesis, IntArray, Odometry, Prediction, Scan, SlamStep
+from slam_gym.types import (
+    UNPAIRED,
+    BoolArray,
+    Effort,
+    Expectation,
+    Hypothesis,
+    IntArray,
+    Odometry,
+    Prediction,
+    Scan,
+    SlamStep,
+)
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 
@@ -135,13 +148,24 @@ class AtlasSlam(RelocatingSlam):
         """
         if hypothesis.experience is not None:
             return hypothesis
-        features, m = hypothesis.features.copy(), self.map
+        features, m = np.array(hypothesis.features), self.map
         expected = prediction.features, prediction.near, prediction.positions, prediction.covariances
         gate = chi2_gate(2, prediction.confidence)
         held = kernels.hold_back(
             features, expected, m.arrays[3], scan.covariances, gate, m.spec.confirmations, self._chance
         )
-        return replace(hypothesis, features=features, dof=hypothesis.dof - 2 * held) if held else hypothesis
+        if not held:
+            return hypothesis
+        new = self._new_beside(scan, prediction, features) if self.spec.anew else hypothesis.new
+        return replace(hypothesis, features=features, dof=hypothesis.dof - 2 * held, new=new)
+
+    def _new_beside(self, scan: Scan, prediction: Prediction, features: IntArray) -> BoolArray:
+        """(m,) measurements that start a feature by the rule of the step where old features are not believed."""
+        new, near = np.empty(len(scan), np.bool_), prediction.near
+        expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
+        gate = self._settings()[3]
+        kernels.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, gate, new)
+        return new
 
     def _conclude(
         self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned | None = None

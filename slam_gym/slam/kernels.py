@@ -76,7 +76,7 @@ def learn(
     ekf.record(features, step, (sizes, variances, kinds), counted, sized)
     # add
     if not told:
-        singular = _fit_nothing(points, covariances, features, expected, gate, new)
+        singular = fit_nothing(points, covariances, features, expected, gate, new)
         if singular != UNPAIRED:
             return SINGULAR, singular, 0
     for i in range(m):
@@ -141,7 +141,7 @@ def _width_needed(degrees: IntArray, features: IntArray) -> int:
 
 
 @compiled
-def _fit_nothing(
+def fit_nothing(
     points: Array, noise: Array, features: IntArray, expected: tuple[Array, Array], gate: float, new: BoolArray
 ) -> int:
     """Enter in `new` (m,) which unpaired measurements are compatible with nothing; one where S is singular, or −1."""

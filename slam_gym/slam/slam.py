@@ -61,6 +61,7 @@ class SlamSpec:
     lost_scans: int = 5  # … and so many of them in a row have lost the robot
     min_expected: int = 3  # features that should be in view, without which no scan is doubted
     chance: float = 1.0  # of all pairings of a scan with old features being wrong, above which none is learned from
+    anew: bool = False  # measurements that it keeps from pairing start features, which the loops are left to fuse
     repeat: tuple[float, float] | None = None  # [m] to drive or [rad] to turn until a feature is learned from again
 
     def __post_init__(self) -> None:

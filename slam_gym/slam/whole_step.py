@@ -31,8 +31,8 @@ LEFT_ALONE, PREDICTED, ANSWERED = -3, -2, -1  # how far it came, where it did no
 
 Nature = tuple[bool, bool, float, float, float, float, bool]
 """Second order predictions; localities on offer; reach [m]; others in the gate of an old feature from which that is not
-on offer; chance of being wrong above which pairings with old features are held back; fraction of the measurements that
-must be paired if the scan is to be learned from at once; or whether any pairing will do."""
+on offer; chance of being wrong above which pairings with old features are left to the page; fraction of the
+measurements that must be paired if the scan is to be learned from at once; or whether any pairing will do."""
 
 
 @compiled
@@ -87,11 +87,9 @@ def whole_step(
             paired += 1
     if not is_plain(features, counted, settings[4], fraction, any_will_do):
         return ANSWERED, k, 0, 0, paired, *answer
-    if chance < 1.0:
-        paired -= hold_back(
-            features, (known[0, :k], near[:k], positions[:k], covariances[:k]), counted, noise, gates[1], settings[4],
-            chance,
-        )  # fmt: skip
+    old = (known[0, :k], near[:k], positions[:k], covariances[:k])
+    if chance < 1.0 and hold_back(features.copy(), old, counted, noise, gates[1], settings[4], chance):
+        return ANSWERED, k, 0, 0, paired, *answer
     ended, what, added = learn(
         arrays, n, step, next_id, graph, recent[turn], scan, features, features, no, new, (expected[1], expected[2]),
         settings, ids,

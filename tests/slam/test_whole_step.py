@@ -12,7 +12,7 @@ from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.atlas import AtlasSlam, AtlasSpec
 from slam_gym.slam.relocation import RelocatingSlam, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import Associator, Scan, SlamStep
+from slam_gym.types import NO_ID, Associator, Scan, SlamStep
 from tests.slam.rings import drive, ring_of_landmarks, view_from
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), reach=12.0)
@@ -100,6 +100,21 @@ def test_so_is_one_that_holds_back_what_may_be_chance() -> None:
     for odometry, scan, *_ in log_of(3, steps=330, in_pairs=True):
         plain.step(odometry, scan, jcbb)
     assert not np.array_equal(plain.map.pose, one.map.pose)  # something was held back
+
+
+def test_what_is_held_back_starts_features_where_it_is_told_to() -> None:
+    believing, waiting, anew = (
+        AtlasSlam(replace(SPEC, chance=c, anew=new), relocate_by("gcbb"), view_from, NEVER_AMBIGUOUS)
+        for c, new in ((1.0, False), (0.05, False), (0.05, True))
+    )
+    for odometry, scan, *_ in log_of(3, steps=330, in_pairs=True):
+        paired, held, begun = (slam.step(odometry, scan, jcbb) for slam in (believing, waiting, anew))
+        if (paired.ids != held.ids).any():
+            break
+        np.testing.assert_array_equal(begun.ids, held.ids)
+    back = (held.ids == NO_ID) & (paired.ids != NO_ID)
+    assert back.any() and begun.created[back].any() and not held.created[back].any()
+    assert (begun.ids == held.ids)[~begun.created].all()
 
 
 def test_so_is_one_that_relocates_only() -> None:
