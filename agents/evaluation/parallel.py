@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import signal
 import sys
 import threading
 import time
@@ -61,7 +62,7 @@ def run_all(calls: Sequence[Callable[[], Result]], jobs: int, backend: str = "lo
 def _on_one_thread(call: Callable[[], Any], parent: int | None) -> Any:
     """Threads of BLAS and torch on top of the processes would only get in the way."""
     if parent is not None and os.getpid() != parent:
-        _end_with(parent)
+        _belong_to(parent)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
     with threadpool_limits(1):
@@ -69,8 +70,13 @@ def _on_one_thread(call: Callable[[], Any], parent: int | None) -> Any:
 
 
 @functools.cache
-def _end_with(parent: int) -> None:
-    """End this process as soon as it has lost its parent, even one that was killed and could not say so."""
+def _belong_to(parent: int) -> None:
+    """End this process as soon as it has lost its parent, even one that was killed and could not say so.
+
+    Ctrl-C is for the parent: where it meets a worker in the middle of loading compiled code, that complains.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == parent:

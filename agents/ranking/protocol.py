@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -146,10 +146,16 @@ def _is_there(part: Part) -> bool:
 
 
 def _settings(setting: str) -> str:
-    """Everything in a scenario but its floors; what it does not ask for (False) says nothing, and changes no hash."""
-    scenario = get_scenario(setting)
-    values = [getattr(scenario, f.name) for f in fields(scenario) if f.name != "generator"]
-    return repr([value for value in values if value is not False])
+    """Everything in a scenario but its floors."""
+    return _said(get_scenario(setting), without="generator")
+
+
+def _said(value: object, without: str = "") -> str:
+    """A value, however deep; what a scenario does not ask for (False) says nothing: a new option changes no hash."""
+    if not is_dataclass(value):
+        return repr(value)
+    held = {f.name: getattr(value, f.name) for f in fields(value) if f.name != without}
+    return f"{type(value).__name__}({', '.join(f'{n}={_said(v)}' for n, v in held.items() if v is not False)})"
 
 
 @functools.cache
