@@ -63,7 +63,12 @@ def form_of(associate: Associator) -> int | None:
 def may_be_at_once(form: int, view_from: Callable[[Array], View] | None, experience: Experience | None) -> bool:
     """Whether compiled functions know what the associator may ask for: those that weigh what is in view must be able
     to look there themselves, and the others have no use for experience."""
-    return isinstance(view_from, ViewsFrom) if form in (MARGINAL, LEARNED) else experience is None
+    return isinstance(view_from, ViewsFrom) if weighs_all(form) else experience is None
+
+
+def weighs_all(form: int) -> bool:
+    """Whether the associator weighs all hypotheses, and says what it learns from scan to scan."""
+    return form in (MARGINAL, LEARNED)
 
 
 def are_plain(odometry: Odometry, scan: Scan) -> bool:

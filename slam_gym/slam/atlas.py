@@ -4,13 +4,15 @@
 that others lie within their gates) are not offered to the associator: a scan pairs them wrongly now and then, and one
 wrong scan decides where the map ends. They are left to `slam.loops`, which looks for the recent part of the map among
 them. What it finds is made equal; features that this leaves twice are fused as soon as it is plain (`slam.twins`).
-(Associators that weigh all hypotheses are offered them all the same.)
+(Associators that weigh all hypotheses are offered them all the same, but for `SlamSpec.anew`.)
 
 **First links.** Where a scan pairs a feature or two that the robot has not seen for long, a neighbour that nobody has
 mapped may be what was measured, half a metre beside it: a door has two jambs, and 20 m away a gate is as wide. Such
 pairings are learned from once there are so many that chance hardly brings them all (`kernels.hold_back`). A robot that
 waits for them with few others in view is soon so uncertain that everything fits something, and learns nothing more:
 with `SlamSpec.anew`, what is kept from pairing starts features, and the recent part of the map grows all the same.
+Associators that weigh all hypotheses refuse by themselves what is ambiguous, and would starve if more was kept from
+them; with `anew` nobody does, and they go by the same rules as all others, that for new features included.
 
 **Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
 robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
@@ -34,6 +36,7 @@ from slam_gym.mapping.map_joining import equate
 from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam import kernels
+from slam_gym.slam.at_once import Attempt, weighs_all
 from slam_gym.slam.kernels import Learned
 from slam_gym.slam.loops import NO_PAIRS, LoopSpec, find_loop, parts_of, recent_part
 from slam_gym.slam.recognition import Joined, join_recognised, join_relocated
@@ -101,6 +104,7 @@ class AtlasSlam(RelocatingSlam):
         self.atlas = atlas or AtlasSpec()
         self._ambiguous = math.inf if self.atlas.loops is None else self.atlas.ambiguous
         self._chance = 1.0 if self.atlas.loops is None else self.spec.chance
+        self._alike = self.spec.anew and self._chance < 1.0  # one rule for all associators
         self.left: list[Left] = []  # maps before the current one that were not joined yet, oldest first
         self.loops: list[tuple[int, IntArray]] = []  # step and pairs (k, 2) of ids of each loop that was closed
         self.joins: list[tuple[int, IntArray]] = []  # the same of maps that were joined
@@ -123,10 +127,10 @@ class AtlasSlam(RelocatingSlam):
         """As `Slam` does, without old features that are ambiguous, unless the associator weighs all hypotheses.
 
         Such a one says what it learns from scan to scan. It refuses by itself what is ambiguous, and would take for new
-        what it is not offered.
+        what it is not offered, which is what `SlamSpec.anew` wants.
         """
         prediction = super().predict_features(scan, odometry)
-        if self.atlas.loops is None or self._experience is not None:
+        if self.atlas.loops is None or (self._experience is not None and not self._alike):
             return prediction
         k = len(prediction)
         kept, gate = np.empty(k, np.int64), chi2_gate(2, prediction.confidence)
@@ -141,12 +145,18 @@ class AtlasSlam(RelocatingSlam):
         )
         return prediction if left == k else prediction.rows(kept[:left])
 
+    def _at_once(self, odometry: Odometry, scan: Scan, form: int, plain: bool) -> Attempt | None:
+        """As `Slam` does; `marginal_step` knows no rule that keeps anything from who weighs all hypotheses."""
+        return None if self._alike and weighs_all(form) else super()._at_once(odometry, scan, form, plain)
+
     def _believed(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis without pairings with old features that may all be chance: see `kernels.hold_back`.
 
-        Who weighs all hypotheses has refused by itself what is ambiguous.
+        Who weighs all hypotheses has refused by itself what is ambiguous; with `SlamSpec.anew` it only pairs, and new
+        features start by the rule of the step.
         """
-        if hypothesis.experience is not None:
+        weighs = hypothesis.experience is not None
+        if weighs and not self._alike:
             return hypothesis
         features, m = np.array(hypothesis.features), self.map
         expected = prediction.features, prediction.near, prediction.positions, prediction.covariances
@@ -154,9 +164,9 @@ class AtlasSlam(RelocatingSlam):
         held = kernels.hold_back(
             features, expected, m.arrays[3], scan.covariances, gate, m.spec.confirmations, self._chance
         )
-        if not held:
-            return hypothesis
-        new = self._new_beside(scan, prediction, features) if self.spec.anew else hypothesis.new
+        new = None if weighs else hypothesis.new
+        if held and self.spec.anew:
+            new = self._new_beside(scan, prediction, features)
         return replace(hypothesis, features=features, dof=hypothesis.dof - 2 * held, new=new)
 
     def _new_beside(self, scan: Scan, prediction: Prediction, features: IntArray) -> BoolArray:

@@ -1,5 +1,7 @@
 """Loops that close and maps that are joined, on drives round a block; and nothing changes while nothing is wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -152,6 +154,18 @@ def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_
         maps.append(slam.map)
     assert len(maps[0]) > 20
     np.testing.assert_array_equal(maps[0].mean, maps[1].mean)
+
+
+def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_one_rule() -> None:
+    anew, kept = replace(SPEC, chance=0.05, anew=True), []
+    for seed in range(4):
+        log = loop_drive(seed)
+        by_itself, by_rule = (AtlasSlam(spec, nobody, view_from, EARLY) for spec in (SPEC, anew))
+        (without, _), (judged, _) = (map_it(slam, log, "marginal") for slam in (by_itself, by_rule))
+        assert by_rule.loops and sources_differ(judged, by_rule.loops) == 0, f"seed {seed}"
+        assert not by_itself.loops and duplicates(judged) <= 1, f"seed {seed}"
+        kept.append(duplicates(without))
+    assert max(kept) > 5
 
 
 def test_without_patience_there_is_one_map_only() -> None:
