@@ -81,3 +81,37 @@ def test_twins_that_were_not_seen_lately_wait() -> None:
 
 def test_an_empty_map_has_none() -> None:
     assert find_twins(StochasticMap(), CovisibilityGraph(), 10).shape == (0, 2)
+
+
+def seen_twice(rng: np.random.Generator, first: Array, second: Array) -> tuple[StochasticMap, CovisibilityGraph]:
+    """The features `first` (a, 2), then, by scans that pair nothing of them, `second` (b, 2)."""
+    m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()
+    for points in (first, second):
+        features = np.full(len(points), UNPAIRED)
+        for _ in range(10):
+            seen = Scan.from_points(points + rng.normal(0.0, SIGMA, points.shape), sigma=SIGMA)
+            m.update(seen, features)
+            new = np.flatnonzero(features == UNPAIRED)
+            features[new] = m.add(seen, new)
+            graph.add(len(new))
+            graph.see_together(features)
+            m.end_of_step()
+    return m, graph
+
+
+def test_a_place_mapped_twice_whole_is_found_where_six_pairs_stand_together() -> None:
+    found = {6: 0, 5: 0}
+    for count in found:
+        around = 3.0 * np.column_stack([np.cos(np.arange(count)), np.sin(np.arange(count))])
+        for seed in range(20):
+            pairs = find_twins(*seen_twice(np.random.default_rng(seed), around, around), 5)
+            np.testing.assert_array_equal(pairs[:, 1] - pairs[:, 0], count)
+            found[count] += len(pairs)
+    assert found[6] >= 0.8 * 6 * 20 and found[5] == 0
+
+
+def test_other_features_at_the_same_place_are_left_alone() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        one, other = rng.uniform(-4.0, 4.0, (2, 12, 2))
+        assert len(find_twins(*seen_twice(rng, one, other), 5)) == 0
