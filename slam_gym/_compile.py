@@ -8,6 +8,7 @@ folders lie in the user's cache directory, or in `NUMBA_CACHE_DIR` if that is se
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -24,6 +25,7 @@ import llvmlite.binding
 import numba
 
 from slam_gym._kernels import Kernel
+from slam_gym._parts import PART, caching_into
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -92,13 +94,18 @@ def announce_compilation(modules: Iterable[ModuleType]) -> bool:
         return False
     _announced = True
     folders = [_folder(Path(str(module.__file__))) for module in modules]
-    due = any(folder is None or not any(folder.rglob("*.nbi")) for folder in folders)
+    due = any(folder is None or not any(map(_is_kernel, folder.rglob("*.nbi"))) for folder in folders)
     if due:
         kept = "at every start: the cache folder is not writable" if None in folders else "once, then cached"
         long = "a minute, or two if the machine is busy"
         print(f"slam_gym: compiling its inner loops, {long} ({kept}) …", file=sys.stderr, flush=True)
     _forget_old_versions()
     return due and None not in folders
+
+
+def _is_kernel(index: Path) -> bool:
+    """Whether a file tells of machine code; others tell of parts of it."""
+    return not index.name.startswith(PART)
 
 
 def _forget_old_versions() -> None:
@@ -136,12 +143,8 @@ def _compiled(function: F, inline: bool, apart: bool = False) -> F:
         return function
     folder = _folder(Path(function.__code__.co_filename))
     _folders.add(folder)
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder) if folder else before
-    try:
+    with contextlib.nullcontext() if folder is None else caching_into(folder):
         kernel = Kernel(function, {}, _OPTIONS | {"forceinline": inline}, apart)
         if folder is not None:
             kernel.cache_in(folder)
         return cast(F, kernel)
-    finally:
-        config.CACHE_DIR = before

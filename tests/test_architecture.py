@@ -9,13 +9,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "geometry", "_compile", "_arrays", "_files", "validation", "weights"}
+BASE = {"types", "geometry", "_claims", "_compile", "_arrays", "_files", "validation", "weights"}
 ESTIMATE = BASE | {"mapping", "navigation", "association"}
 SIMULATION = ESTIMATE | {"world", "slam", "metrics", "recordings", "scenarios"}
 ALLOWED = {
     "types": set(),
-    "_kernels": set(),
-    "_compile": {"_kernels"},
+    "_claims": set(),
+    "_typing": set(),
+    "_parts": {"_claims"},
+    "_kernels": {"_claims", "_parts", "_typing"},
+    "_compile": {"_kernels", "_parts"},
     "_arrays": {"types", "_compile"},
     "_files": set(),
     "weights": {"_files"},

@@ -1,15 +1,11 @@
-"""Kernels that call kernels, and processes that compile at the same time."""
+"""Kernels that call kernels."""
 
 import pickle
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from slam_gym._compile import compiled
-from slam_gym._kernels import _claimed
 
 
 @compiled
@@ -53,23 +49,3 @@ def test_errors_come_through_from_within() -> None:
 
 def test_kernels_are_pickled_by_what_they_are() -> None:
     assert pickle.loads(pickle.dumps(_twice))(4.0) == 12.0
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="bytes of files are not locked there")
-def test_while_one_process_compiles_a_kernel_others_leave_it_alone(tmp_path: Path) -> None:
-    code = (
-        "import fcntl, sys, zlib\n"
-        "file = open(sys.argv[1], 'ab')\n"
-        "for name in ('taken', 'free'):\n"
-        "    try:\n"
-        "        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, zlib.crc32(name.encode()))\n"
-        "        print(name, 'yes')\n"
-        "    except OSError:\n"
-        "        print(name, 'no')\n"
-    )
-    said = []
-    for name in ("taken", "other"):
-        with _claimed(tmp_path / "claims", name):
-            command = [sys.executable, "-c", code, str(tmp_path / "claims")]
-            said.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    assert said == ["taken no\nfree yes\n", "taken yes\nfree yes\n"]

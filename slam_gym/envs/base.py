@@ -17,6 +17,7 @@ from slam_gym.envs.warm_up import compile_on_two_cores
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, overridden, world_generator, world_seed
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.episode import Site, survey
+from slam_gym.types import Associator
 from slam_gym.validation import one_of
 
 Observation = dict[str, Any]
@@ -78,6 +79,8 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     behind. Where an argument does not pickle (a lambda as associator), pickling raises TypeError.
     """
 
+    associator: str | Associator = "jcbb"  # of the robot's own steps
+
     def __init__(self, split: Split, render_mode: RenderMode | None, arguments: Mapping[str, Any]) -> None:
         """`arguments` are the `locals()` of the subclass' constructor before anything else is in them."""
         one_of("split", split, SPLITS)
@@ -111,7 +114,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
         self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), False, []
-        compile_on_two_cores()
+        compile_on_two_cores(self.associator)
         return self._begin(self._draw_world(options)), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:

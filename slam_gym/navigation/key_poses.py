@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import NO_ID, Array, BoolArray, IntArray
@@ -96,7 +97,10 @@ class KeyPoses:
 @compiled
 def _rows_of(ids: IntArray) -> IntArray:
     """Row of each id in the map, −1 where there is none; the last entry, which NO_ID leads to, is −1."""
-    rows = np.full(ids.max() + 2 if len(ids) else 1, -1)
+    most = -1
+    for feature in ids:
+        most = max(most, feature)
+    rows = np.full(most + 2, -1)
     for j in range(len(ids)):
         rows[ids[j]] = j
     return rows
@@ -134,7 +138,10 @@ def _open(
 ) -> None:
     """Anchor key pose k to what is seen from it, and the one before as well."""
     (poses, anchors, places), row_of, at = arrays, _rows_of(ids), (pose[0], pose[1], pose[2])
-    poses[k], anchors[k], count = pose, NO_ID, 0
+    count = 0
+    fill_from(poses[k], pose)
+    for i in range(anchors.shape[1]):
+        anchors[k, i] = NO_ID
     for feature in seen:
         count = _anchored(k, count, at, feature, arrays, row_of, positions)
     if k == 0:
@@ -146,7 +153,8 @@ def _open(
             count = _anchored(k, count, at, feature, arrays, row_of, positions)
     if not math.isfinite(here[0]):
         return
-    anchors[k - 1] = NO_ID
+    for i in range(anchors.shape[1]):
+        anchors[k - 1, i] = NO_ID
     for feature in seen:
         kept = _anchored(k - 1, kept, here, feature, arrays, row_of, positions)
     for feature in old:
@@ -197,7 +205,8 @@ def _moved(
             turned = abs(wrap_angle(now[2] - poses[k, 2]))
             changed = math.hypot(now[0] - poses[k, 0], now[1] - poses[k, 1]) + lever * turned > tolerance
         if changed:
-            found[count], after[count] = k, now
+            found[count] = k
+            after[count, 0], after[count, 1], after[count, 2] = now
             for axis in range(3):
                 before[count, axis] = poses[k, axis] if drawn[k] else math.nan
             count += 1

@@ -141,7 +141,7 @@ def end_of_tick(state: Array, motion: Array) -> None:
     """Enter the pose of `state`, and the motion since that which `motion` (3, 3) has held so far, in its first rows."""
     before = motion[0].copy()
     motion[0, 0], motion[0, 1], motion[0, 2] = state[X], state[Y], wrap_angle(state[HEADING])
-    motion[1] = relative(before, motion[0])
+    fill_from(motion[1], relative(before, motion[0]))
 
 
 @compiled

@@ -88,7 +88,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             self._buffers = layout.buffers(bytearray(layout.size))
             self._groups = [_Here(Worlds(making, self._rows[0], self._buffers))]
             return
-        if compile_on_two_cores():  # once, and not in every worker
+        if compile_on_two_cores(getattr(single, "associator", "jcbb")):  # once, and not in every worker
             single.reset(seed=0)
         self._start(making, layout)
 
