@@ -2,11 +2,14 @@
 
 import subprocess
 import sys
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from slam_gym._claims import claimed, meanwhile
+from slam_gym import _claims
+from slam_gym._claims import claimed
 
 TRY = """
 import fcntl, sys, zlib
@@ -43,8 +46,10 @@ def test_while_one_process_compiles_a_kernel_others_leave_it_alone(tmp_path: Pat
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="bytes of files are not locked there")
-def test_whoever_would_wait_does_what_else_there_is_last_first(tmp_path: Path) -> None:
+def test_whoever_would_wait_does_what_else_there_is_last_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[str] = []
+    meanwhile: deque[Callable[[], object]] = deque()
+    monkeypatch.setattr(_claims, "meanwhile", meanwhile)
     command = [sys.executable, "-c", HOLD, str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdin is not None and other.stdout is not None
@@ -54,4 +59,3 @@ def test_whoever_would_wait_does_what_else_there_is_last_first(tmp_path: Path) -
         with claimed(tmp_path / "module", "taken", busy=True):
             assert done == ["first"]
         assert len(meanwhile) == 1
-        meanwhile.clear()
