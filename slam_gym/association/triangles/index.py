@@ -35,6 +35,7 @@ from slam_gym.association.triangles.map import (
 from slam_gym.association.triangles.pose import StoreArrays
 from slam_gym.association.triangles.search import search
 from slam_gym.association.triangles.store import (
+    BUDGET,
     CODES,
     FEATURES,
     POWER,
@@ -89,6 +90,7 @@ class FeatureIndex:
     ) -> None:
         covariances = relative_covariances(landmarks) if landmarks is not None else np.empty((0, 2, 2))
         positions = landmarks.positions if landmarks is not None else np.empty((0, 2))
+        self._fitted = len(positions) if reach is None else 0  # features that together keep to `triangles`
         if reach is None:
             reach = usual_reach(positions, triangles)
         if noise is None:
@@ -308,13 +310,14 @@ class FeatureIndex:
         while True:
             enter_triangles(
                 self._cells, self._pool, self._heads, self._following, self._positions, self._details, self._settings,
-                self._progress, self.n,
+                self._progress, self.n, self._fitted,
             )  # fmt: skip
             if self._progress[0] == self.n:
                 return
             ready, triangles = max(int(self._progress[0]), 1), int(self._progress[2])
             expected = 1.3 * triangles * self.n / ready if ready > 50 else 0.0  # of the features still to be entered
-            larger = np.empty((int(max(1.5 * triangles, min(expected, 8.0 * triangles))) + 4096, 4), np.int32)
+            most = min(8.0 * triangles, self._settings[BUDGET] * self.n)
+            larger = np.empty((int(max(1.5 * triangles, min(expected, most))) + 4096, 4), np.int32)
             self._progress[4] = move_pool(self._cells, self._pool, larger)
             self._pool = larger
 

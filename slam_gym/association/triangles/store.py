@@ -269,8 +269,12 @@ def enter_triangles(
     settings: Array,
     progress: IntArray,
     n: int,
+    fitted: int,
 ) -> None:
     """Enter features up to n − 1 into the grid, each with its triangles with earlier features, nearest ones first.
+
+    On average they have as many as the settings allow at most, at any time; the first `fitted` of them, for which the
+    reach was chosen, only all together, so that those that crowd take what others leave.
 
     progress: next feature, its triangles already done, triangles, features some of whose triangles were left out, part
     of the pool in use. Returns early, before the next feature is n, where the pool is full: to be called again with a
@@ -280,7 +284,7 @@ def enter_triangles(
     near, distances = np.empty(min(n, CROWD), np.int64), np.empty(min(n, CROWD))
     while progress[0] < n:
         f, number, skip = progress[0], 0, progress[1]
-        allowed = int(settings[BUDGET] * (f + 1)) - progress[2] + skip
+        allowed = int(settings[BUDGET] * max(f + 1, fitted)) - progress[2] + skip
         count = features_around(heads, following, side, positions, positions[f, 0], positions[f, 1], reach, near)
         _by_distance(positions, f, near, count, distances)
         for p in range(count):

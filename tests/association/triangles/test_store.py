@@ -55,6 +55,17 @@ def test_memory_is_bounded_by_the_number_of_features() -> None:
     assert FeatureIndex(landmarks_at(line), reach=11.0, noise=0.07).nbytes <= 2048 * 2000
 
 
+def test_features_that_crowd_take_what_others_leave_where_the_reach_was_chosen_for_all() -> None:
+    """Along streets some stand close and others do not, whichever come first."""
+    rng = np.random.default_rng(15)
+    crowded, scattered = rng.uniform(0.0, [40.0, 4.0], (80, 2)), rng.uniform(100.0, [300.0, 300.0], (160, 2))
+    for positions in (np.concatenate([crowded, scattered]), np.concatenate([scattered, crowded])):
+        index = FeatureIndex(landmarks_at(positions))
+        assert index.truncated == 0 and index.triangles <= 64 * len(positions)
+        triangles = FeatureIndex(landmarks_at(positions), reach=index.reach, triangles=1e4).triangles
+        assert index.triangles == triangles
+
+
 def _entered(index: FeatureIndex) -> list[tuple[int, list[int]]]:
     """Cell, and the three features, of each triangle in the pool."""
     store = store_of(index)
