@@ -22,6 +22,7 @@ from slam_gym.association.relocation.policy import (
 )
 from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.association.tracking.advice import Adviser, advice
+from slam_gym.association.tracking.deferred import deferred
 from slam_gym.association.tracking.global_nearest_neighbour import global_nearest_neighbour
 from slam_gym.association.tracking.ipjc import ipjc
 from slam_gym.association.tracking.jcbb import jcbb
@@ -43,6 +44,7 @@ __all__ = [
     "Policy",
     "RelocationPolicy",
     "SampledRelocation",
+    "deferred",
     "from_policy",
     "gcbb",
     "global_nearest_neighbour",
@@ -68,6 +70,7 @@ __all__ = [
 ]
 
 ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
+    "deferred": deferred,
     "global_nearest_neighbour": global_nearest_neighbour,
     "ipjc": ipjc,
     "jcbb": jcbb,

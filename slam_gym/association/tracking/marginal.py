@@ -20,7 +20,7 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import joint_distance, plain
-from slam_gym.association.tracking.marginals import Learned, marginals
+from slam_gym.association.tracking.marginals import Learned, Marginals, marginals
 from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Posterior, Prediction, Scan
 
 
@@ -56,13 +56,25 @@ def marginal(
 
     Raises ValueError as `map_hypothesis`, and for costs that are less than 1 or not finite.
     """
-    for name, price in (("cost", cost), ("provisional_cost", provisional_cost)):
-        if price is not None and not 1.0 <= price < math.inf:
-            raise ValueError(f"{name}: {price} is not a finite number of at least 1")
+    check_costs(cost, provisional_cost)
     found = marginals(
         scan, prediction, detection=detection, density=density, unseen=unseen, width=width, margin=margin,
         learned=learned,
     )  # fmt: skip
+    return decide(scan, prediction, found, cost, provisional_cost)
+
+
+def check_costs(cost: float, provisional_cost: float | None = None) -> None:
+    """Raises ValueError for costs that `marginal` refuses."""
+    for name, price in (("cost", cost), ("provisional_cost", provisional_cost)):
+        if price is not None and not 1.0 <= price < math.inf:
+            raise ValueError(f"{name}: {price} is not a finite number of at least 1")
+
+
+def decide(
+    scan: Scan, prediction: Prediction, found: Marginals, cost: float, provisional_cost: float | None = None
+) -> Hypothesis:
+    """What `marginal` makes of the hypotheses found."""
     threshold = cost / (cost + 1.0)
     thresholds = np.full(len(prediction), threshold)
     if provisional_cost is not None and prediction.provisional is not None:

@@ -156,13 +156,20 @@ def views(kept: Kept, visibility: Array | None, together: float = 0.0) -> Views:
     possible = visibility > HARDLY
     possible[rows] = False
     rows = np.concatenate((rows, np.flatnonzero(possible)))
-    covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
-    moved = Moved(*updated(tree.pairings._replace(covariance=covariance)[:], beam, prediction.positions[rows]))
+    moved = moved_by(kept, rows)
     first = grouped(moved.positions, np.argsort(-beam.score, kind="stable"), together, group)
     positions, covariances = moved.positions[first].reshape(-1, 2), moved.covariances[first].reshape(-1, 2, 2)
     seen = prediction.visibility(positions, covariances)
     assert seen is not None
     return Views(group, seen.reshape(len(first), len(rows)), np.arange(len(tree.rows)))
+
+
+def moved_by(kept: Kept, rows: IntArray) -> Moved:
+    """Where each hypothesis puts the features at `rows` (r,), which begin with those of the tree."""
+    prediction = kept.tree.prediction
+    covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
+    arrays = kept.tree.pairings._replace(covariance=covariance)[:]
+    return Moved(*updated(arrays, kept.beam, prediction.positions[rows]))
 
 
 @compiled
