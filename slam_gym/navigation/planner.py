@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from slam_gym._compile import compiled
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import FREE, WALL, Cells, border_crossings
+from slam_gym.navigation.sight import PARTS, Sight, priced_by_sight
 from slam_gym.types import Array, BoolArray, IntArray
 
 MARGIN = 0.4  # [m] beyond the clearance, up to which paths pay for being near a wall
@@ -21,7 +22,6 @@ Levels = NDArray[np.int32]  # (h, w) 0 = impassable, else 1 + squared distance t
 Steps = NDArray[np.int8]  # (h, w) index into STEPS of the step by which a path enters each cell
 _ROWS, _COLUMNS = zip(*STEPS)
 _LENGTHS = tuple(math.hypot(dr, dc) for dr, dc in STEPS)
-_BUCKETS = 1 << math.ceil(math.log2(math.sqrt(2.0) * (1.0 + CROWDING) + 2.0))  # hold the dearest step, and wrap around
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,9 @@ class DistanceField:
         return np.concatenate([self.start[None], inner, np.asarray(goal, dtype=np.float64)[None]])
 
 
-def distance_field(grid: ExploredGrid, start: Array, clearance: float, within: Array | None = None) -> DistanceField:
+def distance_field(
+    grid: ExploredGrid, start: Array, clearance: float, within: Array | None = None, sight: Sight | None = None
+) -> DistanceField:
     """Least-cost paths from `start` (2,) in B over the free cells of `grid`, 8-connected.
 
     With `within` (4,) [m] xmin, ymin, xmax, ymax in B the field is that of the cells in there alone, and takes no
@@ -96,8 +98,10 @@ def distance_field(grid: ExploredGrid, start: Array, clearance: float, within: A
 
     Walls and the unknown are closed, and so are cells nearer than `clearance` [m] to a wall cell, centre to centre. At
     a distance d < clearance + MARGIN, a length costs 1 + CROWDING (1 − d / (clearance + MARGIN))² times what it costs
-    in the open. A start within the clearance can leave it, but no path enters it again; a start off the grid
-    reaches nothing. Raises ValueError for a clearance that is negative or not finite.
+    in the open; with `sight`, up to 1 + price times as much as that where few features are in view, so that no path is
+    dearer by more than that factor than the cheapest would be without. A start within the clearance can leave it, but
+    no path enters it again; a start off the grid reaches nothing. Raises ValueError for a clearance that is negative or
+    not finite.
     """
     if not 0.0 <= clearance < math.inf:
         raise ValueError(f"clearance: expected a finite length ≥ 0 [m], got {clearance}")
@@ -105,12 +109,17 @@ def distance_field(grid: ExploredGrid, start: Array, clearance: float, within: A
     cells, origin = (grid.cells, grid.origin) if within is None else _window(grid, within)
     levels, weights = _levels(cells, (clearance + MARGIN) / grid.resolution)
     first_open = 1 + math.ceil((clearance / grid.resolution) ** 2 - 1e-9)
+    if sight is not None:
+        levels, weights = priced_by_sight(levels, weights, grid, origin, sight)
+        first_open *= PARTS
     cell = _cell_of(start, origin, grid.resolution, cells.shape)
     row, column = cell or (-1, -1)  # off the grid: a corner of the border, from which no step leads
     shape, stride = levels.shape, levels.shape[1]
     offsets = np.array([dr * stride + dc for dr, dc in STEPS])
     seed = (row + 1) * stride + column + 1
-    lengths, costs, steps = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution)
+    dearest = math.sqrt(2.0) * (1.0 + CROWDING) * (1.0 if sight is None else 1.0 + sight.price)
+    buckets = 1 << math.ceil(math.log2(dearest + 2.0))  # hold the dearest step, and wrap around
+    lengths, costs, steps = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution, buckets)
     return DistanceField(
         start,
         lengths.reshape(shape)[1:-1, 1:-1],
@@ -194,7 +203,7 @@ def _levels(cells: Cells, reach: float) -> tuple[Levels, Array]:
 
 @compiled
 def _wavefront(
-    levels: Levels, weights: Array, first_open: int, offsets: IntArray, start: int, resolution: float
+    levels: Levels, weights: Array, first_open: int, offsets: IntArray, start: int, resolution: float, buckets: int
 ) -> tuple[Array, Array, Steps]:
     """Lengths [m], costs [cells] and last steps of the least-cost paths from a cell. Flat arrays with a border.
 
@@ -207,23 +216,23 @@ def _wavefront(
     lengths, costs = np.full(size, math.inf), np.full(size, math.inf)
     steps, settled = np.full(size, -1, dtype=np.int8), np.zeros(size, dtype=np.bool_)
     waiting = np.empty((8 * size + 1, 2), dtype=np.int32)  # cell and the entry below it in its bucket
-    tops = np.full(_BUCKETS, -1)
+    tops = np.full(buckets, -1)
     costs[start] = 0.0
     tops[0], waiting[0, 0], waiting[0, 1], entries = 0, start, -1, 1
     front, idle = 0, 0  # the bucket being emptied, and how many before it were empty
-    while idle < _BUCKETS:
-        entry = tops[front & (_BUCKETS - 1)]
+    while idle < buckets:
+        entry = tops[front & (buckets - 1)]
         if entry < 0:
             front, idle = front + 1, idle + 1
             continue
         node, idle = waiting[entry, 0], 0
-        tops[front & (_BUCKETS - 1)] = waiting[entry, 1]
+        tops[front & (buckets - 1)] = waiting[entry, 1]
         if settled[node]:
             continue
         settled[node] = True
         last = steps[node]
         lengths[node] = 0.0 if last < 0 else lengths[node - offsets[last]] + _LENGTHS[last] * resolution
-        weight = min(weights[levels[node]], 1.0 + CROWDING)  # of a start in a wall or in the unknown
+        weight = weights[levels[node]] if levels[node] > 0 else 1.0 + CROWDING  # of a start in a wall or in the unknown
         lowest = 1 if last < 0 or levels[node] < first_open else first_open
         for k in range(8):
             other = node + offsets[k]
@@ -233,7 +242,7 @@ def _wavefront(
             if k >= 4 and (levels[node + offsets[k - 4]] == 0 or levels[node + offsets[(k - 3) % 4]] == 0):
                 continue
             costs[other], steps[other] = cost, k
-            bucket = int(cost) & (_BUCKETS - 1)
+            bucket = int(cost) & (buckets - 1)
             waiting[entries, 0], waiting[entries, 1], tops[bucket] = other, tops[bucket], entries
             entries += 1
     return lengths, costs, steps

@@ -11,8 +11,9 @@ from slam_gym.navigation.explored_grid import FREE, ExploredGrid
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.polyline import length_left, on_path, points_ahead
 from slam_gym.navigation.pursuit import PursuitSpec, follow
+from slam_gym.navigation.sight import Sight
 from slam_gym.simulation.episode import Episode
-from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances
+from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances, sight
 from slam_gym.types import Array
 
 ARRIVED = 0.4  # [m] from the goal
@@ -98,13 +99,14 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
             return path
         if len(fresh):
             return np.concatenate([fresh, rest])
-    return way_to(episode.grid, episode.scenario.robot.radius, pose[:2], goal)
+    in_sight = sight(episode.scenario, episode.slam.map)
+    return way_to(episode.grid, episode.scenario.robot.radius, pose[:2], goal, in_sight)
 
 
-def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array) -> Array:
+def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, in_sight: Sight | None = None) -> Array:
     """A path (p, 2) of a robot of `radius` [m] to a goal, or as near to it as will do, or (0, 2)."""
     for clearance in clearances(radius):
-        field = distance_field(grid, here, clearance)
+        field = distance_field(grid, here, clearance, sight=in_sight)
         fresh = field.path(goal)
         if len(fresh):
             return fresh
@@ -118,7 +120,8 @@ def _stretch_anew(episode: Episode, pose: Array, stretch: Array) -> Array:
     """The stretch itself where it holds, another way to its end where that is better, or (0, 2)."""
     within = np.concatenate([stretch.min(axis=0) - AROUND, stretch.max(axis=0) + AROUND])
     clearance = clearances(episode.scenario.robot.radius)[0]
-    field = distance_field(episode.grid, pose[:2], clearance, within)
+    in_sight = sight(episode.scenario, episode.slam.map)
+    field = distance_field(episode.grid, pose[:2], clearance, within, in_sight)
     fresh = field.path(stretch[-1])
     if len(fresh):
         open_ = np.isfinite(field.lengths_to(points_ahead(stretch, pose[:2], APART))).all()

@@ -13,6 +13,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.expected_gain import expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import DistanceField, distance_field
+from slam_gym.navigation.sight import ENOUGH, Sight
 from slam_gym.scenarios import Scenario
 from slam_gym.types import Array, BoolArray, IntArray
 
@@ -31,7 +32,6 @@ PLACE_SPACING = 1.5  # [m] between the remembered places along the robot's way
 _PLACES = 32  # at most so many are weighed at a decision
 _REVISIT_SPACING = 3.0  # [m] between the revisits on offer
 _LOOKOUT = 2.0  # [m] of a way between looks at what is in view
-_ENOUGH = 2  # features in view that hold position and heading
 _LOOKS = 5  # independent scans that a look is taken to be worth, a rule of thumb
 WORTH_SEEING = 0.5  # [m²] a frontier from which less than this is to be seen is none, or has become out of date
 
@@ -103,6 +103,11 @@ def clearances(radius: float) -> tuple[float, float]:
     return radius + CLEARANCE, SQUEEZE * radius
 
 
+def sight(scenario: Scenario, slam_map: StochasticMap) -> Sight | None:
+    """What paths keep in view; None where they need not (`Scenario.in_sight`)."""
+    return Sight(slam_map.mean, scenario.sensor.range, scenario.in_sight) if scenario.in_sight > 0.0 else None
+
+
 def propose(
     scenario: Scenario,
     slam_map: StochasticMap,
@@ -115,9 +120,9 @@ def propose(
     Frontiers that have been `tried` twice, but were not reached or are frontiers still, are offered when no other one
     is left.
     """
-    here = slam_map.pose[:2]
+    here, in_sight = slam_map.pose[:2], sight(scenario, slam_map)
     for clearance in clearances(scenario.robot.radius):
-        reached = distance_field(grid, here, clearance)
+        reached = distance_field(grid, here, clearance, sight=in_sight)
         ends = frontiers_on_offer(grid, reached, scenario.beams.range, tried)
         if len(ends):
             break
@@ -171,7 +176,7 @@ class _Ways(NamedTuple):
     """What the robot should see of its map on the ways to some places."""
 
     in_view: Array  # (q,) features in view, on average
-    blind: Array  # (q,) fraction of the way with fewer than `_ENOUGH`
+    blind: Array  # (q,) fraction of the way with fewer than `ENOUGH`
 
 
 def _in_sight_on_the_way(
@@ -184,7 +189,7 @@ def _in_sight_on_the_way(
     turned_to = scenario.sensor.field_of_view / (2.0 * math.pi)
     return _Ways(
         turned_to * np.add.reduceat(counts, starts) / lengths,
-        np.add.reduceat(counts < _ENOUGH, starts, dtype=np.int64) / lengths,
+        np.add.reduceat(counts < ENOUGH, starts, dtype=np.int64) / lengths,
     )
 
 

@@ -34,11 +34,11 @@ def random_cells(rng, shape=(25, 32)):
     return np.digitize(noise, np.quantile(noise, [0.12, 0.8])).astype(np.uint8)
 
 
-def costs_by_graph(cells, start, clearance):
+def costs_by_graph(cells, start, clearance, prices=1.0):
     """Least costs [cells] to every cell from the explicit graph of all legal steps, and the weights of the cells."""
     distances = np.inf if not (cells == WALL).any() else ndimage.distance_transform_edt(cells != WALL) * RESOLUTION
     weights = 1.0 + CROWDING * np.clip(1.0 - distances / (clearance + MARGIN), 0.0, None) ** 2
-    weights = np.where(cells == FREE, weights, np.inf)
+    weights = np.where(cells == FREE, weights * prices, np.inf)
     closed = (cells == FREE) & (distances < clearance - 1e-9)
     h, w = cells.shape
     entries = []
@@ -47,7 +47,7 @@ def costs_by_graph(cells, start, clearance):
             is_start = (r, c) == start
             if not (is_start or cells[r, c] == FREE):
                 continue
-            weight = min(weights[r, c], 1.0 + CROWDING)
+            weight = weights[r, c] if cells[r, c] == FREE else 1.0 + CROWDING
             for dr, dc in STEPS:
                 r1, c1 = r + dr, c + dc
                 if not (0 <= r1 < h and 0 <= c1 < w) or cells[r1, c1] != FREE:
