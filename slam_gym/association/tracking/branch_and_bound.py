@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._arrays import fill_from
-from slam_gym._compile import compiled
+from slam_gym._compile import compiled, inlined
 from slam_gym.association.tracking.heading import Turning, condition_errors, distance_with, join
 from slam_gym.association.tree import (
     Node,
@@ -120,50 +120,53 @@ def _search(
     """
     measured, held, depth = pairings.measured, len(node.path), len(gates)
     stack = _stack_at(pairings, node, first, depth, turning)
+    alive, total, _, _, end, levels, features, distances, floors, _ = stack
     path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
     fill_from(path, node.path)
-    best_path, best, best_distance = path.copy(), held, stack.distance[held]
+    best_path, best, best_distance = path.copy(), held, distances[held]
     p, nodes, tests, limit_hit = held, 0, 0, False
     while p >= held:
-        if position[p] == stack.end[p] or not _promises(stack, p, best, best_distance):
+        follows = levels[p], features[p], distances[p], floors[p]
+        if position[p] == end[p] or not _promises(p, *follows, best, best_distance):
             p -= 1
             continue
         if nodes == node_limit or tests >= TEST_LIMIT:
             limit_hit = True
             break
-        c = stack.alive[p, position[p]]
+        c = alive[p, position[p]]
         if level[p] == _UNDECIDED:
             level[p] = measured[c]
         if measured[c] != level[p]:
             # All pairings of this level are done: `*`. It leaves H as it is, so its node takes the place of its parent.
             nodes += 1
-            stack.levels[p] -= 1
-            stack.floor[p], level[p] = stack.distance[p], measured[c]
+            levels[p] -= 1
+            floors[p], level[p] = distances[p], measured[c]
             continue
         position[p] += 1
-        if not stack.total[p, c] < gates[p + 1]:
+        if not total[p, c] < gates[p + 1]:
             continue
         nodes += 1
         path[p] = c
         tests += _pair(pairings, stack, p, c, position[p], best, gates, turning)
         p += 1
         position[p], level[p] = 0, _UNDECIDED
-        if p > best or (p == best and stack.distance[p] < best_distance):
-            best, best_distance = p, stack.distance[p]
+        if p > best or (p == best and distances[p] < best_distance):
+            best, best_distance = p, distances[p]
             for q in range(p):
                 best_path[q] = path[q]
     write_rows(pairings, best_path[:best], rows, out)
     return _Spent(best_distance, nodes, tests, limit_hit)
 
 
-@compiled
-def _promises(stack: _Stack, p: int, best: int, best_distance: float) -> bool:
+@inlined
+def _promises(
+    p: int, levels: int, features: int, distance: float, floor: float, best: int, best_distance: float
+) -> bool:
     """Whether something may follow H that beats the best: by pairings, or by D² with as many."""
-    bound = p + min(stack.levels[p], stack.features[p])
+    bound = p + min(levels, features)
     if bound != best:
         return bool(bound > best)
-    floor = stack.floor[p] if stack.levels[p] <= stack.features[p] else stack.distance[p]
-    return bool(floor < best_distance)
+    return bool((floor if levels <= features else distance) < best_distance)
 
 
 @compiled
@@ -212,7 +215,7 @@ def _stack_at(pairings: Pairings, node: Node, first: int, depth: int, turning: T
     return stack
 
 
-@compiled
+@inlined
 def _pair(
     pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array, turning: Turning | None
 ) -> int:
@@ -221,19 +224,21 @@ def _pair(
     Drops the candidates that cannot become legal any more: a candidate can at most be preceded by one pairing of each
     level before its own that still has a candidate. Gives up, with none alive, once the bound must end below `best`.
     """
-    measured, slots, alive, w, restricted = pairings.measured, pairings.slots, stack.alive, stack.w, p == pairings.given
-    before, after = stack.innovations[p], stack.innovations[p + 1]
+    # once: naming a field counts a reference
+    slots, measured, _, _, covariance, local, given = pairings
+    alive, totals, innovations, w, end, level_counts, feature_counts, distances, floors, stamps = stack
+    before, after, restricted = innovations[p], innovations[p + 1], p == given
     pivot = pivot_of(slots[d], read(before, d))
-    q, distance, left, kept, tests = p + 1, stack.total[p, d], stack.levels[p] - 1, 0, 0
+    q, distance, left, kept, tests = p + 1, totals[p, d], level_counts[p] - 1, 0, 0
     levels, level, least, floor = 0, measured[d], math.inf, distance
-    stack.end[q], stack.levels[q], stack.distance[q] = 0, 0, distance
+    end[q], level_counts[q], distances[q] = 0, 0, distance
     if turning is not None:
         join(turning, p, d, pivot)
-    for k in range(first, stack.end[p]):
+    for k in range(first, end[p]):
         c = alive[p, k]
         if measured[c] == measured[d] or slots[c] == slots[d]:
             continue
-        if restricted and not is_local(pairings.local, slots[d], slots[c]):
+        if restricted and not is_local(local, slots[d], slots[c]):
             continue
         if measured[c] != level:
             if least < math.inf:
@@ -242,7 +247,7 @@ def _pair(
                 return tests
             left, level = left - 1, measured[c]
         tests += 1
-        e = condition(pairings.covariance, w, pivot, d, p, c, slots[c], read(before, c))
+        e = condition(covariance, w, pivot, d, p, c, slots[c], read(before, c))
         if turning is None:
             # eᵀ S⁻¹ e < gate − D²_H, without the division: most candidates end here
             numerator = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y
@@ -256,16 +261,16 @@ def _pair(
             if not total < gates[q + levels + 1]:
                 continue
         store(after, c, e)
-        stack.total[q, c], alive[q, kept] = total, c
+        totals[q, c], alive[q, kept] = total, c
         kept, least = kept + 1, min(least, total)
     if least < math.inf:
         levels, floor = levels + 1, max(floor, least)
-    stack.end[q], stack.levels[q], stack.floor[q] = kept, levels, floor
-    stack.features[q] = _count_features(slots, alive[q, :kept], stack.stamps)
+    end[q], level_counts[q], floors[q] = kept, levels, floor
+    feature_counts[q] = _count_features(slots, alive[q, :kept], stamps)
     return tests
 
 
-@compiled
+@inlined
 def _count_features(slots: IntArray, chosen: IntArray, stamps: IntArray) -> int:
     """Distinct features among the candidates `chosen`."""
     stamps[-1] += 1

@@ -19,6 +19,7 @@ from slam_gym.bench.memory import resident
 from slam_gym.bench.records import Record, means, medians
 from slam_gym.bench.report import Report
 from slam_gym.bench.runner import UsageError
+from slam_gym.bench.speed import lanes
 from slam_gym.bench.speed.update import PAIRINGS, REACH, STILL, mapped
 from slam_gym.bench.timing import THREAD, timed
 from slam_gym.geometry import observe
@@ -75,16 +76,28 @@ def run(
     *,
     features: tuple[int, ...] = (50, 100, 200, 500, 1000, 2000, 3000, 5000),
     steps: int = 15,
+    drives: tuple[int, ...] = (500, 1000, 2000, 5000),
+    exact: int = 1000,
+    per_map: int = 100,
     seed: int = 0,
 ) -> None:
-    """One row for each size of the map.
+    """One row for each size of the map, and of drives that build one from nothing, in one map and in local maps.
 
     Arguments:
         features: map sizes
         steps: timed steps of each, from the second on
+        drives: numbers of features that drives go over
+        exact: up to so many, drives have one map as well, and local maps are joined
+        per_map: features with which a local map is closed
         seed: of everything random
     """
     if min(features) < PAIRINGS or steps < 1:
         raise UsageError(f"at least {PAIRINGS} features and 1 step")
     rows = [measure(n, steps, np.random.default_rng(seed)) for n in features]
     report.table(f"Steps of {PAIRINGS} pairings by the size of the map", rows, "scale")
+    rows = [
+        lanes.measure(n, size, n <= exact, seed)
+        for n in drives
+        for size in ((None, per_map) if n <= exact else (per_map,))
+    ]
+    report.table(f"Drives over lanes, in one map and in local maps of {per_map} features", rows, "scale_drives")
