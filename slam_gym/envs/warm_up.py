@@ -33,6 +33,7 @@ from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.simulation import appraisal
 from slam_gym.slam import kernels, lost, slam, whole_step
+from slam_gym.slam.at_once import form_of
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, Associator, Beams, IntArray, Odometry, Prediction, Scan
 from slam_gym.world import boxes, detection, driving, reachability, wall_grid
@@ -56,12 +57,17 @@ def compile_on_two_cores(associator: str | Associator = "jcbb") -> bool:
     """
     due = announce_compilation(COMPILED)
     if due and multiprocessing.parent_process() is None:
-        name = associator if isinstance(associator, str) and associator in ASSOCIATORS else "jcbb"
         with contextlib.suppress(OSError):  # no second process to be had: this one compiles everything
-            command = [sys.executable, "-m", __name__, name]
+            command = [sys.executable, "-m", __name__, prepared_for(associator)]
             subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             meanwhile.extend(AFTERWARDS)
     return due
+
+
+def prepared_for(associator: str | Associator) -> str:
+    """The name of an associator whose step of SLAM is one compiled call: that of this one, if it has one."""
+    asked = ASSOCIATORS.get(associator) if isinstance(associator, str) else associator
+    return next((name for name, known in ASSOCIATORS.items() if known is asked and form_of(known) is not None), "jcbb")
 
 
 def main(associator: str = "jcbb") -> None:

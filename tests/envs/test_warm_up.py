@@ -1,8 +1,12 @@
 """What is compiled ahead is what episodes use, and the announcement knows the modules of every episode."""
 
+import functools
 import os
 import subprocess
 import sys
+
+from slam_gym.association import jcbb, marginal
+from slam_gym.envs.warm_up import prepared_for
 
 PRELUDE = """
 import sys
@@ -58,3 +62,9 @@ def test_silent_after_an_episode_of_the_least_that_explore_does() -> None:
 def test_what_is_compiled_ahead_is_what_an_episode_calls_with_the_same_types() -> None:
     said, _ = run(AHEAD)
     assert said == "True []\n", "an episode compiles these again for other types"
+
+
+def test_the_step_that_is_prepared_is_that_of_the_associator_if_it_is_one_call() -> None:
+    mine = functools.partial(jcbb, node_limit=100)
+    asked = ("marginal", marginal, "singles", "ipjc", "true_association", mine)
+    assert [*map(prepared_for, asked)] == ["marginal", "marginal", "singles", "jcbb", "jcbb", "jcbb"]
