@@ -80,7 +80,7 @@ def _weighed(answer: Hypothesis, found: Marginals, share: float) -> Hypothesis:
 def _places(scan: Scan, prediction: Prediction, found: Marginals, apart: float, factor: float) -> list[IntArray]:
     """The hypotheses of each place that is an alternative, the most probable place first."""
     every, features = np.arange(len(found.weights)), np.arange(len(prediction))
-    if len(every) == 1 or not len(features):
+    if len(every) == 1 or not len(features) or not len(scan):
         return [every]
     within = apart * math.sqrt(0.5 * float(np.median(np.trace(scan.covariances, axis1=1, axis2=2))))
     if len(found.kept) == 1 and all_below(plain(prediction.covariances), features, (0.5 * within) ** 2):

@@ -1,5 +1,6 @@
 """What is left open: which places a robot may be at, how probable each is, and what is decided in it."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -87,6 +88,13 @@ def test_what_is_plain_or_within_a_few_deviations_is_not():
     for answer in (deferred(scan, prediction, factor=1.0), deferred(*two_features(0.25), apart=50.0)):
         assert len(answer.alternatives) == 1
         assert answer.alternatives[0].features.tolist() == answer.features.tolist()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_scan_of_nothing_leaves_nothing_open_however_poor_the_heading():
+    _, prediction = two_features()
+    poor = dataclasses.replace(prediction, heading_variance=0.1)
+    assert len(deferred(Scan.from_points(np.empty((0, 2)), sigma=0.03), poor).alternatives) == 1
 
 
 @pytest.mark.parametrize(
