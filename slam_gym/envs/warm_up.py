@@ -26,6 +26,7 @@ from slam_gym.metrics import association, point_assignment
 from slam_gym.navigation import grid, key_poses, visibility
 from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.held import surely_holds
 from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.polyline import length_left, points_ahead
 from slam_gym.navigation.pursuit import follow
@@ -119,6 +120,7 @@ def _goals() -> None:
     follow(pose, path)
     field.lengths_to(points_ahead(path, pose[:2], 0.2))
     length_left(path, pose[:2])
+    surely_holds((explored.cells, explored.origin, explored.resolution), path, pose[:2], 0.25, 0.2, 15.0, 1.1)
 
 
 def _gain() -> None:

@@ -44,6 +44,21 @@ def length_left(path: Array, position: Array) -> float:
 
 
 @compiled
+def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Array]:
+    """The next `ahead` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`; the waypoints then."""
+    at, total = on_path(path, position), 0.0
+    for i in range(at.segment, path.shape[0] - 1):
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        length = math.hypot(dx, dy)
+        total += length
+        if total - at.covered >= ahead:
+            stretch, back = path[at.segment : i + 2].copy(), (total - at.covered - ahead) / max(length, 1e-9)
+            stretch[-1, 0], stretch[-1, 1] = path[i + 1, 0] - back * dx, path[i + 1, 1] - back * dy
+            return stretch, path[i + 1 :].copy()
+    return path[at.segment :].copy(), path[:0].copy()
+
+
+@compiled
 def points_ahead(path: Array, position: Array, spacing: float) -> Array:
     """Points (q, 2) along the path (p, 2), p ≥ 1, from the waypoint nearest to `position` on, some `spacing` [m] apart.
 

@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from slam_gym.navigation.explored_grid import FREE, ExploredGrid
+from slam_gym.navigation.held import surely_holds
 from slam_gym.navigation.planner import distance_field
-from slam_gym.navigation.polyline import length_left, on_path, points_ahead
+from slam_gym.navigation.polyline import length_left, next_stretch, points_ahead
 from slam_gym.navigation.pursuit import PursuitSpec, follow
 from slam_gym.navigation.sight import Sight
 from slam_gym.simulation.episode import Episode
@@ -92,15 +93,19 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
     round an obstacle that cost the same would take turns, and the robot would go neither. Only the next stretch of it
     is planned anew, so that a plan takes as long in a large building as in a small one.
     """
-    if len(path) and is_free(episode.grid, points_ahead(path, pose[:2], APART)):
-        stretch, rest = _next_stretch(path, pose[:2])
+    grid, clearance = episode.grid, clearances(episode.scenario.robot.radius)[0]
+    explored = grid.cells, grid.origin, grid.resolution
+    if len(path) and surely_holds(explored, path, pose[:2], clearance, APART, AHEAD, KEEP):
+        return path
+    if len(path) and is_free(grid, points_ahead(path, pose[:2], APART)):
+        stretch, rest = next_stretch(path, pose[:2], AHEAD)
         fresh = _stretch_anew(episode, pose, stretch)
         if fresh is stretch:
             return path
         if len(fresh):
             return np.concatenate([fresh, rest])
     in_sight = sight(episode.scenario, episode.slam.map)
-    return way_to(episode.grid, episode.scenario.robot.radius, pose[:2], goal, in_sight)
+    return way_to(grid, episode.scenario.robot.radius, pose[:2], goal, in_sight)
 
 
 def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, in_sight: Sight | None = None) -> Array:
@@ -128,19 +133,6 @@ def _stretch_anew(episode: Episode, pose: Array, stretch: Array) -> Array:
         if open_ and length_left(stretch, pose[:2]) < KEEP * length_left(fresh, pose[:2]):
             return stretch
     return fresh
-
-
-def _next_stretch(path: Array, position: Array) -> tuple[Array, Array]:
-    """The next `AHEAD` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`; the waypoints then."""
-    at, steps = on_path(path, position), np.diff(path, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
-    ends = np.cumsum(lengths[at.segment :]) - at.covered
-    last = int(np.searchsorted(ends, AHEAD))
-    if last >= len(ends):
-        return path[at.segment :], path[:0]
-    end = at.segment + last
-    cut = path[end + 1] - (ends[last] - AHEAD) / max(lengths[end], 1e-9) * steps[end]
-    return np.concatenate([path[at.segment : end + 1], cut[None]]), path[end + 1 :]
 
 
 def is_free(grid: ExploredGrid, points: Array) -> bool:

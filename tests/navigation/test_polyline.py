@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.navigation.polyline import length_left, on_path, points_ahead
+from slam_gym.navigation.polyline import length_left, next_stretch, on_path, points_ahead
 
 
 def reference(path, position):
@@ -65,3 +65,13 @@ def test_the_length_left_is_measured_along_the_path() -> None:
     ]:
         assert length_left(path, np.array(position, float)) == pytest.approx(left)
     assert length_left(np.zeros((2, 2)), np.array([0.3, 0.4])) == pytest.approx(0.5)
+
+
+def test_the_next_stretch_and_the_rest_make_up_the_path() -> None:
+    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 20.0], [30.0, 20.0]])
+    stretch, rest = next_stretch(path, np.array([1.0, 0.2]), 15.0)
+    np.testing.assert_allclose(stretch, [[0, 0], [4, 0], [4, 12.0]])
+    np.testing.assert_array_equal(rest, path[2:])
+    stretch, rest = next_stretch(path, np.array([20.0, 20.1]), 15.0)
+    np.testing.assert_array_equal(stretch, path[2:])
+    assert len(rest) == 0

@@ -154,16 +154,6 @@ def test_a_goal_that_is_walled_up_gives_way_to_a_place_nearby_if_there_is_one(ra
     assert left < driver.NEAR_ENOUGH + ARRIVED if arrives else (ep.ticks == ticks + 1 and left > 3.0)
 
 
-def test_the_next_stretch_and_the_rest_make_up_the_path() -> None:
-    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 20.0], [30.0, 20.0]])
-    stretch, rest = driver._next_stretch(path, np.array([1.0, 0.2]))
-    np.testing.assert_allclose(stretch, [[0, 0], [4, 0], [4, driver.AHEAD - 3.0]])
-    np.testing.assert_array_equal(rest, path[2:])
-    stretch, rest = driver._next_stretch(path, np.array([20.0, 20.1]))
-    np.testing.assert_array_equal(stretch, path[2:])
-    assert len(rest) == 0
-
-
 def test_frontiers_that_do_not_go_away_are_noted_and_others_are_not() -> None:
     for seed, name in enumerate(["office", "hall"]):
         env, rng, noted = explore(name), np.random.default_rng(seed), 0
