@@ -178,7 +178,7 @@ class ExploreEnv(BaseEnv):
         self._begin_step()
         if self.goal_mode:
             slot = action if self._goals.legal[action] else goals_module.LOOK
-            carry_out(episode, slot, self._goals.positions[slot], self._after_tick)
+            carry_out(episode, slot, self._goals.positions[slot], self._after_tick, self._goals.ways)
         else:
             episode.tick(action[0], action[1])
             self._after_tick()

@@ -66,12 +66,12 @@ class DistanceField:
 
     def along(self, goal: Array, spacing: float) -> Array:
         """Points (p, 2) in B on the path to `goal` (2,), some `spacing` [m] apart, the goal's cell among them."""
-        cell = self.cell(goal)
-        if cell is None or not np.isfinite(self.costs[cell]):
-            return np.empty((0, 2))
-        cells = _trace(self.steps, *cell)[:: -max(1, round(spacing / self.resolution))]
-        points: Array = self.origin + (cells[::-1, ::-1] + 0.5) * self.resolution
-        return points
+        return self.along_each(goal[None], spacing)[0]
+
+    def along_each(self, goals: Array, spacing: float) -> tuple[Array, IntArray]:
+        """`along` to each of `goals` (q, 2), one after the other (p, 2), and how many points each has (q,)."""
+        stride = max(1, round(spacing / self.resolution))
+        return _along_each(self.steps, self.costs, self.origin, self.resolution, goals, stride)
 
     def path(self, goal: Array) -> Array:
         """Waypoints (p, 2) in B from the start to `goal` (2,), shortened; (0, 2) if no path leads to the goal's cell.
@@ -262,6 +262,32 @@ def _trace(steps: Steps, row: int, column: int) -> IntArray:
         k = max(0, steps[r, c])
         r, c = r - _ROWS[k], c - _COLUMNS[k]
     return cells
+
+
+@compiled
+def _along_each(
+    steps: Steps, costs: Array, origin: Array, resolution: float, goals: Array, stride: int
+) -> tuple[Array, IntArray]:
+    """See `DistanceField.along_each`; every so many cells, counted from the goal."""
+    counts, ends = np.zeros(goals.shape[0], dtype=np.int64), np.empty((goals.shape[0], 2), dtype=np.int64)
+    for q in range(goals.shape[0]):
+        column, row = (goals[q, 0] - origin[0]) / resolution, (goals[q, 1] - origin[1]) / resolution
+        if not (0.0 <= row < costs.shape[0] and 0.0 <= column < costs.shape[1]):
+            continue
+        ends[q, 0], ends[q, 1] = int(row), int(column)
+        if costs[ends[q, 0], ends[q, 1]] < math.inf:
+            counts[q] = (len(_trace(steps, ends[q, 0], ends[q, 1])) - 1) // stride + 1
+    points, end = np.empty((counts.sum(), 2)), 0
+    for q in range(goals.shape[0]):
+        end += counts[q]
+        if counts[q] == 0:
+            continue
+        cells = _trace(steps, ends[q, 0], ends[q, 1])
+        for i in range(counts[q]):
+            cell = cells[len(cells) - 1 - i * stride]
+            points[end - 1 - i, 0] = origin[0] + (cell[1] + 0.5) * resolution
+            points[end - 1 - i, 1] = origin[1] + (cell[0] + 0.5) * resolution
+    return points, counts
 
 
 @compiled

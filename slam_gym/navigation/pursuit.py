@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
+from slam_gym.navigation.polyline import length_left
 from slam_gym.types import Array
 
 
@@ -39,7 +40,15 @@ def follow(pose: Array, path: Array, spec: PursuitSpec = _STANDARD) -> Twist:
     heading error and, near the end of the path, the less room there is to stop. Large errors are turned away on the
     spot first. An empty path means standing still.
     """
-    return Twist(*_pursue(pose, path, tuple(spec)))
+    return Twist(*steer(pose, path, pose, tuple(spec))[2:])
+
+
+@compiled
+def steer(pose: Array, path: Array, goal: Array, packed: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """What a tick of driving to a goal asks for, at once: `length_left` of the path [m], how far `goal` (2,) is [m],
+    and the speeds of `follow`, with a spec as a plain tuple."""
+    forward, turn = _pursue(pose, path, packed)
+    return length_left(path, pose[:2]), math.hypot(goal[0] - pose[0], goal[1] - pose[1]), forward, turn
 
 
 class _Ahead(NamedTuple):

@@ -43,7 +43,7 @@ def priced_by_sight(
     free = cells[..., 0] >= 0
     places = origin + (cells[free][:, ::-1] + 0.5) * grid.resolution
     missing = np.zeros(free.shape, dtype=np.int32)
-    missing[free] = ENOUGH - np.minimum(features_in_sight(sight.state, grid, places, sight.reach), ENOUGH)
+    missing[free] = ENOUGH - features_in_sight(sight.state, grid, places, sight.reach, most=ENOUGH)
     prices = 1.0 + sight.price * np.arange(PARTS) / ENOUGH
     return _split(levels, missing, side), np.outer(weights, prices).ravel()
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from slam_gym.navigation.explored_grid import FREE, ExploredGrid
 from slam_gym.navigation.held import surely_holds
-from slam_gym.navigation.planner import distance_field
+from slam_gym.navigation.planner import DistanceField, distance_field
 from slam_gym.navigation.polyline import length_left, next_stretch, points_ahead
-from slam_gym.navigation.pursuit import PursuitSpec, follow
+from slam_gym.navigation.pursuit import PursuitSpec, steer
 from slam_gym.navigation.sight import Sight
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances, sight
@@ -29,22 +29,24 @@ AfterTick = Callable[[], None]
 Command = tuple[float, float]  # fractions in [−1, 1] of the greatest forward and turning speed
 
 
-def carry_out(episode: Episode, slot: int, goal: Array, after_tick: AfterTick) -> None:
+def carry_out(
+    episode: Episode, slot: int, goal: Array, after_tick: AfterTick, ways: DistanceField | None = None
+) -> None:
     """Carry a goal out, tick by tick (see `commands`). `after_tick` is called after every tick."""
-    for forward, turn in commands(episode, slot, goal):
+    for forward, turn in commands(episode, slot, goal, ways):
         episode.tick(forward, turn)
         after_tick()
 
 
-def commands(episode: Episode, slot: int, goal: Array) -> Iterator[Command]:
+def commands(episode: Episode, slot: int, goal: Array, ways: DistanceField | None = None) -> Iterator[Command]:
     """Look around (slot `LOOK`), or drive to `goal` (2,) in B until it is reached, lost or out of date.
 
     Yields forward and turning speed for one tick after the other; each is to be carried out before the next is asked
     for. A frontier is out of date once there is little left to see from it; a revisit is driven to its end. A goal to
     which no path leads any more, because a wall has been drawn there, gives way to a place nearby. Ends at once when
-    the budget is spent.
+    the budget is spent. `ways` are those of `Goals`, where nothing has happened since, and save looking for them again.
     """
-    return _look_around(episode) if slot == LOOK else _drive(episode, goal, slot <= FRONTIERS)
+    return _look_around(episode) if slot == LOOK else _drive(episode, goal, slot <= FRONTIERS, ways)
 
 
 def _look_around(episode: Episode) -> Iterator[Command]:
@@ -58,26 +60,26 @@ def _look_around(episode: Episode) -> Iterator[Command]:
         turned += abs(float(episode.odometry.motion[2]))
 
 
-def _drive(episode: Episode, goal: Array, frontier: bool) -> Iterator[Command]:
+def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | None) -> Iterator[Command]:
     robot = episode.scenario.robot
-    pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
+    pursuit = tuple(PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn))
     path, asked, seen = np.empty((0, 2)), goal, False
     nearest, since = math.inf, 0
     ticks = 0
     while not episode.over:
         pose = episode.slam.map.pose
         if ticks % REPLAN == 0:
-            path = _plan(episode, pose, goal, path)
+            path = _plan(episode, pose, goal, path, None if ticks else ways)
             seen = frontier and ticks > 0 and _out_of_date(episode, goal)
             if len(path) == 0 or seen:
                 break
             goal = path[-1]  # another one nearby, where that asked for is no longer open
-        left = length_left(path, pose[:2])
+        left, gap, forward, turn = steer(pose, path, goal, pursuit)
         nearest, since = (left, 0) if left < nearest - STUCK_DISTANCE else (nearest, since + 1)
-        if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
+        if gap < ARRIVED or since > STUCK_TICKS:
             break
         episode.path = path
-        yield follow(pose, path, pursuit)
+        yield forward, turn
         ticks += 1
     episode.path = np.empty((0, 2))
     if frontier and not seen and not episode.over:
@@ -86,7 +88,7 @@ def _drive(episode: Episode, goal: Array, frontier: bool) -> Iterator[Command]:
         yield 0.0, 0.0  # a step always costs time, or a lost goal could be asked for for ever
 
 
-def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
+def _plan(episode: Episode, pose: Array, goal: Array, path: Array, ways: DistanceField | None = None) -> Array:
     """A path (p, 2) to the goal, or as near to it as will do, or (0, 2).
 
     The path that is followed stays, as long as it is open and not much longer than a fresh one: otherwise two ways
@@ -105,13 +107,23 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array) -> Array:
         if len(fresh):
             return np.concatenate([fresh, rest])
     in_sight = sight(episode.scenario, episode.slam.map)
-    return way_to(grid, episode.scenario.robot.radius, pose[:2], goal, in_sight)
+    return way_to(grid, episode.scenario.robot.radius, pose[:2], goal, in_sight, ways)
 
 
-def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, in_sight: Sight | None = None) -> Array:
-    """A path (p, 2) of a robot of `radius` [m] to a goal, or as near to it as will do, or (0, 2)."""
+def way_to(
+    grid: ExploredGrid,
+    radius: float,
+    here: Array,
+    goal: Array,
+    in_sight: Sight | None = None,
+    ways: DistanceField | None = None,
+) -> Array:
+    """A path (p, 2) of a robot of `radius` [m] to a goal, or as near to it as will do, or (0, 2).
+
+    `ways` from here at the first of its `clearances`, where they are known already.
+    """
     for clearance in clearances(radius):
-        field = distance_field(grid, here, clearance, sight=in_sight)
+        field, ways = ways or distance_field(grid, here, clearance, sight=in_sight), None
         fresh = field.path(goal)
         if len(fresh):
             return fresh

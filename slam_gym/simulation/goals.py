@@ -46,20 +46,22 @@ class Goals:
     reductions: Array  # (SLOTS,) [m²] expected decrease of Σ tr P over the mapped features
     legal: BoolArray  # (SLOTS,)
     in_view: Array = field(default_factory=lambda: np.zeros(SLOTS))  # (SLOTS,) features expected in view on the way
+    ways: DistanceField | None = None  # to all places from here, at the clearance that paths keep
 
 
 class Places:
     """Where the robot has been, thinned out: the candidates for revisits."""
 
     def __init__(self) -> None:
-        self._points: list[Array] = []
+        self._points: list[tuple[float, float]] = []  # plain numbers, since they are looked at in every tick
 
     def pass_by(self, position: Array) -> None:
         """Remember `position` (2,) in B unless a remembered place is near."""
-        for point in reversed(self._points):
-            if abs(point[0] - position[0]) < PLACE_SPACING and abs(point[1] - position[1]) < PLACE_SPACING:
+        x, y = position.tolist()
+        for other_x, other_y in reversed(self._points):
+            if abs(other_x - x) < PLACE_SPACING and abs(other_y - y) < PLACE_SPACING:
                 return
-        self._points.append(position.copy())
+        self._points.append((x, y))
 
     def candidates(self) -> Array:
         """(q, 2) evenly chosen among all remembered places."""
@@ -120,9 +122,10 @@ def propose(
     Frontiers that have been `tried` twice, but were not reached or are frontiers still, are offered when no other one
     is left.
     """
-    here, in_sight = slam_map.pose[:2], sight(scenario, slam_map)
+    here, in_sight, ways = slam_map.pose[:2], sight(scenario, slam_map), None
     for clearance in clearances(scenario.robot.radius):
         reached = distance_field(grid, here, clearance, sight=in_sight)
+        ways = reached if ways is None else ways
         ends = frontiers_on_offer(grid, reached, scenario.beams.range, tried)
         if len(ends):
             break
@@ -130,8 +133,8 @@ def propose(
     seen = seen[np.isfinite(reached.lengths_to(seen))]
     spots = np.concatenate([here[None], ends, seen])
     lengths = np.concatenate([[0.0], reached.lengths_to(spots[1:])])
-    ways = _in_sight_on_the_way(scenario, slam_map, grid, reached, spots)
-    reductions = _reductions(scenario, slam_map, grid, spots, lengths * ways.blind)
+    blind = _blind(scenario, slam_map, grid, _looks(reached, spots))
+    reductions = _reductions(scenario, slam_map, grid, spots, lengths * blind)
     back = 1 + len(ends) + _best_revisits(seen, reductions[1 + len(ends) :], lengths[1 + len(ends) :])
     rows = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), back]).astype(np.int64)
     slots = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), 1 + FRONTIERS + np.arange(len(back))])
@@ -142,7 +145,8 @@ def propose(
         areas=_scatter(slots, areas),
         reductions=_scatter(slots, reductions[rows]),
         legal=_scatter(slots, np.ones(len(slots), np.bool_)),
-        in_view=_scatter(slots, ways.in_view[rows]),
+        in_view=_scatter(slots, _in_view(scenario, slam_map, grid, _looks(reached, spots[rows]))),
+        ways=ways,
     )
 
 
@@ -172,25 +176,34 @@ def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, t
     return ends
 
 
-class _Ways(NamedTuple):
-    """What the robot should see of its map on the ways to some places."""
+class _Looks(NamedTuple):
+    """From where the robot looks around on the ways to some places."""
 
-    in_view: Array  # (q,) features in view, on average
-    blind: Array  # (q,) fraction of the way with fewer than `ENOUGH`
+    points: Array  # (p, 2) [m] in B, one way after the other
+    starts: IntArray  # (q,) where each way begins in them
+    counts: IntArray  # (q,) looks on each way
 
 
-def _in_sight_on_the_way(
-    scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, reached: DistanceField, spots: Array
-) -> _Ways:
-    """Looked up every `_LOOKOUT` metres of the ways to `spots` (q, 2), the first of which is where the robot is."""
-    ways = [spots[:1]] + [reached.along(spot, _LOOKOUT) for spot in spots[1:]]
-    counts = features_in_sight(slam_map.mean, grid, np.concatenate(ways), scenario.sensor.range)
-    starts, lengths = np.cumsum([0] + [len(way) for way in ways[:-1]]), np.array([len(way) for way in ways])
+def _looks(reached: DistanceField, spots: Array) -> _Looks:
+    """Every `_LOOKOUT` metres of the ways to `spots` (q, 2), the first of which is where the robot is."""
+    points, counts = reached.along_each(spots[1:], _LOOKOUT)
+    counts = np.append(1, counts)
+    return _Looks(np.concatenate([spots[:1], points]), np.cumsum(counts) - counts, counts)
+
+
+def _blind(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, looks: _Looks) -> Array:
+    """(q,) fraction of each way with fewer than `ENOUGH` features in view."""
+    seen = features_in_sight(slam_map.mean, grid, looks.points, scenario.sensor.range, most=ENOUGH)
+    blind: Array = np.add.reduceat(seen < ENOUGH, looks.starts, dtype=np.int64) / looks.counts
+    return blind
+
+
+def _in_view(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, looks: _Looks) -> Array:
+    """(q,) features in view on each way, on average."""
+    seen = features_in_sight(slam_map.mean, grid, looks.points, scenario.sensor.range)
     turned_to = scenario.sensor.field_of_view / (2.0 * math.pi)
-    return _Ways(
-        turned_to * np.add.reduceat(counts, starts) / lengths,
-        np.add.reduceat(counts < ENOUGH, starts, dtype=np.int64) / lengths,
-    )
+    in_view: Array = turned_to * np.add.reduceat(seen, looks.starts) / looks.counts
+    return in_view
 
 
 def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array, blind: Array) -> Array:

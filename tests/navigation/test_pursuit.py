@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.navigation.pursuit import PursuitSpec, follow
+from slam_gym.navigation.polyline import length_left
+from slam_gym.navigation.pursuit import PursuitSpec, follow, steer
 
 
 def test_follow_turns_first_slows_down_and_rests():
@@ -31,3 +32,16 @@ def test_follow_stays_within_the_fractions_whatever_it_is_given():
         path = np.repeat(path, rng.integers(1, 3), axis=0)  # stretches of no length
         forward, turn = follow(np.array([*rng.normal(scale=3.0, size=2), rng.uniform(-9, 9)]), path, spec)
         assert 0.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0
+
+
+def test_a_tick_of_driving_asks_for_speeds_and_how_far_it_is():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        path, pose, goal = (
+            rng.uniform(0.0, 9.0, (rng.integers(2, 9), 2)),
+            rng.uniform(0.0, 6.0, 3),
+            rng.uniform(0, 9, 2),
+        )
+        left, gap, forward, turn = steer(pose, path, goal, tuple(PursuitSpec()))
+        assert (forward, turn) == follow(pose, path) and left == length_left(path, pose[:2])
+        assert gap == pytest.approx(math.dist(goal, pose[:2]))

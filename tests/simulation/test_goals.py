@@ -71,8 +71,8 @@ def test_the_promised_reduction_is_that_of_the_foreseen_update() -> None:
     ep, sensor = env.episode, env.scenario.sensor
     sigma = math.hypot(sensor.range_sigma, sensor.bearing_sigma * sensor.range / 2.0) / math.sqrt(5.0)
     field = distance_field(ep.grid, ep.slam.map.pose[:2], 0.25)
-    ways = goals._in_sight_on_the_way(env.scenario, ep.slam.map, ep.grid, field, offer.positions[offer.legal])
-    blind = offer.lengths[offer.legal] * ways.blind
+    looks = goals._looks(field, offer.positions[offer.legal])
+    blind = offer.lengths[offer.legal] * goals._blind(env.scenario, ep.slam.map, ep.grid, looks)
     drift = np.array([0.03, 0.03, 0.02]) * np.sqrt(1.0 + blind[:, None])
     again = expected_reduction(
         ep.slam.map.mean,
@@ -102,9 +102,10 @@ def test_a_way_without_features_in_view_is_blind() -> None:
     ahead = np.array([[4.0, 3.0], [5.0, 3.0], [4.0, 2.5], [56.0, 3.0], [57.0, 3.0]])
     m.add(Scan.from_points(ahead, sigma=0.1), np.arange(5))
     spots = np.array([[1.5, 3.0], [8.0, 3.0], [55.0, 3.0]])
-    ways = goals._in_sight_on_the_way(scenario, m, grid, distance_field(grid, spots[0], 0.25), spots)
-    assert ways.blind[:2].tolist() == [0.0, 0.0] and 0.6 < ways.blind[2] < 0.8
-    assert ways.in_view[1] == pytest.approx(0.75 * 3.0) and ways.in_view[2] < 1.0
+    looks = goals._looks(distance_field(grid, spots[0], 0.25), spots)
+    blind, in_view = goals._blind(scenario, m, grid, looks), goals._in_view(scenario, m, grid, looks)
+    assert blind[:2].tolist() == [0.0, 0.0] and 0.6 < blind[2] < 0.8
+    assert in_view[1] == pytest.approx(0.75 * 3.0) and in_view[2] < 1.0
 
 
 def test_places_are_thinned_out_and_the_first_and_the_last_are_kept() -> None:
