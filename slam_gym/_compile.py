@@ -97,7 +97,7 @@ def announce_compilation(modules: Iterable[ModuleType]) -> bool:
     due = any(folder is None or not any(map(_is_kernel, folder.rglob("*.nbi"))) for folder in folders)
     if due:
         kept = "at every start: the cache folder is not writable" if None in folders else "once, then cached"
-        long = "a minute, or two if the machine is busy"
+        long = "half a minute, a minute or two if the machine is busy"
         print(f"slam_gym: compiling its inner loops, {long} ({kept}) …", file=sys.stderr, flush=True)
     _forget_old_versions()
     return due and None not in folders
