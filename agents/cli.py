@@ -17,7 +17,6 @@ from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.parallel import BACKENDS
 from agents.evaluation.pipeline import Execution
 from agents.evaluation.records import stem
-from slam_gym.association import ADVISERS
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
 from slam_gym.slam.relocation import SEARCH
@@ -120,13 +119,11 @@ def add_associate_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--order", default=default.order, help="of the measurements (default: %(default)s)")
     group.add_argument("--compatibility", default=default.compatibility, help="joint or individual")
     group.add_argument("--wrong-cost", type=float, default=default.wrong_cost, metavar="C", help="default: %(default)s")
-    group.add_argument("--marginals", choices=ADVISERS, help="the observation tells what this associator's "
-                       "posterior says of each branch; a network starts from it")  # fmt: skip
 
 
 def associate_arguments(a: argparse.Namespace, split: str) -> AssociateArguments:
     """What the options above choose."""
-    names = ("scenario", "driver", "reward", "candidates", "order", "compatibility", "wrong_cost", "marginals")
+    names = ("scenario", "driver", "reward", "candidates", "order", "compatibility", "wrong_cost")
     return AssociateArguments(overrides=tuple(a.overrides), split=split, **{name: getattr(a, name) for name in names})
 
 

@@ -1,4 +1,4 @@
-"""Train what ships from nothing: `python -m agents.reproduce driver|associator|acceptance [--quick] [--out DIR]`.
+"""Train what ships from nothing: `python -m agents.reproduce driver|associator [--quick] [--out DIR]`.
 
 Writes DIR/NAME.npz and its card, and shows each figure of the training beside that of the card that ships, with the
 interval that it should lie in; exit status 1 where one lies outside. `--quick` takes a small part of the worlds: it
@@ -22,7 +22,6 @@ from slam_gym import weights
 from slam_gym.weights import Weights
 
 TARGETS: dict[str, str] = {
-    "acceptance": "agents.learning.acceptance.reproduction:reproduce",
     "associator": "agents.learning.associator.reproduction:reproduce",
     "driver": "agents.learning.driver.reproduction:reproduce",
 }

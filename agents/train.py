@@ -9,13 +9,12 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 from agents.cli import add_explore_options, command_line, explore_arguments, program, require_positive, run_main
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
-from agents.learning.distributed import connect
 from agents.learning.ppo import HYPERPARAMETERS, Decision, load_hyperparameters
-from agents.learning.training import Backend, TrainingPlan, train
+from agents.learning.training import TrainingPlan, train
 
 
 class Length(NamedTuple):
@@ -36,9 +35,7 @@ def add_training_options(p: argparse.ArgumentParser, default: Length, out: str) 
     p.add_argument("--hyperparameters", type=Path, default=HYPERPARAMETERS, metavar="FILE",
                    help="TOML (default: agents/learning/)")  # fmt: skip
     p.add_argument("--envs", type=int, help="parallel environments (default: from the hyperparameters)")
-    p.add_argument("--workers", type=int, help="processes or actors that step them (default: one a core)")
-    p.add_argument("--backend", default="local", choices=get_args(Backend),
-                   help="who collects: workers here, or Ray actors (default: %(default)s)")  # fmt: skip
+    p.add_argument("--workers", type=int, help="processes that step them (default: one a core)")
     p.add_argument("--eval-every", type=int, default=default.eval_every, metavar="N",
                    help="decisions (default: %(default)s)")  # fmt: skip
     p.add_argument("--eval-episodes", type=int, default=default.eval_episodes, metavar="N",
@@ -50,17 +47,14 @@ def train_as_asked(
 ) -> Path:
     """Train as the options above say; the path of the model. ValueError where they do not make sense, or `--out` holds
     a training already."""
-    advised = getattr(arguments, "marginals", None) is not None
-    hyper = load_hyperparameters("advised" if advised else decision, a.hyperparameters)
+    hyper = load_hyperparameters(decision, a.hyperparameters)
     require_positive(a, "timesteps", "envs", "eval_every")
     if a.envs is not None:
         hyper = replace(hyper, envs=a.envs)
     if not a.resume and (a.out / "checkpoint.pt").exists():
         raise ValueError(f"{a.out} holds a training already: give --resume to go on with it, or another --out")
-    if a.backend == "ray":
-        connect()
     lengths = a.timesteps, a.eval_every, a.eval_episodes
-    plan = TrainingPlan(decision, arguments, hyper, a.seed, *lengths, command, a.workers, a.backend)
+    plan = TrainingPlan(decision, arguments, hyper, a.seed, *lengths, command, a.workers)
     return train(a.out, plan, a.resume)
 
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         ipjc,
         jcbb,
         learned_associator,
-        learned_relocation,
         map_hypothesis,
         marginal,
         max_clique,
@@ -59,7 +58,7 @@ __version__ = "0.1.0"
 _WHERE = {
     "association": (
         "ASSOCIATORS", "RELOCATORS", "from_policy", "gcbb", "global_nearest_neighbour", "indexed", "ipjc", "jcbb",
-        "learned_associator", "learned_relocation", "map_hypothesis", "marginal", "max_clique", "nearest_neighbour",
+        "learned_associator", "map_hypothesis", "marginal", "max_clique", "nearest_neighbour",
         "one_point_ransac", "random_sampling", "relocator_from_policy", "singles", "spectral", "true_association",
     ),
     "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
@@ -105,7 +104,6 @@ __all__ = [
     "ipjc",
     "jcbb",
     "learned_associator",
-    "learned_relocation",
     "map_hypothesis",
     "marginal",
     "max_clique",

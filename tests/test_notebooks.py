@@ -186,7 +186,7 @@ def test_learning(headless: None) -> None:
     notebook = executed("06_learning.ipynb")
     shown = text(notebook)
     assert not [output for output in outputs(notebook) if output.output_type == "error"]
-    assert pictures(notebook) == 6
+    assert pictures(notebook) == 5
     for level in ("clutter/3", "detection/3", "aliasing/3"):
         by_map, by_marginals, learned = (row(shown, f"{level} {n}") for n in ("map hypothesis", "marginal", "learned"))
         assert by_map[0] < by_marginals[0] < learned[0]  # scores

@@ -80,7 +80,6 @@ class AssociateArguments(_Arguments):
     order: str = "as_scanned"
     compatibility: str = "joint"
     wrong_cost: float = 10.0
-    marginals: str | None = None
 
     def make(self, action: str = "branch") -> gym.Env[Any, Any]:
         """The environment, which has one action only. ValueError, with the known names, for what it does not know."""

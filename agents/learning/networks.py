@@ -3,9 +3,6 @@
 Every choice passes through the same weights, together with the situation and a summary of all legal choices (Deep Sets,
 Zaheer et al. 2017). So a permutation of the choices permutes their scores, and their number K may change after
 training.
-
-Who is told the marginals of the branches starts from them: a fresh network decides as the associator does whose they
-are, and what is learned is added to its log-odds.
 """
 
 from __future__ import annotations
@@ -19,11 +16,10 @@ from sb3_contrib.common.maskable.policies import MaskableMultiInputActorCriticPo
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, ODDS_SCALE
+from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
 from slam_gym.envs.goal_observation import GOAL_FIELDS
 
 LEGAL = GOAL_FIELDS.index("legal")  # as in CANDIDATE_FIELDS
-FARTHEST = 1.0  # log-odds that a policy which starts from a posterior may add to it
 _CONTEXT = ("measurement", "pairings", "path")
 
 
@@ -57,20 +53,17 @@ class SituationEncoder(BaseFeaturesExtractor):
 class PathEncoder(BaseFeaturesExtractor):
     """Observation of Associate-v0 → one vector (B, width + K·F): measurement and path, encoded, then the candidates.
 
-    Behind them stand the marginals (K + 1), where the observation has them. The budget is not looked at, so that a
-    policy decides in the environment as it does as an associator elsewhere.
+    The budget is not looked at, so that a policy decides in the environment as it does as an associator elsewhere.
     """
 
     def __init__(self, observation_space: spaces.Dict, width: int = 64) -> None:
-        self._choices = [name for name in ("candidates", "marginals") if name in observation_space.spaces]
-        choices = sum(spaces.flatdim(observation_space[name]) for name in self._choices)
-        super().__init__(observation_space, features_dim=width + choices)
+        super().__init__(observation_space, features_dim=width + spaces.flatdim(observation_space["candidates"]))
         length = sum(spaces.flatdim(observation_space[key]) for key in _CONTEXT)
         self.context = nn.Sequential(nn.Linear(length, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh())
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         context = self.context(torch.cat([observations[key] for key in _CONTEXT], dim=1))
-        return torch.cat([context, *(observations[name] for name in self._choices)], dim=1)
+        return torch.cat([context, observations["candidates"]], dim=1)
 
 
 class Scorer(nn.Module):
@@ -117,44 +110,14 @@ class Scorer(nn.Module):
 
 
 class BranchScorer(Scorer):
-    """The same for branches (B, K + 1): `*`, the last, has a score of its own from situation and summary.
+    """The same for branches (B, K + 1): `*`, the last, has a score of its own from situation and summary."""
 
-    Where the marginals are `told`, scores are added to the log-odds by which each pairing is worth its risk, and to 0
-    for `*`.
-    """
-
-    def __init__(self, width: int, choices: int, hidden: int, told: bool = False) -> None:
+    def __init__(self, width: int, choices: int, hidden: int) -> None:
         super().__init__(width, choices, hidden, fields=len(CANDIDATE_FIELDS))
-        self.told = told
         self.refuse = nn.Sequential(nn.Linear(hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
 
     def heads(self) -> list[nn.Sequential]:
         return [self.score, self.refuse]
-
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        features, odds = self._apart(features)
-        scores, latent = super().forward(features)
-        return self._added(odds, scores), latent
-
-    def forward_actor(self, features: Tensor) -> Tensor:
-        features, odds = self._apart(features)
-        return self._added(odds, super().forward_actor(features))
-
-    def forward_critic(self, features: Tensor) -> Tensor:
-        return super().forward_critic(self._apart(features)[0])
-
-    def _added(self, odds: Tensor, scores: Tensor) -> Tensor:
-        """What is learned moves no log-odds farther than `FARTHEST` from where they started."""
-        return odds + FARTHEST * torch.tanh(scores / FARTHEST) if self.told else scores
-
-    def _apart(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """The vector without the marginals, and the log-odds (B, K + 1) to start from: 0 where nothing is told."""
-        if not self.told:
-            return features, features.new_zeros(())
-        candidates = (features.shape[1] - self.width - 1) // (self.fields + 1)
-        features, squashed = features.tensor_split([self.width + candidates * self.fields], dim=1)
-        odds = ODDS_SCALE * squashed / (1.0 - squashed.abs()).clamp(min=1e-3)
-        return features, torch.cat([odds[:, :-1], torch.zeros_like(odds[:, -1:])], dim=1)
 
     def _scores(self, situation: Tensor, embedded: Tensor, summary: Tensor) -> Tensor:
         refusal = self.refuse(torch.cat([situation, summary], dim=1))
@@ -189,11 +152,6 @@ class ScoringPolicy(MaskableMultiInputActorCriticPolicy):
         """Logits of all choices, legal or not: (B, K) goals, or (B, K + 1) branches; K is that of the observations."""
         return self.mlp_extractor.forward_actor(self.extract_features(observations))
 
-    def may_move(self, free: bool) -> None:
-        """Whether training changes the scores, or only what the critic says of them."""
-        for head in self.mlp_extractor.heads():
-            head.requires_grad_(free)
-
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return super()._get_constructor_parameters() | {"width": self._width, "hidden": self._hidden}
 
@@ -205,11 +163,6 @@ class GoalPolicy(ScoringPolicy):
 
 
 class BranchPolicy(ScoringPolicy):
-    """Chooses branches of the interpretation tree, from the marginals on where the observation has them."""
+    """Chooses branches of the interpretation tree."""
 
     encoder, scorer = PathEncoder, BranchScorer
-
-    def _build_mlp_extractor(self) -> None:
-        assert isinstance(self.action_space, spaces.Discrete) and isinstance(self.observation_space, spaces.Dict)
-        told = "marginals" in self.observation_space.spaces
-        self.mlp_extractor = BranchScorer(self._width, int(self.action_space.n), self._hidden, told)

@@ -17,7 +17,6 @@ from agents.drivers.base import ActionKind, Info, legal_goals
 from agents.drivers.base import Observation as ExploreObservation
 from agents.learning.model_file import UNREADABLE, load_policy
 from agents.learning.networks import GoalPolicy
-from slam_gym.association import ADVISERS
 from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.policy import from_policy
 from slam_gym.types import Associator, BoolArray
@@ -108,8 +107,6 @@ def load_associator(path: Path | str) -> Associator:
     names = ("candidates", "order", "compatibility")
     try:
         arguments = {name: spec.training[name] for name in names}
-        told = spec.training["marginals"]
-        adviser = None if told is None else ADVISERS[told]
-        return from_policy(BestBranch(for_decisions(network)), marginals=adviser, **arguments)
+        return from_policy(BestBranch(for_decisions(network)), **arguments)
     except (KeyError, ValueError, TypeError) as error:
         raise ValueError(f"model {path}: training: {error} is missing or wrong") from None

@@ -47,7 +47,6 @@ class Hyperparameters:
     width: int
     hidden: int
     deterministic: bool
-    critic_first: int = 0
 
     def __post_init__(self) -> None:
         if type(self.deterministic) is not bool:
@@ -64,13 +63,13 @@ _RANGES: dict[str, tuple[float, float]] = {
     "envs": (1, 256), "steps": (1, 100_000), "batch_size": (2, 10_000_000), "epochs": (1, 1_000),
     "learning_rate": (1e-12, 1.0), "discount": (0.0, 1.0), "gae_lambda": (0.0, 1.0), "clip_range": (1e-6, 10.0),
     "entropy_coefficient": (0.0, 100.0), "value_coefficient": (0.0, 100.0), "reward_scale": (1e-6, 1e6),
-    "width": (1, 1_024), "hidden": (1, 1_024), "critic_first": (0, 1_000_000_000),
+    "width": (1, 1_024), "hidden": (1, 1_024),
 }  # fmt: skip
 """Of each number, its smallest and largest value."""
 
 
-def load_hyperparameters(action: Decision | Literal["advised"], path: Path = HYPERPARAMETERS) -> Hyperparameters:
-    """The table `[goal]`, `[twist]`, `[branch]` or `[advised]` of a TOML file.
+def load_hyperparameters(action: Decision, path: Path = HYPERPARAMETERS) -> Hyperparameters:
+    """The table `[goal]`, `[twist]` or `[branch]` of a TOML file.
 
     ValueError names the file and what is wrong in it.
     """

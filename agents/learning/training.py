@@ -10,9 +10,8 @@ import contextlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,14 +22,11 @@ from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associate_episode, run_episode
 from agents.evaluation.records import Record, plain, versions
-from agents.learning.distributed import RayCollection
 from agents.learning.many_worlds import WorldsForLearning
 from agents.learning.model_file import ModelSpec, read_model, save_model
-from agents.learning.networks import ScoringPolicy
 from agents.learning.policies import BestBranch, PolicyAgent
 from agents.learning.ppo import Decision, Hyperparameters, make_algorithm
 from agents.learning.training_state import restore_state, state_of
-from slam_gym.envs.vector.checks import worker_count
 from slam_gym.metrics.statistics import interquartile_mean
 
 HELD_OUT = 5_000
@@ -47,16 +43,12 @@ MAY_CHANGE = frozenset({"command", "versions", "best", "next_evaluation", "resol
 """What a resumed training may do otherwise than before."""
 
 
-Backend = Literal["local", "ray"]
-"""Who collects: workers of this process, or Ray actors."""
-
-
 @dataclass(frozen=True)
 class TrainingPlan:
     """What is trained, on what, and for how long.
 
     A resumed training goes on as one that was not interrupted, worlds and random states included, on one machine with
-    the same versions. With another number of environments, and where Ray collects, it goes on to new worlds.
+    the same versions. With another number of environments it goes on to new worlds.
     """
 
     decision: Decision
@@ -68,7 +60,6 @@ class TrainingPlan:
     eval_episodes: int = 20
     command: str = ""  # as it was typed
     workers: int | None = None  # processes that step the worlds; None: as many as there are cores
-    backend: Backend = "local"
 
     def decisions_from(self, start: int) -> int:
         """How many it comes to that begins with `start`: rollouts are taken whole."""
@@ -93,7 +84,6 @@ def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
         model.set_logger(_open_logs(out, model.num_timesteps))
         watch = Watch(out, plan, spec, progress)
         watch.init_callback(model)
-        collection = _collection(model, plan)
         try:
             if model.num_timesteps < plan.timesteps:
                 model.learn(plan.timesteps - model.num_timesteps, callback=watch, reset_num_timesteps=False)
@@ -101,16 +91,12 @@ def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
             if watch.evaluated != model.num_timesteps:
                 watch.evaluate()
             model.logger.dump(model.num_timesteps)
-            if collection is not None:
-                progress.console.print(collection.stages.told())
         except KeyboardInterrupt:
             progress.console.print(f"interrupted; go on with the same command and --resume --out {out}")
             raise
         finally:
             watch.save("model.pt")
             watch.close()
-            if collection is not None:
-                collection.close()
     return out / "model.pt"
 
 
@@ -127,16 +113,12 @@ class Watch(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._progress.update(self._bar, total=self._plan.decisions_from(self.model.num_timesteps))
-        if self._plan.hyperparameters.critic_first and not self.model.num_timesteps:
-            self.evaluate()  # where it starts from is to be beaten
 
     def _on_step(self) -> bool:
         self._progress.update(self._bar, completed=self.num_timesteps)
         return True
 
     def _on_rollout_start(self) -> None:
-        if isinstance(self.model.policy, ScoringPolicy):
-            self.model.policy.may_move(self.num_timesteps >= self._plan.hyperparameters.critic_first)
         self.keep()  # what the last rollout taught is in the weights: a training that is killed loses no more than one
 
     def _on_rollout_end(self) -> None:
@@ -175,7 +157,7 @@ class Watch(BaseCallback):
 
     def keep(self) -> None:
         """Between two rollouts: the file from which the training goes on."""
-        self.save("checkpoint.pt", state_of(self.model) if self._plan.backend == "local" else b"")
+        self.save("checkpoint.pt", state_of(self.model))
 
     def save(self, name: str, state: bytes = b"") -> None:
         """The present weights, as a model file."""
@@ -190,28 +172,12 @@ class Watch(BaseCallback):
 @contextlib.contextmanager
 def _many_worlds(plan: TrainingPlan) -> Iterator[WorldsForLearning]:
     """The training environments: true returns are logged, scaled ones are learned from. Ended however it ends."""
-    workers = plan.workers if plan.backend == "local" else 0  # those of actors are elsewhere
-    worlds = _worlds(plan, plan.hyperparameters.envs, workers)
+    many = plan.arguments.make_many(plan.decision, plan.hyperparameters.envs, plan.workers)
+    worlds = WorldsForLearning(many, plan.hyperparameters.reward_scale, EPISODE_END[plan.decision])
     try:
         yield worlds
     finally:
         worlds.close()
-
-
-def _worlds(plan: TrainingPlan, count: int, workers: int | None = 0) -> WorldsForLearning:
-    worlds = plan.arguments.make_many(plan.decision, count, workers)
-    return WorldsForLearning(worlds, plan.hyperparameters.reward_scale, EPISODE_END[plan.decision])
-
-
-def _collection(model: BaseAlgorithm, plan: TrainingPlan) -> RayCollection | None:
-    """Ray actors that collect for the model from now on; None where its own worlds are stepped."""
-    if plan.backend == "local":
-        return None
-    actors = plan.workers or worker_count(None, plan.hyperparameters.envs) or 1
-    seed, make = plan.seed + model.num_timesteps, partial(_worlds, plan)
-    collection = RayCollection(model, plan.decision, make, plan.hyperparameters, actors, seed)
-    cast(Any, model).collect_rollouts = collection
-    return collection
 
 
 def _resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, Any]:

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from slam_gym.association.learned.acceptance import learned_relocation
-from slam_gym.association.learned.associator import learned_advice, learned_associator
+from slam_gym.association.learned.associator import learned_associator
 from slam_gym.association.relocation.consistency_graph import max_clique, spectral
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.policy import (
@@ -21,7 +20,6 @@ from slam_gym.association.relocation.policy import (
     relocator_from_policy,
 )
 from slam_gym.association.relocation.random_sampling import random_sampling
-from slam_gym.association.tracking.advice import Adviser, advice
 from slam_gym.association.tracking.deferred import deferred
 from slam_gym.association.tracking.global_nearest_neighbour import global_nearest_neighbour
 from slam_gym.association.tracking.ipjc import ipjc
@@ -37,7 +35,6 @@ from slam_gym.types import Hypothesis, Relocator
 from slam_gym.validation import imported
 
 __all__ = [
-    "ADVISERS",
     "ASSOCIATORS",
     "RELOCATORS",
     "MostProbable",
@@ -54,7 +51,6 @@ __all__ = [
     "ipjc",
     "jcbb",
     "learned_associator",
-    "learned_relocation",
     "map_hypothesis",
     "marginal",
     "max_clique",
@@ -84,13 +80,9 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
 }
 """Associators by name, called with (scan, prediction); only `true_association` also needs the truth of the scan."""
 
-ADVISERS: dict[str, Adviser] = {"learned": learned_advice, "marginal": advice}
-"""What a walk of the tree can be told, by the name of the associator that decides by it."""
-
 RELOCATORS: dict[str, Relocator] = {
     "gcbb": gcbb,
     "indexed": indexed,
-    "learned": learned_relocation,
     "max_clique": max_clique,
     "random_sampling": random_sampling,
     "spectral": spectral,

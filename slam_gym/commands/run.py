@@ -32,7 +32,6 @@ COMMANDS: dict[str, Command] = {
     "evaluate-association": Command("agents.evaluate_association", "associators in the loop, over the suite, on logs"),
     "train": Command("agents.train", "a driver by reinforcement learning"),
     "train-associate": Command("agents.train_associate", "an associator by reinforcement learning"),
-    "export-decisions": Command("agents.export_decisions", "association decisions as training data"),
     "leaderboard": Command("agents.leaderboard", "an entry through the frozen protocol, ranked among all"),
     "reproduce": Command("agents.reproduce", "train from nothing what ships"),
     "report": Command("agents.report", "the report of a finished evaluation, once more"),

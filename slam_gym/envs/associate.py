@@ -10,7 +10,6 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym.association import ADVISERS
 from slam_gym.association.tracking.observation import lengths, nothing
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, scenario_on_floor
@@ -79,9 +78,6 @@ class AssociateEnv(BaseEnv):
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
       `slam_gym.association.tracking.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
-    - `marginals`: `"marginal"` or `"learned"`, the associator by whose posterior the observation has one vector more,
-      `marginals` (K + 1): the log-odds of each pairing, less those from which it is worth its risk, squashed; of `*`
-      those of a new feature. It also decides which measurements left unpaired start a feature. None: no such vector.
     - `reward`: `"truth"` or `"map_error"`; `wrong_cost`: what a wrong pairing costs, in right ones.
     - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`; not for logs.
     - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call) or `"human"`.
@@ -99,7 +95,6 @@ class AssociateEnv(BaseEnv):
         order: Order = "as_scanned",
         compatibility: Compatibility = "joint",
         wrong_cost: float = 10.0,
-        marginals: str | None = None,
         floor_plan: str | Path | None = None,
         resolution: float | None = None,
         overrides: Mapping[str, Plain] | None = None,
@@ -108,8 +103,6 @@ class AssociateEnv(BaseEnv):
         super().__init__(split, render_mode, arguments=locals())
         check_arguments(candidates, order, compatibility)
         one_of("reward", reward, ("truth", "map_error"))
-        if marginals is not None:
-            one_of("marginals", marginals, ADVISERS)
         if not 0.0 <= wrong_cost < np.inf:
             raise ValueError(f"wrong_cost={wrong_cost}: expected a finite number ≥ 0")
         log = _chosen_log(scenario, split)
@@ -127,10 +120,8 @@ class AssociateEnv(BaseEnv):
         self.scenario = scenario
         self._driver, self._of_truth, self._wrong_cost = driver, reward == "truth", wrong_cost
         self.K, self.order, self.compatibility = candidates, order, compatibility
-        self.marginals = None if marginals is None else ADVISERS[marginals]
         parts: dict[str, spaces.Space[Any]] = {
-            name: spaces.Box(-1.0, 1.0, (length,), np.float32)
-            for name, length in lengths(candidates, marginals=marginals is not None).items()
+            name: spaces.Box(-1.0, 1.0, (length,), np.float32) for name, length in lengths(candidates).items()
         }
         self.observation_space = spaces.Dict(parts | {"budget": spaces.Box(0.0, 1.0, (1,), np.float32)})
         self.action_space = spaces.Discrete(candidates + 1)
@@ -240,7 +231,6 @@ class AssociateEnv(BaseEnv):
                 candidates=self.K,
                 order=self.order,
                 compatibility=self.compatibility,
-                marginals=self.marginals,
             )
 
     def _earned(self, action: int) -> float:
@@ -256,8 +246,7 @@ class AssociateEnv(BaseEnv):
 
     def _observe(self) -> Observation:
         run = self.run
-        told, walk = self.marginals is not None, self.walk
-        observation = nothing(self.K, marginals=told) if walk is None else walk.observation()
+        observation = nothing(self.K) if self.walk is None else self.walk.observation()
         return observation | {"budget": np.array([1.0 - run.scans / run.length], np.float32)}
 
     def _info(self) -> Info:

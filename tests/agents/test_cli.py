@@ -81,7 +81,7 @@ def test_errors_are_told_in_one_line(capsys, monkeypatch):
 
 
 def test_help_needs_no_learning_library():
-    code = "import sys; import agents.evaluate, agents.evaluate_association, agents.play, agents.export_decisions; "
+    code = "import sys; import agents.evaluate, agents.evaluate_association, agents.play; "
     code += "sys.exit(bool({'torch', 'matplotlib', 'pygame'} & set(sys.modules)))"
     root = Path(__file__).parents[2]
     assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0

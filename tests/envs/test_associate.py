@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import slam_gym  # noqa: F401 (registers the environment)
-from slam_gym.association import ADVISERS, jcbb, nearest_neighbour, singles
+from slam_gym.association import jcbb, nearest_neighbour, singles
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.scenarios import get_scenario
@@ -217,9 +217,8 @@ def test_classical_associators_reach_the_same_map_through_the_environment(associ
     np.testing.assert_array_equal(direct.map.covariance, env.run.slam.map.covariance)
 
 
-@pytest.mark.parametrize("marginals", [None, "marginal", "learned"])
-def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment(marginals):
-    env, seen, shown = associate(WITH_FIXED_NOISE, order="nearest_first", marginals=marginals), [], []
+def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
+    env, seen, shown = associate(WITH_FIXED_NOISE, order="nearest_first"), [], []
     for observation, *_ in episode(env, lambda env, info: greedy({}, info["action_mask"])):
         seen.append({name: vector for name, vector in observation.items() if name != "budget"})
 
@@ -227,10 +226,7 @@ def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment(marginal
         shown.append(observation)
         return greedy(observation, mask)
 
-    slam, associator = (
-        Slam(CORRIDOR.slam),
-        from_policy(policy, order="nearest_first", marginals=ADVISERS.get(marginals)),
-    )
+    slam, associator = Slam(CORRIDOR.slam), from_policy(policy, order="nearest_first")
     for odometry, scan, _ in fixed_noise(None):
         slam.step(odometry, scan, associator)
     assert not differences(shown, seen[:-1])  # the last is that of an episode that is over
@@ -302,23 +298,6 @@ def test_pictures_of_every_stage_of_an_episode_leave_it_as_it_was(scenario):
             assert pictures[-1].dtype == np.uint8
     assert len({picture.tobytes() for picture in pictures}) == len(pictures) > 3
     env.close()
-    env.close()
-
-
-def test_marginals_are_an_option_of_the_observation_and_worth_following():
-    """Whoever pairs only what is probable does better than whoever takes the nearest; same seed, same episode."""
-    env = associate("clutter/3", marginals="marginal", overrides={"budget": 60})
-
-    def by_marginals(env, info):
-        seen = np.where(info["action_mask"], env.walk.observation()["marginals"], -1.0)[: env.K]
-        return int(np.argmax(seen)) if seen.max() > 0.0 else env.K
-
-    scores = {}
-    for name, choose in (("marginals", by_marginals), ("again", by_marginals), ("nearest", lambda env, info: 0)):
-        for observation, *_ in episode(env, choose, seed=2):
-            assert env.observation_space.contains(observation) and len(observation["marginals"]) == env.K + 1
-        scores[name] = env.score
-    assert scores["marginals"] == scores["again"] > scores["nearest"]
     env.close()
 
 

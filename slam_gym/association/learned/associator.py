@@ -14,7 +14,6 @@ import numpy as np
 
 from slam_gym.association.learned.inputs import INPUTS, VERSION, inputs_of
 from slam_gym.association.learned.network import Network, load_network, log_odds
-from slam_gym.association.tracking.advice import Advice, advice
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tree import Tree
 from slam_gym.types import UNKNOWN_KIND, Array, Hypothesis, Prediction, Scan
@@ -62,13 +61,6 @@ def learned_associator(
         return marginal(scan, prediction, cost=cost, width=width)
     least, odds = min(cost, provisional_cost), learned_odds(weights)
     return marginal(scan, prediction, cost=cost, provisional_cost=least, width=width, learned=odds)
-
-
-def learned_advice(scan: Scan, prediction: Prediction) -> Advice:
-    """What `learned_associator` decides by, for a policy that starts from it."""
-    if not _told_more(scan, prediction):
-        return advice(scan, prediction, cost=_COST)
-    return advice(scan, prediction, cost=_COST, provisional_cost=_PROVISIONAL, learned=learned_odds())
 
 
 def _told_more(scan: Scan, prediction: Prediction) -> bool:

@@ -66,7 +66,7 @@ PAIRINGS = 8
 
 POSITION_SCALE, SIGMA_SCALE, INNOVATION_SCALE, SIZE_SCALE = 6.0, 0.1, 0.3, 1.0  # [m]
 AGE_SCALE = 50.0  # [steps]
-COUNT_SCALE, FEW_SCALE, ODDS_SCALE = 10.0, 3.0, 3.0
+COUNT_SCALE, FEW_SCALE = 10.0, 3.0
 
 _ALL_LOCAL = np.empty((0, 0), np.bool_)
 _SEEN = -1  # in place of a level
@@ -114,25 +114,19 @@ class _Outlook(NamedTuple):
     left: int  # levels that have a candidate at all
 
 
-def lengths(candidates: int, *, marginals: bool = False) -> dict[str, int]:
-    """Length of each vector of an observation with K = `candidates`, `marginals` among them where asked for."""
-    without = {
+def lengths(candidates: int) -> dict[str, int]:
+    """Length of each vector of an observation with K = `candidates`."""
+    return {
         "measurement": len(MEASUREMENT_FIELDS),
         "candidates": candidates * len(CANDIDATE_FIELDS),
         "path": len(PATH_FIELDS),
         "pairings": PAIRINGS * len(PAIRING_FIELDS),
     }
-    return without | {"marginals": candidates + 1} if marginals else without
 
 
-def nothing(candidates: int, *, marginals: bool = False) -> Observation:
+def nothing(candidates: int) -> Observation:
     """The observation where there is nothing to decide."""
-    return {name: np.zeros(length, np.float32) for name, length in lengths(candidates, marginals=marginals).items()}
-
-
-def squashed_odds(log_odds: Array) -> Float32Array:
-    """`marginals`: what is advised of each action (`Advice`), squashed; above 0 for what is worth its risk."""
-    return (log_odds / (np.abs(log_odds) + ODDS_SCALE)).astype(np.float32)
+    return {name: np.zeros(length, np.float32) for name, length in lengths(candidates).items()}
 
 
 def surroundings_of(tree: Tree) -> Surroundings:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from slam_gym.association.tracking.advice import Adviser
 from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
 from slam_gym.types import Associator, BoolArray, Hypothesis, Prediction, Scan
@@ -20,14 +19,13 @@ def from_policy(
     candidates: int = 5,
     order: Order = "as_scanned",
     compatibility: Compatibility = "joint",
-    marginals: Adviser | None = None,
 ) -> Associator:
     """The associator that walks the tree by `policy`, with the arguments of `Walk`. It pickles if the policy does.
 
     Raises ValueError for arguments that no `Walk` can have; the associator raises it for an action that is not legal.
     """
     check_arguments(candidates, order, compatibility)
-    return _PolicyAssociator(policy, candidates, order, compatibility, marginals)
+    return _PolicyAssociator(policy, candidates, order, compatibility)
 
 
 def greedy(observation: Observation, mask: BoolArray) -> int:
@@ -41,17 +39,9 @@ class _PolicyAssociator:
     candidates: int
     order: Order
     compatibility: Compatibility
-    marginals: Adviser | None
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        walk = Walk(
-            scan,
-            prediction,
-            candidates=self.candidates,
-            order=self.order,
-            compatibility=self.compatibility,
-            marginals=self.marginals,
-        )
+        walk = Walk(scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility)
         while not walk.done:
             walk.take(int(self.policy(walk.observation(), walk.mask.copy())))
         return walk.hypothesis()

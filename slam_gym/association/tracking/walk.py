@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from slam_gym.association.compatibility import Candidates, individual
-from slam_gym.association.tracking.advice import NEVER, Adviser
 from slam_gym.association.tracking.observation import (
     Choice,
     Observation,
     Surroundings,
     encode,
     nothing,
-    squashed_odds,
     surroundings_of,
 )
-from slam_gym.association.tracking.scan_hypotheses import candidate_gate
 from slam_gym.association.tree import (
     add_pairing,
     added_by,
@@ -53,8 +49,6 @@ class Walk:
         candidates: K.
         order: see `Order`.
         compatibility: see `Compatibility`.
-        marginals: who advises (`Advice`): the observation has `marginals`, and what is left unpaired starts a feature
-            where that is advised. Candidates are then taken from the posterior's wider gate (`candidate_gate`).
 
     Raises ValueError as `individual` does, and for arguments that are none of the known ones.
     """
@@ -67,12 +61,8 @@ class Walk:
         candidates: int = 5,
         order: Order = "as_scanned",
         compatibility: Compatibility = "joint",
-        marginals: Adviser | None = None,
     ) -> None:
         check_arguments(candidates, order, compatibility)
-        self._advice = None if marginals is None else marginals(scan, prediction)
-        if self._advice is not None:  # all that the posterior speaks of is on offer
-            prediction = replace(prediction, confidence=candidate_gate(prediction.confidence))
         self.K, self.joint = candidates, compatibility == "joint"
         self.candidates = _in_order(scan, prediction, order)
         self.tree = interpretation_tree(scan, prediction, self.candidates)
@@ -139,28 +129,14 @@ class Walk:
     def observation(self) -> Observation:
         """What a policy decides on: flat float32 vectors in [−1, 1], see `observation`. Fresh arrays; 0 at a leaf."""
         if self.done:
-            return nothing(self.K, marginals=self._advice is not None)
+            return nothing(self.K)
         if self._surroundings is None:
             self._surroundings = surroundings_of(self.tree)
         starts, level = self.candidates.starts, self.level
         later = int(starts[level + 1])
         compatible = later - int(starts[level])
         choice = Choice(level, self.tree.levels, self.K, self.offered, self.hidden, compatible, later)
-        observation = encode(self.tree, self.node, self._surroundings, choice)
-        return observation if self._advice is None else observation | {"marginals": squashed_odds(self.advised())}
-
-    def advised(self) -> Array:
-        """(K + 1,) log-odds by which each action is worth its risk, of `*` those by which the measurement starts a
-        feature; `NEVER` where there is no such action.
-
-        Raises ValueError at a leaf, and for a walk that nobody advises.
-        """
-        if self._advice is None:
-            raise ValueError("advised: a walk without marginals was asked for")
-        out = np.full(self.K + 1, NEVER)
-        out[: len(self.offered)] = self._advice.pairings[self.measurement, self.rows]
-        out[self.K] = self._advice.new[self.measurement]
-        return out
+        return encode(self.tree, self.node, self._surroundings, choice)
 
     def take(self, action: int) -> None:
         """Decide the current measurement. Raises ValueError for an action that is not legal, and at a leaf."""
@@ -176,11 +152,7 @@ class Walk:
     def hypothesis(self) -> Hypothesis:
         """The answer that the path amounts to, with `*` for what is undecided."""
         effort = Effort(self.level, self.candidates.tests, self._tests)
-        answer = hypothesis(self.tree, self.node, effort, exclusive=self.joint)
-        if self._advice is None:
-            return answer
-        new = (answer.features == UNPAIRED) & (self._advice.new > 0.0)
-        return replace(answer, new=new, experience=self._advice.experience)
+        return hypothesis(self.tree, self.node, effort, exclusive=self.joint)
 
     def _proceed(self) -> None:
         """On to the next level with a choice; `*` alone is played."""

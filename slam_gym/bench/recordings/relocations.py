@@ -1,7 +1,7 @@
 """Relocation on real data: right, wrong and no answer, by the number of pairings that is asked for.
 
 Victoria Park and the stationary groups of MR.CLAM, as `places` makes maps and scans of them. Each scan is searched for
-by GCBB, with its rule and with learned acceptance, by random sampling (RS) and by the feature index, under each
+by GCBB, by random sampling (RS) and by the feature index, under each
 locality, with and without the trunk diameters that the laser measured. An answer with at least k pairings counts as
 given; under *rule* the search's own acceptance decides. Inside the map an answer is right within 1 m and 3° (room:
 15°) of the reference; outside, every answer is wrong. Intervals are 95 %, those of no event one-sided; scans of one
@@ -18,7 +18,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slam_gym.association.learned.acceptance import learned_relocation
 from slam_gym.association.relocation.acceptance import min_pairings
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.random_sampling import random_sampling
@@ -90,7 +89,6 @@ def searches(landmarks: Landmarks, node_limit: int) -> dict[str, Relocator]:
 
     table: dict[str, Relocator] = {
         "gcbb": functools.partial(gcbb, node_limit=node_limit),
-        "learned": functools.partial(learned_relocation, node_limit=node_limit),
         "random_sampling": functools.partial(random_sampling, node_limit=node_limit),
         "indexed": indexed,
     }

@@ -151,7 +151,6 @@ def _associate(rng: np.random.Generator) -> dict[str, Any]:
         "candidates": int(rng.integers(1, 9)),
         "compatibility": _any(rng, "joint", "individual"),
         "order": _any(rng, "as_scanned", "nearest_first", "fewest_candidates"),
-        "marginals": _any(rng, None, "marginal", "learned"),
         "driver": _any(rng, "nearest_frontier", "random"),
     }
 

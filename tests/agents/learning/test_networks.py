@@ -6,7 +6,7 @@ from gymnasium import spaces
 
 from agents.learning.model_file import build_policy
 from agents.learning.networks import BranchPolicy
-from slam_gym.association.tracking.observation import lengths, squashed_odds
+from slam_gym.association.tracking.observation import lengths
 from tests.agents.learning import FIELDS, drawn, opinionated, scores, spec_of
 
 
@@ -75,60 +75,3 @@ def test_weights_fit_any_number_of_candidates_and_ignore_the_budget():
         found = many.scores(seen)
         torch.testing.assert_close(found, many.scores(seen | {"budget": torch.zeros(2, 1)}))
     assert found.shape == (2, 8)
-
-
-def told_network(candidates):
-    space = {name: spaces.Box(-1.0, 1.0, (n,), np.float32) for name, n in lengths(candidates, marginals=True).items()}
-    space["budget"] = spaces.Box(0.0, 1.0, (1,), np.float32)
-    torch.manual_seed(0)
-    return BranchPolicy(spaces.Dict(space), spaces.Discrete(candidates + 1), lambda _: 1e-3, width=16, hidden=16)
-
-
-def told_branches(candidates, probabilities):
-    rng = np.random.default_rng(4)
-    p = np.asarray(probabilities)
-    told = {"marginals": torch.as_tensor(squashed_odds(np.log(p / (1.0 - p)) - np.log(10.0)))}
-    return {name: value[:1].expand(len(probabilities), -1) for name, value in branches(candidates, rng).items()} | told
-
-
-def test_a_network_that_is_told_the_marginals_starts_as_its_associator_decides():
-    """It pairs where p : (1 − p) is more than what a wrong pairing costs, and refuses elsewhere."""
-    first = np.array([0.02, 0.5, 0.88, 0.93, 0.999])
-    rows = np.stack([first, (1 - first) / 2, (1 - first) / 2], axis=1)
-    with torch.no_grad():
-        found = told_network(2).scores(told_branches(2, rows)).argmax(1)
-    assert found.tolist() == [2, 2, 2, 0, 0]
-
-
-def test_its_weights_fit_any_number_of_candidates_and_what_is_learned_is_added():
-    narrow, wide = told_network(3), told_network(5)
-    wide.load_state_dict(narrow.state_dict())
-    seen = told_branches(5, [[0.3, 0.2, 0.1, 1e-9, 1e-9, 0.4]])
-    seen["candidates"] = torch.where(torch.arange(65) < 39, seen["candidates"], 0.0)
-    cut = seen | {"candidates": seen["candidates"][:, :39], "marginals": seen["marginals"][:, [0, 1, 2, 5]]}
-    with torch.no_grad():
-        np.testing.assert_allclose(wide.scores(seen)[:, [0, 1, 2, 5]], narrow.scores(cut), atol=1e-5)
-        for policy in (narrow, wide):
-            policy.mlp_extractor.score[-1].bias += 0.5
-        np.testing.assert_allclose(wide.scores(seen)[:, [0, 1, 2]], narrow.scores(cut)[:, :3], atol=1e-5)
-
-
-def test_whatever_it_learns_it_stays_near_the_posterior():
-    """No opinion, however strong, moves log-odds by more than 1; the score of `*` starts at 0."""
-    policy, rows = told_network(2), [[0.02, 0.5, 0.48], [0.9, 0.05, 0.05]]
-    start = np.column_stack([np.log(np.array(rows)[:, :2] / (1 - np.array(rows)[:, :2])) - np.log(10.0), [0.0, 0.0]])
-    with torch.no_grad():
-        np.testing.assert_allclose(policy.scores(told_branches(2, rows)), start, atol=0.1)
-        policy.mlp_extractor.score[-1].bias += 50.0
-        policy.mlp_extractor.refuse[-1].bias -= 50.0
-        found = policy.scores(told_branches(2, rows)).numpy()
-    np.testing.assert_allclose(found - start, [[1.0, 1.0, -1.0]] * 2, atol=1e-3)
-
-
-def test_who_may_not_move_keeps_the_scores_while_the_critic_learns():
-    policy = told_network(2)
-    for free in (False, True):
-        policy.may_move(free)
-        heads = [p for head in policy.mlp_extractor.heads() for p in head.parameters()]
-        assert all(p.requires_grad == free for p in heads)
-        assert all(p.requires_grad for p in policy.value_net.parameters())

@@ -1,7 +1,6 @@
 """Learned drivers and associators decide legally, repeatably, and as their model file says."""
 
 import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,14 +68,13 @@ def test_a_model_file_gives_back_the_same_driver(tmp_path, action):
 ARGUMENTS = AssociateArguments("corridor", candidates=3, order="fewest_candidates")
 
 
-@pytest.fixture(scope="module", params=[None, "marginal", "learned"])
-def branch_model(request, tmp_path_factory):
+@pytest.fixture(scope="module")
+def branch_model(tmp_path_factory):
     """The file of an associator that has not learned anything, but has opinions."""
     torch.manual_seed(0)
     path, hyper = tmp_path_factory.mktemp("branch") / "model.pt", load_hyperparameters("branch")
-    observation = {name: [n] for name, n in (lengths(3, marginals=request.param is not None) | {"budget": 1}).items()}
-    told = replace(ARGUMENTS, marginals=request.param)
-    spec = ModelSpec("branch", observation, 4, vars(hyper).copy(), told.plain)
+    observation = {name: [n] for name, n in (lengths(3) | {"budget": 1}).items()}
+    spec = ModelSpec("branch", observation, 4, vars(hyper).copy(), ARGUMENTS.plain)
     policy = build_policy(spec)
     with torch.no_grad():
         policy.mlp_extractor.score[-1].weight.mul_(300.0)
@@ -84,13 +82,9 @@ def branch_model(request, tmp_path_factory):
     return path
 
 
-def told_by(path):
-    return read_model(path)[0].training["marginals"]
-
-
 def test_a_model_is_an_associator_that_decides_as_in_the_environment(branch_model):
     associate = load_associator(branch_model)
-    env = replace(ARGUMENTS, marginals=told_by(branch_model)).make().unwrapped
+    env = ARGUMENTS.make().unwrapped
     observation, info = env.reset(seed=0)
     over, look = False, 0
     while not over:
@@ -107,7 +101,7 @@ def test_a_model_is_an_associator_that_decides_as_in_the_environment(branch_mode
 
 def test_episodes_of_a_policy_are_reproduced(branch_model):
     associate = load_associator(branch_model)
-    env = replace(ARGUMENTS, marginals=told_by(branch_model)).make()
+    env = ARGUMENTS.make()
     one, other = (associate_episode(env, associate.policy, 4) for _ in range(2))
     assert one == other
     assert one["decisions"] > 100

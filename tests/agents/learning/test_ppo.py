@@ -6,7 +6,7 @@ import pytest
 from agents.learning.ppo import HYPERPARAMETERS, load_hyperparameters
 
 
-@pytest.mark.parametrize("action", ["goal", "twist", "branch", "advised"])
+@pytest.mark.parametrize("action", ["goal", "twist", "branch"])
 def test_the_shipped_hyperparameters_are_read(action):
     hyper = load_hyperparameters(action)
     assert hyper.envs >= 1 and 0.0 < hyper.discount <= 1.0 and np.isfinite(hyper.learning_rate)

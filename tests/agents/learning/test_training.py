@@ -181,24 +181,6 @@ def test_an_associator_is_trained_and_its_file_says_on_what(tmp_path):
     assert (tmp_path / "run" / "best.pt").exists()
 
 
-def test_who_starts_from_a_posterior_keeps_it_until_the_critic_knows_what_it_is_worth(tmp_path):
-    arguments = AssociateArguments("corridor", candidates=3, marginals="learned")
-    hyper = load_hyperparameters("advised")
-    hyper = dataclasses.replace(hyper, steps=32, batch_size=32, epochs=1, critic_first=64, learning_rate=1e-2)
-    contents = []
-    for timesteps in (64, 96):
-        plan = TrainingPlan("branch", arguments, hyper, 3, timesteps, eval_every=1000, eval_episodes=1, workers=0)
-        train(tmp_path, plan, resumed=timesteps > 64)
-        if not contents:  # where it starts from was tried first, and nothing was better than that
-            spec, content = read_model(tmp_path / "best.pt")
-            assert spec.training["timesteps"] == 0
-            contents.append(content["policy"])
-        contents.append(read_model(tmp_path / "model.pt")[1]["policy"])
-    heads = [{name: w for name, w in c.items() if ".score." in name or ".refuse." in name} for c in contents]
-    assert not differences(heads[0], heads[1]) and differences(heads[1], heads[2])
-    assert differences(contents[0]["value_net.bias"], contents[1]["value_net.bias"])
-
-
 @pytest.mark.parametrize(("start", "expected"), [(0, 128), (128, 128), (100, 164)])
 def test_the_bar_ends_with_the_last_rollout(start, expected):
     plan = TrainingPlan("goal", TRAINING, dataclasses.replace(short("goal"), steps=32, envs=2), timesteps=101)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb, nearest_neighbour, singles
-from slam_gym.association.tracking.advice import NEVER, advice
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.association.tracking.walk import COMPATIBILITIES, ORDERS, Walk
 from slam_gym.association.tree import branches, extend, root
@@ -143,21 +142,3 @@ def test_bad_arguments_are_refused_by_name(options, message):
         Walk(*next(problems(1)), **options)
     with pytest.raises(ValueError, match=message):
         from_policy(greedy, **options)
-
-
-def test_a_walk_shows_what_is_advised_of_each_action():
-    """Of the candidates on offer in their order, and of `*`; squashed, in the observation."""
-    for scan, prediction in problems(10):
-        walk, told = Walk(scan, prediction, candidates=3, marginals=advice), advice(scan, prediction)
-        while not walk.done:
-            out, seen = walk.advised(), walk.observation()["marginals"]
-            assert out[: len(walk.rows)].tolist() == told.pairings[walk.measurement, walk.rows].tolist()
-            assert (out[len(walk.rows) : 3] == NEVER).all() and out[3] == told.new[walk.measurement]
-            np.testing.assert_allclose(seen, out / (np.abs(out) + 3.0), rtol=1e-6)
-            walk.take(int(np.argmax(np.where(walk.mask, out, -np.inf))))
-        assert not walk.observation()["marginals"].any()
-
-
-def test_advice_that_was_not_asked_for_is_refused():
-    with pytest.raises(ValueError, match="without marginals"):
-        Walk(*next(problems(1)), candidates=9).advised()
