@@ -33,7 +33,6 @@ SPLIT = "test"
 FIRST = 1000  # of its worlds: those before it are looked at while somebody develops, and tell less
 PROBLEMS = 12  # of a world of the suite, at most
 DRIVER = "information_gain"  # where the entry does not drive
-_STRAIGHT = ("in_sight", 0.0)  # what a scenario says of its paths that asks nothing of them
 
 
 @dataclass(frozen=True)
@@ -156,7 +155,7 @@ def _said(value: object, without: str = "") -> str:
     if not is_dataclass(value):
         return repr(value)
     held = {f.name: getattr(value, f.name) for f in fields(value) if f.name != without}
-    said = {n: v for n, v in held.items() if v is not False and (n, v) != _STRAIGHT}
+    said = {n: v for n, v in held.items() if v is not False}
     return f"{type(value).__name__}({', '.join(f'{n}={_said(v)}' for n, v in said.items())})"
 
 

@@ -23,14 +23,12 @@ from slam_gym.envs import observation
 from slam_gym.mapping import linear_algebra
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics import association, point_assignment
-from slam_gym.navigation import grid, key_poses, visibility
+from slam_gym.navigation import grid, keyframes, visibility
 from slam_gym.navigation.expected_gain import expected_reduction
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.held import surely_holds
+from slam_gym.navigation.keyframes import Keyframes
 from slam_gym.navigation.planner import distance_field
-from slam_gym.navigation.polyline import length_left, points_ahead
-from slam_gym.navigation.pursuit import follow
-from slam_gym.navigation.sweeps import MovableSweeps
+from slam_gym.navigation.pursuit import follow, length_left, points_ahead
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.simulation import appraisal
 from slam_gym.slam import kernels, lost, slam, whole_step
@@ -42,7 +40,7 @@ from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec, World
 
 COMPILED = (
-    geometry, slam, lost, observation, grid, key_poses, linear_algebra, point_assignment, association, boxes, detection,
+    geometry, slam, lost, observation, grid, keyframes, linear_algebra, point_assignment, association, boxes, detection,
     driving, reachability, visibility, wall_grid, appraisal, kernels, whole_step,
 )  # fmt: skip
 """The modules of which Python calls inner loops in every episode, whoever drives and associates."""
@@ -99,7 +97,7 @@ def _explored() -> ExploredGrid:
 def _sweeps() -> None:
     """Two sweeps, the first moved by the second, and what is seen of them."""
     explored = _explored()
-    sweeps, beams = MovableSweeps(explored), Beams(np.linspace(-3.0, 3.0, 60), np.full(60, 2.0), 6.0)
+    sweeps, beams = Keyframes(explored), Beams(np.linspace(-3.0, 3.0, 60), np.full(60, 2.0), 6.0)
     for x, pose in enumerate((np.zeros(3), np.ones(3))):
         sweeps.enter(pose, np.zeros(3), beams, np.arange(2), _Places(np.arange(2), _POINTS + x))
 
@@ -120,7 +118,6 @@ def _goals() -> None:
     follow(pose, path)
     field.lengths_to(points_ahead(path, pose[:2], 0.2))
     length_left(path, pose[:2])
-    surely_holds((explored.cells, explored.origin, explored.resolution), path, pose[:2], 0.25, 0.2, 15.0, 1.1)
 
 
 def _gain() -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from slam_gym.mapping.linear_algebra import read_only
-from slam_gym.navigation import grid, redrawing
+from slam_gym.navigation import grid
 from slam_gym.navigation.frontiers import Frontiers, find_frontiers
 from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells, ExploredCells
 from slam_gym.types import Array, Beams, BoolArray
@@ -44,7 +44,7 @@ class ExploredGrid:
         self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
         self._blocks = np.zeros([-(-side // grid.BLOCK) for side in shape], dtype=np.int16)
         evidence, sweeps = np.zeros(shape, dtype=np.int8), np.zeros(shape, dtype=np.int32)
-        hits, crossings = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint16)
+        hits, crossings = np.zeros(shape, dtype=np.uint32), np.zeros(shape, dtype=np.uint32)
         touched = np.empty(shape[0] * shape[1], dtype=np.int32)
         self._layers: grid.PackedLayers = (self._cells, evidence, self._blocks, sweeps, hits, crossings, touched)
         self._sweep = 0  # number of the last one
@@ -84,7 +84,7 @@ class ExploredGrid:
         changes what a cell was seen to be, its class follows from all movable sweeps that it is in, in whatever order.
         """
         first, self._sweep = self._sweep + 1, self._sweep + 2 * len(before)
-        redrawing.redraw(
+        grid.redraw(
             self._layers, first, self.origin, self.resolution, (before, after, beams.ranges), beams.bearings,
             beams.max_range,
         )  # fmt: skip

@@ -19,7 +19,7 @@ UNKNOWN, FREE, WALL = 0, 1, 2
 Cells = NDArray[np.uint8]  # (h, w) class of each cell
 Evidence = NDArray[np.int8]  # (h, w) for a wall where > 0, for free space where < 0
 Sweeps = NDArray[np.int32]  # (h, w) the sweep that last touched each cell
-Counts = NDArray[np.uint16]  # (h, w) kept sweeps that had an echo in each cell, or that crossed it
+Counts = NDArray[np.uint32]  # (h, w) movable sweeps that had an echo in each cell, or that crossed it
 Indices = NDArray[np.int32]  # (h · w,) flat indices of cells
 Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
 
@@ -166,6 +166,54 @@ def integrate(
         after = FREE if weight < 0 else WALL
         if weight != 0 and cells[cell] != after:
             reclassify(layers, cell, after)
+
+
+@compiled
+def redraw(
+    packed: PackedLayers,
+    first_sweep: int,
+    origin: Array,
+    resolution: float,
+    moved: tuple[Array, Array, Array],
+    bearings: Array,
+    max_range: float,
+) -> None:
+    """Move counted sweeps: `moved` are their poses so far (k, 3), their new poses (k, 3), and their ranges (k, b).
+
+    A pose that is NaN stands for a sweep that is not in the grid. Evidence saturates and cannot be subtracted; the
+    counts can. Where these change, evidence and class follow from the counts alone, as if the sweeps had come in any
+    order. The numbers of sweeps from `first_sweep` to `first_sweep` + 2k − 1 are used up.
+    """
+    layers, (before, after, ranges) = Layers(*packed), moved
+    size, sweep, changed, touched = layers.cells.size, first_sweep, 0, layers.touched
+    hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
+    marked, journal = np.zeros(size, np.bool_), np.empty(size, np.int32)
+    old_hits, old_crossings = np.empty(size, hits.dtype), np.empty(size, crossings.dtype)
+    for k in range(len(ranges)):
+        for pose, change in ((before[k], -1), (after[k], 1)):
+            if math.isnan(pose[0]):
+                continue
+            echoes, end = trace(layers, sweep, origin, resolution, pose, bearings, ranges[k], max_range)
+            sweep += 1
+            for i in range(end):
+                cell = touched[i]
+                if not marked[cell]:
+                    marked[cell], journal[changed] = True, cell
+                    old_hits[changed], old_crossings[changed] = hits[cell], crossings[cell]
+                    changed += 1
+                if i < echoes:
+                    hits[cell] += change
+                else:
+                    crossings[cell] += change
+    for i in range(changed):
+        cell = journal[i]
+        if hits[cell] == old_hits[i] and crossings[cell] == old_crossings[i]:
+            continue
+        weight = HIT * np.int64(hits[cell]) + MISS * np.int64(crossings[cell])
+        layers.evidence.ravel()[cell] = min(SATURATION, max(-SATURATION, weight))
+        seen = UNKNOWN if hits[cell] + crossings[cell] == 0 else (WALL if weight > 0 else FREE)
+        if layers.cells.ravel()[cell] != seen:
+            reclassify(layers, cell, seen)
 
 
 @compiled

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from slam_gym._compile import compiled
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import FREE, WALL, Cells, border_crossings
-from slam_gym.navigation.sight import PARTS, Sight, priced_by_sight
 from slam_gym.types import Array, BoolArray, IntArray
 
 MARGIN = 0.4  # [m] beyond the clearance, up to which paths pay for being near a wall
@@ -88,9 +87,7 @@ class DistanceField:
         return np.concatenate([self.start[None], inner, np.asarray(goal, dtype=np.float64)[None]])
 
 
-def distance_field(
-    grid: ExploredGrid, start: Array, clearance: float, within: Array | None = None, sight: Sight | None = None
-) -> DistanceField:
+def distance_field(grid: ExploredGrid, start: Array, clearance: float, within: Array | None = None) -> DistanceField:
     """Least-cost paths from `start` (2,) in B over the free cells of `grid`, 8-connected.
 
     With `within` (4,) [m] xmin, ymin, xmax, ymax in B the field is that of the cells in there alone, and takes no
@@ -98,10 +95,8 @@ def distance_field(
 
     Walls and the unknown are closed, and so are cells nearer than `clearance` [m] to a wall cell, centre to centre. At
     a distance d < clearance + MARGIN, a length costs 1 + CROWDING (1 − d / (clearance + MARGIN))² times what it costs
-    in the open; with `sight`, up to 1 + price times as much as that where few features are in view, so that no path is
-    dearer by more than that factor than the cheapest would be without. A start within the clearance can leave it, but
-    no path enters it again; a start off the grid reaches nothing. Raises ValueError for a clearance that is negative or
-    not finite.
+    in the open. A start within the clearance can leave it, but no path enters it again; a start off the grid reaches
+    nothing. Raises ValueError for a clearance that is negative or not finite.
     """
     if not 0.0 <= clearance < math.inf:
         raise ValueError(f"clearance: expected a finite length ≥ 0 [m], got {clearance}")
@@ -109,15 +104,12 @@ def distance_field(
     cells, origin = (grid.cells, grid.origin) if within is None else _window(grid, within)
     levels, weights = _levels(cells, (clearance + MARGIN) / grid.resolution)
     first_open = 1 + math.ceil((clearance / grid.resolution) ** 2 - 1e-9)
-    if sight is not None:
-        levels, weights = priced_by_sight(levels, weights, grid, origin, sight)
-        first_open *= PARTS
     cell = _cell_of(start, origin, grid.resolution, cells.shape)
     row, column = cell or (-1, -1)  # off the grid: a corner of the border, from which no step leads
     shape, stride = levels.shape, levels.shape[1]
     offsets = np.array([dr * stride + dc for dr, dc in STEPS])
     seed = (row + 1) * stride + column + 1
-    dearest = math.sqrt(2.0) * (1.0 + CROWDING) * (1.0 if sight is None else 1.0 + sight.price)
+    dearest = math.sqrt(2.0) * (1.0 + CROWDING)
     buckets = 1 << math.ceil(math.log2(dearest + 2.0))  # hold the dearest step, and wrap around
     lengths, costs, steps = _wavefront(levels.ravel(), weights, first_open, offsets, seed, grid.resolution, buckets)
     return DistanceField(

@@ -51,7 +51,6 @@ class Scenario:
     prior_sigma: float = 0.5  # [m] σ₀: what a feature that has not been mapped is off by
     grid_resolution: float = 0.2  # [m] of the explored grid
     wall_compass: bool = False  # straight walls in view correct what the wheels report
-    in_sight: float = 0.0  # how much dearer paths are where no feature is in view: 1 + in_sight times
     kidnapping: KidnappingSpec | None = None
 
     def __post_init__(self) -> None:
@@ -60,8 +59,6 @@ class Scenario:
         for name in ("prior_sigma", "grid_resolution"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"Scenario.{name} must be a finite length > 0 [m], not {getattr(self, name)}")
-        if not 0.0 <= self.in_sight <= 100.0:
-            raise ValueError(f"Scenario.in_sight must be a number 0 … 100, not {self.in_sight}")
 
 
 def world_seed(split: str, index: int) -> int:

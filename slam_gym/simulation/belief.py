@@ -6,7 +6,7 @@ import copy
 from typing import NamedTuple
 
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.sweeps import MovableSweeps
+from slam_gym.navigation.keyframes import Keyframes
 from slam_gym.types import Array
 
 
@@ -14,7 +14,7 @@ class Belief(NamedTuple):
     """Explored space and the way, as one of several maps has them."""
 
     grid: ExploredGrid
-    sweeps: MovableSweeps  # in that grid
+    sweeps: Keyframes  # in that grid
     estimates: list[Array]  # (3,) in B, one per tick
     nees: list[float]  # of those
 

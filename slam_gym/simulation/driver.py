@@ -8,13 +8,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from slam_gym.navigation.explored_grid import FREE, ExploredGrid
-from slam_gym.navigation.held import surely_holds
 from slam_gym.navigation.planner import DistanceField, distance_field
-from slam_gym.navigation.polyline import length_left, next_stretch, points_ahead
-from slam_gym.navigation.pursuit import PursuitSpec, steer
-from slam_gym.navigation.sight import Sight
+from slam_gym.navigation.pursuit import PursuitSpec, length_left, next_stretch, points_ahead, steer
 from slam_gym.simulation.episode import Episode
-from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances, sight
+from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances
 from slam_gym.types import Array
 
 ARRIVED = 0.4  # [m] from the goal
@@ -95,10 +92,7 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array, ways: Distanc
     round an obstacle that cost the same would take turns, and the robot would go neither. Only the next stretch of it
     is planned anew, so that a plan takes as long in a large building as in a small one.
     """
-    grid, clearance = episode.grid, clearances(episode.scenario.robot.radius)[0]
-    explored = grid.cells, grid.origin, grid.resolution
-    if len(path) and surely_holds(explored, path, pose[:2], clearance, APART, AHEAD, KEEP):
-        return path
+    grid = episode.grid
     if len(path) and is_free(grid, points_ahead(path, pose[:2], APART)):
         stretch, rest = next_stretch(path, pose[:2], AHEAD)
         fresh = _stretch_anew(episode, pose, stretch)
@@ -106,24 +100,16 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array, ways: Distanc
             return path
         if len(fresh):
             return np.concatenate([fresh, rest])
-    in_sight = sight(episode.scenario, episode.slam.map)
-    return way_to(grid, episode.scenario.robot.radius, pose[:2], goal, in_sight, ways)
+    return way_to(grid, episode.scenario.robot.radius, pose[:2], goal, ways)
 
 
-def way_to(
-    grid: ExploredGrid,
-    radius: float,
-    here: Array,
-    goal: Array,
-    in_sight: Sight | None = None,
-    ways: DistanceField | None = None,
-) -> Array:
+def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, ways: DistanceField | None = None) -> Array:
     """A path (p, 2) of a robot of `radius` [m] to a goal, or as near to it as will do, or (0, 2).
 
     `ways` from here at the first of its `clearances`, where they are known already.
     """
     for clearance in clearances(radius):
-        field, ways = ways or distance_field(grid, here, clearance, sight=in_sight), None
+        field, ways = ways or distance_field(grid, here, clearance), None
         fresh = field.path(goal)
         if len(fresh):
             return fresh
@@ -137,8 +123,7 @@ def _stretch_anew(episode: Episode, pose: Array, stretch: Array) -> Array:
     """The stretch itself where it holds, another way to its end where that is better, or (0, 2)."""
     within = np.concatenate([stretch.min(axis=0) - AROUND, stretch.max(axis=0) + AROUND])
     clearance = clearances(episode.scenario.robot.radius)[0]
-    in_sight = sight(episode.scenario, episode.slam.map)
-    field = distance_field(episode.grid, pose[:2], clearance, within, in_sight)
+    field = distance_field(episode.grid, pose[:2], clearance, within)
     fresh = field.path(stretch[-1])
     if len(fresh):
         open_ = np.isfinite(field.lengths_to(points_ahead(stretch, pose[:2], APART))).all()

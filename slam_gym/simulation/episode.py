@@ -17,7 +17,7 @@ from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Tally
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.sweeps import MovableSweeps
+from slam_gym.navigation.keyframes import Keyframes
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.navigation.wall_compass import WallCompass
@@ -104,7 +104,7 @@ class Episode:
         self._judged = JudgedSlam(self.slam, associator, informed=True)
         self.identities = self._judged.identities
         self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
-        self._sweeps = MovableSweeps(self.grid)
+        self._keyframes = Keyframes(self.grid)
         self._field = field
         self._compass = WallCompass(scenario.beams.sigma) if scenario.wall_compass else None
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
@@ -116,7 +116,7 @@ class Episode:
         self.poses: list[Array] = []  # true, in W, one per tick
         self.estimates: list[Array] = []  # in B
         self.nees: list[float] = []  # of the pose; NaN in a second map, whose place in B nobody claims to know
-        self._beliefs = [Belief(self.grid, self._sweeps, self.estimates, self.nees)]  # that go with the maps kept
+        self._beliefs = [Belief(self.grid, self._keyframes, self.estimates, self.nees)]  # that go with the maps kept
         self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
         self.tried = Tried()  # frontiers that were driven to and are frontiers still
         self.ticks = -1  # the first look, from where the robot stands, is no tick
@@ -168,7 +168,7 @@ class Episode:
         self._beliefs = followed(self._beliefs, [branch.parent for branch in kept], Belief.copy)
         for belief, branch in zip(self._beliefs[::-1], kept[::-1]):
             self.slam, self.identities = branch.slam, self._judged.identities
-            self.grid, self._sweeps, self.estimates, self.nees = belief
+            self.grid, self._keyframes, self.estimates, self.nees = belief
             self._cells = self.grid.cells
             self.slam.view_from = ViewsFrom(self._field, self.grid.explored)
             if branch.step is not None and branch is not kept[0]:
@@ -180,7 +180,7 @@ class Episode:
         """Draw the beams from where the robot believes to be, and anew what the features `seen` (m,) have moved."""
         slam_map, beams = self.slam.map, self.beams
         pose = slam_map.pose
-        self._sweeps.enter(pose, self.odometry.motion, beams, seen, slam_map, self.slam.fused)
+        self._keyframes.enter(pose, self.odometry.motion, beams, seen, slam_map, self.slam.fused)
         if self.virtual_map is not None:
             covariance = turned(self.base, slam_map.pose_covariance)
             sigma = self.scenario.sensor.sigma_halfway

@@ -13,7 +13,6 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.expected_gain import expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import DistanceField, distance_field
-from slam_gym.navigation.sight import ENOUGH, Sight
 from slam_gym.scenarios import Scenario
 from slam_gym.types import Array, BoolArray, IntArray
 
@@ -33,6 +32,7 @@ _PLACES = 32  # at most so many are weighed at a decision
 _REVISIT_SPACING = 3.0  # [m] between the revisits on offer
 _LOOKOUT = 2.0  # [m] of a way between looks at what is in view
 _LOOKS = 5  # independent scans that a look is taken to be worth, a rule of thumb
+ENOUGH = 2  # features in view that hold position and heading
 WORTH_SEEING = 0.5  # [m²] a frontier from which less than this is to be seen is none, or has become out of date
 
 
@@ -105,11 +105,6 @@ def clearances(radius: float) -> tuple[float, float]:
     return radius + CLEARANCE, SQUEEZE * radius
 
 
-def sight(scenario: Scenario, slam_map: StochasticMap) -> Sight | None:
-    """What paths keep in view; None where they need not (`Scenario.in_sight`)."""
-    return Sight(slam_map.mean, scenario.sensor.range, scenario.in_sight) if scenario.in_sight > 0.0 else None
-
-
 def propose(
     scenario: Scenario,
     slam_map: StochasticMap,
@@ -122,9 +117,9 @@ def propose(
     Frontiers that have been `tried` twice, but were not reached or are frontiers still, are offered when no other one
     is left.
     """
-    here, in_sight, ways = slam_map.pose[:2], sight(scenario, slam_map), None
+    here, ways = slam_map.pose[:2], None
     for clearance in clearances(scenario.robot.radius):
-        reached = distance_field(grid, here, clearance, sight=in_sight)
+        reached = distance_field(grid, here, clearance)
         ways = reached if ways is None else ways
         ends = frontiers_on_offer(grid, reached, scenario.beams.range, tried)
         if len(ends):

@@ -93,14 +93,6 @@ def test_expected_reduction_counts_what_is_in_reach_and_in_sight_only() -> None:
     assert gain(0.0) > 0.0  # a feature of the wall itself hides behind nothing
 
 
-def test_an_empty_map_has_nothing_to_gain() -> None:
-    slam_map, places = StochasticMap(), np.zeros((3, 2))
-    gains = expected_reduction(
-        slam_map.mean, slam_map.covariance, blank_grid(), places, reach=6.0, sigma=SIGMA, drift=DRIFT
-    )
-    np.testing.assert_array_equal(gains, np.zeros(3))
-
-
 def test_drift_is_that_of_each_place_where_it_is_given_so() -> None:
     slam_map = correlated_map(np.random.default_rng(0), 20)
     places, grid = np.array([[1.0, 0.0], [0.0, 2.0]]), blank_grid()

@@ -1,4 +1,4 @@
-"""The wavefront against Dijkstra on the explicit graph, its paths, and a robot that drives them through doors."""
+"""The wavefront against Dijkstra on the explicit graph, and the paths that it leads to."""
 
 import itertools
 import math
@@ -11,8 +11,6 @@ from scipy.sparse.csgraph import dijkstra
 
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.planner import CROWDING, MARGIN, STEPS, distance_field
-from slam_gym.navigation.pursuit import follow
-from slam_gym.types import Beams
 
 RESOLUTION = 0.2
 
@@ -34,11 +32,11 @@ def random_cells(rng, shape=(25, 32)):
     return np.digitize(noise, np.quantile(noise, [0.12, 0.8])).astype(np.uint8)
 
 
-def costs_by_graph(cells, start, clearance, prices=1.0):
+def costs_by_graph(cells, start, clearance):
     """Least costs [cells] to every cell from the explicit graph of all legal steps, and the weights of the cells."""
     distances = np.inf if not (cells == WALL).any() else ndimage.distance_transform_edt(cells != WALL) * RESOLUTION
     weights = 1.0 + CROWDING * np.clip(1.0 - distances / (clearance + MARGIN), 0.0, None) ** 2
-    weights = np.where(cells == FREE, weights * prices, np.inf)
+    weights = np.where(cells == FREE, weights, np.inf)
     closed = (cells == FREE) & (distances < clearance - 1e-9)
     h, w = cells.shape
     entries = []
@@ -109,14 +107,6 @@ def test_paths_are_short_legal_and_no_dearer(seed):
         assert length <= field.lengths[row, column] + 1e-9
 
 
-def test_open_space_is_crossed_straight():
-    grid = grid_of(np.full((60, 80), FREE, dtype=np.uint8))
-    field = distance_field(grid, centre(grid, 5, 5), 0.25)
-    goal = centre(grid, 41, 72)
-    assert np.array_equal(field.path(goal), [centre(grid, 5, 5), goal])
-    assert np.array_equal(field.path(field.start + 0.01), [field.start, field.start + 0.01])
-
-
 @pytest.mark.parametrize("width", [3, 4, 5, 9])
 def test_passages_are_taken_in_the_middle(width):
     """A door `width` cells wide in a wall two cells thick; start and goal hug one side of their rooms."""
@@ -162,122 +152,6 @@ def test_start_within_the_clearance_leads_out_and_off_the_grid_nowhere():
             distance_field(grid, np.zeros(2), clearance)
 
 
-def test_nothing_known_is_nowhere_to_go():
-    grid = ExploredGrid(np.array([0.0, 0.0, 4.0, 4.0]))
-    field = distance_field(grid, np.array([2.0, 2.0]), 0.25)
-    assert np.isfinite(field.lengths).sum() == 1 and field.length_to(np.array([2.05, 2.05])) == 0.0
-
-
-THICKNESS, DOOR, RADIUS = 0.15, 0.9, 0.2
-
-
-def floor_walls():
-    """Six rooms on both sides of a corridor 1.8 m wide, walls (s, 4): solid boxes with doors of .9 m left between."""
-    boxes = [(-0.15, -0.15, 12.15, 0.0), (-0.15, 10.0, 12.15, 10.15), (-0.15, 0.0, 0.0, 10.0), (12.0, 0.0, 12.15, 10.0)]
-    for y, doors in ((4.0, (0.8, 6.7, 9.5)), (5.8, (2.9, 4.3, 9.9))):
-        ends = [0.0, *(x for door in doors for x in (door, door + DOOR)), 12.0]
-        boxes += [(a, y, b, y + THICKNESS) for a, b in zip(ends[::2], ends[1::2])]
-    for x in (4.0, 8.0):
-        boxes += [(x - 0.075, 0.0, x + 0.075, 4.0), (x - 0.075, 5.95, x + 0.075, 10.0)]
-    return np.array([s for x, y, u, v in boxes for s in ((x, y, u, y), (u, y, u, v), (u, v, x, v), (x, v, x, y))])
-
-
-WALLS = floor_walls()
-ROOMS = np.array([(2, 2), (6, 2), (10, 2), (2, 8), (6, 8), (10, 8)], dtype=float)
-BEARINGS = np.linspace(-math.pi, math.pi, 40, endpoint=False)
-
-
-class Drive:
-    """A kinematic robot with limited acceleration among `WALLS`; its base frame is turned by a random angle."""
-
-    def __init__(self, seed):
-        self.rng = np.random.default_rng(seed)
-        self.position = np.array([6.0, 4.9]) + self.rng.uniform(-0.3, 0.3, 2)
-        self.heading = self.rng.uniform(-3, 3)
-        self.base, self.turned = self.position.copy(), self.rng.uniform(-3, 3)
-        self.speed = self.turning = 0.0
-        self.contacts, self.least, self.visited = 0, math.inf, set()
-        corners = self.to_base(np.array([[-0.5, -0.5], [12.5, -0.5], [12.5, 10.5], [-0.5, 10.5]]))
-        self.grid = ExploredGrid(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
-        for _ in range(12):
-            self.move(0.0, 0.7)
-
-    def to_base(self, points):
-        c, s = math.cos(self.turned), math.sin(self.turned)
-        return (points - self.base) @ np.array([[c, -s], [s, c]])
-
-    @property
-    def pose(self):
-        return np.array([*self.to_base(self.position), self.heading - self.turned])
-
-    def ranges(self):
-        angles = BEARINGS + self.heading
-        d, e = np.stack([np.cos(angles), np.sin(angles)], axis=1), WALLS[:, 2:] - WALLS[:, :2]
-        a = WALLS[:, :2] - self.position
-        across = d[:, :1] * e[:, 1] - d[:, 1:] * e[:, 0]
-        t = (a[:, 0] * e[:, 1] - a[:, 1] * e[:, 0]) / across
-        u = (a[:, 0] * d[:, 1:] - a[:, 1] * d[:, :1]) / across
-        t = np.where((t > 0) & (u >= 0) & (u <= 1), t, 6.0).min(axis=1)
-        return np.where(t < 6.0, np.clip(t + 0.03 * self.rng.normal(size=40), 0.0, 6.0), 6.0)
-
-    def distance_to_walls(self, point):
-        a, e = WALLS[:, :2], WALLS[:, 2:] - WALLS[:, :2]
-        t = np.clip(((point - a) * e).sum(axis=1) / (e * e).sum(axis=1), 0, 1)
-        return np.hypot(*(a + t[:, None] * e - point).T).min()
-
-    def move(self, forward, turn):
-        self.speed += np.clip(forward - self.speed, -0.3, 0.3)
-        self.turning += np.clip(2.0 * turn - self.turning, -1.0, 1.0)
-        middle = self.heading + 0.05 * self.turning
-        point = self.position + 0.1 * self.speed * np.array([math.cos(middle), math.sin(middle)])
-        self.heading += 0.1 * self.turning
-        distance = self.distance_to_walls(point)
-        self.least = min(self.least, distance)
-        if distance < RADIUS:
-            self.contacts, self.speed = self.contacts + 1, 0.0
-        else:
-            self.position = point
-        self.visited |= set(np.flatnonzero(np.hypot(*(ROOMS - self.position).T) < 1.9))
-        self.grid.integrate(self.pose, Beams(BEARINGS, self.ranges(), 6.0))
-
-    def go(self, goal, ticks=600, until=lambda: False):
-        """Drive to `goal` in B, replanning every half second; whether it was reached."""
-        path = np.empty((0, 2))
-        for tick in range(ticks):
-            if np.hypot(*(goal - self.pose[:2])) < 0.3 or until():
-                return True
-            if tick % 5 == 0:
-                path = distance_field(self.grid, self.pose[:2], 0.25).path(goal)
-                if len(path) == 0:
-                    return False
-            self.move(*follow(self.pose, path))
-        return False
-
-    def explore(self, decisions=200):
-        """To the nearest frontier, two seconds at a time, until there is none; whether that came to be."""
-        for _ in range(decisions):
-            field = distance_field(self.grid, self.pose[:2], 0.25)
-            frontiers = self.grid.frontiers(field.reachable)
-            if len(frontiers) == 0:
-                return True
-            lengths = [field.length_to(centre) for centre in frontiers.centres]
-            if not self.go(frontiers.centres[np.argmin(lengths)], ticks=20) or min(lengths) < 0.3:
-                self.move(0.0, 0.7)
-        return False
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_robot_explores_a_floor_and_drives_to_every_room_without_touching_a_wall(seed):
-    drive = Drive(seed)
-    assert drive.explore()
-    free = 12 * 10 - 2 * 12 * THICKNESS - 4 * 4.05 * THICKNESS + 6 * DOOR * THICKNESS
-    assert 0.88 * free < (drive.grid.cells == FREE).sum() * drive.grid.resolution**2 < 1.02 * free
-    for room in drive.rng.permutation(len(ROOMS)):
-        assert drive.go(drive.to_base(ROOMS[room] + drive.rng.uniform(-1, 1, 2))), f"room {room} not reached"
-    assert drive.visited == set(range(6))
-    assert drive.contacts == 0 and drive.least > RADIUS + 0.02
-
-
 def test_a_field_within_a_rectangle_is_that_of_its_cells_alone():
     rng = np.random.default_rng(5)
     cells = random_cells(rng, (40, 50))
@@ -291,23 +165,6 @@ def test_a_field_within_a_rectangle_is_that_of_its_cells_alone():
     goal = centre(grid, 21, 24)
     assert field.length_to(goal) == expected.length_to(centre(alone, 13, 14)) and len(field.path(goal)) >= 2
     assert field.length_to(centre(grid, 2, 2)) == math.inf
-    everything = distance_field(grid, start, 0.25, np.array([-99.0, -99.0, 99.0, 99.0]))
-    np.testing.assert_array_equal(everything.lengths, distance_field(grid, start, 0.25).lengths)
-
-
-def test_points_along_a_path_lie_on_it_at_even_spaces():
-    cells = np.full((20, 60), FREE, np.uint8)
-    cells[:15, 30] = WALL
-    grid = grid_of(cells)
-    field = distance_field(grid, centre(grid, 3, 5), 0.25)
-    goal = centre(grid, 3, 55)
-    points = field.along(goal, 1.0)
-    np.testing.assert_allclose(points[-1], goal)
-    gaps = np.hypot(*np.diff(points, axis=0).T)
-    assert (gaps < 1.0 * math.sqrt(2.0) + 1e-9).all() and (gaps > 0.5).all()
-    lengths = np.array([field.length_to(point) for point in points])
-    assert (np.diff(lengths) >= gaps - 1e-9).all() and lengths[0] < 1.5
-    assert field.along(np.array([-50.0, 0.0]), 1.0).shape == (0, 2)
 
 
 def test_points_along_many_paths_are_every_so_many_cells_from_each_goal_back() -> None:
@@ -328,13 +185,3 @@ def test_points_along_many_paths_are_every_so_many_cells_from_each_goal_back() -
     assert min(counts) == 0 and max(counts) > 5
     np.testing.assert_array_equal(told, counts)
     np.testing.assert_array_equal(points, expected)
-
-
-def test_lengths_to_many_points_are_those_to_each() -> None:
-    rng = np.random.default_rng(0)
-    grid = grid_of(random_cells(rng))
-    field = distance_field(grid, grid.origin + 1.0, 0.0)
-    points = grid.origin + rng.uniform(-1.0, 9.0, (200, 2))
-    expected = [field.length_to(point) for point in points]
-    assert np.isinf(expected).any() and np.isfinite(expected).any()
-    np.testing.assert_array_equal(field.lengths_to(points), expected)

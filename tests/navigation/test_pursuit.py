@@ -1,12 +1,58 @@
-"""Pure pursuit: turns first, slows down, rests, and keeps its limits."""
+"""Paths as lines against the same over whole arrays; pure pursuit turns first, slows down, rests, keeps its limits."""
 
 import math
 
 import numpy as np
 import pytest
 
-from slam_gym.navigation.polyline import length_left
-from slam_gym.navigation.pursuit import PursuitSpec, follow, steer
+from slam_gym.navigation.pursuit import PursuitSpec, follow, length_left, next_stretch, on_path, points_ahead
+
+
+def reference(path, position):
+    """Segment, length covered on it and gap of the nearest point, and the lengths of all segments."""
+    steps = np.diff(path, axis=0)
+    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
+    along = np.clip(along, 0.0, 1.0)
+    gaps = np.hypot(*(position - path[:-1] - along[:, None] * steps).T)
+    nearest = int(np.argmin(gaps))
+    return nearest, along[nearest] * lengths[nearest], gaps[nearest], lengths
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_nearest_point_and_what_is_left_are_those_of_whole_arrays(seed) -> None:
+    rng = np.random.default_rng(seed)
+    path, position = rng.uniform(0.0, 9.0, (rng.integers(2, 30), 2)), rng.uniform(-1.0, 10.0, 2)
+    if seed % 3 == 0:
+        path[1] = path[0]  # a segment without length
+    segment, covered, gap, lengths = reference(path, position)
+    assert tuple(on_path(path, position)) == pytest.approx((segment, covered, gap), abs=1e-12)
+    assert length_left(path, position) == pytest.approx(gap + lengths[segment:].sum() - covered, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_points_ahead_lie_on_the_path_evenly(seed) -> None:
+    rng = np.random.default_rng(seed)
+    path, position = rng.uniform(0.0, 9.0, (rng.integers(1, 12), 2)), rng.uniform(-1.0, 10.0, 2)
+    rest = path[int(np.argmin(((path - position) ** 2).sum(axis=1))) :]
+    points = points_ahead(path, position, 0.2)
+    if len(rest) == 1:
+        np.testing.assert_array_equal(points, rest)
+        return
+    starts = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rest, axis=0).T))])
+    along = np.arange(0.0, starts[-1], 0.2)
+    expected = np.column_stack([np.interp(along, starts, rest[:, axis]) for axis in range(2)])
+    np.testing.assert_allclose(points, expected, atol=1e-12)
+
+
+def test_the_next_stretch_and_the_rest_make_up_the_path() -> None:
+    path = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 20.0], [30.0, 20.0]])
+    stretch, rest = next_stretch(path, np.array([1.0, 0.2]), 15.0)
+    np.testing.assert_allclose(stretch, [[0, 0], [4, 0], [4, 12.0]])
+    np.testing.assert_array_equal(rest, path[2:])
+    stretch, rest = next_stretch(path, np.array([20.0, 20.1]), 15.0)
+    np.testing.assert_array_equal(stretch, path[2:])
+    assert len(rest) == 0
 
 
 def test_follow_turns_first_slows_down_and_rests():
@@ -32,16 +78,3 @@ def test_follow_stays_within_the_fractions_whatever_it_is_given():
         path = np.repeat(path, rng.integers(1, 3), axis=0)  # stretches of no length
         forward, turn = follow(np.array([*rng.normal(scale=3.0, size=2), rng.uniform(-9, 9)]), path, spec)
         assert 0.0 <= forward <= 1.0 and -1.0 <= turn <= 1.0
-
-
-def test_a_tick_of_driving_asks_for_speeds_and_how_far_it_is():
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        path, pose, goal = (
-            rng.uniform(0.0, 9.0, (rng.integers(2, 9), 2)),
-            rng.uniform(0.0, 6.0, 3),
-            rng.uniform(0, 9, 2),
-        )
-        left, gap, forward, turn = steer(pose, path, goal, tuple(PursuitSpec()))
-        assert (forward, turn) == follow(pose, path) and left == length_left(path, pose[:2])
-        assert gap == pytest.approx(math.dist(goal, pose[:2]))

@@ -107,16 +107,6 @@ def test_unknown_space_lets_through_by_its_length():
     assert got == pytest.approx(0.5**2.0, abs=2e-3)
 
 
-def test_the_robot_may_stand_outside_the_grid_or_in_a_wall():
-    grid = grid_of("....", "....", "....")
-    tight = 1e-6 * np.eye(2)[None]
-    outside = ALL_ROUND.in_view(np.array([[2.0, 0.0]]), tight, grid.explored, np.array([-1.0, 0.7, 0.0]))[0]
-    assert 0.8 < outside < 1.0
-    grid._cells[1, 0] = WALL
-    inside = ALL_ROUND.in_view(np.array([[1.6, 0.0]]), tight, grid.explored, np.array([0.2, 0.75, 0.0]))[0]
-    assert inside == 1.0
-
-
 @pytest.mark.parametrize("seed", range(30))
 def test_walls_only_ever_hide_and_a_turn_of_everything_changes_nothing(seed):
     rng = np.random.default_rng(seed)
@@ -172,7 +162,3 @@ def test_explored_cells_can_be_looked_at_but_not_changed():
             array[0] = WALL
         with pytest.raises(ValueError, match="WRITEABLE"):
             array.flags.writeable = True
-
-
-def test_nothing_is_predicted():
-    assert NARROW.in_view(np.empty((0, 2)), np.empty((0, 2, 2))).shape == (0,)

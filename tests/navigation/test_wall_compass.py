@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.geometry import compose, relative
+from slam_gym.geometry import compose
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.types import Array, Beams, Odometry
 from slam_gym.world.ray_casting import WallIndex
@@ -87,16 +87,3 @@ def test_walls_that_cannot_be_those_before_say_nothing() -> None:
     compass.corrected(still, sweep(HALL, np.array([-5.0, 1.0, 0.1]), rng))
     found = compass.corrected(still, sweep(HALL, np.array([-3.0, -1.0, 0.6]), rng))  # it was carried there
     assert (found.motion == 0.0).all() and (found.covariance == still.covariance).all()
-
-
-def test_what_the_wheels_reported_is_left_as_it_was() -> None:
-    rng = np.random.default_rng(5)
-    poses = [np.array([-5.0, 1.0, 0.1]), np.array([-4.9, 1.05, 0.2])]
-    sweeps = [sweep(HALL, pose, rng) for pose in poses]
-    wheels = Odometry(relative(*poses) + 0.5 * WHEELS, np.diag(WHEELS**2))
-    before = [array.copy() for array in (wheels.motion, wheels.covariance)]
-    compass = WallCompass(SIGMA)
-    compass.corrected(wheels, sweeps[0])
-    found = compass.corrected(wheels, sweeps[1])
-    assert np.abs(found.motion[2] - relative(*poses)[2]) < 0.5 * WHEELS[2]
-    assert (wheels.motion == before[0]).all() and (wheels.covariance == before[1]).all()

@@ -62,8 +62,6 @@ def _record(draw, split: str, seen: set[int]):
         ({"prior_sigma": 0.0}, "prior_sigma"),
         ({"prior_sigma": float("nan")}, "prior_sigma"),
         ({"grid_resolution": -0.1}, "grid_resolution"),
-        ({"in_sight": -1.0}, "in_sight"),
-        ({"in_sight": float("nan")}, "in_sight"),
     ],
 )
 def test_a_scenario_that_cannot_be_is_refused_by_field(changes, field) -> None:

@@ -5,11 +5,11 @@ import functools
 import pickle
 
 import numpy as np
+from slam_gym.navigation.sweeps import MovableSweeps
 
 from slam_gym.association import deferred
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.sweeps import MovableSweeps
 from slam_gym.simulation.belief import Belief
 from slam_gym.types import Beams
 

@@ -112,24 +112,6 @@ def test_the_path_is_there_while_it_is_followed() -> None:
     assert len(paths) == info["ticks"] and min(paths) >= 2 and len(env.episode.path) == 0
 
 
-def test_a_scenario_can_ask_for_paths_that_stay_in_sight_of_features_and_offers_their_lengths() -> None:
-    env = explore(replace(get_scenario("short-sighted"), budget=10**6))
-    for _ in episode(env, 8, seed=1):
-        pass
-    ep, straight = env.episode, env.goals
-    places = [driver._plan(ep, ep.slam.map.pose, goal, np.empty((0, 2))) for goal in straight.positions]
-    ep.scenario = replace(ep.scenario, in_sight=10.0)
-    bent = goals.propose(ep.scenario, ep.slam.map, ep.grid, env._places, ep.tried)
-    clearance, sight = goals.clearances(ep.scenario.robot.radius)[0], goals.sight(ep.scenario, ep.slam.map)
-    field = distance_field(ep.grid, ep.slam.map.pose[:2], clearance, sight=sight)
-    np.testing.assert_array_equal(bent.lengths[1:], np.where(bent.legal, field.lengths_to(bent.positions), 0.0)[1:])
-    assert (field.lengths_to(straight.positions) > straight.lengths + 0.5).any()
-    again = [driver._plan(ep, ep.slam.map.pose, goal, np.empty((0, 2))) for goal in straight.positions]
-    for goal, path in zip(straight.positions, again):
-        np.testing.assert_array_equal(path, field.path(goal))
-    assert any(len(path) != len(before) for path, before in zip(again, places))
-
-
 def walled_up(grid, point: np.ndarray, radius: float) -> None:
     """A wall freshly drawn around a point, as a person or a wrong pose draws it."""
     cells, evidence, *_ = grid._layers

@@ -18,7 +18,7 @@ from slam_gym.envs.goal_observation import encode_goals
 from slam_gym.geometry import observe
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.planner import distance_field
-from slam_gym.navigation.polyline import points_ahead
+from slam_gym.navigation.pursuit import points_ahead
 from slam_gym.simulation.driver import APART, ARRIVED, is_free, way_to
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, WORTH_SEEING, Goals, Tried, clearances, frontiers_on_offer

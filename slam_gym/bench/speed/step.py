@@ -33,7 +33,7 @@ from slam_gym.envs import explore as explore_module
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
-from slam_gym.navigation.sweeps import MovableSweeps
+from slam_gym.navigation.keyframes import Keyframes
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam import kernels
@@ -51,7 +51,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "features that are forgotten": ((Slam, "_forget"),),
     "loops": ((AtlasSlam, "_close"),),
     "decisions judged": ((Identities, "judge"),),
-    "explored grid": ((MovableSweeps, "enter"),),
+    "explored grid": ((Keyframes, "enter"),),
     "pose, map error, coverage": ((Episode, "_log"), (Episode, "_appraise")),
     "observation": ((explore_module, "observe"),),
     "info": ((ExploreEnv, "_info"),),

@@ -1,4 +1,4 @@
-"""Sweeps follow the map: a robot drives round a block, drifts, closes the loop, and no wall stands twice."""
+"""Keyframes follow the map: a robot drives round a block, drifts, closes the loop, and no wall stands twice."""
 
 import copy
 import math
@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import compose, observe, relative, transform
-from slam_gym.navigation import sweeps as module
 from slam_gym.navigation.explored_grid import UNKNOWN, WALL, ExploredGrid
-from slam_gym.navigation.sweeps import NO_PAIRS, MovableSweeps
+from slam_gym.navigation.keyframes import NO_PAIRS, Keyframes
 from slam_gym.types import NO_ID, Array, Beams, IntArray
 
 OUTER, INNER = 13.9, 9.9  # [m] sides of the square corridor round a block
@@ -62,11 +61,11 @@ class Map(NamedTuple):
 
 
 class Drive:
-    """Dead reckoning that turns a little too far, features mapped where it has them, and the sweeps that it enters."""
+    """Dead reckoning that turns a little too far, features mapped where it has them, and the keyframes it opens."""
 
     def __init__(self, bend=0.006):
         self.grid = ExploredGrid(BOUNDS)
-        self.sweeps, self.bend = MovableSweeps(self.grid), bend
+        self.keyframes, self.bend = Keyframes(self.grid), bend
         self.way, self.estimate, self.known = 0.0, pose_at(0.0), {}
         self.met = {}  # [m] of the way at which each feature was first seen
 
@@ -89,7 +88,7 @@ class Drive:
         ids = np.array([i if self.way - self.met[i] < ROUND / 2 else 1000 + i for i in seen])  # not known again
         for i, at in zip(ids, transform(self.estimate, local[seen])):
             self.known.setdefault(i, at)
-        self.sweeps.enter(self.estimate, motion, beams_from(pose_at(self.way)), ids, self.features(), fused)
+        self.keyframes.enter(self.estimate, motion, beams_from(pose_at(self.way)), ids, self.features(), fused)
 
     def close_the_loop(self):
         """Features come to lie where they are, and the pose; of those that are the same the younger disappear."""
@@ -139,7 +138,7 @@ def test_corrections_come_in_bit_by_bit_while_the_robot_goes_on() -> None:
     beams, nothing = beams_from(pose_at(drive.way)), np.array([NO_ID])
     for share in np.linspace(1.0, 0.0, 60):  # too slow to surprise, so that only the regular looks find it
         drive.known = {i: share * at + (1 - share) * FEATURES[i % 1000] for i, at in bent.items()}
-        drive.sweeps.enter(pose_at(drive.way) + share * strayed, np.zeros(3), beams, nothing, drive.features())
+        drive.keyframes.enter(pose_at(drive.way) + share * strayed, np.zeros(3), beams, nothing, drive.features())
     assert astray(drive.grid).max() < 0.4
 
 
@@ -161,29 +160,13 @@ def test_space_seen_with_another_map_is_taken_out_and_comes_back_with_it() -> No
     elsewhere, far = np.array([-9.0, 9.0, 0.0]), np.array([999])
     alone = Beams(BEARINGS, np.full(len(BEARINGS), 1.0), REACH)
     for _ in range(5):
-        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, Map(far, np.array([[-9.0, 8.0]])))
+        drive.keyframes.enter(elsewhere, np.zeros(3), alone, far, Map(far, np.array([[-9.0, 8.0]])))
     assert 0 < (drive.grid.cells != UNKNOWN).sum() < 120  # a disc of 1 m
     joined = Map(np.array([*first, 999]), np.array([*first.values(), [-9.0, 8.0]]))
     for _ in range(25):
-        drive.sweeps.enter(elsewhere, np.zeros(3), alone, far, joined)
+        drive.keyframes.enter(elsewhere, np.zeros(3), alone, far, joined)
     known = seen != UNKNOWN
     assert (drive.grid.cells == seen)[known].mean() > 0.98
-
-
-def test_a_robot_at_rest_keeps_one_sweep_and_the_number_kept_is_bounded(monkeypatch) -> None:
-    drive = Drive(bend=0.0)
-    for _ in range(50):
-        drive.look(np.zeros(3))
-    assert drive.sweeps._count == 1
-    monkeypatch.setattr(module, "MOST", 64)
-    for _ in range(300):
-        drive.tick()
-        assert drive.sweeps._count <= 64
-    drive.known = {i: at + np.array([0.0, 1.0]) for i, at in drive.known.items()}
-    for _ in range(20):
-        drive.look(np.zeros(3))
-    moved = drive.grid.cells == WALL
-    assert moved.sum() > 50 and (astray(drive.grid) > 0.9).sum() > 20  # those that are left have moved along
 
 
 def test_copies_go_on_alike() -> None:
@@ -202,8 +185,37 @@ def test_what_cannot_be_entered_is_refused() -> None:
     drive = Drive()
     drive.tick()
     with pytest.raises(ValueError, match="pose"):
-        drive.sweeps.enter(np.array([0.0, math.nan, 0.0]), np.zeros(3), beams_from(np.zeros(3)), np.array([0]),
+        drive.keyframes.enter(np.array([0.0, math.nan, 0.0]), np.zeros(3), beams_from(np.zeros(3)), np.array([0]),
                            drive.features())  # fmt: skip
     with pytest.raises(ValueError, match="beams: 2 of them, where sweeps so far had 60"):
-        drive.sweeps.enter(np.zeros(3), np.zeros(3), Beams(np.zeros(2), np.ones(2), REACH), np.array([0]),
+        drive.keyframes.enter(np.zeros(3), np.zeros(3), Beams(np.zeros(2), np.ones(2), REACH), np.array([0]),
                            drive.features())  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_explored_space_moves_with_the_features_seen_there(seed) -> None:
+    rng = np.random.default_rng(seed)
+    shift = np.array([*rng.uniform(-1.5, 1.5, 2), rng.uniform(-0.3, 0.3)])
+    drive, expected = Drive(bend=0.0), ExploredGrid(BOUNDS)
+    for _ in range(80):
+        drive.tick()
+        expected.integrate(compose(shift, drive.estimate), beams_from(pose_at(drive.way)))
+    drive.known = {i: transform(shift, at[None])[0] for i, at in drive.known.items()}
+    drive.estimate = compose(shift, drive.estimate)
+    for _ in range(25):
+        drive.look(np.zeros(3))
+    both = (drive.grid.cells != UNKNOWN) & (expected.cells != UNKNOWN)
+    assert both.sum() > 0.9 * (expected.cells != UNKNOWN).sum()
+    assert (drive.grid.cells == expected.cells)[both].mean() > 0.9
+
+
+def test_space_seen_where_no_feature_was_stays() -> None:
+    grid, nobody = ExploredGrid(BOUNDS), Map(np.empty(0, np.int64), np.empty((0, 2)))
+    keyframes, pose = Keyframes(grid), pose_at(0.0)
+    keyframes.enter(pose, np.zeros(3), beams_from(pose), np.array([NO_ID]), nobody)
+    drawn, far = grid.cells.copy(), Map(np.array([5]), np.array([[9.0, 9.0]]))
+    for x in range(30):
+        keyframes.enter(
+            pose, np.zeros(3), beams_from(pose), np.array([NO_ID]), far._replace(positions=far.positions + x)
+        )
+    assert (grid.cells == drawn)[drawn != UNKNOWN].all()

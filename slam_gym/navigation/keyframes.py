@@ -1,0 +1,315 @@
+"""Keyframes: poses that hang on the map, so that explored space is redrawn as the estimate is corrected.
+
+A keyframe is opened every half metre or 20°, and where the map has been corrected; it stands for the sweeps taken until
+the next one. It remembers where in its frame some features lay, its anchors. Where it is now follows from where the map
+has these now, by the rigid motion T that minimises Σ ‖T ⊕ p_i − F_i‖² + λ (1 − cos(θ_T − θ)): the second term, which
+counts where the anchors lie close together, keeps the heading θ that it had. When a keyframe has moved by half a cell,
+its sweeps are taken out of the grid and put in again, moved like it, so that no wall stands twice.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from slam_gym._arrays import fill_from
+from slam_gym._compile import compiled
+from slam_gym.geometry import wrap_angle
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.types import NO_ID, Array, Beams, BoolArray, IntArray
+
+SPACING, TURN = 0.5, math.radians(20.0)  # [m], [rad] between keyframes
+REST = 0.1  # of that: the robot counts as at rest, and but one of its sweeps there is kept
+CHECK, SHARES = 10, 2  # every so many sweeps, one in so many keyframes is looked at, and the last one, …
+SURPRISE, SURPRISING_TURN = 0.1, math.radians(2.0)  # … or where a scan corrects the pose by so much [m], [rad]
+MOST_REDRAWN, ALLOWANCE = 3_000, 4  # sweeps redrawn in one go, and how many more with each sweep that is entered
+MOST_ANCHORS = 24
+FEWEST_ANCHORS = 3  # a keyframe that sees fewer takes over those of the one before
+NO_PAIRS = np.empty((0, 2), np.int64)
+_STIFFNESS = 0.5  # [m²] λ/2: anchors whose squared distances from their middle sum up to it turn a keyframe halfway
+
+_Pose = tuple[float, float, float]  # x, y [m] and heading [rad] in B: plain numbers, since they change at every tick
+_NOWHERE: _Pose = (math.inf, 0.0, 0.0)
+
+
+class Features(Protocol):
+    """The features of a map, by ids that are never given twice."""
+
+    @property
+    def ids(self) -> IntArray:
+        """(n,)"""
+
+    @property
+    def positions(self) -> Array:
+        """(n, 2) [m] in B."""
+
+
+class _Frames(NamedTuple):
+    """The arrays of all keyframes, with room for more."""
+
+    poses: Array  # (room, 3) in B, where they are drawn, or were drawn last
+    drawn: BoolArray  # (room,)
+    anchors: IntArray  # (room, MOST_ANCHORS) ids, then NO_ID
+    places: Array  # (room, MOST_ANCHORS, 2) [m] of the anchors in the keyframe
+
+
+_PackedFrames = tuple[Array, BoolArray, IntArray, Array]
+
+
+class _Moved(NamedTuple):
+    """Keyframes that are no longer where they are drawn."""
+
+    rows: IntArray  # (k,)
+    before: Array  # (k, 3) in B, where they are drawn; NaN: they are not
+    after: Array  # (k, 3) in B, where they are now; NaN: none of their anchors is in the map
+
+
+class Keyframes:
+    """Enters the sweeps of one range finder into an explored grid, and moves them as the map is corrected."""
+
+    def __init__(self, grid: ExploredGrid) -> None:
+        self._grid = grid
+        room = 32
+        self._frames: _PackedFrames = (
+            np.empty((room, 3)),
+            np.empty(room, np.bool_),
+            np.empty((room, MOST_ANCHORS), np.int64),
+            np.empty((room, MOST_ANCHORS, 2)),
+        )
+        self._first: list[int] = []  # sweep that each keyframe begins with
+        self._poses: list[Array] = []  # (3,) in B of each sweep that is kept, as drawn last
+        self._ranges: list[Array] = []  # (b,) [m] of each sweep that is kept
+        self._last = self._kept = self._opened = _NOWHERE  # of the last sweep, the last one kept, the last keyframe
+        self._checks, self._unchecked, self._allowed = 0, 0, MOST_REDRAWN
+
+    def enter(
+        self, pose: Array, motion: Array, beams: Beams, seen: IntArray, features: Features, fused: IntArray = NO_PAIRS
+    ) -> None:
+        """Enter a sweep taken at the estimated `pose` (3,) in B, and move those before it to where they are now.
+
+        `motion` (3,) is what the odometry says of the way since the last sweep; `seen` (s,) are the ids of features
+        that were seen with this one, `features` all that are in the map now, `fused` (k, 2) the ids of pairs that have
+        become one since, the one that is kept first. Raises ValueError for a pose that is not finite, or another number
+        of beams than before.
+        """
+        x, y, heading = here = pose.tolist()
+        if not math.isfinite(x + y + heading):
+            raise ValueError(f"pose: expected finite numbers, got {pose}")
+        if self._ranges and len(beams.ranges) != len(self._ranges[0]):
+            raise ValueError(f"beams: {len(beams.ranges)} of them, where sweeps so far had {len(self._ranges[0])}")
+        surprised = _further_apart(here, _after(self._last, motion), SURPRISE, SURPRISING_TURN)
+        self._last, self._unchecked, corrected = here, self._unchecked + 1, False
+        self._allowed = min(self._allowed + ALLOWANCE, MOST_REDRAWN)
+        if len(fused):
+            self._fuse(fused)
+        if self._first and (surprised or len(fused) or self._unchecked == CHECK):
+            corrected = self._follow(beams, features.ids, features.positions)
+        if corrected or _further_apart(here, self._opened, SPACING, TURN):
+            self._open(pose, seen, features.ids, features.positions)
+            self._opened = here
+        kept = _further_apart(here, self._kept, REST * SPACING, REST * TURN)
+        self._grid.integrate(pose, beams, movable=kept)
+        if kept:
+            self._kept = here
+            self._poses.append(pose.copy())
+            self._ranges.append(beams.ranges.copy())
+
+    def _open(self, pose: Array, seen: IntArray, ids: IntArray, positions: Array) -> None:
+        """Add a keyframe at `pose` (3,), from which the features with ids `seen` (s,) are seen."""
+        count = len(self._first)
+        if count == len(self._frames[0]):
+            poses, drawn, anchors, places = (np.concatenate([a, np.empty_like(a)]) for a in self._frames)
+            self._frames = (poses, drawn, anchors, places)
+        _open(self._frames, count, pose, seen, ids, positions)
+        self._first.append(len(self._poses))
+
+    def _fuse(self, pairs: IntArray) -> None:
+        """Of each pair of ids (k, 2) the second is no longer in the map: its feature is the first one."""
+        anchors = self._frames[2][: len(self._first)]
+        for kept, gone in pairs.tolist():
+            anchors[anchors == gone] = kept
+
+    def _follow(self, beams: Beams, ids: IntArray, positions: Array) -> bool:
+        """Move the sweeps of keyframes that have moved: of a share of them, and of all where the last one has.
+
+        Returns whether it has: what is seen from now on is not seen from there.
+        """
+        last, share = len(self._first) - 1, self._checks % SHARES
+        self._checks, self._unchecked = self._checks + 1, 0
+        lever, tolerance = 0.5 * beams.max_range, 0.5 * self._grid.resolution
+        rows = np.arange(share, last + SHARES, SHARES)
+        rows[-1] = last
+        moved = _Moved(*_moved(self._frames, rows, ids, positions, lever, tolerance))
+        corrected = len(moved.rows) > 0 and bool(moved.rows[-1] == last)
+        if corrected:
+            moved = _Moved(*_moved(self._frames, np.arange(last + 1), ids, positions, lever, tolerance))
+        if len(moved.rows):
+            self._redraw(moved, beams)
+        return corrected
+
+    def _redraw(self, moved: _Moved, beams: Beams) -> None:
+        """Take the sweeps of keyframes out of the grid, and put them in where they are now.
+
+        A map that moves all the time must not stop the robot: the youngest come first, others when they are looked at
+        next.
+        """
+        ends = np.append(self._first, len(self._poses))
+        counts = ends[moved.rows + 1] - ends[moved.rows]
+        first = int(np.searchsorted(-np.cumsum(counts[::-1])[::-1], -self._allowed))
+        moved, counts = _Moved(moved.rows[first:], moved.before[first:], moved.after[first:]), counts[first:]
+        self._allowed -= int(counts.sum())
+        if not len(counts):
+            return
+        sweeps = [sweep for k in moved.rows.tolist() for sweep in range(ends[k], ends[k + 1])]
+        if sweeps:
+            before = np.array([self._poses[sweep] for sweep in sweeps])
+            after = _taken_along(before, self._frames[0][moved.rows], moved.after, counts)
+            for sweep, pose in zip(sweeps, after):
+                if math.isfinite(pose[0]):
+                    self._poses[sweep] = pose
+            before[np.repeat(np.isnan(moved.before[:, 0]), counts)] = math.nan
+            ranges = np.array([self._ranges[sweep] for sweep in sweeps])
+            self._grid.move(before, after, Beams(beams.bearings, ranges, beams.max_range))
+        there = np.isfinite(moved.after[:, 0])
+        self._frames[1][moved.rows] = there
+        self._frames[0][moved.rows[there]] = moved.after[there]
+
+
+def _taken_along(sweeps: Array, drawn: Array, now: Array, counts: IntArray) -> Array:
+    """Poses (s, 3) of sweeps once their keyframes, `counts` (k,) sweeps each, have moved from `drawn` to `now`."""
+    drawn, now = np.repeat(drawn, counts, axis=0), np.repeat(now, counts, axis=0)
+    turn, arm = now[:, 2] - drawn[:, 2], sweeps - drawn
+    c, s = np.cos(turn), np.sin(turn)
+    x, y = c * arm[:, 0] - s * arm[:, 1], s * arm[:, 0] + c * arm[:, 1]
+    return np.column_stack([now[:, 0] + x, now[:, 1] + y, now[:, 2] + arm[:, 2]])
+
+
+def _after(pose: _Pose, motion: Array) -> _Pose:
+    """A pose after a motion (3,), as `compose`."""
+    (at_x, at_y, heading), (x, y, turn) = pose, motion.tolist()
+    c, s = math.cos(heading), math.sin(heading)
+    return at_x + c * x - s * y, at_y + s * x + c * y, heading + turn
+
+
+def _further_apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bool:
+    """Two poses are more than a distance [m] or a turn [rad] apart."""
+    if abs(one[0] - other[0]) + abs(one[1] - other[1]) > distance:
+        return True
+    return abs(math.remainder(one[2] - other[2], 2.0 * math.pi)) > turn
+
+
+@compiled
+def _rows_of(ids: IntArray) -> IntArray:
+    """Row of each id in the map, −1 where there is none; the last entry, which NO_ID leads to, is −1."""
+    most = -1
+    for feature in ids:
+        most = max(most, feature)
+    rows = np.full(most + 2, -1)
+    for j in range(len(ids)):
+        rows[ids[j]] = j
+    return rows
+
+
+@compiled
+def _row(row_of: IntArray, feature: int) -> int:
+    """Row of a feature in the map, −1 where there is none."""
+    return row_of[feature] if feature < len(row_of) - 1 else -1
+
+
+@compiled
+def _pose_now(frames: _Frames, k: int, row_of: IntArray, positions: Array) -> _Pose:
+    """Where keyframe k is now: see the module. NaN where it has lost all of its anchors."""
+    poses, anchors, places = frames.poses, frames.anchors, frames.places
+    x = y = u = v = 0.0
+    present = 0
+    for i in range(anchors.shape[1]):
+        row = _row(row_of, anchors[k, i])
+        if row >= 0:
+            x, y, u, v = x + places[k, i, 0], y + places[k, i, 1], u + positions[row, 0], v + positions[row, 1]
+            present += 1
+    if present == 0:
+        return (poses[k, 0], poses[k, 1], poses[k, 2]) if anchors[k, 0] == NO_ID else (math.nan, math.nan, math.nan)
+    x, y, u, v = x / present, y / present, u / present, v / present
+    along, across = _STIFFNESS * math.cos(poses[k, 2]), _STIFFNESS * math.sin(poses[k, 2])
+    for i in range(anchors.shape[1]):
+        row = _row(row_of, anchors[k, i])
+        if row >= 0:
+            px, py, fx, fy = places[k, i, 0] - x, places[k, i, 1] - y, positions[row, 0] - u, positions[row, 1] - v
+            along, across = along + px * fx + py * fy, across + px * fy - py * fx
+    heading = math.atan2(across, along)
+    c, s = math.cos(heading), math.sin(heading)
+    return u - c * x + s * y, v - s * x - c * y, heading
+
+
+@compiled
+def _open(packed: _PackedFrames, k: int, pose: Array, seen: IntArray, ids: IntArray, positions: Array) -> None:
+    """Anchor keyframe k to what is seen from it. The one before is closed: this anchors it as well."""
+    frames, row_of = _Frames(*packed), _rows_of(ids)
+    here, count = (pose[0], pose[1], pose[2]), 0
+    frames.drawn[k] = True
+    fill_from(frames.poses[k], pose)
+    frames.anchors[k, :] = NO_ID
+    for feature in seen:
+        count = _anchored(frames, k, count, here, feature, row_of, positions)
+    if k == 0:
+        return
+    before = _pose_now(frames, k - 1, row_of, positions)
+    old, few, kept = frames.anchors[k - 1].copy(), count < FEWEST_ANCHORS, 0
+    for feature in old:
+        if few:
+            count = _anchored(frames, k, count, here, feature, row_of, positions)
+    if not math.isfinite(before[0]):
+        return
+    frames.anchors[k - 1, :] = NO_ID
+    for feature in seen:
+        kept = _anchored(frames, k - 1, kept, before, feature, row_of, positions)
+    for feature in old:
+        kept = _anchored(frames, k - 1, kept, before, feature, row_of, positions)
+
+
+@compiled
+def _anchored(
+    frames: _Frames, k: int, count: int, pose: _Pose, feature: int, row_of: IntArray, positions: Array
+) -> int:
+    """Add an anchor to the first `count` of keyframe k, which is at `pose`, if it is in the map; their number then."""
+    anchors, row = frames.anchors, _row(row_of, feature)
+    if count == anchors.shape[1] or row < 0:
+        return count
+    for i in range(count):
+        if anchors[k, i] == feature:
+            return count
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = positions[row, 0] - pose[0], positions[row, 1] - pose[1]
+    anchors[k, count] = feature
+    frames.places[k, count, 0], frames.places[k, count, 1] = c * dx + s * dy, c * dy - s * dx
+    return count + 1
+
+
+@compiled
+def _moved(
+    packed: _PackedFrames, rows: IntArray, ids: IntArray, positions: Array, lever: float, tolerance: float
+) -> tuple[IntArray, Array, Array]:
+    """Which of the keyframes `rows` (r,) have moved by more than `tolerance` [m], as a `_Moved`.
+
+    A turn counts with `lever` [m], the middle of a beam. Keyframes that have come into the map, or are no longer in it,
+    have moved. One that never had an anchor stays where it is.
+    """
+    frames, row_of = _Frames(*packed), _rows_of(ids)
+    found, before, after = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), np.empty((len(rows), 3))
+    count = 0
+    for k in rows:
+        now, pose = _pose_now(frames, k, row_of, positions), frames.poses[k]
+        there, drawn = math.isfinite(now[0]), frames.drawn[k]
+        changed = there or drawn
+        if there and drawn:
+            turned = abs(wrap_angle(now[2] - pose[2]))
+            changed = math.hypot(now[0] - pose[0], now[1] - pose[1]) + lever * turned > tolerance
+        if changed:
+            found[count] = k
+            after[count, 0], after[count, 1], after[count, 2] = now
+            for axis in range(3):
+                before[count, axis] = pose[axis] if drawn else math.nan
+            count += 1
+    return found[:count], before[:count], after[:count]
