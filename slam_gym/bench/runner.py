@@ -43,7 +43,7 @@ BENCHMARKS = {
     "associate": Benchmark("feature_index.associate", "relocation by the feature index: time, success beside cliques"),
     "relocate": Benchmark("speed.relocate", "kidnapped robots of Relocate-v0 found again: searches and policies"),
     "recordings": Benchmark("recordings.relocations", "relocation on Victoria Park and MR.CLAM: right, wrong, none"),
-    "consistency": Benchmark("consistency.comparison", "EKF, first-estimate Jacobians, local maps on long loops"),
+    "consistency": Benchmark("consistency.comparison", "EKF, right-invariant, local maps on long loops"),
     "innovations": Benchmark("consistency.innovations", "NEES, NIS and whiteness at every level of drift"),
     "soak": Benchmark("soak.soak", "a million ticks with extreme settings: does anything break, does memory grow"),
     "sight": Benchmark("speed.sight", "line of sight on small and large floors; cost of physics and sensors"),

@@ -76,7 +76,7 @@ def observe(
     uncertainty, image = np.empty(3, np.float32), np.empty((3, PIXELS, PIXELS), np.uint8)
     budget = np.empty(1, np.float32)
     budget[0] = left
-    x, _, P, _, _ = slam_map.arrays
+    x, P, _, _ = slam_map.arrays
     _observe(
         (scan.points, scan.covariances, scan.sizes),
         (expected.positions, expected.covariances, expected.sizes),

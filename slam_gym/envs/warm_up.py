@@ -136,7 +136,7 @@ def _motion() -> None:
 def _appraisal() -> None:
     """The estimate held against the truth."""
     m, base = StochasticMap(), np.zeros(3)
-    x, _, P, _, _ = m.arrays
+    x, P, _, _ = m.arrays
     appraisal.appraise_pose(x, P, base, base, np.empty(3))
     targets, cells = point_assignment.indexed(_POINTS, 1.0), _explored().cells
     appraisal.appraise_map(m.arrays, m.n, 2, base, targets, cells, np.zeros(1, np.int64))

@@ -4,9 +4,6 @@ State x = (robot R = [x m, y m, θ rad]; features F_1 … F_n [m]), all in B; d 
 **Only the upper triangle of P is kept**: symmetric by construction, and half the work. Arrays are `padded`;
 what lies beyond d and below the diagonal means nothing.
 
-`at` (≥ d,) is the state at which Jacobians are evaluated: the estimate (the same array as x), or the first estimate of
-each entry (first-estimate Jacobians, Huang, Mourikis and Roumeliotis 2010).
-
 What is known of a feature besides is in the columns of two arrays: `counted` (5, ≥ n) of integers, rows IDS to KINDS,
 and `sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown.
 
@@ -27,8 +24,8 @@ from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
 IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS = range(5)  # id, steps in which it was seen, first and last of them, class
 SIZES, VARIANCES = range(2)
 
-MapArrays = tuple[Array, Array, Array, IntArray, Array]
-"""x, at, P, `counted` and `sized` of a map."""
+MapArrays = tuple[Array, Array, IntArray, Array]
+"""x, P, `counted` and `sized` of a map."""
 
 
 @compiled
@@ -39,7 +36,7 @@ def turned(c: float, s: float, xx: float, xy: float, yy: float) -> tuple[float, 
 
 
 @compiled
-def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
+def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
     """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF; False (and nothing done) where u or Q is no good.
 
     F = [I JΔ; 0 1] with Δ the robot's displacement in B; G = diag(C, 1). u (3,) [m, m, rad], Q (3, 3) its covariance.
@@ -48,9 +45,8 @@ def predict(x: Array, at: Array, P: Array, d: int, motion: Array, Q: Array) -> b
         return False
     c, s = math.cos(x[2]), math.sin(x[2])
     x_new, y_new = x[0] + c * motion[0] - s * motion[1], x[1] + s * motion[0] + c * motion[1]
-    dx, dy = x_new - at[0], y_new - at[1]
+    dx, dy = x_new - x[0], y_new - x[1]
     x[0], x[1], x[2] = x_new, y_new, wrap_angle(x[2] + motion[2])
-    at[0], at[1], at[2] = x[0], x[1], x[2]
     xt, yt, tt = P[0, 2], P[1, 2], P[2, 2]
     qxx, qxy, qyy = turned(c, s, Q[0, 0], Q[0, 1], Q[1, 1])
     P[0, 0] += dy * (dy * tt - 2.0 * xt) + qxx
@@ -137,7 +133,7 @@ def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gat
 
 
 @compiled
-def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
+def add(x: Array, P: Array, d: int, point: Array, R: Array) -> bool:
     """Append x_F = x_R ⊕ z to the state, its covariance by linearisation; False where z or R is no good.
 
     P_F· = [I JΔ] P_R·, P_FF = [I JΔ] P_RR [I JΔ]ᵀ + C R Cᵀ, with Δ = x_F − t.
@@ -146,8 +142,7 @@ def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
         return False
     c, s = math.cos(x[2]), math.sin(x[2])
     x[d], x[d + 1] = x[0] + c * point[0] - s * point[1], x[1] + s * point[0] + c * point[1]
-    at[d], at[d + 1] = x[d], x[d + 1]
-    dx, dy = x[d] - at[0], x[d + 1] - at[1]
+    dx, dy = x[d] - x[0], x[d + 1] - x[1]
     for j in range(d):
         xj, yj, tj = P[min(0, j), max(0, j)], P[min(1, j), max(1, j)], P[min(2, j), max(2, j)]
         P[j, d], P[j, d + 1] = xj - dy * tj, yj + dx * tj
@@ -158,7 +153,7 @@ def add(x: Array, at: Array, P: Array, d: int, point: Array, R: Array) -> bool:
 
 
 @compiled
-def keep(x: Array, at: Array, P: Array, kept: IntArray) -> None:
+def keep(x: Array, P: Array, kept: IntArray) -> None:
     """Keep only the robot and the features `kept` (n',), ascending: marginalisation, in place."""
     first = 0  # everything before the first gap stays where it is
     while first < len(kept) and kept[first] == first:
@@ -167,7 +162,7 @@ def keep(x: Array, at: Array, P: Array, kept: IntArray) -> None:
     for j in range(first, len(kept)):
         old[3 + 2 * j], old[4 + 2 * j] = 3 + 2 * kept[j], 4 + 2 * kept[j]
     for i in range(len(old)):
-        x[i], at[i] = x[old[i]], at[old[i]]
+        x[i] = x[old[i]]
         for j in range(max(i, 3 + 2 * first), len(old)):
             P[i, j] = P[old[i], old[j]]
 

@@ -51,12 +51,12 @@ def foresee(
         recent: (r,) features that recent scans paired, or UNPAIRED.
         out: is told the features.
     """
-    x, at, P, counted, sized = arrays
+    x, P, counted, sized = arrays
     known, sizes, near, positions, covariances, across = out
-    if moves and not ekf.predict(x, at, P, 3 + 2 * n, motion, Q):
+    if moves and not ekf.predict(x, P, 3 + 2 * n, motion, Q):
         return -1
     features, kinds, ages, sightings = known[0], known[1], known[2], known[3]
-    k = measurement.features_in_reach(x, at, P, n, reach, second_order, (features, positions, covariances, across))
+    k = measurement.features_in_reach(x, P, n, reach, second_order, (features, positions, covariances, across))
     local = mark_local(neighbours, degrees, n, recent)
     for row in range(k):
         j = features[row]
@@ -170,7 +170,7 @@ class Estimate:
 class JointCovariance:
     """`Prediction.joint`: H P Hᵀ from read-only arrays of the map that predicted, as long as that has not changed."""
 
-    at: Array  # (d,) state that Jacobians are evaluated at
+    x: Array  # (d,) state
     P: Array  # (d, d) upper triangle
     features: IntArray  # (k,) map index of each row
     second_order: bool
@@ -179,7 +179,7 @@ class JointCovariance:
     def __call__(self, rows: IntArray) -> Array:
         if not self.estimate.stands:
             return out_of_date(rows)
-        return measurement.joint_covariance(self.at, self.P, self.features[rows], self.second_order)
+        return measurement.joint_covariance(self.x, self.P, self.features[rows], self.second_order)
 
 
 def out_of_date(rows: IntArray) -> Array:

@@ -54,7 +54,7 @@ class Columns:
 
 @dataclass(frozen=True, slots=True)
 class MapState:
-    """All that a `StochasticMap` knows, but for its settings and first estimates."""
+    """All that a `StochasticMap` knows, but for its settings."""
 
     mean: Array  # (3 + 2n,) robot [m, m, rad], features [m], in B
     covariance: Array  # (3 + 2n, 3 + 2n)
@@ -81,7 +81,7 @@ def state_of(m: StochasticMap) -> MapState:
 
 
 def map_of_state(spec: MapSpec, state: MapState) -> StochasticMap:
-    """The map of a state. First estimates, where the settings ask for them, are those of this state.
+    """The map of a state.
 
     Raises ValueError where lengths do not agree, numbers are not finite or the robot's covariance is none.
     """
@@ -92,7 +92,7 @@ def map_of_state(spec: MapSpec, state: MapState) -> StochasticMap:
     if not (np.isfinite(state.mean).all() and np.isfinite(state.covariance).all()):
         raise ValueError("mean, covariance: not finite")
     m = StochasticMap(spec, state.mean[:3], state.covariance[:3, :3], capacity=max(n, 1))
-    m._x[3:d] = m._at[3:d] = state.mean[3:]
+    m._x[3:d] = state.mean[3:]
     m._P[:d, :d] = state.covariance
     for field in fields(state.columns):
         rows, row = _ROWS[field.name]

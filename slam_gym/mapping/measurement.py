@@ -1,6 +1,6 @@
 """What the map expects to measure: predicted positions in R, with their covariances. Compiled.
 
-State, P (upper triangle) and `at` are those of `ekf`; h_j(x) = Cᵀ(F_j − t) and H_j = Cᵀ[−I  −JΔ  0 … I … 0] are its
+State x and P (upper triangle) are those of `ekf`; h_j(x) = Cᵀ(F_j − t) and H_j = Cᵀ[−I  −JΔ  0 … I … 0] are its
 measurement function and Jacobian.
 
 **To second order** a heading that is poorly known bends the prediction. With ν = H_j δ the linear error of the
@@ -29,10 +29,10 @@ from slam_gym.types import Array, IntArray
 
 
 @compiled
-def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, float, float, float]:
+def _relative_covariance(x: Array, P: Array, a: int, b: int) -> tuple[float, float, float, float]:
     """G_a P G_bᵀ with G_j = C H_j, for the features that start at a ≤ b: entries xx, xy, yx, yy."""
-    ax, ay = at[a] - at[0], at[a + 1] - at[1]
-    bx, by = at[b] - at[0], at[b + 1] - at[1]
+    ax, ay = x[a] - x[0], x[a + 1] - x[1]
+    bx, by = x[b] - x[0], x[b + 1] - x[1]
     # rows x, y and θ of P G_bᵀ for the robot, then the same two columns for feature a
     xx, xy = P[0, b] - P[0, 0] + P[0, 2] * by, P[0, b + 1] - P[0, 1] - P[0, 2] * bx
     yx, yy = P[1, b] - P[0, 1] + P[1, 2] * by, P[1, b + 1] - P[1, 1] - P[1, 2] * bx
@@ -45,7 +45,7 @@ def _relative_covariance(at: Array, P: Array, a: int, b: int) -> tuple[float, fl
 
 @compiled
 def features_in_reach(
-    x: Array, at: Array, P: Array, n: int, reach: float, second_order: bool, out: tuple[IntArray, Array, Array, Array]
+    x: Array, P: Array, n: int, reach: float, second_order: bool, out: tuple[IntArray, Array, Array, Array]
 ) -> int:
     """How many features have ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ.
 
@@ -55,12 +55,11 @@ def features_in_reach(
     """
     (features, positions, covariances, across), k = out, 0
     c, s = math.cos(x[2]), math.sin(x[2])
-    ca, sa = math.cos(at[2]), math.sin(at[2])
     for j in range(n):
         f = 3 + 2 * j
         dx, dy = x[f] - x[0], x[f + 1] - x[1]
         beyond = math.sqrt(dx * dx + dy * dy) - reach
-        xx, xy, _, yy = _relative_covariance(at, P, f, f)
+        xx, xy, _, yy = _relative_covariance(x, P, f, f)
         # 9σ² is compared; the trace bounds σ² and spares most features the root
         if beyond > 0.0 and beyond * beyond > 9.0 * (xx + yy):
             continue
@@ -69,11 +68,11 @@ def features_in_reach(
             continue
         features[k] = j
         positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
-        covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1] = turned(ca, -sa, xx, xy, yy)
+        covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1] = turned(c, -s, xx, xy, yy)
         covariances[k, 1, 0] = covariances[k, 0, 1]
-        u = P[2, f] - P[0, 2] + (at[f + 1] - at[1]) * P[2, 2]
-        v = P[2, f + 1] - P[1, 2] - (at[f] - at[0]) * P[2, 2]
-        across[k, 0], across[k, 1] = ca * u + sa * v, ca * v - sa * u
+        u = P[2, f] - P[0, 2] + dy * P[2, 2]
+        v = P[2, f + 1] - P[1, 2] - dx * P[2, 2]
+        across[k, 0], across[k, 1] = c * u + s * v, c * v - s * u
         if second_order:
             _bend(positions[k], covariances[k], across[k], P[2, 2])
         k += 1
@@ -95,18 +94,18 @@ def _bend(position: Array, covariance: Array, across: Array, variance: float) ->
 
 
 @compiled
-def joint_covariance(at: Array, P: Array, features: IntArray, second_order: bool) -> Array:
+def joint_covariance(x: Array, P: Array, features: IntArray, second_order: bool) -> Array:
     """H P Hᵀ (2j, 2j) of the features (j,) together, with all cross-covariances; to second order, if so.
 
     The robot's terms are those of `_relative_covariance`, computed once for each feature instead of once a pair.
     """
     m = len(features)
     out, offset, robot = np.empty((2 * m, 2 * m)), np.empty((m, 2)), np.empty((m, 6))
-    c, s = math.cos(at[2]), math.sin(at[2])
+    c, s = math.cos(x[2]), math.sin(x[2])
     pxx, pxy, pyy, pxt, pyt, ptt = P[0, 0], P[0, 1], P[1, 1], P[0, 2], P[1, 2], P[2, 2]
     for i in range(m):
         f = 3 + 2 * features[i]
-        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        dx, dy = x[f] - x[0], x[f + 1] - x[1]
         offset[i, 0], offset[i, 1] = dx, dy
         # rows x, y and θ of P G_iᵀ for the robot
         robot[i, 0], robot[i, 1] = P[0, f] - pxx + pxt * dy, P[0, f + 1] - pxy - pxt * dx

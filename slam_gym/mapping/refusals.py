@@ -13,13 +13,13 @@ from slam_gym.types import Array, IntArray, Scan
 
 def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
     """Fresh arrays (3,), its heading wrapped, and (3, 3)."""
-    at, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
-    if at.shape != (3,) or not np.all(np.isfinite(at)):
-        raise ValueError(f"pose: expected 3 finite numbers, got {at.tolist()}")
+    x, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
+    if x.shape != (3,) or not np.all(np.isfinite(x)):
+        raise ValueError(f"pose: expected 3 finite numbers, got {x.tolist()}")
     if P.shape != (3, 3) or not is_covariance(P):
         raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {P.tolist()}")
-    at[2] = wrap_angle(at[2])
-    return at, P
+    x[2] = wrap_angle(x[2])
+    return x, P
 
 
 def existing(features: IntArray, n: int) -> IntArray:

@@ -53,17 +53,16 @@ class StochasticMap:
         if capacity < 1:
             raise ValueError(f"capacity: {capacity} is less than 1")
         self.spec = spec or MapSpec()
-        self._passes, self._invariant = self.spec.passes, self.spec.right_invariant
+        self._passes, self._invariant = self.spec.iterations, self.spec.right_invariant
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self.next_id = 0  # of the next feature; all ids given so far are smaller
-        self._shown: tuple[Array, Array] | None = None  # read-only `_at` and `_P`, once they were asked for
+        self._shown: tuple[Array, Array] | None = None  # read-only `_x` and `_P`, once they were asked for
         self._estimate = Estimate()  # as it stands now: what is predicted from it notices when it no longer does
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
-        self._at = np.zeros(side) if self.spec.first_estimate_jacobians else self._x
         self._counted, self._sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
-        self._x[:3] = self._at[:3] = start
+        self._x[:3] = start
         self._P[:3, :3] = covariance
 
     # what is estimated: fresh arrays, safe to keep and to change
@@ -167,7 +166,7 @@ class StochasticMap:
     def predict(self, odometry: Odometry) -> None:
         """x_R ← x_R ⊕ u and its covariance. Raises ValueError where the odometry is not finite or has no covariance."""
         self.moved()
-        if not ekf.predict(self._x, self._at, self._P, self._d, odometry.motion, odometry.covariance):
+        if not ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
     def prediction(
@@ -214,9 +213,9 @@ class StochasticMap:
         For relocation: place with a covariance that says nothing, then `update` with the pairings that were found.
         Raises ValueError, the map unchanged, where the pose is not finite or the covariance is none.
         """
-        at, P = checked_pose(pose, covariance)
+        x, P = checked_pose(pose, covariance)
         self.moved()
-        self._x[:3] = self._at[:3] = at
+        self._x[:3] = x
         self._P[:3, : self._d] = 0.0
         self._P[:3, :3] = P
 
@@ -231,7 +230,7 @@ class StochasticMap:
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
         self.moved()
         measured, passes = (scan.points, scan.covariances), (self._passes, self.spec.settled)
-        refused = update(self._x, self._at, self._P, self.n, measured, features, passes, self._invariant)
+        refused = update(self._x, self._P, self.n, measured, features, passes, self._invariant)
         if refused != ACCEPTED:
             raise refused_update(refused, scan, features, self.n)
         ekf.record(features, self.step, (scan.sizes, scan.size_variances, scan.kinds), self._counted, self._sized)
@@ -244,7 +243,7 @@ class StochasticMap:
         first = self.n
         for i in measurements:
             self.make_room(1)
-            if not ekf.add(self._x, self._at, self._P, self._d, scan.points[i], scan.covariances[i]):
+            if not ekf.add(self._x, self._P, self._d, scan.points[i], scan.covariances[i]):
                 raise bad_measurement(scan, i)
             known = float(scan.sizes[i]), float(scan.size_variances[i]), int(scan.kinds[i])
             ekf.begin(self._counted, self._sized, self.n, self.step, self.next_id, *known)
@@ -264,7 +263,7 @@ class StochasticMap:
         staying = np.ones(self.n, dtype=bool)
         staying[features] = False
         kept = np.flatnonzero(staying)
-        ekf.keep(self._x, self._at, self._P, kept)
+        ekf.keep(self._x, self._P, kept)
         for columns in (self._counted, self._sized):
             columns[:, : len(kept)] = columns[:, kept]
         self.n = len(kept)
@@ -307,10 +306,10 @@ class StochasticMap:
         if capacity == self._counted.shape[1]:
             return
         d, side = self._d, padded(3 + 2 * capacity)
-        x, at, P = np.zeros(side), np.zeros(side), aligned_zeros(side, side)
-        x[:d], at[:d] = self._x[:d], self._at[:d]
+        x, P = np.zeros(side), aligned_zeros(side, side)
+        x[:d] = self._x[:d]
         ekf.copy_upper(self._P, d, P)
-        self._x, self._at, self._P, self._shown = x, at if self.spec.first_estimate_jacobians else x, P, None
+        self._x, self._P, self._shown = x, P, None
         counted, sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
         counted[:, : self.n], sized[:, : self.n] = self._counted[:, : self.n], self._sized[:, : self.n]
         self._counted, self._sized = counted, sized
@@ -318,7 +317,7 @@ class StochasticMap:
     @property
     def arrays(self) -> MapArrays:
         """What compiled functions work on: no copies, so whoever writes to them says so with `learned`."""
-        return self._x, self._at, self._P, self._counted, self._sized
+        return self._x, self._P, self._counted, self._sized
 
     def moved(self) -> None:
         """The estimate has changed: what was predicted from it is out of date, and says so when it is asked."""
@@ -337,5 +336,5 @@ class StochasticMap:
 
     def _joint_covariance(self, features: IntArray) -> JointCovariance:
         if self._shown is None:
-            self._shown = read_only(self._at), read_only(self._P)
+            self._shown = read_only(self._x), read_only(self._P)
         return JointCovariance(*self._shown, features, self.spec.second_order, self._estimate)

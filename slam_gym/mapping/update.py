@@ -1,6 +1,6 @@
 """The joint EKF update with all pairings of a scan, iterated, its error ordinary or right-invariant. Compiled.
 
-State x, P (upper triangle) and `at` are those of `ekf`. Measurement function: h_j(x) = (⊖R) ⊕ F_j = Cᵀ(F_j − t), with C
+State x and P (upper triangle) are those of `ekf`. Measurement function: h_j(x) = (⊖R) ⊕ F_j = Cᵀ(F_j − t), with C
 the robot's rotation and t its position. Its Jacobian is
 
     H_j = Cᵀ [−I  −JΔ  0 … I … 0],  Δ = F_j − t,  JΔ = (−Δ_y, Δ_x)ᵀ.
@@ -36,7 +36,6 @@ _ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back t
 @compiled
 def update(
     x: Array,
-    at: Array,
     P: Array,
     n: int,
     scan: tuple[Array, Array],
@@ -64,7 +63,7 @@ def update(
     refused, z, R, paired = _pairings(scan, features, n)
     if refused != ACCEPTED:
         return refused
-    here, where, change = x, at, np.zeros(padded(d))
+    here, where, change = x, x, np.zeros(padded(d))  # where: the state that H is taken at
     while True:
         nu, W, S = _innovation(here, where, P, d, z, R, paired)
         _refer_to_prior(nu, change, where, paired)
@@ -111,7 +110,7 @@ def _pairings(scan: tuple[Array, Array], features: IntArray, n: int) -> tuple[in
 
 @compiled
 def _innovation(
-    x: Array, at: Array, P: Array, d: int, points: Array, covariances: Array, paired: IntArray
+    x: Array, where: Array, P: Array, d: int, points: Array, covariances: Array, paired: IntArray
 ) -> tuple[Array, Array, Array]:
     """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle), in axes parallel to B.
 
@@ -124,18 +123,18 @@ def _innovation(
         for j in range(d):
             robot[i, j] = P[min(i, j), max(i, j)]
     c, s = math.cos(x[2]), math.sin(x[2])
-    ca, sa = math.cos(at[2]), math.sin(at[2])
+    ca, sa = math.cos(where[2]), math.sin(where[2])
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
         # ν = z − h(x), turned by the heading at which H is taken
         hx, hy = x[f] - x[0], x[f + 1] - x[1]
         ex, ey = points[i, 0] - (c * hx + s * hy), points[i, 1] - (-s * hx + c * hy)
         nu[a], nu[b] = ca * ex - sa * ey, sa * ex + ca * ey
-        _rows_of_HP(at, P, d, f, robot, HP[a], HP[b])
+        _rows_of_HP(where, P, d, f, robot, HP[a], HP[b])
         S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1])
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
-        dx, dy = at[f] - at[0], at[f + 1] - at[1]
+        dx, dy = where[f] - where[0], where[f + 1] - where[1]
         S[a, a] += _ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
         S[b, b] += _ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
         for row in range(a, 2 * k):
@@ -145,9 +144,9 @@ def _innovation(
 
 
 @apart
-def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
+def _rows_of_HP(where: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
     """[−I −JΔ 0 … I … 0] P for the feature that starts at f; `robot` (3, d) are the robot's rows of P in full."""
-    dx, dy = at[f] - at[0], at[f + 1] - at[1]
+    dx, dy = where[f] - where[0], where[f + 1] - where[1]
     for j in range(f):
         out_x[j], out_y[j] = P[j, f], P[j, f + 1]
     out_x[f], out_x[f + 1] = P[f, f], P[f, f + 1]
@@ -161,17 +160,17 @@ def _rows_of_HP(at: Array, P: Array, d: int, f: int, robot: Array, out_x: Array,
 
 
 @compiled
-def _along(change: Array, at: Array, f: int) -> tuple[float, float]:
-    """H `change` for the feature that starts at f, H taken at `at`; in the axes of `_innovation`."""
-    dx, dy = at[f] - at[0], at[f + 1] - at[1]
+def _along(change: Array, where: Array, f: int) -> tuple[float, float]:
+    """H `change` for the feature that starts at f, H taken at `where`; in the axes of `_innovation`."""
+    dx, dy = where[f] - where[0], where[f + 1] - where[1]
     return change[f] - change[0] + dy * change[2], change[f + 1] - change[1] - dx * change[2]
 
 
 @compiled
-def _refer_to_prior(nu: Array, change: Array, at: Array, paired: IntArray) -> None:
-    """ν ← ν + H (x_i − x) for H at `at`, `change` being what led from x to x_i."""
+def _refer_to_prior(nu: Array, change: Array, where: Array, paired: IntArray) -> None:
+    """ν ← ν + H (x_i − x) for H at `where`, `change` being what led from x to x_i."""
     for i in range(len(paired)):
-        along_x, along_y = _along(change, at, 3 + 2 * paired[i])
+        along_x, along_y = _along(change, where, 3 + 2 * paired[i])
         nu[2 * i] += along_x
         nu[2 * i + 1] += along_y
 
@@ -206,19 +205,19 @@ def _corrected(x: Array, change: Array, d: int, invariant: bool) -> Array:
 
 
 @compiled
-def _left_over(here: Array, then: Array, at: Array, change: Array, covariances: Array, paired: IntArray) -> float:
+def _left_over(here: Array, then: Array, where: Array, change: Array, covariances: Array, paired: IntArray) -> float:
     """What the linearisation leaves out of the step from `here` to `then`, squared, in the measurements' σ.
 
     r_i = h_i(then) − h_i(here) − H_i `change`, and the sum of r_iᵀ R_i⁻¹ r_i over the pairings. Another pass of
     Gauss–Newton moves the state by P⁺ Hᵀ R⁻¹ r, which is by no more than the root of this sum, in units of the state's
     own σ after the update (Mahalanobis), for Hᵀ R⁻¹ H ≤ (P⁺)⁻¹. That H has changed, too, moves it much less.
     """
-    c, s, total = math.cos(at[2]), math.sin(at[2]), 0.0
+    c, s, total = math.cos(where[2]), math.sin(where[2]), 0.0
     for i in range(len(paired)):
         f = 3 + 2 * paired[i]
-        from_x, from_y = _measured(here, at, f)
-        to_x, to_y = _measured(then, at, f)
-        along_x, along_y = _along(change, at, f)
+        from_x, from_y = _measured(here, where, f)
+        to_x, to_y = _measured(then, where, f)
+        along_x, along_y = _along(change, where, f)
         rx, ry = to_x - from_x - along_x, to_y - from_y - along_y
         u, v = c * rx + s * ry, c * ry - s * rx
         xx, xy, yy = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1]
@@ -229,9 +228,9 @@ def _left_over(here: Array, then: Array, at: Array, change: Array, covariances: 
 
 
 @compiled
-def _measured(x: Array, at: Array, f: int) -> tuple[float, float]:
+def _measured(x: Array, where: Array, f: int) -> tuple[float, float]:
     """h(x) of the feature that starts at f, in the axes of `_innovation`."""
-    c, s = math.cos(at[2] - x[2]), math.sin(at[2] - x[2])
+    c, s = math.cos(where[2] - x[2]), math.sin(where[2] - x[2])
     dx, dy = x[f] - x[0], x[f + 1] - x[1]
     return c * dx - s * dy, s * dx + c * dy
 

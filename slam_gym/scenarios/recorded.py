@@ -1,7 +1,7 @@
 """How a recording is mapped: the settings of the filter for each kind of log.
 
 Victoria Park's were chosen on its first half, with JCBB. Those of MR.CLAM, and the noise that its reader puts in
-(`mrclam.Noise`), were judged with all robots of set 6 in view, but for `repeat`.
+(`mrclam.Noise`), were judged with all robots of set 6 in view.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ VICTORIA_PARK = SlamSpec(MapSpec(confirmations=5, unconfirmed_age=20), reach=80.
 """A trunk is seen in five of twenty scans. With two sightings, the map of the first half has 118 features more, 23 of
 which are labelled trees; the trajectory is the same."""
 
-MRCLAM = SlamSpec(MapSpec(unconfirmed_age=None), reach=12.0, new_confidence=1.0 - 1e-9, repeat=(0.5, 0.5))
-"""A robot may not see a barcode again for minutes, and has drifted by then. While it looks at one from one place, frame
-after frame is off by the same: half a metre and half a radian were chosen on robots 1 and 2 of set 6."""
+MRCLAM = SlamSpec(MapSpec(unconfirmed_age=None), reach=12.0, new_confidence=1.0 - 1e-9)
+"""A robot may not see a barcode again for minutes, and has drifted by then."""
 
 SETTINGS = {"victoria_park": VICTORIA_PARK, "mrclam": MRCLAM}
 """By the first part of a recording's name."""

@@ -44,5 +44,5 @@ def appraise_map(
 
     `places` (c,) are those of the reachable cells in the explored grid, as `cells_of` gives them.
     """
-    landmarks = transform(base, ekf.confirmed(arrays[0], arrays[3][ekf.SEEN], n, confirmations))
+    landmarks = transform(base, ekf.confirmed(arrays[0], arrays[2][ekf.SEEN], n, confirmations))
     return error_of(landmarks, targets), coverage(cells, places)

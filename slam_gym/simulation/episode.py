@@ -188,7 +188,7 @@ class Episode:
 
     def _estimate(self, true_pose: Array) -> tuple[float, float]:
         """Note the estimate of the pose; what it is off by, [m] and [rad]."""
-        estimate, slam, (x, _, P, _, _) = np.empty(3), self.slam, self.slam.map.arrays
+        estimate, slam, (x, P, _, _) = np.empty(3), self.slam, self.slam.map.arrays
         nees, distance, turn = appraise_pose(x, P, self.base, true_pose, estimate)
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)

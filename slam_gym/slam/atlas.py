@@ -162,7 +162,7 @@ class AtlasSlam(RelocatingSlam):
         expected = prediction.features, prediction.near, prediction.positions, prediction.covariances
         gate = chi2_gate(2, prediction.confidence)
         held = kernels.hold_back(
-            features, expected, m.arrays[3], scan.covariances, gate, m.spec.confirmations, self._chance
+            features, expected, m.arrays[2], scan.covariances, gate, m.spec.confirmations, self._chance
         )
         new = None if weighs else hypothesis.new
         if held and self.spec.anew:

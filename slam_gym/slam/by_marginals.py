@@ -134,7 +134,7 @@ def decide_by_marginals(
     )
     distance = 0.0
     if paired > 0:
-        joint = joint_covariance(scene.at, scene.P, foreseen.features[paired_rows(rows)], scene.second_order)
+        joint = joint_covariance(scene.x, scene.P, foreseen.features[paired_rows(rows)], scene.second_order)
         distance = distance_of(points, noise, foreseen.positions, rows, joint)
     figures = distance, own, second, total, area
     return not math.isnan(distance), Decisions(

@@ -38,7 +38,6 @@ def learn(
     recent: IntArray,
     scan: ScanArrays,
     features: IntArray,
-    teaching: IntArray,
     told: bool,
     new: BoolArray,
     expected: tuple[Array, Array],
@@ -55,14 +54,13 @@ def learn(
         recent: (≥ m,) is told the features that the scan has updated or started, and UNPAIRED.
         features: (m,) decisions; where they are `told` as well, `new` (m,) start a feature, otherwise those that are
             unpaired and compatible with none of the features `expected`, positions (k, 2) and covariances (k, 2, 2).
-        teaching: (m,) the same without those that only see their features again, and do not update the map.
         ids: (m,) is told the feature behind each measurement, or NO_ID; `new` (m,) which of them have begun.
 
     Returns how it ended, what there is to say about that, and the number of features added: DONE and the number of
     features that are due to be removed; NARROW and the width that the graph needs, nothing changed; REFUSED and the
     answer of `update`, nothing changed; SINGULAR or NOT_ADDED and the measurement from which no feature can be started.
     """
-    (x, at, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
+    (x, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
     points, covariances, sizes, variances, kinds = scan
     iterations, settled, invariant, gate, confirmations, before = settings
     m, added, s = len(features), 0, 0
@@ -70,7 +68,7 @@ def learn(
     if width > neighbours.shape[1]:
         return NARROW, width, 0
     # update
-    refused = update(x, at, P, n, (points, covariances), teaching, (iterations, settled), invariant)
+    refused = update(x, P, n, (points, covariances), features, (iterations, settled), invariant)
     if refused != ACCEPTED:
         return REFUSED, refused, 0
     ekf.record(features, step, (sizes, variances, kinds), counted, sized)
@@ -83,7 +81,7 @@ def learn(
         behind = features[i]
         if new[i]:
             behind = n + added
-            if not ekf.add(x, at, P, 3 + 2 * behind, points[i], covariances[i]):
+            if not ekf.add(x, P, 3 + 2 * behind, points[i], covariances[i]):
                 return NOT_ADDED, i, added
             ekf.begin(counted, sized, behind, step, next_id + added, sizes[i], variances[i], kinds[i])
             degrees[behind] = 0
@@ -115,7 +113,7 @@ def forget(
 
     `became` (n,) is told the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those that are gone.
     """
-    (x, at, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
+    (x, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
     kept, left, gone = np.empty(n - len(removed), np.int64), 0, 0
     for j in range(n):
         if counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before:
@@ -126,7 +124,7 @@ def forget(
             fill_from(counted[:, left], counted[:, j])
             fill_from(sized[:, left], sized[:, j])
             left += 1
-    ekf.keep(x, at, P, kept)
+    ekf.keep(x, P, kept)
     keep_nodes(neighbours, counts, degrees, n, kept)
 
 
@@ -190,7 +188,7 @@ def unambiguous(
     amid, count = _amid(near, positions, features), 0
     for row in range(len(near)):
         if not near[row] and amid != UNPAIRED:
-            xx, xy, yy = ekf.relative_covariance(arrays[2], amid, features[row])
+            xx, xy, yy = ekf.relative_covariance(arrays[1], amid, features[row])
             if worth * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
                 continue
         kept[count] = row

@@ -59,7 +59,7 @@ def marginal_step(
     told, thresholds = Rule(*rule), np.empty(k)
     for row in range(k):
         thresholds[row] = told.pairing if known[3, row] >= settings[4] else told.provisional
-    scene = Scene(arrays[1], arrays[2], second_order, sight, pose)
+    scene = Scene(arrays[0], arrays[1], second_order, sight, pose)
     valid, answer = decide_by_marginals(scan, foreseen, scene, Past(*past), told, thresholds, Network(*network))
     if not valid:
         return PREDICTED, k, 0, 0, *nothing
@@ -67,10 +67,10 @@ def marginal_step(
         features[i], probabilities[i], new[i] = answer.features[i], answer.probabilities[i], answer.new[i]
         created[i], runner_up[i], unpaired[i] = answer.new[i], answer.runner_up[i], answer.unpaired[i]
     by_value[:] = answer.by_value
-    if not is_plain(features, arrays[3], settings[4], fraction, any_will_do):
+    if not is_plain(features, arrays[2], settings[4], fraction, any_will_do):
         return ANSWERED, k, 0, 0, answer.figures, answer.effort
     ended, what, added = learn(
-        arrays, n, step, next_id, graph, recent[turn], scan, features, features, yes, created,
+        arrays, n, step, next_id, graph, recent[turn], scan, features, yes, created,
         (foreseen.positions, foreseen.covariances), settings, ids,
     )  # fmt: skip
     return ended, k, what, added, answer.figures, answer.effort

@@ -39,7 +39,7 @@ class Foreseen(NamedTuple):
 class Scene(NamedTuple):
     """Where to look up what else there is to know."""
 
-    at: Array
+    x: Array
     P: Array
     second_order: bool
     sight: SightArrays
@@ -113,7 +113,7 @@ def _parts(foreseen: Foreseen, scene: Scene) -> list[Part]:
     phi, log_weights = split(variance)
     if len(phi) == 1 or len(positions) == 0:
         return [Part(0.0, variance, positions, covariances, 0.0, foreseen.across, np.empty((0, 0)))]
-    joint = joint_covariance(scene.at, scene.P, foreseen.features, scene.second_order)
+    joint = joint_covariance(scene.x, scene.P, foreseen.features, scene.second_order)
     moved, across, spread, given = predicted(positions, foreseen.across, joint, max(variance, 0.0), phi)
     out: list[Part] = []
     for k in range(len(phi)):
@@ -125,5 +125,5 @@ def _parts(foreseen: Foreseen, scene: Scene) -> list[Part]:
 def joint_in(scene: Scene, foreseen: Foreseen, part: Part, rows: IntArray) -> Array:
     """(2r, 2r) covariance of the features at `rows` together, in a narrow heading."""
     if part.given.size == 0:
-        return joint_covariance(scene.at, scene.P, foreseen.features[rows], scene.second_order)
+        return joint_covariance(scene.x, scene.P, foreseen.features[rows], scene.second_order)
     return joint_of_part(part.given, part.phi, part.across, rows)

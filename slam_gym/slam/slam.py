@@ -19,7 +19,6 @@ from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
 from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of, may_be_at_once
 from slam_gym.slam.kernels import Learned, Settings
-from slam_gym.slam.looks import Looks
 from slam_gym.slam.whole_step import Nature
 from slam_gym.types import (
     UNPAIRED,
@@ -62,7 +61,6 @@ class SlamSpec:
     min_expected: int = 3  # features that should be in view, without which no scan is doubted
     chance: float = 1.0  # of all pairings of a scan with old features being wrong, above which none is learned from
     anew: bool = False  # measurements that it keeps from pairing start features, which the loops are left to fuse
-    repeat: tuple[float, float] | None = None  # [m] to drive or [rad] to turn until a feature is learned from again
 
     def __post_init__(self) -> None:
         if self.reach is not None and not 0.0 < self.reach < math.inf:
@@ -76,8 +74,6 @@ class SlamSpec:
         for name in ("recent", "lost_scans", "min_expected"):
             if getattr(self, name) < 1:
                 raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is less than 1")
-        if self.repeat is not None and not (len(self.repeat) == 2 and min(self.repeat) > 0.0):
-            raise ValueError(f"SlamSpec.repeat: expected a length and an angle > 0, or None, got {self.repeat}")
 
 
 class Slam:
@@ -99,11 +95,10 @@ class Slam:
         self._ambiguous = math.inf  # others in the gate of an old feature, from which it is not on offer
         self._chance = 1.0  # of being wrong, above which pairings with old features are held back
         self._warned = False
-        self._looks = None if self.spec.repeat is None else Looks(*self.spec.repeat)
         m, given = self.spec.map, self.spec.new_confidence
         gate = chi2_gate(2, m.confidence if given is None else given)
         self._known_reach = None if self.spec.reach is None else float(self.spec.reach)
-        self._fixed = m.passes, float(m.settled), m.right_invariant, gate, m.confirmations  # of the settings
+        self._fixed = m.iterations, float(m.settled), m.right_invariant, gate, m.confirmations  # of the settings
 
     def __repr__(self) -> str:
         return f"Slam: {self.map!r}"
@@ -146,8 +141,6 @@ class Slam:
 
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """What `scan` should show from the pose predicted by `odometry`, with the localities to search first."""
-        if self._looks is not None and odometry is not None:
-            self._looks.move(odometry)
         reach, graph = self._reach_for(scan), self.covisibility if self.spec.locality else None
         prediction = self.map.prediction(reach, graph, self._recent.ravel(), self.view_from, odometry)
         return prediction if self._experience is None else replace(prediction, experience=self._experience)
@@ -202,7 +195,7 @@ class Slam:
 
     def _at_once(self, odometry: Odometry, scan: Scan, form: int, plain: bool) -> Attempt | None:
         """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""
-        if self._looks is not None or not may_be_at_once(form, self.view_from, self._experience):
+        if not may_be_at_once(form, self.view_from, self._experience):
             return None
         if not (plain or are_plain(odometry, scan)):
             return None
@@ -224,16 +217,7 @@ class Slam:
         return self._remember(scan, expected, hypothesis, learned)
 
     def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
-        """Update, add and maintain; what repeats earlier looks tells nothing (see `slam.looks`)."""
-        if self._looks is None:
-            return self._take_in(scan, prediction, hypothesis, hypothesis.features)
-        fresh = self._looks.fresh(hypothesis.features, self.map.ids)
-        step = self._take_in(scan, prediction, hypothesis, fresh)
-        self._looks.learned(step)
-        return step
-
-    def _take_in(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, teaching: IntArray) -> SlamStep:
-        """Update with the pairings that are `teaching` (m,), add what is new, maintain: see `slam.kernels`.
+        """Update with the pairings, add what is new, maintain: see `slam.kernels`.
 
         New is what the associator says, or what the rule of the step has. A gate of confidence γ turns away 1 − γ of
         the right pairings, and each would start a duplicate: where scans come by the hundred, the rule deserves a wider
@@ -249,8 +233,8 @@ class Slam:
         while ended == kernels.NARROW:
             ended, what, added = kernels.learn(
                 m.arrays, m.n, m.step, m.next_id, graph.arrays, recent,
-                (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, teaching, told,
-                created, (prediction.positions, prediction.covariances), self._settings(), ids,
+                (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, told, created,
+                (prediction.positions, prediction.covariances), self._settings(), ids,
             )  # fmt: skip
             if ended == kernels.NARROW:
                 graph.widen(what)

@@ -66,7 +66,7 @@ def whole_step(
         out: (m,) are told decisions, ids, and which measurements have started a feature.
     """
     (n, step, next_id), (second_order, offered, _, _, chance, fraction, any_will_do) = numbers, nature
-    (neighbours, _, degrees), (_, at, P, counted, _), (features, ids, new) = graph, arrays, out
+    (neighbours, _, degrees), (x, P, counted, _), (features, ids, new) = graph, arrays, out
     known, _, near, positions, covariances, _ = room
     points, noise = scan[0], scan[1]
     m, local = len(points), neighbours if offered else neighbours[:0]
@@ -75,7 +75,7 @@ def whole_step(
     if k < 0:
         return LEFT_ALONE, 0, needed, 0, 0, 0.0, 0, 0, 0, False
     expected = (known[0, :k], positions[:k], covariances[:k], near[:k])
-    whole = (at, P, second_order, local, degrees, n)
+    whole = (x, P, second_order, local, degrees, n)
     found = _decide(form, points, noise, expected, whole, gates, features)
     if not found.valid:
         return PREDICTED, k, 0, 0, 0, 0.0, 0, 0, 0, False
@@ -91,7 +91,7 @@ def whole_step(
     if chance < 1.0 and hold_back(features.copy(), old, counted, noise, gates[1], settings[4], chance):
         return ANSWERED, k, 0, 0, paired, *answer
     ended, what, added = learn(
-        arrays, n, step, next_id, graph, recent[turn], scan, features, features, no, new, (expected[1], expected[2]),
+        arrays, n, step, next_id, graph, recent[turn], scan, features, no, new, (expected[1], expected[2]),
         settings, ids,
     )  # fmt: skip
     return ended, k, what, added, paired, *answer
@@ -115,7 +115,7 @@ def begin(
     `gate` is the χ² gate of a pairing; other arguments are those of `whole_step`.
     """
     (n, step, _), (second_order, offered, reach, ambiguous, _, _, _) = numbers, nature
-    (neighbours, _, degrees), (x, _, P, _, _) = graph, arrays
+    (neighbours, _, degrees), (x, P, _, _) = graph, arrays
     known, _, near, positions, _, _ = room
     m, local = len(scan[0]), neighbours if offered else neighbours[:0]
     yes = m >= 0  # what is called with literals is compiled for them once more
@@ -167,7 +167,7 @@ class _Found(NamedTuple):
 
 
 _Expected = tuple[IntArray, Array, Array, BoolArray]  # features, positions, covariances; which are near
-_Whole = tuple[Array, Array, bool, IntArray, IntArray, int]  # at, P; second order; neighbours, degrees, nodes
+_Whole = tuple[Array, Array, bool, IntArray, IntArray, int]  # x, P; second order; neighbours, degrees, nodes
 
 
 @compiled
@@ -183,7 +183,7 @@ def _decide(
             if not found.valid or len(whole[3]) == 0 or expected[3].all() or not (rows == UNPAIRED).any():
                 break
         return found
-    (features, positions, covariances, near), (at, P, second_order, _, _, _) = expected, whole
+    (features, positions, covariances, near), (x, P, second_order, _, _, _) = expected, whole
     every = np.arange(len(points))
     fault, _, starts, _, slots, _, _, offered, tests = gate_pairings(
         points, noise, positions, covariances, every, near[:0], gates[1]
@@ -196,7 +196,7 @@ def _decide(
         fill_from(rows, mutual(len(points), starts, slots, offered))
     distance, chosen = 0.0, paired_rows(rows)
     if len(chosen) > 0:
-        distance = distance_of(points, noise, positions, rows, joint_covariance(at, P, features[chosen], second_order))
+        distance = distance_of(points, noise, positions, rows, joint_covariance(x, P, features[chosen], second_order))
     return _Found(not math.isnan(distance), distance, len(rows), tests, 0, False)
 
 
@@ -212,7 +212,7 @@ def _searched(
     rows: IntArray,
 ) -> _Found:
     """One of the two searches of `near_first`: what is `near`, or what is not for what was left unpaired before."""
-    (features, positions, covariances, nearby), (at, P, second_order, neighbours, degrees, n) = expected, whole
+    (features, positions, covariances, nearby), (x, P, second_order, neighbours, degrees, n) = expected, whole
     eligible = nearby if near else ~nearby
     if len(neighbours) == 0:
         eligible = eligible[:0]  # all of them
@@ -231,7 +231,7 @@ def _searched(
         np.concatenate((paired, measured)),
         np.concatenate((points[paired] - positions[given], innovations)),
         noise,
-        joint_covariance(at, P, features[behind], second_order),
+        joint_covariance(x, P, features[behind], second_order),
         local,
         len(given),
     )

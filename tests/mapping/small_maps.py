@@ -8,7 +8,6 @@ from slam_gym.types import Array, Odometry
 from tests.oracles.map import KnownAssociation, TextbookMap, wander
 
 KEEP = MapSpec(iterations=1, error="ordinary", second_order=False, unconfirmed_age=None)  # the filter of the textbook
-FEJ = MapSpec(first_estimate_jacobians=True, second_order=False, unconfirmed_age=None)
 START = np.array([1.0, -2.0, 3.0])
 START_COVARIANCE = np.array([[0.04, 0.01, 0.002], [0.01, 0.03, -0.001], [0.002, -0.001, 0.01]])
 STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
@@ -23,7 +22,7 @@ def mapped(spec: MapSpec = KEEP, steps: int = 30, seed: int = 0) -> tuple[Stocha
     rng = np.random.default_rng(seed)
     twins = KnownAssociation(
         StochasticMap(spec, START, START_COVARIANCE, capacity=2),
-        TextbookMap(START, START_COVARIANCE, spec.first_estimate_jacobians),
+        TextbookMap(START, START_COVARIANCE),
     )
     for step in wander(rng, steps, landmarks(rng)):
         twins.step(step)

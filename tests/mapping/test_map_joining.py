@@ -11,7 +11,7 @@ from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import anees_interval, nees
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Odometry, Scan
-from tests.oracles.map import SIGMA, KnownAssociation, Q, Step, make_scan, random_covariances, wander
+from tests.oracles.map import KnownAssociation, Step, make_scan, random_covariances, wander
 
 KEEP = MapSpec(unconfirmed_age=None)
 
@@ -282,16 +282,3 @@ def test_equality_stays_psd_for_certainties_of_very_different_sizes() -> None:
         after = equate(m, random_pairs(rng, 10))
         eigenvalues = np.linalg.eigvalsh(after.covariance)
         assert eigenvalues[0] >= -1e-9 * eigenvalues[-1]
-
-
-def test_first_estimates_of_a_joined_map_are_those_of_the_join() -> None:
-    rng = np.random.default_rng(10)
-    spec = MapSpec(first_estimate_jacobians=True, unconfirmed_age=None)
-    a = StochasticMap(spec)
-    a.add(make_scan(rng.uniform(-3, 3, (4, 2)), np.tile(SIGMA**2 * np.eye(2), (4, 1, 1))), np.arange(4))
-    a.predict(Odometry(np.array([0.3, 0.0, 0.2]), Q))
-    plain = StochasticMap(KEEP)
-    plain.add(make_scan(rng.uniform(-3, 3, (2, 2)), np.tile(SIGMA**2 * np.eye(2), (2, 1, 1))), np.arange(2))
-    m = join(a, plain, renumber=True)
-    joint = m.prediction(100.0).joint(np.arange(m.n))
-    assert m.spec == spec and np.linalg.eigvalsh(joint).min() > 0.0

@@ -1,20 +1,8 @@
-"""Settings of the map: what they stand for where nothing is said, and which are refused."""
+"""Settings of the map: which are refused."""
 
 import pytest
 
 from slam_gym.mapping.map_spec import MapSpec
-
-
-@pytest.mark.parametrize(
-    ("spec", "passes", "right_invariant"),
-    [
-        (MapSpec(), 3, True),
-        (MapSpec(first_estimate_jacobians=True), 1, False),
-        (MapSpec(iterations=2, error="ordinary"), 2, False),
-    ],
-)
-def test_what_is_not_said_follows_from_the_rest(spec: MapSpec, passes: int, right_invariant: bool) -> None:
-    assert spec.passes == passes and spec.right_invariant == right_invariant
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,15 @@ import pytest
 
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
-from tests.mapping.small_maps import FEJ, h, mapped, numerical
+from tests.mapping.small_maps import h, mapped, numerical
 from tests.oracles.geometry import observe_jacobians
 from tests.oracles.map import make_scan
 
 
-def driven_map(seed, n=12, fej=False):
+def driven_map(seed, n=12):
     """A map after a drive of ten steps past n features, half of them measured at each."""
     rng = np.random.default_rng(seed)
-    slam = StochasticMap(MapSpec(first_estimate_jacobians=fej), [1.0, 2.0, 0.7], np.diag([0.01, 0.02, 0.003]))
+    slam = StochasticMap(None, [1.0, 2.0, 0.7], np.diag([0.01, 0.02, 0.003]))
     points = rng.uniform(-5.0, 5.0, (n, 2))
     slam.add(Scan.from_points(points, sigma=0.1), np.arange(n))
     for _ in range(10):
@@ -41,10 +41,9 @@ def test_heading_is_the_variance_of_the_heading_and_its_covariance_with_what_is_
     assert np.linalg.eigvalsh(joint).min() > -1e-12  # of one Gaussian
 
 
-@pytest.mark.parametrize("fej", [False, True])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_joint_covariance_holds_the_marginals_whatever_the_order(seed, fej):
-    slam, rng = driven_map(seed, fej=fej)
+def test_the_joint_covariance_holds_the_marginals_whatever_the_order(seed):
+    slam, rng = driven_map(seed)
     prediction, rows = slam.prediction(math.inf), rng.integers(0, slam.n, 9)
     joint = prediction.joint(rows)
     np.testing.assert_array_equal(joint, joint.T)
@@ -77,7 +76,7 @@ def test_reach_is_widened_by_three_sigma() -> None:
 
 
 def test_joint_of_any_rows_in_any_order() -> None:
-    m, _, _ = mapped(FEJ)
+    m, _, _ = mapped()
     prediction = m.prediction(100.0)
     whole = prediction.joint(np.arange(len(prediction)))
     rows = np.array([6, 0, 6, 3])
@@ -128,10 +127,9 @@ def test_a_poor_heading_bends_what_is_predicted_as_drawing_from_the_filter_does(
     assert 0.9 < along["bent"] / variance < 1.1 and along["linear"] / variance < 0.8
 
 
-@pytest.mark.parametrize("fej", [False, True])
-def test_what_is_turned_as_a_whole_is_not_bent(fej: bool) -> None:
+def test_what_is_turned_as_a_whole_is_not_bent() -> None:
     """The first pose's heading is unknown by 20°: features seen from there turn with it, and are predicted as well."""
-    spec = MapSpec(unconfirmed_age=None, first_estimate_jacobians=fej)
+    spec = MapSpec(unconfirmed_age=None)
     m = StochasticMap(spec, np.zeros(3), np.diag([0.0, 0.0, 0.35]) ** 2)
     scan = Scan.from_points([[5.0, 1.0], [2.0, -4.0]], sigma=0.03)
     m.add(scan, np.arange(2))

@@ -128,28 +128,6 @@ def test_with_wheels_that_turn_badly_the_iterated_filter_alone_is_consistent() -
     assert mean["one pass"] > 1.5 * high
 
 
-def test_first_estimate_jacobians_are_not_iterated_unless_asked_for() -> None:
-    assert MapSpec(first_estimate_jacobians=True).passes == 1
-    assert MapSpec().passes > 1
-
-
-def test_the_error_is_right_invariant_unless_first_estimates_are_asked_for() -> None:
-    assert MapSpec().right_invariant and MapSpec(error="right-invariant").right_invariant
-    assert not MapSpec(first_estimate_jacobians=True).right_invariant and not MapSpec(error="ordinary").right_invariant
-
-
-@pytest.mark.parametrize("settled", [-0.1, np.nan, np.inf])
-def test_a_limit_that_is_none_is_refused(settled: float) -> None:
-    with pytest.raises(ValueError, match=r"MapSpec\.settled"):
-        MapSpec(settled=settled)
-
-
-@pytest.mark.parametrize("settings", [{"iterations": 0}, {"iterations": 2, "first_estimate_jacobians": True}])
-def test_settings_that_cannot_be_are_refused(settings) -> None:
-    with pytest.raises(ValueError, match=r"MapSpec\.iterations"):
-        MapSpec(**settings)
-
-
 # --- the right-invariant error ---------------------------------------------------------------------------------------
 
 
@@ -298,11 +276,3 @@ def test_round_a_loop_it_is_consistent_where_the_ordinary_error_is_not() -> None
     low, high = anees_interval(30, 3, 0.99)
     assert low < mean["invariant"] < high
     assert mean["ordinary"] > 1.5 * mean["invariant"]
-
-
-@pytest.mark.parametrize(
-    "settings", [{"error": "left"}, {"error": "right-invariant", "first_estimate_jacobians": True}]
-)
-def test_an_error_that_cannot_be_is_refused(settings) -> None:
-    with pytest.raises(ValueError, match=r"MapSpec\.error"):
-        MapSpec(**settings)

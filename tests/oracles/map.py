@@ -16,13 +16,8 @@ from tests.oracles.geometry import observe_jacobians, transform_jacobians
 class TextbookMap:
     """x and P in full; Jacobians from `oracles.geometry`; Joseph form. Known associations, no bookkeeping."""
 
-    def __init__(self, pose: Array, pose_covariance: Array, first_estimate_jacobians: bool = False) -> None:
-        self.x, self.P, self.fej = pose.copy(), pose_covariance.copy(), first_estimate_jacobians
-        self.first = pose.copy()  # first estimate of each entry of x
-
-    @property
-    def at(self) -> Array:
-        return self.first if self.fej else self.x
+    def __init__(self, pose: Array, pose_covariance: Array) -> None:
+        self.x, self.P = pose.copy(), pose_covariance.copy()
 
     @property
     def n(self) -> int:
@@ -31,20 +26,18 @@ class TextbookMap:
     def predict(self, odometry: Odometry) -> None:
         F, G = compose_jacobians(self.x[:3], odometry.motion)
         pose = compose(self.x[:3], odometry.motion)
-        dx, dy = pose[:2] - self.at[:2]
-        F[:2, 2] = -dy, dx
         full = np.eye(len(self.x))
         full[:3, :3] = F
         noise = np.zeros_like(self.P)
         noise[:3, :3] = G @ odometry.covariance @ G.T
-        self.x[:3] = self.first[:3] = pose
+        self.x[:3] = pose
         self.P = full @ self.P @ full.T + noise
 
     def H(self, features: IntArray) -> Array:
         out = np.zeros((2 * len(features), len(self.x)))
         for row, j in enumerate(features):
             f = slice(3 + 2 * j, 5 + 2 * j)
-            out[2 * row : 2 * row + 2, :3], out[2 * row : 2 * row + 2, f] = observe_jacobians(self.at[:3], self.at[f])
+            out[2 * row : 2 * row + 2, :3], out[2 * row : 2 * row + 2, f] = observe_jacobians(self.x[:3], self.x[f])
         return out
 
     def h(self, features: IntArray) -> Array:
@@ -66,16 +59,14 @@ class TextbookMap:
         for i in measurements:
             position = transform(self.x[:3], scan.points[i : i + 1])[0]
             Jp, Jz = transform_jacobians(self.x[:3], scan.points[i])
-            dx, dy = position - self.at[:2]
-            Jp[:, 2] = -dy, dx
             across = Jp @ self.P[:3]
             corner = Jp @ self.P[:3, :3] @ Jp.T + Jz @ scan.covariances[i] @ Jz.T
             self.P = np.block([[self.P, across.T], [across, corner]])
-            self.x, self.first = np.concatenate([self.x, position]), np.concatenate([self.first, position])
+            self.x = np.concatenate([self.x, position])
 
     def remove(self, features: IntArray) -> None:
         gone = np.concatenate([3 + 2 * features, 4 + 2 * features])
-        self.x, self.first = np.delete(self.x, gone), np.delete(self.first, gone)
+        self.x = np.delete(self.x, gone)
         self.P = np.delete(np.delete(self.P, gone, axis=0), gone, axis=1)
 
 

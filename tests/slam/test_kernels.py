@@ -67,7 +67,7 @@ def everything_new(scan: Scan, prediction: Any) -> Hypothesis:
     [
         SlamSpec(reach=6.0),
         SlamSpec(reach=6.0, locality=False, new_confidence=0.999, map=MapSpec(error="ordinary", iterations=1)),
-        SlamSpec(reach=6.0, map=MapSpec(first_estimate_jacobians=True, confirmations=3, unconfirmed_age=5)),
+        SlamSpec(reach=6.0, map=MapSpec(confirmations=3, unconfirmed_age=5)),
         SlamSpec(reach=6.0, map=MapSpec(unconfirmed_age=None)),
     ],
 )
@@ -162,7 +162,7 @@ def test_pairings_with_old_features_stand_if_chance_does_not_bring_so_many() -> 
                 chance *= min(1.0, (within.sum() - len(at)) / len(at))
         old = (paired != UNPAIRED) & ~near[paired]
         held = decisions.copy()
-        number = hold_back(held, (features, near, at, covariances), m.arrays[3], noise, GATE, 1, 0.05)
+        number = hold_back(held, (features, near, at, covariances), m.arrays[2], noise, GATE, 1, 0.05)
         stands = not old.any() or chance <= 0.05
         assert number == (0 if stands else old.sum()), f"seed {seed}"
         np.testing.assert_array_equal(held, np.where(old & (not stands), UNPAIRED, decisions))

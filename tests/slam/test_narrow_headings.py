@@ -20,8 +20,8 @@ def test_candidates_and_covariances_of_every_heading(sigma: float) -> None:
     m.add(Scan.from_points(points, sigma=0.1), np.arange(15))
     m.place(np.zeros(3), np.diag([0.1, 0.1, sigma]) ** 2)
     scan, prediction = Scan.from_points(points[:9] + 0.05, sigma=0.05), m.prediction(20.0)
-    _, at, P, _, _ = m.arrays
-    scene, p = Scene(at, P, False, sight().arrays, np.zeros(4)), prediction
+    x, P, _, _ = m.arrays
+    scene, p = Scene(x, P, False, sight().arrays, np.zeros(4)), prediction
     foreseen = Foreseen(
         p.features, p.sizes, p.size_variances, p.kinds, p.ages, p.sightings, p.near, p.positions, p.covariances,
         p.heading_covariances, p.heading_variance,

@@ -76,7 +76,7 @@ def log_of(seed: int, carried_at: int | None = None, steps: int = 220, in_pairs:
     [
         SPEC,
         replace(SPEC, reach=None, locality=False, new_confidence=0.9999, map=MapSpec(error="ordinary", iterations=1)),
-        replace(SPEC, map=MapSpec(first_estimate_jacobians=True, confirmations=3, unconfirmed_age=5)),
+        replace(SPEC, map=MapSpec(confirmations=3, unconfirmed_age=5)),
         replace(SPEC, map=MapSpec(second_order=False, unconfirmed_age=None)),
     ],
 )

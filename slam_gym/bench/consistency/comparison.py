@@ -1,4 +1,4 @@
-"""Which estimator stays consistent on a long loop: EKF, first-estimate Jacobians, right-invariant, local maps joined.
+"""Which estimator stays consistent on a long loop: EKF, right-invariant, local maps joined.
 
 The same logs for all, with JCBB and with the true association: a corridor driven round, a hall and an office explored,
 Victoria Park. Runs are paired by seed: differences from the standard EKF are interquartile means with 95 % bootstrap

@@ -1,7 +1,6 @@
 """One log through three estimators, and how far each is from the truth compared with what it claims.
 
 * standard: EKF-SLAM of the papers, with the Jacobians at the latest estimates and one pass of each update;
-* first estimates: the same with Jacobians at first estimates (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010);
 * right-invariant: the default of the package, iterated and with the error of the group (see `mapping.update`);
 * local maps: a sequence of independent standard maps of so many features, joined when the whole is asked for.
 
@@ -33,7 +32,7 @@ from slam_gym.slam.local_maps import LocalMapSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, Effort, IntArray, Odometry, Scan, Truth
 
-METHODS = ("standard", "first estimates", "right-invariant", "local maps")
+METHODS = ("standard", "right-invariant", "local maps")
 ASSOCIATORS = ("jcbb", CEILING)
 _DOF = 3  # of a pose
 
@@ -100,9 +99,8 @@ def _judged(log: DrivenLog, method: str, associator: str) -> tuple[Slam | LocalM
 
 def _settings(spec: MapSpec, method: str) -> MapSpec:
     if method == "right-invariant":
-        return replace(spec, error="right-invariant")
-    first = method == "first estimates"
-    return replace(spec, iterations=1, error="ordinary", second_order=False, first_estimate_jacobians=first)
+        return spec
+    return replace(spec, iterations=1, error="ordinary", second_order=False)
 
 
 def _whole_map(slam: Slam | LocalMapSlam) -> StochasticMap:

@@ -42,7 +42,7 @@ def test_revisits_use_the_time_that_is_left_in_patrol():
             if explored_at is None and not info["action_mask"][1 : 1 + FRONTIERS].any():
                 explored_at = env.episode.ticks
             observation, _, ended, _, info = env.step(driver.act(observation, visible(info)))
-        P = env.episode.slam.map.arrays[2]
+        P = env.episode.slam.map.arrays[1]
         left[driver.name] = np.trace(P[3:, 3:]) / (len(P) - 3)
         assert explored_at < 0.8 * env.scenario.budget
     assert left["information_gain"] < 0.9 * left["information_gain_no_revisits"]

@@ -53,13 +53,12 @@ def test_the_command_prints_its_tables_and_says_what_it_leaves_out(monkeypatch, 
     for words in (
         "park: left out, no data",
         "floor: left out",
-        "first estimates",
         "right-invariant",
         "Differences",
         "loop, 1°",
     ):
         assert words in shown
-    assert len((tmp_path / "consistency.csv").read_text(encoding="utf-8").splitlines()) == 1 + 4 * 8
+    assert len((tmp_path / "consistency.csv").read_text(encoding="utf-8").splitlines()) == 1 + 4 * 6
     with pytest.raises(SystemExit):
         main(["consistency", "--quick", "--only", "park"])
     assert "nothing was run" in capsys.readouterr().err
@@ -67,6 +66,6 @@ def test_the_command_prints_its_tables_and_says_what_it_leaves_out(monkeypatch, 
 
 def test_the_park_is_compared_with_the_reference_and_the_gps(data_dir):
     records = park_estimates(data_dir / "victoria_park", 600)
-    assert len(records) == 8
+    assert len(records) == 6
     for record in records:
         assert record["error [m]"] < 3.0 and record["GPS [m]"] < 6.0 and record["ANEES"] < 3.0

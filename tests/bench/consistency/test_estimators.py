@@ -38,13 +38,6 @@ def test_a_filter_that_is_told_too_little_noise_is_found_out(method):
     assert lied["ANEES"] > 3.0 > honest["ANEES"] and lied["optimistic"] > honest["optimistic"]
 
 
-def test_first_estimates_are_the_estimates_where_nothing_is_ever_corrected():
-    """Without noise, both EKFs are the same filter."""
-    log = loop(1, replace(SHORT, heading=1e-6, along=1e-8))
-    a, b = (estimate(log, method, "true_association") for method in METHODS[:2])
-    np.testing.assert_allclose(a.poses, b.poses, atol=1e-4)
-
-
 def test_the_truth_joins_each_source_once():
     sources = np.array([5, 5, 7, SPURIOUS, 9, 5, 7, 7, SPURIOUS, 11])
     identities = SimpleNamespace(source_of=lambda ids: sources[ids])
