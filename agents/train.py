@@ -1,81 +1,62 @@
 """Train a driver: `python -m agents.train --scenario office-small --timesteps 50000 --seed 0 --out runs/demo`.
 
-Writes into OUT: model.pt (the last weights), best.pt (the best on held-out worlds), checkpoint.pt (from which --resume
-goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir OUT`).
+Writes into OUT: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/ (from the last
+of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir OUT`).
 """
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Literal
 
-from agents.cli import add_explore_options, command_line, explore_arguments, program, require_positive, run_main
+from typer import Option
+
+from agents.cli import World, command, typed
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.learning.ppo import HYPERPARAMETERS, Decision, load_hyperparameters
 from agents.learning.training import TrainingPlan, train
 
 
-class Length(NamedTuple):
-    """How long a training is, and how often it is watched, if nothing else is said."""
-
-    timesteps: int  # decisions
-    eval_every: int  # decisions
-    eval_episodes: int
-
-
-def add_training_options(p: argparse.ArgumentParser, default: Length, out: str) -> None:
+@dataclass(frozen=True)
+class Training:
     """What every training takes."""
-    p.add_argument("--timesteps", type=int, default=default.timesteps, help="decisions in all, rounded up to whole "
-                   "rollouts (default: %(default)s)")  # fmt: skip
-    p.add_argument("--seed", type=int, default=0)
-    p.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help="default: %(default)s")
-    p.add_argument("--resume", action="store_true", help="go on from DIR/checkpoint.pt up to --timesteps")
-    p.add_argument("--hyperparameters", type=Path, default=HYPERPARAMETERS, metavar="FILE",
-                   help="TOML (default: agents/learning/)")  # fmt: skip
-    p.add_argument("--envs", type=int, help="parallel environments (default: from the hyperparameters)")
-    p.add_argument("--workers", type=int, help="processes that step them (default: one a core)")
-    p.add_argument("--eval-every", type=int, default=default.eval_every, metavar="N",
-                   help="decisions (default: %(default)s)")  # fmt: skip
-    p.add_argument("--eval-episodes", type=int, default=default.eval_episodes, metavar="N",
-                   help="default: %(default)s")  # fmt: skip
+
+    timesteps: Annotated[int, Option(min=1, metavar="N", help="Decisions, rounded up to whole rollouts.")] = 100_000
+    seed: Annotated[int, Option(min=0)] = 0
+    out: Annotated[Path | None, Option(metavar="DIR", help="By default a folder in runs/.")] = None
+    resume: Annotated[bool, Option("--resume", help="Go on in DIR, up to --timesteps.")] = False
+    hyperparameters: Annotated[Path, Option(metavar="FILE", help="TOML.")] = HYPERPARAMETERS
+    envs: Annotated[int | None, Option(min=1, metavar="N", help="Environments; by default as in FILE.")] = None
+    processes: Annotated[bool, Option("--processes", help="Give each environment a process of its own.")] = False
+    eval_every: Annotated[int, Option(min=1, metavar="N", help="Decisions between evaluations.")] = 10_000
+    eval_episodes: Annotated[int, Option(min=1, metavar="N", help="Held-out worlds.")] = 10
+
+    def run(self, decision: Decision, arguments: ExploreArguments | AssociateArguments, folder: str) -> Path:
+        """Train; the path of the model. ValueError where the options do not make sense."""
+        hyper = load_hyperparameters(decision, self.hyperparameters)
+        plan = TrainingPlan(
+            decision, arguments, replace(hyper, envs=self.envs or hyper.envs), self.seed, self.timesteps,
+            self.eval_every, self.eval_episodes, typed(), self.processes,
+        )  # fmt: skip
+        return train(self.out or Path(folder), plan, self.resume)
 
 
-def train_as_asked(
-    a: argparse.Namespace, decision: Decision, arguments: ExploreArguments | AssociateArguments, command: str
-) -> Path:
-    """Train as the options above say; the path of the model. ValueError where they do not make sense, or `--out` holds
-    a training already."""
-    hyper = load_hyperparameters(decision, a.hyperparameters)
-    require_positive(a, "timesteps", "envs", "eval_every")
-    if a.envs is not None:
-        hyper = replace(hyper, envs=a.envs)
-    if not a.resume and (a.out / "checkpoint.pt").exists():
-        raise ValueError(f"{a.out} holds a training already: give --resume to go on with it, or another --out")
-    lengths = a.timesteps, a.eval_every, a.eval_episodes
-    plan = TrainingPlan(decision, arguments, hyper, a.seed, *lengths, command, a.workers)
-    return train(a.out, plan, a.resume)
+def main(
+    training: Training,
+    world: World,
+    agent: Annotated[Literal["ppo"], Option(help="What to train.")] = "ppo",
+    action: Annotated[Literal["goal", "twist"], Option(help="What it decides.")] = "goal",
+    reward: Annotated[str, Option(help="map_error, a_opt, d_opt or entropy.")] = "map_error",
+) -> None:
+    """Train an agent to drive, by reinforcement learning."""
+    arguments = world.arguments("office-small", "train", reward)
+    model = training.run(action, arguments, f"runs/{agent}")
+    print(f"wrote {model}; evaluate it beside the baselines with\n"
+          f"  python -m agents.evaluate --model {model} --scenario {arguments.scenario}")  # fmt: skip
 
 
-def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(prog=program("agents.train"), description="Train an agent to drive.")
-    p.add_argument("--agent", default="ppo", choices=["ppo"], help="what to train (default: %(default)s)")
-    p.add_argument("--action", default="goal", choices=["goal", "twist"], help="what it decides (default: %(default)s)")
-    p.add_argument("--reward", default="map_error", help="map_error, a_opt, d_opt or entropy (default: %(default)s)")
-    add_training_options(p, Length(100_000, 10_000, 20), "runs/ppo")
-    add_explore_options(p, "office-small")
-    return p
-
-
-def main(argv: list[str]) -> int:
-    a = parser().parse_args(argv)
-    arguments = explore_arguments(a, reward=a.reward, split="train")
-    model = train_as_asked(a, a.action, arguments, command_line("agents.train", argv))
-    print(f"wrote {model}; evaluate it beside the baselines with\n  {program('agents.evaluate')} --model {model}"
-          f" --scenario {arguments.scenario}")  # fmt: skip
-    return 0
-
+app = command(main)
 
 if __name__ == "__main__":
-    raise SystemExit(run_main(main))
+    app()

@@ -15,6 +15,8 @@ from typing import NamedTuple
 import gymnasium as gym
 import nbformat
 import pytest
+from click import UsageError
+from typer.main import get_command
 
 from slam_gym.bench.runner import BENCHMARKS, parser_for
 from slam_gym.commands.run import COMMANDS
@@ -98,8 +100,9 @@ def check_command(command: list[str], complete: bool = True) -> None:
             pass
         case ["python", "-m", name, *arguments]:
             module = importlib.import_module(name)
-            assert callable(module.main)
-            if arguments or complete:
+            if hasattr(module, "app") and (arguments or complete):
+                get_command(module.app).make_context(name, list(arguments))
+            elif hasattr(module, "parser") and (arguments or complete):
                 module.parser().parse_args(arguments)
         case ["python", "-c", code]:
             compile(code, "the command", "exec")
@@ -197,7 +200,7 @@ def test_commands_parse(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
         for command in commands(script):
             try:
                 check_command(command, complete)
-            except (AssertionError, ImportError, KeyError, SystemExit) as error:
+            except (AssertionError, ImportError, KeyError, SystemExit, UsageError) as error:
                 pytest.fail(f"{of(page)}: {shlex.join(command)}: {error} {capsys.readouterr().err}")
 
 

@@ -44,7 +44,7 @@ AGENTS: dict[str, str] = {
     "information_gain_no_revisits": "agents.drivers.information_gain:InformationGainNoRevisits",
     "learned": "agents.drivers.learned:LearnedDriver",
     "clairvoyant": "agents.drivers.clairvoyant:Clairvoyant",
-    "ppo": "agents.learning.policies:PolicyAgent",
+    "ppo": "agents.learning.models:PolicyAgent",
 }
 
 BASELINES = ("random", "nearest_frontier", "lawnmower", "information_gain")

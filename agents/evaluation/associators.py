@@ -57,8 +57,8 @@ def shipped() -> list[str]:
 @lru_cache
 def find_associator(name: str) -> Associator:
     """An associator by name, `module:function`, or the file of a learned one. ValueError lists the known names."""
-    if Path(name).suffix in (".pt", ".zip"):
-        from agents.learning.policies import load_associator  # torch is imported for learned associators only
+    if Path(name).suffix == ".zip":
+        from agents.learning.models import load_associator  # torch is imported for learned associators only
 
         return load_associator(Path(name))
     return resolve_associator(name)

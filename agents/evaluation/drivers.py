@@ -106,11 +106,13 @@ def _warm_up(env: gym.Env[Any, Any], episode: int) -> None:
 def _describe(model: Path) -> dict[str, Any]:
     """Hash of a model file, and what it says of its training."""
     known: dict[str, Any] = {"sha256": hashlib.sha256(model.read_bytes()).hexdigest()}
-    if model.suffix == ".zip":
-        return known
-    from agents.learning.model_file import read_model  # torch is imported for learned agents only
+    from agents.learning.models import read_about  # torch is imported for learned agents only
 
-    return known | {"training": read_model(model)[0].training}
+    try:
+        about = read_about(model)
+    except ValueError:  # a file that is trusted
+        return known
+    return known | {"training": about.training | {"timesteps": about.timesteps}}
 
 
 def rows(records: Sequence[Record]) -> Rows:

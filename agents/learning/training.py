@@ -1,216 +1,171 @@
-"""A training run: environments in parallel, PPO, watched on held-out worlds, resumable.
+"""Reinforcement learning: environments in parallel, PPO, watched on held-out worlds, resumable.
 
-Writes into a folder: model.pt (the last weights), best.pt (the best on held-out worlds), checkpoint.pt (from which it
-goes on), progress.csv, and TensorBoard logs.
+A training writes into a folder: model.zip (the last weights), best_model.zip (the best on held-out worlds),
+checkpoints/, progress.csv, and TensorBoard logs.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from gymnasium.wrappers import FilterObservation, TransformReward
+from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback, EvalCallback
 from stable_baselines3.common.logger import Logger, make_output_format
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associate_episode, run_episode
-from agents.evaluation.records import Record, plain, versions
-from agents.learning.many_worlds import WorldsForLearning
-from agents.learning.model_file import ModelSpec, read_model, save_model
-from agents.learning.policies import BestBranch, PolicyAgent
-from agents.learning.ppo import Decision, Hyperparameters, make_algorithm
-from agents.learning.training_state import restore_state, state_of
-from slam_gym.metrics.statistics import interquartile_mean
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.records import plain, versions
+from agents.learning.models import About, read_about
+from agents.learning.ppo import CHOICES, Decision, Hyperparameters, make_algorithm
 
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
 
-EPISODE_END: dict[str, tuple[str, ...]] = {
-    "goal": ("map_error", "coverage"),
-    "twist": ("map_error", "coverage"),
-    "branch": ("score", "map_error"),
-}
+LOGGED = {"goal": ("map_error", "coverage"), "twist": ("map_error", "coverage"), "branch": ("score", "map_error")}
 """What is logged of an episode, from its last `info`, by what the policy decides."""
 
-MAY_CHANGE = frozenset({"command", "versions", "best", "next_evaluation", "resolution"})
-"""What a resumed training may do otherwise than before."""
+MODEL, CHECKPOINTS = "model.zip", "checkpoints"
+_MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resumed
 
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """What is trained, on what, and for how long.
-
-    A resumed training goes on as one that was not interrupted, worlds and random states included, on one machine with
-    the same versions. With another number of environments it goes on to new worlds.
-    """
+    """What is trained, on what, and for how long."""
 
     decision: Decision
     arguments: ExploreArguments | AssociateArguments
     hyperparameters: Hyperparameters
     seed: int = 0
-    timesteps: int = 100_000  # decisions in all
+    timesteps: int = 100_000  # decisions in all, rounded up to whole rollouts
     eval_every: int = 10_000  # decisions
     eval_episodes: int = 20
     command: str = ""  # as it was typed
-    workers: int | None = None  # processes that step the worlds; None: as many as there are cores
+    processes: bool = False  # each environment has one of its own
 
-    def decisions_from(self, start: int) -> int:
-        """How many it comes to that begins with `start`: rollouts are taken whole."""
-        rollout = self.hyperparameters.steps * self.hyperparameters.envs
-        return start + math.ceil(max(self.timesteps - start, 0) / rollout) * rollout
+    def make(self, split: str) -> gym.Env[Any, Any]:
+        """The environment; a policy of branches does not see the budget, which it would not as an associator."""
+        env = replace(self.arguments, split=split).make(self.decision)
+        if self.decision == "branch":
+            env = FilterObservation(env, [name for name in env.observation_space if name != "budget"])
+        return Monitor(env, info_keywords=LOGGED[self.decision])
+
+    def make_scaled(self) -> gym.Env[Any, Any]:
+        """The environment that is learned from."""
+        scale = self.hyperparameters.reward_scale
+        return TransformReward(self.make("train"), lambda reward: scale * float(reward))
+
+
+class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
+    """Resets go through the same few held-out worlds, again and again."""
+
+    def __init__(self, env: gym.Env[Any, Any], count: int) -> None:
+        super().__init__(env)
+        self._count, self._next = count, 0
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+        world = HELD_OUT + self._next % self._count
+        self._next += 1
+        return self.env.reset(seed=world, options={"world": world})
 
 
 def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
     """Train up to `plan.timesteps` decisions in all and return the path of the model file. Ctrl-C keeps what was
-    learned."""
+    learned.
+
+    Raises ValueError where `out` holds a training and is not to be resumed, or one of something else.
+    """
+    last = _last_model(out)
+    if last is not None and not resumed:
+        raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --out")
+    if last is None and resumed:
+        raise ValueError(f"{out} holds no training to resume")
     torch.set_num_threads(1)  # the networks are small, and the environments need the other cores
+    hyper, watched = plan.hyperparameters, plan.make("test")
     training = plan.arguments.plain | {"seed": plan.seed, "command": plan.command, "versions": versions()}
-    probe: Any = plan.arguments.make(plan.decision)  # alone: faults are reported, and inner loops compiled, once
-    probe.reset(seed=plan.seed)
-    spec = ModelSpec.of(probe, plan.decision, plan.hyperparameters, training)
-    probe.close()
-    with _many_worlds(plan) as envs, _progress_bar() as progress:
-        model = make_algorithm(plan.decision, envs, plan.hyperparameters, plan.seed)
-        before = _resume(model, out / "checkpoint.pt", spec) if resumed else {}
-        spec.training["best"] = before.get("best", float("inf"))
-        spec.training["next_evaluation"] = before.get("next_evaluation", model.num_timesteps + plan.eval_every)
-        model.set_logger(_open_logs(out, model.num_timesteps))
-        watch = Watch(out, plan, spec, progress)
-        watch.init_callback(model)
-        try:
-            if model.num_timesteps < plan.timesteps:
-                model.learn(plan.timesteps - model.num_timesteps, callback=watch, reset_num_timesteps=False)
-                watch.keep()
-            if watch.evaluated != model.num_timesteps:
-                watch.evaluate()
-            model.logger.dump(model.num_timesteps)
-        except KeyboardInterrupt:
-            progress.console.print(f"interrupted; go on with the same command and --resume --out {out}")
-            raise
-        finally:
-            watch.save("model.pt")
-            watch.close()
-    return out / "model.pt"
+    about = About.of(watched, plan.decision, hyper, plain(training))
+    vectorised = SubprocVecEnv if plan.processes and hyper.envs > 1 else DummyVecEnv
+    envs: VecEnv = vectorised([plan.make_scaled] * hyper.envs)
+    model: Any = make_algorithm(plan.decision, envs, hyper, plan.seed)
+    model.about = asdict(about)  # Stable-Baselines3 writes it into its files as JSON
+    if last is not None:
+        _resume(model, last, about)
+    out.mkdir(parents=True, exist_ok=True)
+    model.set_logger(_logs(out, model.num_timesteps))
+    watch = _watch(out, plan, model.num_timesteps, DummyVecEnv([lambda: HeldOutWorlds(watched, plan.eval_episodes)]))
+    keep = CheckpointCallback(watch.eval_freq, str(out / CHECKPOINTS), "model")
+    try:
+        if model.num_timesteps < plan.timesteps:
+            left = plan.timesteps - model.num_timesteps
+            model.learn(left, [EpisodeEnds(plan.decision), keep, watch], reset_num_timesteps=False, progress_bar=True)
+    finally:
+        model.save(out / MODEL)
+        with contextlib.suppress(OSError, EOFError):  # Ctrl-C has ended its processes
+            envs.close()
+        watched.close()
+    return out / MODEL
 
 
-class Watch(BaseCallback):
-    """Progress bar, the episodes' ends in the log, checkpoints, and evaluation on held-out worlds."""
+def _watch(out: Path, plan: TrainingPlan, start: int, held_out: VecEnv) -> EvalCallback:
+    """What tries the present weights on held-out worlds, and keeps the best; of a resumed training, the best of all."""
+    results = [np.load(path)["results"] for path in out.glob("held_out_from_*/evaluations.npz")]
+    watch = (MaskableEvalCallback if plan.decision in CHOICES else EvalCallback)(
+        held_out,
+        n_eval_episodes=plan.eval_episodes,
+        eval_freq=max(plan.eval_every // plan.hyperparameters.envs, 1),
+        log_path=str(out / f"held_out_from_{start}"),
+        best_model_save_path=str(out),
+        deterministic=plan.hyperparameters.deterministic,
+    )
+    watch.best_mean_reward = max((float(rewards.mean(axis=1).max()) for rewards in results), default=-np.inf)
+    return watch
 
-    def __init__(self, out: Path, plan: TrainingPlan, spec: ModelSpec, progress: Progress) -> None:
+
+class EpisodeEnds(BaseCallback):
+    """Logs what the last episodes came to."""
+
+    def __init__(self, decision: Decision) -> None:
         super().__init__()
-        self._out, self._plan, self._spec = out, plan, spec
-        self._env = replace(plan.arguments, split="test").make(plan.decision)
-        self._progress, self._bar = progress, progress.add_task("training", total=None)
-        self._best, self._next = float(spec.training["best"]), int(spec.training["next_evaluation"])
-        self.evaluated = -1  # decisions so far at the last evaluation
-
-    def _on_training_start(self) -> None:
-        self._progress.update(self._bar, total=self._plan.decisions_from(self.model.num_timesteps))
+        self._names = LOGGED[decision]
 
     def _on_step(self) -> bool:
-        self._progress.update(self._bar, completed=self.num_timesteps)
         return True
-
-    def _on_rollout_start(self) -> None:
-        self.keep()  # what the last rollout taught is in the weights: a training that is killed loses no more than one
 
     def _on_rollout_end(self) -> None:
         episodes = list(self.model.ep_info_buffer or [])
-        for key in EPISODE_END[self._plan.decision]:
-            if episodes:
-                self.logger.record(f"rollout/{key}", float(np.mean([episode[key] for episode in episodes])))
-        if self.num_timesteps >= self._next:
-            self._next += self._plan.eval_every
-            self.evaluate()
-
-    def evaluate(self) -> None:
-        """Try the present weights on held-out worlds; keep them as best.pt if no others did as well."""
-        self.evaluated = self.model.num_timesteps
-        records = self.held_out()
-        scores = {
-            key: float(interquartile_mean(np.array([record[key] for record in records])))
-            for key in EPISODE_END[self._plan.decision]
-        }
-        for key, value in scores.items():
-            self.logger.record(f"held_out/{key}", value)
-        told = ", ".join(f"{key.replace('_', ' ')} {value:.3f}" for key, value in scores.items())
-        self._progress.console.print(f"{self.model.num_timesteps:>9} decisions: {told} on held-out worlds")
-        loss = -scores["score"] if "score" in scores else scores["map_error"]
-        if loss < self._best:
-            self._best = loss
-            self.save("best.pt")
-
-    def held_out(self) -> list[Record]:
-        """Figures of an episode on each of the held-out worlds."""
-        worlds, policy = range(HELD_OUT, HELD_OUT + self._plan.eval_episodes), self.model.policy
-        if self._plan.decision == "branch":
-            return [associate_episode(self._env, BestBranch(policy), k) for k in worlds]
-        agent = PolicyAgent(policy, self._plan.decision, deterministic=self._plan.hyperparameters.deterministic)
-        return [run_episode(self._env, agent, k) for k in worlds]
-
-    def keep(self) -> None:
-        """Between two rollouts: the file from which the training goes on."""
-        self.save("checkpoint.pt", state_of(self.model))
-
-    def save(self, name: str, state: bytes = b"") -> None:
-        """The present weights, as a model file."""
-        counted = {"timesteps": self.model.num_timesteps, "best": self._best, "next_evaluation": self._next}
-        spec = replace(self._spec, training=self._spec.training | counted)
-        save_model(self._out / name, spec, self.model.policy, state)
-
-    def close(self) -> None:
-        self._env.close()
+        for name in self._names if episodes else ():
+            self.logger.record(f"rollout/{name}", float(np.mean([episode[name] for episode in episodes])))
 
 
-@contextlib.contextmanager
-def _many_worlds(plan: TrainingPlan) -> Iterator[WorldsForLearning]:
-    """The training environments: true returns are logged, scaled ones are learned from. Ended however it ends."""
-    many = plan.arguments.make_many(plan.decision, plan.hyperparameters.envs, plan.workers)
-    worlds = WorldsForLearning(many, plan.hyperparameters.reward_scale, EPISODE_END[plan.decision])
-    try:
-        yield worlds
-    finally:
-        worlds.close()
+def _last_model(out: Path) -> Path | None:
+    """The file of a folder that was written last, if it has any."""
+    files = [*out.glob(MODEL), *out.glob(f"{CHECKPOINTS}/*.zip")]
+    return max(files, key=lambda path: path.stat().st_mtime, default=None)
 
 
-def _resume(model: BaseAlgorithm, path: Path, expected: ModelSpec) -> dict[str, Any]:
-    """Load weights, optimiser, step count and state of a checkpoint. ValueError where it was trained on something
+def _resume(model: Any, path: Path, about: About) -> None:
+    """Load weights, optimiser and step count, and go on to new worlds. ValueError where it was trained on something
     else."""
-    spec, content = read_model(path)
-    for name in sorted(expected.training.keys() - MAY_CHANGE):
-        was, now = spec.training.get(name), plain(expected.training[name])
+    before = read_about(path)
+    for name in sorted(about.training.keys() - set(_MAY_CHANGE)):
+        was, now = before.training.get(name), about.training[name]
         if was != now:
             raise ValueError(f"{path} was trained with {name} {was!r}, not {now!r}")
-    envs = {"envs": 0}  # may differ: it changes how fast the training goes, not what it is
-    if (spec.action, spec.hyperparameters | envs) != (expected.action, expected.hyperparameters | envs):
-        raise ValueError(f"{path} was trained on action {spec.action!r} with other hyperparameters")
-    model.policy.load_state_dict(content["policy"])
-    model.policy.optimizer.load_state_dict(content["optimizer"])
-    model.num_timesteps = int(spec.training["timesteps"])
-    if "state" in content and spec.hyperparameters["envs"] == expected.hyperparameters["envs"]:
-        try:
-            restore_state(model, bytes(content["state"].numpy()))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
-    else:
-        model.set_random_seed(int(expected.training["seed"]) + model.num_timesteps)  # on to new worlds
-    return spec.training
+    if replace(before, training={}, timesteps=0) != replace(about, training={}):
+        raise ValueError(f"{path} was trained on action {before.action!r} with other hyperparameters")
+    model.set_parameters(path, device="cpu")  # weights only: nothing is unpickled
+    model.num_timesteps = before.timesteps
+    model.set_random_seed(model.seed + model.num_timesteps)
 
 
-def _open_logs(out: Path, start: int) -> Logger:
-    """TensorBoard and CSV logs; a resumed run writes a CSV file of its own."""
-    out.mkdir(parents=True, exist_ok=True)
+def _logs(out: Path, start: int) -> Logger:
+    """TensorBoard and CSV logs; a resumed training writes a CSV file of its own."""
     csv = make_output_format("csv", str(out), f"_from_{start}" if start else "")
     return Logger(str(out), [csv, make_output_format("tensorboard", str(out))])
-
-
-def _progress_bar() -> Progress:
-    """Decisions done, of how many, and the time left."""
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

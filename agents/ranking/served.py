@@ -185,7 +185,7 @@ Ask = Callable[..., Any]
 
 
 def _agent(name: str, _: Ask) -> Answer:
-    learned = Path(name).suffix == ".pt"
+    learned = Path(name).suffix == ".zip"
     agent = make_agent("ppo", name) if learned else make_agent(name)
 
     def answer(request: dict[str, Any]) -> Any:
@@ -225,10 +225,10 @@ def role_of(name: str) -> Role:
 
     tables: dict[Role, Any] = {"agent": AGENTS, "associator": ASSOCIATORS, "relocator": RELOCATORS}
     found = [role for role, table in tables.items() if name in table]
-    if not found and Path(name).suffix == ".pt":
-        from agents.learning.model_file import read_model
+    if not found and Path(name).suffix == ".zip":
+        from agents.learning.models import read_about
 
-        found = ["associator" if read_model(Path(name))[0].action == "branch" else "agent"]
+        found = ["associator" if read_about(Path(name)).action == "branch" else "agent"]
     if not found and ":" in name and hasattr(find_agent(name), "act"):
         found = ["agent"]
     if len(found) != 1:

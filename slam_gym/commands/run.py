@@ -75,8 +75,14 @@ def _run(name: str, argv: list[str]) -> int:
         sys.path.append("")  # as `python -m` has it: "mymodule:MyDriver" is looked for where the command is given
 
     def command() -> int:
-        code: int = importlib.import_module(COMMANDS[name].module).main(argv)
-        return code
+        module = importlib.import_module(COMMANDS[name].module)
+        if not hasattr(module, "app"):
+            return int(module.main(argv))
+        try:
+            module.app(argv, prog_name=f"slam-gym {name}")
+        except SystemExit as end:
+            return int(end.code or 0)
+        return 0
 
     return ended(command)
 

@@ -1,13 +1,15 @@
 """Models, hyperparameters and overrides from strangers: read, or refused by an error that names the file."""
 
+import io
 import json
-from dataclasses import asdict, replace
+import zipfile
+from dataclasses import asdict
 
-import pytest
 import torch
 
-from agents.learning.model_file import ModelSpec, build_policy, load_policy, save_model
+from agents.learning.models import About, load_policy
 from agents.learning.ppo import HYPERPARAMETERS, load_hyperparameters
+from slam_gym.envs.goal_observation import GOAL_FIELDS
 from slam_gym.scenarios import get_scenario, overridden, parse_override
 from tests.fuzz.attack import attack
 from tests.fuzz.inputs import damaged, documents, respelt
@@ -22,34 +24,25 @@ def read(path):
         raise ValueError(str(error).removeprefix("model ")) from None
 
 
-@pytest.fixture
-def spec():
+def test_models(tmp_path, inputs, count) -> None:
     torch.set_num_threads(1)
-    hyper = vars(load_hyperparameters("branch")).copy() | {"width": 8, "hidden": 8}
-    observation = {"measurement": [4], "candidates": [12], "pairings": [3], "path": [5], "budget": [1]}
-    return ModelSpec(
-        "branch", observation, 3, hyper, {"candidates": 2, "order": "as_scanned", "compatibility": "joint"}
-    )
-
-
-def saved(spec, policy, path):
-    save_model(path, spec, policy)
-    return path.read_bytes()
-
-
-def test_models(tmp_path, spec, inputs, count) -> None:
-    goal = replace(spec, action="goal", observation={"budget": [1], "image": [3, 48, 48], "goals": [128]}, actions=16)
-    whole = saved(goal, build_policy(goal), tmp_path / "model.pt")
-    count(attack(read, tmp_path / "model.pt", damaged(whole), inputs // 2))
-    policy = build_policy(goal)
+    observation = {"budget": [1], "image": [3, 48, 48], "goals": [16 * len(GOAL_FIELDS)]}
+    about = About("goal", observation, 16, 8, 8, True, {"scenario": "office"})
+    weights = io.BytesIO()
+    torch.save(about.policy().state_dict(), weights)
 
     def described(document) -> bytes:
-        content = {"format": "slam_gym policy 1", "spec": json.dumps(document), "policy": policy.state_dict()}
-        torch.save(content, tmp_path / "other.pt")
-        return (tmp_path / "other.pt").read_bytes()
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w") as archive:
+            archive.writestr("data", json.dumps({"about": document, "num_timesteps": 3}))
+            archive.writestr("policy.pth", weights.getvalue())
+        return content.getvalue()
 
-    changed = documents(asdict(goal)).map(described)
-    count(attack(read, tmp_path / "model.pt", changed, inputs - inputs // 2))
+    path = tmp_path / "model.zip"
+    path.write_bytes(described(asdict(about)))
+    read(path)
+    count(attack(read, path, damaged(path.read_bytes()), inputs // 2))
+    count(attack(read, path, documents(asdict(about)).map(described), inputs - inputs // 2))
 
 
 def test_hyperparameters(tmp_path, inputs, count) -> None:

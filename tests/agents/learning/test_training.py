@@ -1,161 +1,167 @@
-"""Training end to end, as short as it can be: files, resumption, refusals. Whether it learns is for the README."""
+"""Reinforcement learning end to end, as short as it can be: files, resumption, refusals, and who decides by them."""
 
 import csv
 import dataclasses
 import json
+import pickle
+import zipfile
 
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.vec_env import DummyVecEnv
+from sb3_contrib import MaskablePPO
+from stable_baselines3 import PPO
+from typer.testing import CliRunner
 
+from agents import train as train_command
+from agents import train_associate
 from agents.drivers.base import make_agent
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
-from agents.learning import training
-from agents.learning.model_file import read_model
-from agents.learning.ppo import load_hyperparameters, make_algorithm
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associate_episode, run_episode
+from agents.learning.models import load_associator, load_policy, read_about
+from agents.learning.ppo import HYPERPARAMETERS, load_hyperparameters
 from agents.learning.training import HELD_OUT, TrainingPlan, train
+from slam_gym.envs.goal_observation import GOAL_FIELDS
 from slam_gym.scenarios import SPLITS
-from tests.rollouts import differences
 
-TRAINING = ExploreArguments("office-small", split="train")
-
-
-def short(action):
-    return dataclasses.replace(load_hyperparameters(action), envs=1, steps=16, batch_size=16, epochs=1)
+DRIVE = ExploreArguments("office-small", split="train", overrides=(("budget", 60),))
+BRANCHES = AssociateArguments("corridor", candidates=3, order="fewest_candidates")
 
 
-def run(out, action="goal", timesteps=32, seed=3, resumed=False):
-    plan = TrainingPlan(action, TRAINING, short(action), seed, timesteps, eval_every=16, eval_episodes=1)
+def run(out, action="goal", timesteps=32, seed=3, resumed=False, arguments=DRIVE, envs=1):
+    hyper = load_hyperparameters(action)
+    ppo = hyper.ppo | {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
+    hyper = dataclasses.replace(hyper, envs=envs, ppo=ppo)
+    plan = TrainingPlan(action, arguments, hyper, seed, timesteps, eval_every=16, eval_episodes=1)
     return train(out, plan, resumed)
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory):
+def driver(tmp_path_factory):
     torch.set_num_threads(1)
-    out = tmp_path_factory.mktemp("training") / "run"
-    run(out)
-    return out
+    return run(tmp_path_factory.mktemp("driver") / "run")
 
 
-def test_a_training_leaves_models_and_logs(trained):
-    spec, content = read_model(trained / "model.pt")
-    assert spec.training["timesteps"] == 32 and spec.training["seed"] == 3
-    assert spec.training["scenario"] == "office-small" and spec.training["split"] == "train"
-    assert all(torch.isfinite(weights).all() for weights in content["policy"].values())
-    assert (trained / "progress.csv").read_text().count("held_out/map_error") == 1
-    assert list(trained.glob("events.out.tfevents.*"))
-    with (trained / "progress.csv").open() as file:
-        scores = [float(row["held_out/map_error"]) for row in csv.DictReader(file) if row["held_out/map_error"]]
-    assert len(scores) == 2
-    assert read_model(trained / "best.pt")[0].training["best"] == pytest.approx(min(scores), rel=1e-4)
+@pytest.fixture(scope="module")
+def associator(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("associator") / "run", "branch", arguments=BRANCHES)
 
 
-def test_training_changes_the_weights(trained):
-    one, two = (read_model(trained / name)[1]["policy"] for name in ("model.pt", "checkpoint.pt"))
-    assert all(torch.equal(one[key], two[key]) for key in one)
-    assert any((weights != 0).any() for key, weights in one.items() if key.endswith("score.2.bias"))
+def test_a_training_leaves_models_and_logs(driver):
+    about, folder = read_about(driver), driver.parent
+    assert about.timesteps == 32 and about.training["seed"] == 3
+    assert about.training["scenario"] == "office-small" and about.training["split"] == "train"
+    assert read_about(folder / "best_model.zip").timesteps in (16, 32)
+    assert [read_about(path).timesteps for path in sorted(folder.glob("checkpoints/*"))] == [16, 32]
+    with (folder / "progress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sum(bool(row["eval/mean_reward"]) for row in rows) == 2 and "rollout/map_error" in rows[0]
+    assert list(folder.glob("events.out.tfevents.*"))
 
 
-def test_tensorboard_reads_the_logs(trained):
-    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    events = accumulator.EventAccumulator(str(trained))
-    events.Reload()
-    tags = events.Tags()["scalars"]
-    assert {"held_out/map_error", "held_out/coverage", "train/value_loss"} <= set(tags)
-    assert [event.step for event in events.Scalars("held_out/map_error")] == [16, 32]
+def test_the_trained_agent_drives_an_episode_the_same_each_time(driver):
+    agent = make_agent("ppo", driver)
+    one, other = (run_episode(DRIVE.make("goal"), agent, 0) for _ in range(2))
+    assert one["map_error"] == other["map_error"] and one["ticks"] == 60
 
 
-def test_the_trained_agent_drives_an_episode(trained):
-    agent = make_agent("ppo", trained / "model.pt")
-    records = [run_episode(ExploreArguments("office-small").make("goal"), agent, 0) for _ in range(2)]
-    assert records[0]["map_error"] == records[1]["map_error"]
-    assert records[0]["ticks"] == 300
+def test_scores_follow_the_goals_wherever_they_are_listed_and_illegal_ones_are_never_chosen(driver):
+    _, policy = load_policy(driver)
+    rng, goals = np.random.default_rng(0), np.zeros((16, len(GOAL_FIELDS)), np.float32)
+    goals[:9] = rng.random((9, len(GOAL_FIELDS)))
+    goals[:9, GOAL_FIELDS.index("legal")] = 1.0
+    space, order = policy.observation_space, rng.permutation(16)
+
+    def logits(rows):
+        parts = {name: torch.zeros(1, *part.shape) for name, part in space.spaces.items()}
+        features = policy.extract_features(parts | {"goals": torch.as_tensor(rows.ravel())[None]})
+        return policy.mlp_extractor.forward_actor(features)[0].detach()
+
+    torch.testing.assert_close(logits(goals)[torch.as_tensor(order)], logits(goals[order]))
+    shown = {name: part.sample() for name, part in space.spaces.items()} | {"goals": goals.ravel()}
+    agent = make_agent("ppo", driver)
+    for k in range(9):
+        assert agent.act(shown, {"action_mask": np.arange(16) == k}) == k
 
 
-def test_a_resumed_training_goes_on_from_its_weights_and_count(trained, tmp_path):
-    out = tmp_path / "run"
-    out.mkdir()
-    (out / "checkpoint.pt").write_bytes((trained / "checkpoint.pt").read_bytes())
-    run(out, timesteps=48, resumed=True)
-    before, after = (read_model(folder / "model.pt") for folder in (trained, out))
-    assert after[0].training["timesteps"] == 48
-    steps = [
-        int(state["step"]) for content in (before[1], after[1]) for state in content["optimizer"]["state"].values()
-    ]
-    half = len(steps) // 2
-    assert steps[:half] == [2] * half and steps[half:] == [3] * half  # the optimiser's moments were kept
-    assert (out / "progress_from_32.csv").exists()
-
-
-def test_a_resumed_training_is_the_one_that_was_not_interrupted(tmp_path):
-    whole, parts, action = tmp_path / "whole", tmp_path / "parts", "twist"
-    run(whole, action, timesteps=64)
-    run(parts, action, timesteps=32)
-    torch.rand(7), np.random.rand(7)  # noqa: NPY002 (somebody else draws in between)
-    run(parts, action, timesteps=64, resumed=True)
-    one, two = (read_model(folder / "checkpoint.pt") for folder in (whole, parts))
-    for part in ("policy", "state"):
-        assert not differences(one[1][part], two[1][part]), part
-    assert one[0].training["timesteps"] == two[0].training["timesteps"] == 64
-
-
-def test_a_training_that_is_interrupted_in_a_rollout_goes_on_from_the_last_one(tmp_path, monkeypatch):
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    run(whole, timesteps=48)
-
-    def interrupt(self):
-        if self.num_timesteps == 24:
-            raise KeyboardInterrupt
-        return True
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(training.Watch, "_on_step", interrupt)
-        run(parts, timesteps=48)
-    assert read_model(parts / "checkpoint.pt")[0].training["timesteps"] == 16
-    run(parts, timesteps=48, resumed=True)
-    one, two = (read_model(folder / "model.pt")[1]["policy"] for folder in (whole, parts))
-    assert not differences(one, two)
-
-
-def test_another_number_of_environments_goes_on_to_new_worlds(trained, tmp_path):
-    (tmp_path / "checkpoint.pt").write_bytes((trained / "checkpoint.pt").read_bytes())
-    hyper = dataclasses.replace(short("goal"), envs=2)
-    plan = TrainingPlan("goal", TRAINING, hyper, 3, 64, eval_every=64, eval_episodes=1, workers=0)
-    train(tmp_path, plan, resumed=True)
-    assert read_model(tmp_path / "model.pt")[0].training["timesteps"] == 64
-
-
-def test_a_state_that_does_not_fit_is_refused(trained, tmp_path):
-    spec, content = read_model(trained / "checkpoint.pt")
-    content["state"] = torch.frombuffer(bytearray(b'{"worlds": []}'), dtype=torch.uint8)
-    content["spec"] = json.dumps(dataclasses.asdict(spec))
-    torch.save(content, tmp_path / "checkpoint.pt")
-    with pytest.raises(ValueError, match=r"checkpoint.pt: the state of the training does not fit"):
-        run(tmp_path, timesteps=48, resumed=True)
-
-
-def test_resuming_something_else_is_refused(trained):
+def test_a_resumed_training_goes_on_from_its_weights_and_count(driver):
+    with pytest.raises(ValueError, match="--resume"):
+        run(driver.parent)
     with pytest.raises(ValueError, match="seed 3, not 4"):
-        run(trained, seed=4, timesteps=48, resumed=True)
+        run(driver.parent, seed=4, timesteps=48, resumed=True)
+    with zipfile.ZipFile(driver) as archive, archive.open("policy.optimizer.pth") as file:
+        before = [int(state["step"]) for state in torch.load(file, weights_only=True)["state"].values()]
+    assert read_about(run(driver.parent, timesteps=48, resumed=True)).timesteps == 48
+    with zipfile.ZipFile(driver) as archive, archive.open("policy.optimizer.pth") as file:
+        after = [int(state["step"]) for state in torch.load(file, weights_only=True)["state"].values()]
+    assert max(after) == max(before) + 1  # the optimiser's moments were kept
+    assert (driver.parent / "progress_from_32.csv").exists()
+
+
+def test_a_folder_without_a_training_cannot_be_resumed(tmp_path):
+    with pytest.raises(ValueError, match="no training to resume"):
+        run(tmp_path, resumed=True)
 
 
 def test_twist_is_trained_by_ppo(tmp_path):
     agent = make_agent("ppo", run(tmp_path / "run", action="twist", timesteps=16))
     assert agent.action == "twist"
-    assert np.isfinite(run_episode(ExploreArguments("office-small").make("twist"), agent, 0)["map_error"])
+    one, other = (run_episode(DRIVE.make("twist"), agent, 0)["map_error"] for _ in range(2))
+    assert one == other  # drawn from the policy, by the seed of the episode
+
+
+def test_an_associator_decides_elsewhere_as_in_the_environment(associator):
+    about, associate = read_about(associator), load_associator(associator)
+    assert about.training["candidates"] == 3 and about.training["order"] == "fewest_candidates"
+    env = BRANCHES.make().unwrapped
+    observation, info = env.reset(seed=0)
+    over, look = False, 0
+    while not over:
+        if env.walk is not None and info["look"] != look:
+            look, expected = info["look"], associate(env.run.scan, env.run.prediction)
+        action = associate.policy(observation, info["action_mask"])
+        assert env.walk is None or action == env.action_of(expected)
+        observation, _, over, _, info = env.step(action)
+    again = pickle.loads(pickle.dumps(associate))
+    assert associate_episode(BRANCHES.make(), again.policy, 4) == associate_episode(BRANCHES.make(), again.policy, 4)
+
+
+def test_a_driver_is_no_associator_and_an_associator_no_driver(driver, associator, tmp_path):
+    with pytest.raises(ValueError, match="not a driver"):
+        make_agent("ppo", associator)
+    with pytest.raises(ValueError, match="not an associator"):
+        load_associator(driver)
+    with pytest.raises(ValueError, match="no such file"):
+        load_associator(tmp_path / "none.zip")
 
 
 @pytest.mark.parametrize("action", ["goal", "twist"])
-def test_a_trusted_zip_of_stable_baselines3_is_read(tmp_path, action):
-    envs = DummyVecEnv([lambda: ExploreArguments("office-small", split="train").make(action)])
-    make_algorithm(action, envs, short(action), seed=0).save(tmp_path / "model.zip")
-    agent = make_agent("ppo", tmp_path / "model.zip", trust=True)
-    assert agent.action == action
-    observation = {key: value[0] for key, value in envs.reset().items()}
-    assert envs.action_space.contains(agent.act(observation, {"action_mask": np.ones(16, bool)}))
-    with pytest.raises(ValueError, match=r"--trust"):
+def test_somebody_elses_zip_is_read_only_where_it_is_trusted(tmp_path, action):
+    learner = MaskablePPO if action == "goal" else PPO
+    learner("MultiInputPolicy", DRIVE.make(action), n_steps=16).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=r"model.zip: refused.*--trust"):
         make_agent("ppo", tmp_path / "model.zip")
+    agent, env = make_agent("ppo", tmp_path / "model.zip", trust=True), DRIVE.make(action)
+    observation, info = env.reset(seed=0)
+    assert agent.action == action and env.action_space.contains(agent.act(observation, info))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"width": 10**9}, "larger than any"), ({"actions": -1}, "no positive numbers"), ({"format": "x"}, "not a"),
+        ({"observation": {"image": [3, 4000, 4000]}}, "larger than any"), ({"width": 32}, "state_dict"),
+    ],
+)  # fmt: skip
+def test_a_description_that_does_not_fit_is_refused_by_name(driver, tmp_path, change, message):
+    with zipfile.ZipFile(driver) as whole, zipfile.ZipFile(tmp_path / "other.zip", "w") as other:
+        for name in whole.namelist():
+            content = whole.read(name)
+            if name == "data":
+                table = json.loads(content)
+                content = json.dumps(table | {"about": table["about"] | change})
+            other.writestr(name, content)
+    with pytest.raises(ValueError, match=f"other.zip: refused.*{message}"):
+        load_policy(tmp_path / "other.zip")
 
 
 def test_worlds_watched_in_training_are_neither_trained_nor_reported_on():
@@ -164,24 +170,28 @@ def test_worlds_watched_in_training_are_neither_trained_nor_reported_on():
     assert 1_000 < HELD_OUT < count - 1_000
 
 
-def test_an_associator_is_trained_and_its_file_says_on_what(tmp_path):
-    arguments = AssociateArguments("corridor", candidates=3, order="fewest_candidates")
-    hyper = dataclasses.replace(load_hyperparameters("branch"), steps=64, batch_size=32, epochs=1)
-    plan = TrainingPlan("branch", arguments, hyper, 3, 128, eval_every=64, eval_episodes=1, workers=0)
-    spec, content = read_model(train(tmp_path / "run", plan))
-    assert spec.action == "branch"
-    assert spec.training["timesteps"] == 128
-    assert {name: spec.training[name] for name in ("scenario", "candidates", "order", "split")} == {
-        "scenario": "corridor", "candidates": 3, "order": "fewest_candidates", "split": "train",
-    }  # fmt: skip
-    assert all(torch.isfinite(weights).all() for weights in content["policy"].values())
-    header = (tmp_path / "run" / "progress.csv").read_text()
-    assert "held_out/score" in header
-    assert "held_out/map_error" in header
-    assert (tmp_path / "run" / "best.pt").exists()
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("envs = 4", "envs = 0", "envs is 0"), ("envs = 4", 'envs = "4"', "envs is '4'"), ("n_steps", "steps", "ppo"),
+        ("gamma = 0.98", "gamma = -1", "gamma is -1"), ("[goal]", "[gaol]", "missing"), ("[goal]", "[", "mine.toml"),
+    ],
+)  # fmt: skip
+def test_hyperparameters_that_cannot_be_are_refused_by_name(tmp_path, old, new, message):
+    (tmp_path / "mine.toml").write_text(HYPERPARAMETERS.read_text().replace(old, new, 1))
+    with pytest.raises(ValueError, match=rf"mine\.toml: .*{message}" if message != "mine.toml" else message):
+        load_hyperparameters("goal", tmp_path / "mine.toml")
 
 
-@pytest.mark.parametrize(("start", "expected"), [(0, 128), (128, 128), (100, 164)])
-def test_the_bar_ends_with_the_last_rollout(start, expected):
-    plan = TrainingPlan("goal", TRAINING, dataclasses.replace(short("goal"), steps=32, envs=2), timesteps=101)
-    assert plan.decisions_from(start) == expected
+@pytest.mark.parametrize(
+    ("app", "line", "said"),
+    [
+        (train_command.app, ["--timesteps", "0"], "timesteps"),
+        (train_command.app, ["--scenario", "offic"], "office-small"),
+        (train_associate.app, ["--hyperparameters", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_bad_input_of_the_commands_is_told_and_nothing_is_written(tmp_path, app, line, said):
+    done = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 2 and said in done.output
+    assert not (tmp_path / "out").exists()

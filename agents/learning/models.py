@@ -1,0 +1,184 @@
+"""Trained models: Stable-Baselines3's `.zip` files, and the drivers and associators that they make.
+
+Such a file holds weights, which torch reads without running code, and a JSON table whose entry `about` says what the
+network is. The rest of the table is pickled: it is read only where somebody trusts the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from sb3_contrib import MaskablePPO
+from stable_baselines3 import PPO
+from stable_baselines3.common.save_util import load_from_zip_file
+
+from agents.drivers.base import ActionKind, Info, legal_goals
+from agents.drivers.base import Observation as ExploreObservation
+from agents.learning.ppo import CHOICES, LARGEST_LAYER, Decision, Hyperparameters, policy_of
+from slam_gym.association.tracking.observation import Observation
+from slam_gym.association.tracking.policy import from_policy
+from slam_gym.types import Associator, BoolArray
+
+FORMAT = "slam_gym policy 2"
+_MAX_BYTES = 1 << 28  # of a file, and of what it unpacks to
+_MAX_VALUES, _MAX_ACTIONS = 1 << 17, 4_096  # of an observation; of a choice
+
+
+@dataclass(frozen=True)
+class About:
+    """What a model file says beside its weights: enough to rebuild the network, and how it was trained.
+
+    Raises ValueError for what no training makes.
+    """
+
+    action: Decision
+    observation: dict[str, list[int]]  # shape of each part of the observation; `image` is uint8, the rest float32
+    actions: int  # number of goals or branches, or length of the twist
+    width: int
+    hidden: int
+    deterministic: bool
+    training: dict[str, Any]  # scenario, seed, versions …
+    timesteps: int = 0  # decisions that it was trained for
+    format: str = FORMAT
+
+    def __post_init__(self) -> None:
+        numbers = [self.width, self.hidden, *(side for shape in self.observation.values() for side in shape)]
+        if self.format != FORMAT or self.action not in (*CHOICES, "twist") or not isinstance(self.training, dict):
+            raise ValueError(f"not a {FORMAT!r} file")
+        if not all(type(n) is int and n >= 1 for n in (*numbers, self.actions)) or self.actions > _MAX_ACTIONS:
+            raise ValueError("its sizes are no positive numbers")
+        values = sum(math.prod(shape) for shape in self.observation.values())
+        if values > _MAX_VALUES or max(self.width, self.hidden) > LARGEST_LAYER:
+            raise ValueError("it describes a network larger than any that is trained here")
+
+    @classmethod
+    def of(cls, env: gym.Env[Any, Any], action: Decision, hyper: Hyperparameters, training: dict[str, Any]) -> About:
+        """Of a policy that is to be trained on an environment."""
+        assert isinstance(env.observation_space, spaces.Dict)
+        shapes = {key: list(space.shape or ()) for key, space in env.observation_space.spaces.items()}
+        actions = spaces.flatdim(env.action_space)
+        return cls(action, shapes, actions, hyper.width, hyper.hidden, hyper.deterministic, training)
+
+    def policy(self) -> Any:
+        """The network, with fresh weights."""
+        observation = spaces.Dict({
+            key: spaces.Box(0, 255, shape, np.uint8) if key == "image" else spaces.Box(-1.0, 1.0, shape, np.float32)
+            for key, shape in self.observation.items()
+        })  # fmt: skip
+        choice, twist = spaces.Discrete(self.actions), spaces.Box(-1.0, 1.0, (self.actions,), np.float32)
+        policy, arguments = policy_of(self.action, self.width, self.hidden)
+        return policy(observation, choice if self.action in CHOICES else twist, lambda _: 0.0, **arguments)
+
+
+def read_about(path: Path) -> About:
+    """What a model file says of itself. ValueError names the file where it is missing, damaged, or none of ours."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > _MAX_BYTES:
+                raise ValueError(f"is larger than {_MAX_BYTES >> 20} MB")
+            data = json.loads(archive.read("data"))
+        return replace(About(**data["about"]), timesteps=int(data["num_timesteps"]))
+    except OSError:
+        raise ValueError(f"model {path}: no such file") from None
+    except Exception as error:  # zipfile and json raise whatever the damage leads to
+        raise ValueError(
+            f"model {path}: refused, it is no model of this package ({type(error).__name__}: {error}); "
+            "--trust reads other files of Stable-Baselines3, which can run code"
+        ) from None
+
+
+def load_policy(path: Path) -> tuple[About, Any]:
+    """What a model file says of itself, and its network. ValueError as `read_about`, and where the two do not fit."""
+    about = read_about(path)
+    try:
+        weights = load_from_zip_file(path, load_data=False, device="cpu")[1]["policy"]
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in weights.values()):
+            raise ValueError("not all weights are finite")
+        policy = about.policy()
+        policy.load_state_dict(weights)
+    except Exception as error:  # torch raises whatever the damage leads to
+        reason = (str(error) or type(error).__name__).splitlines()[0][:300]
+        raise ValueError(f"model {path}: refused, {reason}") from None
+    return about, policy
+
+
+class PolicyAgent:
+    """A trained network at the wheel."""
+
+    name = "ppo"
+
+    def __init__(self, policy: Any, action: ActionKind, *, deterministic: bool) -> None:
+        torch.set_num_threads(1)  # for one state at a time, more only get in each other's way
+        policy.set_training_mode(False)
+        self.action: ActionKind = action
+        self._policy, self._deterministic = policy, deterministic
+
+    @classmethod
+    def load(cls, path: Path, *, trust: bool = False) -> PolicyAgent:
+        """From a model file. `trust` unpickles files of Stable-Baselines3 that say nothing `about` themselves, which
+        can run code: MaskablePPO decides goals, PPO twists."""
+        try:
+            about, policy = load_policy(path)
+        except ValueError:
+            if not trust:
+                raise
+            return cls._trusted(path)
+        if about.action == "branch":
+            raise ValueError(f"model {path}: an associator, not a driver")
+        return cls(policy, about.action, deterministic=about.deterministic)
+
+    @classmethod
+    def _trusted(cls, path: Path) -> PolicyAgent:
+        try:
+            policy = PPO.load(path, device="cpu").policy
+        except (TypeError, KeyError, AssertionError):  # its policy takes masks
+            policy = MaskablePPO.load(path, device="cpu").policy
+        goal = isinstance(policy.action_space, spaces.Discrete)
+        return cls(policy, "goal" if goal else "twist", deterministic=goal)
+
+    def reset(self, seed: int) -> None:
+        torch.manual_seed(seed)
+
+    def act(self, observation: ExploreObservation, info: Info) -> int | NDArray[np.float32]:
+        masks = {"action_masks": legal_goals(info)} if self.action == "goal" else {}
+        action, _ = self._policy.predict(dict(observation), deterministic=self._deterministic, **masks)
+        return int(action) if self.action == "goal" else np.asarray(action, np.float32)
+
+
+@dataclass(frozen=True)
+class BestBranch:
+    """The policy of the interpretation tree that takes the legal branch of the highest score."""
+
+    network: Any
+
+    def __call__(self, observation: Observation, mask: BoolArray) -> int:
+        seen = {name: observation[name] for name in self.network.observation_space.spaces}
+        return int(self.network.predict(seen, deterministic=True, action_masks=mask)[0])
+
+
+def load_associator(path: Path | str) -> Associator:
+    """The associator of a model file that `python -m agents.train_associate` wrote; reading it runs no code from it.
+
+    It walks the tree as it was trained to: same K, order and compatibility. Raises ValueError that names the file where
+    it is missing, damaged, or no associator.
+    """
+    about, policy = load_policy(Path(path))
+    if about.action != "branch":
+        raise ValueError(f"model {path}: a driver (action {about.action!r}), not an associator")
+    torch.set_num_threads(1)
+    policy.set_training_mode(False)
+    try:
+        walk = {name: about.training[name] for name in ("candidates", "order", "compatibility")}
+        return from_policy(BestBranch(policy), **walk)
+    except (KeyError, ValueError, TypeError) as error:
+        raise ValueError(f"model {path}: training: {error} is missing or wrong") from None
