@@ -23,7 +23,7 @@ from agents.evaluation.pipeline import Execution
 from agents.evaluation.records import stem
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
-from slam_gym.slam.relocation import SEARCH
+from slam_gym.slam.relocate import SEARCH
 
 ON_A_FLOOR = "building"
 """The scenario whose robot drives on a floor plan file."""

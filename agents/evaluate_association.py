@@ -43,7 +43,7 @@ from slam_gym.association import RELOCATORS
 from slam_gym.recordings.catalogue import PUBLISHED
 from slam_gym.scenarios import SCENARIOS, SPLITS
 from slam_gym.scenarios.suite import EXPERIMENTS
-from slam_gym.slam.relocation import SEARCH
+from slam_gym.slam.relocate import SEARCH
 
 LOOPS = ("office-small", "hall", "crowd")
 EPISODES = 30

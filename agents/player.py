@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from agents.drivers.base import ActionKind, Info, Observation
 from agents.evaluation.associators import find_associator
 from slam_gym.association import resolve_relocator
-from slam_gym.slam.relocation import SEARCH
+from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Prediction, Relocation, Scan
 
 WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}

@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from slam_gym.recordings.catalogue import open_recordings
     from slam_gym.recordings.trajectory_file import write_tum
     from slam_gym.scenarios import SCENARIOS, Scenario, register
+    from slam_gym.slam.atlas import AtlasSpec
     from slam_gym.slam.local_maps import LocalMapSlam
-    from slam_gym.slam.relocation import RelocatingSlam, relocate_by
+    from slam_gym.slam.relocate import relocate_by
     from slam_gym.slam.slam import Slam, SlamSpec
     from slam_gym.types import (
         UNKNOWN_KIND,
@@ -65,8 +66,9 @@ _WHERE = {
     "recordings.catalogue": ("open_recordings",),
     "recordings.trajectory_file": ("write_tum",),
     "scenarios": ("SCENARIOS", "Scenario", "register"),
+    "slam.atlas": ("AtlasSpec",),
     "slam.local_maps": ("LocalMapSlam",),
-    "slam.relocation": ("RelocatingSlam", "relocate_by"),
+    "slam.relocate": ("relocate_by",),
     "slam.slam": ("Slam", "SlamSpec"),
     "types.decided": ("UNPAIRED", "Hypothesis", "Relocation"),
     "types.expected": ("Prediction",),
@@ -82,6 +84,7 @@ __all__ = [
     "SCENARIOS",
     "UNKNOWN_KIND",
     "UNPAIRED",
+    "AtlasSpec",
     "FloorPlan",
     "Hypothesis",
     "Landmarks",
@@ -90,7 +93,6 @@ __all__ = [
     "MapSpec",
     "Odometry",
     "Prediction",
-    "RelocatingSlam",
     "Relocation",
     "Scan",
     "Scenario",

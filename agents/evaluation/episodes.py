@@ -19,7 +19,7 @@ from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.records import Record
 from slam_gym.association.tracking.policy import Policy
 from slam_gym.envs.vector.env import ManyWorlds
-from slam_gym.slam.relocation import SEARCH
+from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import Associator, Relocator
 
 EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"

@@ -13,9 +13,9 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.simulation.judged import CEILING, JudgedSlam
-from slam_gym.slam.atlas import AtlasSlam
+from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.deferred import followed
-from slam_gym.slam.relocation import relocate_by
+from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Array, Associator, BoolArray, IntArray, SlamStep, Truth
 
@@ -62,7 +62,9 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
     informed = associator == CEILING
     if informed:
         spec = replace(spec, map=replace(spec.map, confirmations=1))
-    slam = Slam(spec) if informed or relocation is None else AtlasSlam(spec, relocate_by(relocation))
+    slam = Slam(spec)
+    if relocation is not None and not informed:
+        slam = Slam(spec, relocate=relocate_by(relocation), atlas=AtlasSpec())
     if (start := start_of(log)) is not None:
         slam.map.place(start, np.zeros((3, 3)))
     meter, associate = metered(associator)

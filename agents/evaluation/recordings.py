@@ -22,7 +22,7 @@ from slam_gym.association import resolve_relocator
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.recorded import slam_for
-from slam_gym.slam.relocation import SEARCH
+from slam_gym.slam.relocate import SEARCH
 
 COLUMNS = (
     Column("precision", "prec.", 3, "higher"),

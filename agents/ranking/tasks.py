@@ -22,7 +22,7 @@ from agents.suite.worlds import WorldTask
 from slam_gym.association import ASSOCIATORS
 from slam_gym.scenarios.recorded import slam_for
 from slam_gym.simulation.judged import CEILING
-from slam_gym.slam.relocation import SEARCH
+from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import Associator, Relocator
 
 _KEPT = ("map_error", "map_lost", "coverage", "precision", "recall", "exact", "spoiled", "f1", "ate")

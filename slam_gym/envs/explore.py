@@ -24,7 +24,7 @@ from slam_gym.simulation.episode import Episode, Site
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.atlas import AtlasSpec
-from slam_gym.slam.relocation import SEARCH, LocalityName, relocate_by
+from slam_gym.slam.relocate import SEARCH, LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Associator, Relocator
 from slam_gym.validation import one_of
 

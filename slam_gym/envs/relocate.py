@@ -20,7 +20,7 @@ from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
 from slam_gym.simulation.right_answers import NOT_OFFERED
-from slam_gym.slam.relocation import LocalityName
+from slam_gym.slam.relocate import LocalityName
 from slam_gym.types import UNPAIRED, Associator, IntArray
 from slam_gym.validation import one_of
 

@@ -31,7 +31,7 @@ from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import follow, length_left, points_ahead
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.simulation import appraisal
-from slam_gym.slam import kernels, lost, slam, whole_step
+from slam_gym.slam import kernels, slam, tracker, whole_step
 from slam_gym.slam.at_once import form_of
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, Associator, Beams, IntArray, Odometry, Prediction, Scan
@@ -40,8 +40,8 @@ from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec, World
 
 COMPILED = (
-    geometry, slam, lost, observation, grid, keyframes, linear_algebra, point_assignment, association, boxes, detection,
-    driving, reachability, visibility, wall_grid, appraisal, kernels, whole_step,
+    geometry, slam, tracker, observation, grid, keyframes, linear_algebra, point_assignment, association, boxes,
+    detection, driving, reachability, visibility, wall_grid, appraisal, kernels, whole_step,
 )  # fmt: skip
 """The modules of which Python calls inner loops in every episode, whoever drives and associates."""
 

@@ -15,7 +15,6 @@ from slam_gym.rendering.legend import legend, shown_in
 from slam_gym.rendering.panels import Box, Figures, figures
 from slam_gym.rendering.scene import Scene, draw_scene, paired_positions, scene_of_episode
 from slam_gym.simulation.episode import Episode
-from slam_gym.slam.relocation import RelocatingSlam
 from slam_gym.types import Array
 
 SIZE = (960, 720)  # [pixels]
@@ -150,7 +149,7 @@ def _figures(episode: Episode) -> Figures:
 def _whereabouts(episode: Episode) -> Figures:
     """What was done to the robot, and what it makes of it; nothing where nobody carries robots away."""
     kidnapping = episode.kidnapping
-    if episode.scenario.kidnapping is None and not isinstance(episode.slam, RelocatingSlam):
+    if episode.scenario.kidnapping is None and episode.slam.tracker is None:
         return ()
     rows = () if kidnapping.happened is None else (("carried away", f"tick {kidnapping.happened}"),)
     if episode.slam.lost:

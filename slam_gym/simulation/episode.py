@@ -27,10 +27,10 @@ from slam_gym.simulation.belief import Belief
 from slam_gym.simulation.goals import Tried
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping, is_right
-from slam_gym.slam.atlas import AtlasSpec, slam_of
+from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.deferred import Branch, followed
-from slam_gym.slam.relocation import Relocate
-from slam_gym.slam.slam import SlamSpec, send
+from slam_gym.slam.relocate import Relocate
+from slam_gym.slam.slam import Slam, SlamSpec, send
 from slam_gym.types import Array, Associator, BoolArray, Hypothesis, IntArray, Prediction, SlamStep
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
@@ -99,7 +99,7 @@ class Episode:
         self._cells = self.grid.cells  # go on with the grid
         sensor = scenario.sensor
         field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-        self.slam = slam_of(spec, relocate, ViewsFrom(field, self.grid.explored), atlas)
+        self.slam = Slam(spec, ViewsFrom(field, self.grid.explored), relocate=relocate, atlas=atlas)
         # the truth tells new features as well: gates that are wide would starve it, and others would do better
         self._judged = JudgedSlam(self.slam, associator, informed=True)
         self.identities = self._judged.identities

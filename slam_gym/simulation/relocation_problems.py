@@ -10,14 +10,13 @@ import numpy as np
 
 from slam_gym.geometry import compose
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.scenarios import SPLITS, Scenario, world_generator, world_seed
 from slam_gym.simulation.association_runs import nearest_frontier
 from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode, Site, survey
 from slam_gym.simulation.goals import LOOK, Places, propose
-from slam_gym.slam.relocation import LocalityName
+from slam_gym.slam.relocate import LocalityName, locality_of
 from slam_gym.types import SPURIOUS, UNPAIRED, Array, Associator, IntArray, Landmarks, Locality, Scan
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
@@ -44,11 +43,7 @@ class MappedWorld:
 
     def locality(self, kind: LocalityName | None) -> Locality | None:
         """Which landmarks are local to which."""
-        if kind is None:
-            return None
-        if kind == "distance":
-            return within(self.landmarks.positions, 2.0 * self.reach)
-        return covisible(self.graph, hops=2 if kind == "two-hop covisibility" else 1)
+        return locality_of(self.graph, self.landmarks.positions, self.reach, kind)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,13 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.association.compatibility import Candidates, chi2_gate
-from slam_gym.association.relocation.constraints import unary
 from slam_gym.association.tracking.branch_and_bound import complete
 from slam_gym.association.tree import Tree, interpretation_tree
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmarks, Prediction, Scan
+from slam_gym.slam.places.verification import attributes_agree
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Prediction, Scan
 
 _SEARCHES = 64
-_UNARY_CONFIDENCE = 0.9999  # of the test of sizes: it is there to turn away what cannot be, not to choose
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +57,7 @@ def find_duplicates(
     if len(np.unique(together)) < len(together) or np.any((together < 0) | (together >= m.n)):
         raise ValueError(f"older, newer: not distinct features of a map of {m.n}")
     positions, P = m.positions[together], m.covariance_of(together)
-    eligible = agree(m, older, newer)
+    eligible = attributes_agree(m, older, newer)
     first, second = np.arange(len(older)), len(older) + np.arange(len(newer))  # among those together
     pairs, distances = _compatible(positions, P, first, second, eligible, chi2_gate(2, individual_confidence))
     chosen, distance, spent = _one_to_one(positions, P, pairs, distances, confidence, node_limit)
@@ -96,15 +95,6 @@ def _one_to_one(
         else:
             todo += [left[left != chosen[rival]] for rival in rivals]
     return best, best_distance, effort
-
-
-def agree(m: StochasticMap, older: IntArray, newer: IntArray) -> BoolArray:
-    """(b, a) where size and kind do not speak against a pair."""
-    sizes, variances, kinds, at = m.sizes, m.size_variances, m.kinds, m.covariances
-    scan = Scan(m.positions[newer], at[newer], sizes[newer], variances[newer], kinds[newer])
-    landmarks = Landmarks.from_points(m.positions[older], covariance=m.covariance_of(older))
-    landmarks = replace(landmarks, sizes=sizes[older], size_variances=variances[older], kinds=kinds[older])
-    return unary(scan, landmarks, _UNARY_CONFIDENCE)
 
 
 def _claimed_twice(older: IntArray, distances: Array) -> tuple[int, int] | None:

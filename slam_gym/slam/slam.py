@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,35 +13,39 @@ import numpy as np
 from slam_gym._compile import announce_compilation, compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.refusals import bad_measurement, refused_update
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam import kernels
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of, may_be_at_once
+from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of, may_be_at_once, weighs_all
+from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.kernels import Learned, Settings
+from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
+from slam_gym.slam.relocate import Relocate, ViewFrom
+from slam_gym.slam.tracker import Tracker
 from slam_gym.slam.whole_step import Nature
 from slam_gym.types import (
+    NO_ID,
     UNPAIRED,
     Array,
     Associator,
     BoolArray,
+    Effort,
     Expectation,
     Experience,
     Hypothesis,
     IntArray,
     Odometry,
     Prediction,
+    Relocation,
     Scan,
     SlamStep,
-    View,
 )
 from slam_gym.validation import check_hypothesis, check_inputs, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
-_NO_PAIRS = np.empty((0, 2), np.int64)
-
-ViewFrom = Callable[[Array], View]
-"""From a pose (3,) in B to `Prediction.view`: what the sensor would have in view from there."""
+_STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 
 AskingStep = Generator[Prediction, Hypothesis, SlamStep]
 """A step that somebody else associates for: yields the prediction, is sent the hypothesis, returns the step."""
@@ -79,21 +83,43 @@ class SlamSpec:
 class Slam:
     """A robot's map and pose estimate, and the step that updates them.
 
-    `view_from`, where it is given, tells associators what the sensor should have in view.
+    Arguments:
+        spec: settings.
+        view_from: tells associators what the sensor should have in view.
+        relocate: finds a robot that is lost (`slam_gym.slam.relocate.relocate_by`). A scan that pairs too little of
+            what should be in view is then doubted, and not learned from. After too many of them in a row the robot is
+            lost, and searched for scan after scan. None: every scan is learned from.
+        atlas: closes loops, and starts and joins maps of a robot that stays lost (`slam_gym.slam.atlas`).
+
+    Raises ValueError for an atlas without `relocate`.
     """
 
-    def __init__(self, spec: SlamSpec | None = None, view_from: ViewFrom | None = None) -> None:
+    def __init__(
+        self,
+        spec: SlamSpec | None = None,
+        view_from: ViewFrom | None = None,
+        *,
+        relocate: Relocate | None = None,
+        atlas: AtlasSpec | None = None,
+    ) -> None:
         announce_compilation((sys.modules[__name__],))  # whose loops every step calls
         self.spec = spec or SlamSpec()
-        self.view_from = view_from
+        self.view_from, self.relocator = view_from, relocate
+        self.tracker: Tracker | None = None
+        self.atlas: Atlas | None = None
+        if relocate is not None:
+            self.tracker = Tracker(self.spec.lost_fraction, self.spec.lost_scans, self.spec.min_expected)
+        if atlas is not None:
+            if relocate is None:
+                raise ValueError("atlas: a robot that is not searched for when it is lost has no use for one")
+            self.atlas = Atlas(atlas, relocate, self.spec.chance, self.spec.anew)
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
         self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, in turns
         self._learned = 0  # scans
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
-        self._ambiguous = math.inf  # others in the gate of an old feature, from which it is not on offer
-        self._chance = 1.0  # of being wrong, above which pairings with old features are held back
+        self._fused = NO_PAIRS  # ids, in the last step
         self._warned = False
         m, given = self.spec.map, self.spec.new_confidence
         gate = chi2_gate(2, m.confidence if given is None else given)
@@ -141,9 +167,42 @@ class Slam:
 
     def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
         """What `scan` should show from the pose predicted by `odometry`, with the localities to search first."""
-        reach, graph = self._reach_for(scan), self.covisibility if self.spec.locality else None
-        prediction = self.map.prediction(reach, graph, self._recent.ravel(), self.view_from, odometry)
-        return prediction if self._experience is None else replace(prediction, experience=self._experience)
+        prediction = self._features_in_reach(scan, odometry)
+        return prediction if self.atlas is None else self.atlas.offered(prediction, self.map, self.reach)
+
+    def relocate(self, prediction: Prediction, scan: Scan) -> SlamStep:
+        """The step of a scan that is not believed. The map learns nothing, unless the robot is lost and found by it.
+
+        The robot is then moved to the pose found, with a covariance that says nothing, and the update with the pairings
+        leaves it with what they tell. One that stays lost for too long goes on in another map.
+        Raises ValueError, the robot unmoved, for an answer that cannot be.
+        """
+        assert self.tracker is not None and self.relocator is not None
+        nothing = Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
+        found = None
+        if self.tracker.lost:
+            found = self.relocator(scan, self.map, self.covisibility, self.reach, self.view_from)
+        if found is not None:
+            return self._go_on_from(found, scan, self.tracker)
+        if self.atlas is not None and self.atlas.gives_up(self.tracker):
+            removed = self._begin_map(self.atlas, self.tracker)
+            return replace(self._learn(scan, self.predict_features(scan, _STILL), nothing), removed=removed)
+        self.map.end_of_step()
+        return SlamStep(prediction, nothing, np.full(len(scan), NO_ID), np.zeros(len(scan), np.bool_), _NO_FEATURES)
+
+    def close_loops(self, step: SlamStep, scan: Scan) -> SlamStep:
+        """The step, once what the atlas finds to be the same is one."""
+        if self.atlas is None or self.doubted:
+            return step
+        fusion = self.atlas.fusion(MappedArea(self.map, self.covisibility), step, scan, self.reach)
+        if fusion is None:
+            return step
+        self.map, self.covisibility, self._fused = fusion.map, fusion.covisibility, fusion.ids
+        self._renumber(fusion.became)
+        if self.tracker is not None and len(fusion.returned):
+            self.tracker.relocations += 1
+        gone = np.concatenate([step.removed, fusion.ids[:, 1]])
+        return replace(step, removed=gone, returned=fusion.returned)
 
     @property
     def reach(self) -> float:
@@ -152,28 +211,52 @@ class Slam:
 
     @property
     def maps(self) -> tuple[StochasticMap, ...]:
-        """The map; after it come others that a robot which was lost has left (see `slam_gym.slam.atlas`)."""
-        return (self.map,)
+        """The active map, then the inactive ones of the atlas, in the coordinates that they were left with."""
+        return (self.map,) if self.atlas is None else (self.map, *[area.map for area in self.atlas.inactive])
 
     @property
     def lost(self) -> bool:
-        """Never: nobody asks whether it is (see `slam_gym.slam.relocation.RelocatingSlam`)."""
-        return False
+        """The robot is not where the map has it, and waits for relocation. Never, without `relocate`."""
+        return self.tracker is not None and self.tracker.lost
 
     @property
     def doubted(self) -> bool:
-        """Never, as `lost`."""
-        return False
+        """The last scan was not believed. Never, without `relocate`."""
+        return self.tracker is not None and self.tracker.doubted > 0
 
     @property
     def fused(self) -> IntArray:
-        """(k, 2) ids of features that became one in the last step, the one that is kept first: none, as `lost`."""
-        return _NO_PAIRS
+        """(k, 2) ids of features that became one in the last step, the one that is kept first."""
+        return self._fused
 
     @property
     def relocations(self) -> int:
-        """None, as `lost`."""
-        return 0
+        """How often the robot was found again so far."""
+        return 0 if self.tracker is None else self.tracker.relocations
+
+    def _features_in_reach(self, scan: Scan, odometry: Odometry | None) -> Prediction:
+        """The prediction of all features in reach, whether an atlas offers them or not."""
+        reach, graph = self._reach_for(scan), self.covisibility if self.spec.locality else None
+        prediction = self.map.prediction(reach, graph, self._recent.ravel(), self.view_from, odometry)
+        return prediction if self._experience is None else replace(prediction, experience=self._experience)
+
+    def _go_on_from(self, found: Relocation, scan: Scan, tracker: Tracker) -> SlamStep:
+        """The step of a scan that says where the robot is. Raises ValueError, the robot unmoved, where it cannot be."""
+        answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
+        hypothesis = check_hypothesis(answer, len(scan), self.map.n)
+        self.map.place(found.pose, UNKNOWN_POSE)
+        tracker.accept(hypothesis)
+        tracker.relocations += 1
+        everything = self._features_in_reach(scan, _STILL)  # nothing is known of the pose: all would be ambiguous
+        return self._learn(scan, everything, hypothesis)
+
+    def _begin_map(self, atlas: Atlas, tracker: Tracker) -> IntArray:
+        """Go on in an empty map; the ids of the features that are left behind."""
+        removed = self.map.ids
+        self.map, self.covisibility = atlas.next_map(self.map, self.covisibility), CovisibilityGraph()
+        self._recent.fill(UNPAIRED)
+        tracker.forget()
+        return removed
 
     def _reach_for(self, scan: Scan) -> float:
         """[m] within which features are predicted for a scan, from now on."""
@@ -185,18 +268,20 @@ class Slam:
 
     def _nature(self, reach: float) -> Nature:
         """How `whole_step` is to be taken."""
-        spec, ambiguous = self.spec, self._ambiguous if self._experience is None else math.inf
-        return spec.map.second_order, spec.locality, reach, ambiguous, self._chance, *self._trust()
-
-    def _trust(self) -> tuple[float, bool]:
-        """The fraction of the measurements that must be paired if a scan is to be learned from at once, or whether any
-        pairing will do: here, every scan is learned from."""
-        return 0.0, False
+        spec, ambiguous, chance, enough = self.spec, math.inf, 1.0, (0.0, False)
+        if self.atlas is not None:
+            chance = self.atlas.max_chance_probability
+            ambiguous = self.atlas.max_accidental_matches if self._experience is None else math.inf
+        if self.tracker is not None:
+            enough = self.tracker.enough(blind=self.view_from is None)
+        return spec.map.second_order, spec.locality, reach, ambiguous, chance, *enough
 
     def _at_once(self, odometry: Odometry, scan: Scan, form: int, plain: bool) -> Attempt | None:
         """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""
         if not may_be_at_once(form, self.view_from, self._experience):
             return None
+        if self.atlas is not None and self.atlas.starts_from_rejected and weighs_all(form):
+            return None  # `marginal_step` knows no rule that keeps anything from who weighs all hypotheses
         if not (plain or are_plain(odometry, scan)):
             return None
         m, graph, count = self.map, self.covisibility, len(scan.points)
@@ -212,9 +297,21 @@ class Slam:
         self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned | None = None
     ) -> SlamStep:
         """What follows the associator's answer; `learned`, where `whole_step` has gone on already."""
-        if learned is None:
-            return self._learn(scan, expected.prediction, hypothesis)
-        return self._remember(scan, expected, hypothesis, learned)
+        self._fused = NO_PAIRS
+        if learned is not None:
+            if self.tracker is not None:
+                self.tracker.accept(hypothesis)
+                if self.view_from is None:
+                    self.tracker.look(scan.points)
+            return self.close_loops(self._remember(scan, expected, hypothesis, learned), scan)
+        prediction = expected.prediction
+        if self.tracker is not None:
+            if not self.tracker.believes(scan, prediction, hypothesis):
+                return self.close_loops(self.relocate(prediction, scan), scan)
+            if self.atlas is not None:
+                hypothesis = self.atlas.accepted(scan, prediction, hypothesis, self.map, self._fixed[3])
+                self.tracker.accept(hypothesis)  # what is rejected is not expected to be seen again
+        return self.close_loops(self._learn(scan, prediction, hypothesis), scan)
 
     def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """Update with the pairings, add what is new, maintain: see `slam.kernels`.
@@ -301,6 +398,8 @@ class Slam:
     def _renumber(self, became: IntArray) -> None:
         """What is remembered by feature follows the map, in which each of n features `became` (n,) another, or none."""
         self._recent = np.append(became, UNPAIRED)[self._recent]
+        if self.tracker is not None:
+            self.tracker.renumber(became)
 
 
 def answered(step: AskingStep, scan: Scan, associate: Associator) -> SlamStep:

@@ -16,7 +16,7 @@ from slam_gym.navigation.explored_grid import UNKNOWN, ExploredGrid
 from slam_gym.scenarios import KidnappingSpec, Scenario
 from slam_gym.simulation.episode import Episode, Site, survey, turned
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.slam.relocation import relocate_by
+from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Array, Effort, Hypothesis, Prediction, Relocation, Scan, Truth
 from slam_gym.world.floor_plan import Features, FloorPlan

@@ -12,7 +12,7 @@ from slam_gym.envs.explore import ExploreEnv
 from slam_gym.geometry import compose, relative
 from slam_gym.scenarios import KidnappingSpec, Scenario
 from slam_gym.simulation.kidnapping import HEADING, POSITION, Kidnapping, is_right
-from slam_gym.slam.relocation import relocate_by
+from slam_gym.slam.relocate import relocate_by
 from slam_gym.types import Array, Landmarks, Locality, Relocation, Scan
 from tests.rollouts import differences, explore, short
 

@@ -8,7 +8,7 @@ import pytest
 
 from slam_gym.geometry import transform
 from slam_gym.simulation.relocation_problems import KNOWN, MappedWorld, kidnap, map_world
-from slam_gym.slam.relocation import LOCALITIES
+from slam_gym.slam.relocate import LOCALITIES
 from slam_gym.types import SPURIOUS, UNPAIRED
 from tests.rollouts import differences, short
 from tests.simulation.test_kidnapping import pose_is_right

@@ -11,21 +11,27 @@ from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.slam.atlas import AtlasSlam, AtlasSpec, slam_of
-from slam_gym.slam.loops import LoopSpec
-from slam_gym.slam.relocation import RelocatingSlam, relocate_by
+from slam_gym.slam.atlas import AtlasSpec
+from slam_gym.slam.places.recognition import RecognitionSpec
+from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import Odometry, Truth
+from slam_gym.types import IntArray, Odometry, Truth
 from tests.slam.rings import Drive, drive, duplicates, map_it, ring_of_landmarks, view_from
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
 
-EARLY = AtlasSpec(ambiguous=0.1)
+EARLY = AtlasSpec(max_accidental_matches=0.1)
 """So small a ring and so great a drift: old features are left to the loops early."""
 
 
-def nobody(slam: Slam, scan: object) -> None:
+def nobody(*_: object) -> None:
     """A relocation that never finds anything."""
+
+
+def fused(slam: Slam, kind: str) -> list[IntArray]:
+    """Pairs (k, 2) of ids of each fusion of that kind."""
+    assert slam.atlas is not None
+    return [record.ids for record in slam.atlas.fusions if record.kind == kind]
 
 
 def loop_drive(seed: int, steps: int = 300, carried_at: int | None = None, drift: float = 0.03) -> Drive:
@@ -33,10 +39,10 @@ def loop_drive(seed: int, steps: int = 300, carried_at: int | None = None, drift
     return drive(ring_of_landmarks(rng), rng, steps, drift, carried_at)
 
 
-def sources_differ(judged: JudgedSlam, closed: list[tuple[int, np.ndarray]]) -> int:
+def sources_differ(judged: JudgedSlam, closed: list[IntArray]) -> int:
     """How many of the pairs that were made equal were not."""
     of = judged.identities.source_of
-    return sum(int((of(ids[:, 0]) != of(ids[:, 1])).sum()) for _, ids in closed)
+    return sum(int((of(ids[:, 0]) != of(ids[:, 1])).sum()) for ids in closed)
 
 
 def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
@@ -44,9 +50,9 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
     for seed in range(4):
         log = loop_drive(seed)
         plain, without = map_it(Slam(SPEC), log)
-        slam = AtlasSlam(SPEC, nobody, view_from, EARLY)
+        slam = Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
         judged, error = map_it(slam, log)
-        assert slam.loops and sources_differ(judged, slam.loops) == 0, f"seed {seed}"
+        assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0, f"seed {seed}"
         assert duplicates(judged) <= 1, f"seed {seed}"
         errors.append((without, error, duplicates(plain)))
     without, error, left = np.array(errors).T
@@ -54,42 +60,43 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
 
 
 def test_a_closed_loop_leaves_a_valid_map() -> None:
-    log, slam = loop_drive(2), AtlasSlam(SPEC, nobody, view_from, EARLY)
+    log, slam = loop_drive(2), Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
     map_it(slam, log)
     m, graph = slam.map, slam.covisibility
-    assert slam.loops and is_covariance(m.covariance)
+    assert fused(slam, "loop") and is_covariance(m.covariance)
     np.testing.assert_array_equal(m.covariance, m.covariance.T)
     assert graph.n == m.n and len(np.unique(m.ids)) == m.n
     pairs, counts = graph.edges()
     assert (counts > 0).all() and (pairs[:, 0] < pairs[:, 1]).all()
     assert (counts <= np.minimum(m.seen[pairs[:, 0]], m.seen[pairs[:, 1]])).all()
-    for _, ids in slam.loops:
+    for ids in fused(slam, "loop"):
         assert (ids[:, 0] < ids[:, 1]).all() and not np.isin(ids[:, 1], m.ids).any()  # the older id stays
 
 
 def test_the_steps_tell_which_features_went_and_came() -> None:
     for carried_at in (None, 100):
-        log, slam, alive = loop_drive(1, 340, carried_at, 0.014), AtlasSlam(SPEC, nobody, view_from, EARLY), set()
-        for odometry, scan, _ in log.steps:
+        slam, alive = Slam(SPEC, view_from, relocate=nobody, atlas=EARLY), set()
+        for odometry, scan, _ in loop_drive(1, 340, carried_at, 0.014).steps:
             step = slam.step(odometry, scan)
             alive |= set(step.ids[step.created].tolist()) | set(step.returned.tolist())
             alive -= set(step.removed.tolist())
             assert alive == set(slam.map.ids.tolist())
             kept, gone = slam.fused.T
             assert np.isin(gone, step.removed).all() and np.isin(kept, slam.map.ids).all() and (kept < gone).all()
-        assert slam.loops or slam.joins
+        assert fused(slam, "loop") or fused(slam, "maps")
 
 
 def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_joined() -> None:
     for seed in range(4):
-        log, slam = loop_drive(seed, 340, 100, 0.014), AtlasSlam(SPEC, nobody, view_from, EARLY)
+        log, slam = loop_drive(seed, 340, 100, 0.014), Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
         judged = JudgedSlam(slam)
         numbers = []
         for (odometry, scan, sources), pose in zip(log.steps, log.poses):
             judged.step(odometry, scan, Truth(pose, sources))
             numbers.append(len(slam.maps))
         assert max(numbers) == 2 and numbers[-1] == 1, f"seed {seed}"
-        assert len(slam.joins) == 1 and sources_differ(judged, slam.joins) == 0 and slam.relocations == 1
+        joined = fused(slam, "maps")
+        assert len(joined) == 1 and sources_differ(judged, joined) == 0 and slam.relocations == 1
         assert is_covariance(slam.map.covariance) and slam.covisibility.n == slam.map.n
         assert duplicates(judged) <= 3, f"seed {seed}"
         assert judged.tally.precision > 0.95
@@ -98,9 +105,9 @@ def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_j
 def test_after_joining_the_pose_is_where_the_older_map_says_within_its_covariance() -> None:
     distances = []
     for seed in range(6):
-        log, slam = loop_drive(seed, 215, 100, 0.006), AtlasSlam(SPEC, nobody, view_from, EARLY)
+        log, slam = loop_drive(seed, 215, 100, 0.006), Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
         judged, _ = map_it(slam, log)
-        if not slam.joins:
+        if not fused(slam, "maps"):
             continue
         # the base, as far as the landmarks around the robot tell: drift of the map is no error of the pose in it
         m, sources = slam.map, judged.identities.source_of(slam.map.ids)
@@ -115,11 +122,11 @@ def test_after_joining_the_pose_is_where_the_older_map_says_within_its_covarianc
 
 def test_nothing_changes_to_the_last_bit_while_nothing_is_found() -> None:
     log = loop_drive(0, 200, drift=0.004)
-    plain, atlas = RelocatingSlam(SPEC, nobody), AtlasSlam(SPEC, nobody, atlas=AtlasSpec(ambiguous=1e9))
+    plain, atlas = Slam(SPEC, relocate=nobody), Slam(SPEC, relocate=nobody, atlas=AtlasSpec(max_accidental_matches=1e9))
     for odometry, scan, _ in log.steps:
         one, other = plain.step(odometry, scan), atlas.step(odometry, scan)
         np.testing.assert_array_equal(one.ids, other.ids)
-    assert not atlas.loops and not atlas.twins and not atlas.joins
+    assert not fused(atlas, "loop") and not fused(atlas, "maps")
     np.testing.assert_array_equal(plain.map.mean, atlas.map.mean)
     np.testing.assert_array_equal(plain.map.covariance, atlas.map.covariance)
 
@@ -127,7 +134,7 @@ def test_nothing_changes_to_the_last_bit_while_nothing_is_found() -> None:
 def test_the_same_log_makes_the_same_map() -> None:
     log, maps = loop_drive(3, 340, 100, 0.014), []
     for _ in range(2):
-        slam = AtlasSlam(SPEC, relocate_by("gcbb"))
+        slam = Slam(SPEC, relocate=relocate_by("gcbb"), atlas=AtlasSpec())
         map_it(slam, log)
         maps.append(slam.map)
     np.testing.assert_array_equal(maps[0].mean, maps[1].mean)
@@ -138,7 +145,7 @@ def test_old_features_that_are_ambiguous_are_not_offered_and_others_are() -> Non
     log = loop_drive(2)
     offered, known = {}, {}
     for name, ambiguous in (("all", 1e9), ("sure", 0.1)):
-        slam = AtlasSlam(SPEC, nobody, atlas=AtlasSpec(ambiguous=ambiguous))
+        slam = Slam(SPEC, relocate=nobody, atlas=AtlasSpec(max_accidental_matches=ambiguous))
         for odometry, scan, _ in log.steps[:250]:
             prediction = slam.step(odometry, scan).prediction
         offered[name], known[name] = len(prediction), slam.map.n
@@ -148,7 +155,7 @@ def test_old_features_that_are_ambiguous_are_not_offered_and_others_are() -> Non
 def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_atlas() -> None:
     """It would take for new what it is not offered."""
     log, maps = loop_drive(2, 250), []
-    for slam in (Slam(SPEC), AtlasSlam(SPEC, nobody, atlas=EARLY)):
+    for slam in (Slam(SPEC), Slam(SPEC, relocate=nobody, atlas=EARLY)):
         for odometry, scan, _ in log.steps:
             slam.step(odometry, scan, "marginal")
         maps.append(slam.map)
@@ -160,42 +167,40 @@ def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_
     anew, kept = replace(SPEC, chance=0.05, anew=True), []
     for seed in range(4):
         log = loop_drive(seed)
-        by_itself, by_rule = (AtlasSlam(spec, nobody, view_from, EARLY) for spec in (SPEC, anew))
+        by_itself, by_rule = (Slam(spec, view_from, relocate=nobody, atlas=EARLY) for spec in (SPEC, anew))
         (without, _), (judged, _) = (map_it(slam, log, "marginal") for slam in (by_itself, by_rule))
-        assert by_rule.loops and sources_differ(judged, by_rule.loops) == 0, f"seed {seed}"
-        assert not by_itself.loops and duplicates(judged) <= 1, f"seed {seed}"
+        assert fused(by_rule, "loop") and sources_differ(judged, fused(by_rule, "loop")) == 0, f"seed {seed}"
+        assert not fused(by_itself, "loop") and duplicates(judged) <= 1, f"seed {seed}"
         kept.append(duplicates(without))
     assert max(kept) > 5
 
 
 def test_without_patience_there_is_one_map_only() -> None:
-    log, slam = loop_drive(0, 160, 100, 0.014), AtlasSlam(SPEC, nobody, view_from, AtlasSpec(patience=None))
+    log, slam = loop_drive(0, 160, 100, 0.014), Slam(SPEC, view_from, relocate=nobody, atlas=AtlasSpec(patience=None))
     map_it(slam, log)
     assert slam.lost and slam.maps == (slam.map,)
 
 
 def test_a_map_too_small_to_be_recognised_is_dropped() -> None:
-    log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(LoopSpec(min_pairs=100), patience=0)
-    slam = AtlasSlam(SPEC, nobody, view_from, spec)
+    log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(RecognitionSpec(min_pairs=100), patience=0)
+    slam = Slam(SPEC, view_from, relocate=nobody, atlas=spec)
     removed = [slam.step(odometry, scan).removed for odometry, scan, _ in log.steps]
     assert max(map(len, removed)) > 8 and slam.maps == (slam.map,)
 
 
-def test_slam_of_makes_what_its_arguments_say() -> None:
-    assert type(slam_of(SPEC)) is Slam and type(slam_of(SPEC, nobody)) is RelocatingSlam
-    assert type(slam_of(SPEC, nobody, atlas=AtlasSpec())) is AtlasSlam
+def test_an_atlas_without_relocation_is_refused() -> None:
     with pytest.raises(ValueError, match="atlas"):
-        slam_of(SPEC, atlas=AtlasSpec())
+        Slam(SPEC, atlas=AtlasSpec())
 
 
-@pytest.mark.parametrize("wrong", [{"ambiguous": 0.0}, {"patience": -1}, {"rejoin": 0}])
+@pytest.mark.parametrize("wrong", [{"max_accidental_matches": 0.0}, {"patience": -1}, {"rejoin": 0}])
 def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         AtlasSpec(**wrong)  # type: ignore[arg-type]
 
 
 def test_bad_numbers_are_refused_as_by_slam() -> None:
-    slam, log = AtlasSlam(SPEC, nobody, view_from, EARLY), loop_drive(0, 2)
+    slam, log = Slam(SPEC, view_from, relocate=nobody, atlas=EARLY), loop_drive(0, 2)
     bad = Odometry(np.array([np.nan, 0.0, 0.0]), np.eye(3))
     with pytest.raises(ValueError, match="odometry"):
         slam.step(bad, log.steps[0][1])

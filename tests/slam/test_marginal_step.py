@@ -10,8 +10,8 @@ from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.navigation.explored_grid import FREE, WALL, ExploredGrid
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.slam.at_once import Attempt
-from slam_gym.slam.atlas import AtlasSlam, AtlasSpec
-from slam_gym.slam.relocation import relocate_by
+from slam_gym.slam.atlas import AtlasSpec
+from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam
 from slam_gym.types import Associator, Odometry, Scan
 from tests.slam.rings import HALF_VIEW, REACH
@@ -51,7 +51,7 @@ def test_so_is_an_atlas_that_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
         return came[-1]
 
     monkeypatch.setattr(Slam, "_at_once", kept)
-    one, other = (AtlasSlam(SPEC, relocate_by("gcbb"), sight(), AtlasSpec()) for _ in range(2))
+    one, other = (Slam(SPEC, sight(), relocate=relocate_by("gcbb"), atlas=AtlasSpec()) for _ in range(2))
     assert_twins(one, other, log_of(3, carried_at=120, steps=180), marginal)
     learned = [attempt[2] is not None for attempt in came if attempt is not None]
     assert one.map.n > 20 and sum(learned) > 90 and not all(learned)

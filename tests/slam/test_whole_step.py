@@ -9,14 +9,14 @@ import pytest
 from slam_gym.association import jcbb, nearest_neighbour, singles
 from slam_gym.mapping.map_state import state_of
 from slam_gym.mapping.stochastic_map import MapSpec
-from slam_gym.slam.atlas import AtlasSlam, AtlasSpec
-from slam_gym.slam.relocation import RelocatingSlam, relocate_by
+from slam_gym.slam.atlas import AtlasSpec
+from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, Associator, Scan, SlamStep
 from tests.slam.rings import drive, ring_of_landmarks, view_from
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), reach=12.0)
-NEVER_AMBIGUOUS = AtlasSpec(ambiguous=1e9)
+NEVER_AMBIGUOUS = AtlasSpec(max_accidental_matches=1e9)
 _ASKED = ("joint", "local", "view")  # of a prediction, which hold for the moment that it was made at
 
 
@@ -87,14 +87,18 @@ def test_slam_is_the_page_s(spec: SlamSpec, associate: Associator) -> None:
 @pytest.mark.parametrize("view", [None, view_from])
 @pytest.mark.parametrize("ambiguous", [0.1, 1e9])
 def test_an_atlas_that_is_lost_and_closes_loops_is_the_page_s(ambiguous: float, view: Any) -> None:
-    one, other = (AtlasSlam(SPEC, relocate_by("gcbb"), view, AtlasSpec(ambiguous=ambiguous)) for _ in range(2))
+    one, other = (
+        Slam(SPEC, view, relocate=relocate_by("gcbb"), atlas=AtlasSpec(max_accidental_matches=ambiguous))
+        for _ in range(2)
+    )
     assert_twins(one, other, log_of(3, carried_at=120), jcbb)
     assert one.map.n > 20 and len(one.maps) == len(other.maps)
 
 
 def test_so_is_one_that_holds_back_what_may_be_chance() -> None:
     one, other, plain = (
-        AtlasSlam(replace(SPEC, chance=c), relocate_by("gcbb"), view_from, NEVER_AMBIGUOUS) for c in (0.05, 0.05, 1.0)
+        Slam(replace(SPEC, chance=c), view_from, relocate=relocate_by("gcbb"), atlas=NEVER_AMBIGUOUS)
+        for c in (0.05, 0.05, 1.0)
     )
     assert_twins(one, other, log_of(3, steps=330, in_pairs=True), jcbb)
     for odometry, scan, *_ in log_of(3, steps=330, in_pairs=True):
@@ -104,7 +108,7 @@ def test_so_is_one_that_holds_back_what_may_be_chance() -> None:
 
 def test_what_is_held_back_starts_features_where_it_is_told_to() -> None:
     believing, waiting, anew = (
-        AtlasSlam(replace(SPEC, chance=c, anew=new), relocate_by("gcbb"), view_from, NEVER_AMBIGUOUS)
+        Slam(replace(SPEC, chance=c, anew=new), view_from, relocate=relocate_by("gcbb"), atlas=NEVER_AMBIGUOUS)
         for c, new in ((1.0, False), (0.05, False), (0.05, True))
     )
     for odometry, scan, *_ in log_of(3, steps=330, in_pairs=True):
@@ -118,6 +122,6 @@ def test_what_is_held_back_starts_features_where_it_is_told_to() -> None:
 
 
 def test_so_is_one_that_relocates_only() -> None:
-    one, other = (RelocatingSlam(SPEC, relocate_by("gcbb")) for _ in range(2))
+    one, other = (Slam(SPEC, relocate=relocate_by("gcbb")) for _ in range(2))
     assert_twins(one, other, log_of(5, carried_at=120), jcbb)
     assert one.relocations == other.relocations

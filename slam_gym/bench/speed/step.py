@@ -38,7 +38,6 @@ from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam import kernels
 from slam_gym.slam import slam as slam_module
-from slam_gym.slam.atlas import AtlasSlam
 from slam_gym.slam.slam import Slam
 from slam_gym.world.physics import World
 from slam_gym.world.sensor import Sensor
@@ -49,7 +48,7 @@ PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "odometry, scan, beams": ((Sensor, "sense"),),
     "from prediction to update, at once": ((slam_module, "attempt"),),
     "features that are forgotten": ((Slam, "_forget"),),
-    "loops": ((AtlasSlam, "_close"),),
+    "loops": ((Slam, "close_loops"),),
     "decisions judged": ((Identities, "judge"),),
     "explored grid": ((Keyframes, "enter"),),
     "pose, map error, coverage": ((Episode, "_log"), (Episode, "_appraise")),

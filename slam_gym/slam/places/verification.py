@@ -1,4 +1,4 @@
-"""Whether pairs of features of one map may be the same, all of them together, under the covariance of the whole map.
+"""Geometric verification: whether pairs of features may be the same, all of them together, by what the map knows.
 
 With the innovations ν_ij = F_i − F_j of all pairs, their covariance C, and the directions G of a rigid motion of the
 newer features as a whole,
@@ -14,29 +14,20 @@ is (Qν)_iᵀ Q_ii⁻¹ (Qν)_i, of 2 degrees of freedom.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.relocation.constraints import unary
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import Array, IntArray
+from slam_gym.slam.places.recognition import Parts, RecognitionSpec, landmarks_of, rigid_motions
+from slam_gym.types import Array, BoolArray, IntArray, Scan
 
 _FLOOR = 1e-12  # [m²] added to every variance
 _ONE_PAIR = 0.99  # confidence of what a single pair may add
-
-
-class Tested(Protocol):
-    """Settings of the tests."""
-
-    @property
-    def min_pairs(self) -> int: ...
-
-    @property
-    def confidence(self) -> float: ...
-
-    @property
-    def inflation(self) -> float: ...
+_UNARY_CONFIDENCE = 0.9999  # of the test of sizes: it is there to turn away what cannot be, not to choose
 
 
 class Agreement(NamedTuple):
@@ -58,10 +49,7 @@ def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
     HP = P[2 * k :] - P[: 2 * k]
     C = HP[:, 2 * k :] - HP[:, : 2 * k]
     moved = positions[pairs[:, 1]]
-    nu, G = (moved - positions[pairs[:, 0]]).ravel(), np.zeros((2 * k, 3))
-    x, y = (moved - moved.mean(axis=0)).T
-    G[0::2, 0] = G[1::2, 1] = 1.0
-    G[0::2, 2], G[1::2, 2] = -y, x
+    nu, G = (moved - positions[pairs[:, 0]]).ravel(), rigid_motions(moved)
     W = np.linalg.inv(0.5 * (C + C.T) + _FLOOR * np.eye(2 * k))
     WG = W @ G
     Q = W - WG @ np.linalg.solve(G.T @ WG, WG.T)
@@ -71,17 +59,39 @@ def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
     return Agreement(shape, 2 * k - 3, max(float(nu @ W @ nu) - shape, 0.0), added)
 
 
-def agreeing(m: StochasticMap, pairs: IntArray, tests: Tested, *, prior: bool) -> IntArray:
+def agreeing(m: StochasticMap, pairs: IntArray, spec: RecognitionSpec, *, prior: bool) -> IntArray:
     """The pairs (k', 2) that are left once those that the others speak against are dropped; none if they disagree.
 
     With `prior`, the motion between the two must be one that the map thinks possible. Errors as in `agreement`.
     """
-    while len(pairs) >= tests.min_pairs:
+    while len(pairs) >= spec.min_pairs:
         agrees = agreement(m, pairs)
         worst = int(agrees.added.argmax())
         if agrees.added[worst] < chi2_gate(2, _ONE_PAIR):
-            possible = agrees.motion < tests.inflation**2 * chi2_gate(3, tests.confidence)
-            holds = agrees.shape < chi2_gate(agrees.dof, tests.confidence) and (possible or not prior)
+            possible = agrees.motion < spec.inflation**2 * chi2_gate(3, spec.confidence)
+            holds = agrees.shape < chi2_gate(agrees.dof, spec.confidence) and (possible or not prior)
             return pairs if holds else pairs[:0]
         pairs = np.delete(pairs, worst, axis=0)
     return pairs[:0]
+
+
+def never_together(graph: CovisibilityGraph, pairs: IntArray) -> bool:
+    """Whether no scan saw both features of a pair (k, 2), as two."""
+    return not any(graph.count(older, newer) for older, newer in pairs.tolist())
+
+
+def overlap(m: StochasticMap, parts: Parts, pairs: IntArray) -> float:
+    """Fraction that the pairs (k, 2) are of the features of either part, the lesser, within the circle about them."""
+    positions, counts = m.positions, []
+    for side, features in ((0, parts.older), (1, parts.recent)):
+        paired = positions[pairs[:, side]]
+        centre = paired.mean(axis=0)
+        radius = float(np.hypot(*(paired - centre).T).max()) + 1e-9
+        counts.append(int((np.hypot(*(positions[features] - centre).T) <= radius).sum()))
+    return len(pairs) / max(min(counts), 1)
+
+
+def attributes_agree(m: StochasticMap, older: IntArray, newer: IntArray) -> BoolArray:
+    """(b, a) where size and kind do not speak against a pair of an older (a,) and a newer feature (b,)."""
+    of_newer = m.sizes[newer], m.size_variances[newer], m.kinds[newer]
+    return unary(Scan(m.positions[newer], m.covariances[newer], *of_newer), landmarks_of(m, older), _UNARY_CONFIDENCE)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.slam.lost import Tracker
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Prediction
+from slam_gym.slam.tracker import Tracker
+from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, Prediction, Scan
 
 FEATURES = 10
 
@@ -22,66 +22,73 @@ def paired(count: int) -> Hypothesis:
     return Hypothesis(decisions, 0.0, 2 * count, Effort())
 
 
-EVERY = np.ones(FEATURES, bool)
+def doubts(
+    tracker: Tracker, expected: Prediction, hypothesis: Hypothesis, established: BoolArray | None = None
+) -> bool:
+    """Whether the tracker doubts a scan that measured ahead of the robot."""
+    if established is not None:
+        expected = replace(expected, provisional=~established)
+    scan = Scan.from_points(np.full((len(hypothesis.features), 2), [2.0, 0.0]), sigma=0.1)
+    return not tracker.believes(scan, expected, hypothesis)
 
 
 def test_features_out_of_view_are_no_reason_to_doubt() -> None:
     tracker = Tracker(0.3, 3, 4)
     for _ in range(20):
-        assert not tracker.doubts(prediction(np.full(FEATURES, 0.05)), paired(0), EVERY)
+        assert not doubts(tracker, prediction(np.full(FEATURES, 0.05)), paired(0))
     assert not tracker.lost
 
 
 def test_a_scan_of_strangers_right_after_one_that_knew_its_way_is() -> None:
     tracker, out_of_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
-    assert not tracker.doubts(out_of_view, paired(4), EVERY)
-    assert tracker.doubts(out_of_view, paired(0), EVERY)
-    assert not tracker.doubts(out_of_view, paired(3), EVERY)
+    assert not doubts(tracker, out_of_view, paired(4))
+    assert doubts(tracker, out_of_view, paired(0))
+    assert not doubts(tracker, out_of_view, paired(3))
 
 
 def test_a_scan_that_mostly_makes_sense_is_not_doubted_for_what_it_does_not_show() -> None:
     half = replace(paired(2), features=np.array([0, 1, UNPAIRED, UNPAIRED]))
-    assert not Tracker(0.3, 3, 4).doubts(prediction(np.full(FEATURES, 0.9)), half, EVERY)
+    assert not doubts(Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.9)), half)
 
 
 def test_neither_are_features_that_are_not_established_nor_too_few_to_tell() -> None:
     tracker, in_view = Tracker(0.3, 1, 4), prediction(np.full(FEATURES, 0.9))
-    assert not tracker.doubts(in_view, paired(0), ~EVERY)
-    assert not tracker.doubts(in_view, paired(0), np.arange(FEATURES) < 3)
-    assert tracker.doubts(in_view, paired(0), np.arange(FEATURES) < 4)
+    assert not doubts(tracker, in_view, paired(0), np.zeros(FEATURES, bool))
+    assert not doubts(tracker, in_view, paired(0), np.arange(FEATURES) < 3)
+    assert doubts(tracker, in_view, paired(0), np.arange(FEATURES) < 4)
 
 
 @pytest.mark.parametrize(("count", "doubted"), [(2, True), (3, False)])
 def test_the_fraction_decides(count: int, doubted: bool) -> None:
-    assert Tracker(0.3, 3, 4).doubts(prediction(np.full(FEATURES, 0.9)), paired(count), EVERY) is doubted
+    assert doubts(Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.9)), paired(count)) is doubted
 
 
 def test_lost_after_so_many_in_a_row_and_found_only_by_a_larger_fraction() -> None:
     tracker, in_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.9))
-    for doubts in (1, 2):
-        assert tracker.doubts(in_view, paired(0), EVERY) and tracker.doubted == doubts and not tracker.lost
-    assert not tracker.doubts(in_view, paired(3), EVERY) and tracker.doubted == 0
+    for count in (1, 2):
+        assert doubts(tracker, in_view, paired(0)) and tracker.doubted == count and not tracker.lost
+    assert not doubts(tracker, in_view, paired(3)) and tracker.doubted == 0
     for _ in range(3):
-        tracker.doubts(in_view, paired(0), EVERY)
+        doubts(tracker, in_view, paired(0))
     assert tracker.lost
-    assert tracker.doubts(in_view, paired(3), EVERY) and tracker.lost  # that many pair by chance now and then
-    assert not tracker.doubts(in_view, paired(8), EVERY) and not tracker.lost
+    assert doubts(tracker, in_view, paired(3)) and tracker.lost  # that many pair by chance now and then
+    assert not doubts(tracker, in_view, paired(8)) and not tracker.lost
 
 
 def test_a_lost_robot_stays_lost_where_nothing_is_expected() -> None:
     tracker = Tracker(0.3, 1, 4)
-    tracker.doubts(prediction(np.full(FEATURES, 0.9)), paired(0), EVERY)
-    assert tracker.lost and tracker.doubts(prediction(np.zeros(FEATURES)), paired(0), EVERY)
+    doubts(tracker, prediction(np.full(FEATURES, 0.9)), paired(0))
+    assert tracker.lost and doubts(tracker, prediction(np.zeros(FEATURES)), paired(0))
 
 
 def test_without_visibilities_what_was_paired_last_is_expected() -> None:
     tracker = Tracker(0.3, 1, 4)
-    assert not tracker.doubts(prediction(), paired(8), EVERY)
-    assert tracker.doubts(prediction(), paired(0), EVERY)
+    assert not doubts(tracker, prediction(), paired(8))
+    assert doubts(tracker, prediction(), paired(0))
     unseen = Tracker(0.3, 1, 4)
-    assert not unseen.doubts(prediction(), paired(3), EVERY)
-    assert not unseen.doubts(prediction(), paired(0), EVERY)  # three are too few
-    assert Tracker(0.3, 1, 4).doubts(prediction(), paired(0), EVERY) is False  # nothing was paired before
+    assert not doubts(unseen, prediction(), paired(3))
+    assert not doubts(unseen, prediction(), paired(0))  # three are too few
+    assert doubts(Tracker(0.3, 1, 4), prediction(), paired(0)) is False  # nothing was paired before
 
 
 def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
@@ -92,8 +99,8 @@ def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
         tracker = Tracker(0.3, 3, 4)
         for _ in range(20 if learned else 2):
             tracker.look(positions)
-        assert not tracker.doubts(ahead, paired(FEATURES), EVERY)
-        assert tracker.doubts(behind, paired(0), EVERY) is not learned
+        assert not doubts(tracker, ahead, paired(FEATURES))
+        assert doubts(tracker, behind, paired(0)) is not learned
 
 
 def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
@@ -102,14 +109,14 @@ def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
     behind, tracker = replace(ahead, positions=-positions), Tracker(0.3, 3, 4)
     for _ in range(20):
         tracker.look(positions)
-    assert not tracker.doubts(ahead, paired(FEATURES), EVERY)
-    assert tracker.doubts(ahead, paired(0), EVERY) and tracker.doubts(behind, paired(0), EVERY)
-    assert not tracker.doubts(behind, paired(6), EVERY)
+    assert not doubts(tracker, ahead, paired(FEATURES))
+    assert doubts(tracker, ahead, paired(0)) and doubts(tracker, behind, paired(0))
+    assert not doubts(tracker, behind, paired(6))
 
 
 def test_what_the_last_scan_paired_is_followed_through_removals() -> None:
     tracker, out_of_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
-    assert not tracker.doubts(out_of_view, paired(5), EVERY)
+    assert not doubts(tracker, out_of_view, paired(5))
     became = np.arange(FEATURES) - 1
     became[0] = UNPAIRED
     tracker.renumber(became)

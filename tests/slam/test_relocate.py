@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.slam.relocation import LOCALITIES, RelocatingSlam, locality_of, relocate_by
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.slam.relocate import LOCALITIES, locality_of, relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED, Effort, Landmarks, Locality, Odometry, Relocation, Scan
 
@@ -24,11 +25,11 @@ def found(features: list[int], pose: np.ndarray) -> Relocation:
 def test_the_search_is_asked_once_too_many_scans_were_doubted_and_only_then() -> None:
     calls = []
 
-    def relocate(slam: Slam, scan: Scan) -> Relocation:
-        calls.append(slam.map.step)
-        return found([1, 0], slam.map.pose)
+    def relocate(scan: Scan, m: StochasticMap, *_: object) -> Relocation:
+        calls.append(m.step)
+        return found([1, 0], m.pose)
 
-    slam = RelocatingSlam(SlamSpec(lost_scans=3, min_expected=2), relocate)
+    slam = Slam(SlamSpec(lost_scans=3, min_expected=2), relocate=relocate)
     here = scan_of([[1, 0], [2, 1]])
     for _ in range(5):
         slam.step(STILL, here)
@@ -43,7 +44,7 @@ def test_the_search_is_asked_once_too_many_scans_were_doubted_and_only_then() ->
 
 
 def test_a_doubted_scan_leaves_the_map_as_the_odometry_does() -> None:
-    slam, plain = RelocatingSlam(SlamSpec(min_expected=2), lambda slam, scan: None), Slam(SlamSpec(min_expected=2))
+    slam, plain = Slam(SlamSpec(min_expected=2), relocate=lambda *_: None), Slam(SlamSpec(min_expected=2))
     for each in (slam, plain):
         for _ in range(3):
             each.step(STILL, scan_of([[1, 0], [2, 1]]))
@@ -57,7 +58,7 @@ def test_a_doubted_scan_leaves_the_map_as_the_odometry_does() -> None:
 def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pose() -> None:
     here, moved = scan_of([[1, 0], [2, 1]]), Odometry(np.array([0.0, 8.0, 0.0]), 1e-4 * np.eye(3))
     spec = SlamSpec(lost_scans=1, min_expected=2, reach=20.0)
-    slam = RelocatingSlam(spec, lambda slam, scan: found([0, UNPAIRED], np.zeros(3)))
+    slam = Slam(spec, relocate=lambda *_: found([0, UNPAIRED], np.zeros(3)))
     slam.step(STILL, here)
     slam.step(STILL, here)
     step = slam.step(moved, here)
@@ -66,7 +67,7 @@ def test_after_relocation_new_features_are_those_that_fit_nothing_at_the_new_pos
 
 def test_the_pose_found_is_what_the_pairings_tell() -> None:
     here, there = [[1, 0], [2, 1], [3, -1]], np.array([2.0, 1.0, 0.0])
-    slam = RelocatingSlam(SlamSpec(lost_scans=1, min_expected=2), lambda slam, scan: found([0, 1, 2], there))
+    slam = Slam(SlamSpec(lost_scans=1, min_expected=2), relocate=lambda *_: found([0, 1, 2], there))
     for _ in range(4):
         slam.step(STILL, scan_of(here))
     slam.step(Odometry.from_motion([0, 0, 3.0], 0.01), scan_of(np.array(here) - there[:2]))
@@ -83,7 +84,7 @@ def test_the_pose_found_is_what_the_pairings_tell() -> None:
     ],
 )
 def test_an_answer_that_cannot_be_is_refused_and_the_robot_is_not_moved(features, pose, message: str) -> None:
-    slam = RelocatingSlam(SlamSpec(lost_scans=1, min_expected=2), lambda slam, scan: found(features, pose))
+    slam = Slam(SlamSpec(lost_scans=1, min_expected=2), relocate=lambda *_: found(features, pose))
     still = Odometry(np.zeros(3), np.zeros((3, 3)))
     for _ in range(3):
         slam.step(still, scan_of([[1, 0], [2, 1]]))
@@ -136,9 +137,10 @@ def test_only_answers_that_explain_the_scan_and_cannot_be_chance_are_believed() 
     }
     for name, answer in believed.items():
         search = Asked(answer)
-        assert (relocate_by(search)(slam, scan) is answer) is (name == "all"), name
-        given, landmarks, locality = search.asked[0]
-        assert not given.points.flags.writeable and len(landmarks) == len(locality) == slam.map.n == 12
+        given = relocate_by(search)(scan, slam.map, slam.covisibility, slam.reach, None)
+        assert (given is answer) is (name == "all"), name
+        shown, landmarks, locality = search.asked[0]
+        assert not shown.points.flags.writeable and len(landmarks) == len(locality) == slam.map.n == 12
 
 
 def test_a_search_or_a_locality_that_nobody_knows_is_refused() -> None:

@@ -6,8 +6,8 @@ import pytest
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.mapping.map_state import Columns, MapState, map_of_state
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam.agreement import agreeing, agreement
-from slam_gym.slam.loops import LoopSpec
+from slam_gym.slam.places.recognition import RecognitionSpec
+from slam_gym.slam.places.verification import agreeing, agreement
 from slam_gym.types import Array, IntArray
 
 
@@ -80,7 +80,7 @@ def test_the_pair_that_the_others_speak_against_is_dropped_and_no_other() -> Non
     m, pairs = twice(np.random.default_rng(2), 12, motion=0.05)
     wrong = pairs.copy()
     wrong[[3, 7], 1] = wrong[[7, 3], 1]
-    left = agreeing(m, wrong, LoopSpec(), prior=True)
+    left = agreeing(m, wrong, RecognitionSpec(), prior=True)
     assert {tuple(pair) for pair in left.tolist()} <= {tuple(pair) for pair in pairs.tolist()}
     assert len(left) >= 9
 
@@ -90,5 +90,5 @@ def test_a_motion_that_the_map_thinks_impossible_is_refused_where_the_prior_coun
     moved = m.positions
     moved[10:] += np.array([3.0, 0.0])  # thirty standard deviations
     far = map_of(moved, m.covariance)
-    assert len(agreeing(far, pairs, LoopSpec(), prior=True)) == 0
-    assert len(agreeing(far, pairs, LoopSpec(), prior=False)) >= 9
+    assert len(agreeing(far, pairs, RecognitionSpec(), prior=True)) == 0
+    assert len(agreeing(far, pairs, RecognitionSpec(), prior=False)) >= 9

@@ -9,9 +9,18 @@ from slam_gym.association.relocation.acceptance import min_pairings
 from slam_gym.geometry import transform
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam.loops import LoopSpec, find_loop, landmarks_of, mirrored, overlap, parts_of, recent_part
-from slam_gym.slam.merging import as_scan
-from slam_gym.types import Array, Odometry
+from slam_gym.slam.places.fusion import find_loop
+from slam_gym.slam.places.recognition import (
+    RecognitionSpec,
+    as_scan,
+    landmarks_of,
+    mirrored,
+    parts_of,
+    recent_part,
+    shape_covariance,
+)
+from slam_gym.slam.places.verification import overlap
+from slam_gym.types import Array, Odometry, Scan
 from tests.slam.rings import enter
 
 SIDE, SIGMA = 12.0, 0.05  # [m] of a square of features, and of each position
@@ -35,10 +44,8 @@ def field(rng: np.random.Generator, count: int) -> Array:
     return rng.uniform(-SIDE / 2.0, SIDE / 2.0, (count, 2))
 
 
-def loop_in(m: StochasticMap, graph: CovisibilityGraph, spec: LoopSpec | None = None) -> Array:
-    settings = spec or LoopSpec()
-    parts = parts_of(m, graph, settings)
-    return np.empty((0, 2), np.int64) if parts is None else find_loop(m, graph, parts, settings)
+def loop_in(m: StochasticMap, graph: CovisibilityGraph) -> Array:
+    return find_loop(m, graph, RecognitionSpec())
 
 
 def test_what_is_seen_again_is_found_and_paired_rightly() -> None:
@@ -95,9 +102,9 @@ def test_few_pairs_close_no_loop() -> None:
 def test_the_recent_part_is_what_was_seen_last() -> None:
     rng = np.random.default_rng(6)
     m, graph = layered(rng, field(rng, 30), field(rng, 12))
-    np.testing.assert_array_equal(recent_part(m, graph, LoopSpec(group=20)), np.arange(30, 42))
+    np.testing.assert_array_equal(recent_part(m, graph, RecognitionSpec(group=20)), np.arange(30, 42))
     graph.see_together(np.array([3, 40]))  # then what was seen with 3 is linked to the recent part
-    assert len(recent_part(m, graph, LoopSpec(group=20))) == 20
+    assert len(recent_part(m, graph, RecognitionSpec(group=20))) == 20
 
 
 def test_landmarks_of_some_features_are_those_of_the_map() -> None:
@@ -125,11 +132,79 @@ def test_the_overlap_counts_what_is_not_paired_on_either_side() -> None:
     rng = np.random.default_rng(9)
     older = field(rng, 40)
     m, graph = layered(rng, older, older[:14], drift=0.01)
-    parts = parts_of(m, graph, LoopSpec(inflation=50.0))
+    parts = parts_of(m, graph, RecognitionSpec(inflation=50.0))
     assert parts is not None
     all_pairs = np.column_stack([np.arange(14), 40 + np.arange(14)])
     assert overlap(m, parts, all_pairs) == pytest.approx(1.0, abs=0.1)
     assert overlap(m, parts, all_pairs[::2]) < 0.8
+
+
+def drifting(rng: np.random.Generator, n: int) -> StochasticMap:
+    """A map of n features that share most of their errors, as after a long way from its base."""
+    m = StochasticMap(MapSpec(unconfirmed_age=None))
+    m.predict(Odometry(np.array([20.0, 5.0, 1.0]), np.diag([0.8, 0.8, 0.1]) ** 2))
+    for _ in range(n):
+        m.predict(Odometry(np.array([0.3, 0.0, 0.1]), np.diag([0.02, 0.02, 0.01]) ** 2))
+        unknown = np.full(1, np.nan)
+        m.add(Scan(rng.uniform(-3, 3, (1, 2)), 0.02**2 * np.eye(2)[None], unknown, unknown), np.array([0]))
+    return m
+
+
+def block_diagonal(blocks: Array) -> Array:
+    out = np.zeros((2 * len(blocks), 2 * len(blocks)))
+    for i, block in enumerate(blocks):
+        out[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block
+    return out
+
+
+def without_pose(points: Array, S: Array) -> Array:
+    """The information that errors with covariance S hold once a rigid motion has been fitted to them: D² = eᵀ(·)e."""
+    G = np.zeros((2 * len(points), 3))
+    G[0::2, 0] = G[1::2, 1] = 1.0
+    G[0::2, 2], G[1::2, 2] = -points[:, 1], points[:, 0]
+    W = np.linalg.inv(S)
+    out: Array = W - W @ G @ np.linalg.inv(G.T @ W @ G) @ G.T @ W
+    return out
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_a_group_never_claims_more_than_the_map_knows(seed: int) -> None:
+    """D² of any error, a pose being fitted, is at most what the true covariance makes of it; for every subset too."""
+    rng = np.random.default_rng(seed)
+    m, group = drifting(rng, 12), rng.permutation(12)[:8]
+    scan = as_scan(m, group)
+    entries = (3 + 2 * group[:, None] + np.arange(2)).ravel()
+    P, claimed = m.covariance[np.ix_(entries, entries)], block_diagonal(scan.covariances)
+    np.testing.assert_array_equal(scan.points, m.positions[group])
+    for _ in range(5):
+        subset = rng.permutation(8)[: int(rng.integers(2, 9))]
+        rows = (2 * subset[:, None] + np.arange(2)).ravel()
+        true = without_pose(scan.points[subset], P[np.ix_(rows, rows)] + 1e-12 * np.eye(len(rows)))
+        ours = without_pose(scan.points[subset], claimed[np.ix_(rows, rows)])
+        for _ in range(20):
+            e = rng.standard_normal(len(rows))
+            assert e @ ours @ e <= (1.0 + 1e-6) * (e @ true @ e)
+    drift = np.trace(P) / len(P)
+    assert np.trace(claimed) / len(claimed) < 0.1 * drift  # and yet what is common does not count
+
+
+def test_shape_covariance_is_blind_to_rigid_motion() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-5, 5, (6, 2))
+    G = np.zeros((12, 3))
+    G[0::2, 0] = G[1::2, 1] = 1.0
+    G[0::2, 2], G[1::2, 2] = -points[:, 1], points[:, 0]
+    factor, common = rng.standard_normal((12, 12)), 100.0 * rng.standard_normal((3, 3))
+    P = factor @ factor.T
+    moved = P + G @ common @ common.T @ G.T
+    np.testing.assert_allclose(shape_covariance(points, moved), shape_covariance(points, P), atol=1e-6)
+    np.testing.assert_allclose(shape_covariance(points, P) @ G, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("group", [[0, 1], [0, 1, 12], [-1, 0, 1]])
+def test_a_group_that_makes_no_sense_is_refused(group: list[int]) -> None:
+    with pytest.raises(ValueError, match="group"):
+        as_scan(drifting(np.random.default_rng(0), 12), np.array(group))
 
 
 @pytest.mark.parametrize(
@@ -139,7 +214,7 @@ def test_the_overlap_counts_what_is_not_paired_on_either_side() -> None:
         {"recent": 0},
         {"group": 2},
         {"min_pairs": 2},
-        {"above_chance": -1},
+        {"above_mirror": -1},
         {"min_fraction": 1.5},
         {"confidence": 1.0},
         {"inflation": 0.5},
@@ -149,4 +224,4 @@ def test_the_overlap_counts_what_is_not_paired_on_either_side() -> None:
 )
 def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong)) if "search" not in wrong else "unknown relocator"):
-        LoopSpec(**wrong)  # type: ignore[arg-type]
+        RecognitionSpec(**wrong)  # type: ignore[arg-type]

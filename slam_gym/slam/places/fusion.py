@@ -1,0 +1,159 @@
+"""Fusion: features that are the same become one, within the active map or between it and an inactive one.
+
+**Loops** are found by place recognition within the active map, and verified with the prior: one shape, and a motion
+between the two parts that the map thinks possible. **Maps** are joined with a relation that says nothing (`join_at`)
+once the recent part of one, or a scan, is recognised in the other; then there is no prior to verify by.
+
+**Duplicates** are single features that the map holds twice: what closes a loop, or a scan whose right pairing missed
+its gate, leaves the odd one. Two features are taken for the same where their difference is small for its covariance,
+neither has another such, each was seen several times, several features were seen with either of them, and still no scan
+saw both. With many such neighbours and sightings the last says more than a gate does, and the gate is wide: a filter
+that has turned optimistic is what parted them. A place that was mapped twice whole, too small for a loop, has no such
+neighbours. There, several pairs that stand together speak for each other.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.geometry import compose, inverse
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.map_joining import equate, join_at
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.slam.places.recognition import Parts, RecognitionSpec, parts_of, recognise
+from slam_gym.slam.places.verification import agreeing, attributes_agree, never_together, overlap
+from slam_gym.types import UNPAIRED, IntArray, Relocation
+
+NO_PAIRS = np.empty((0, 2), np.int64)
+_NOTHING = np.empty(0, np.int64)
+
+_CONFIDENCE = 0.99
+_INFLATION = 2.0  # of standard deviations, where sightings and neighbours are many
+_SEEN, _COMMON = 3, 3  # scans that saw each of two duplicates, and features seen with either, at least
+_MANY_SEEN, _MANY_COMMON = 8, 8
+_DOUBLED = 5  # candidates among the neighbours of both, at least, before they speak for each other
+
+
+class MappedArea(NamedTuple):
+    """A map with its covisibility graph."""
+
+    map: StochasticMap
+    covisibility: CovisibilityGraph
+
+
+class Fusion(NamedTuple):
+    """A map in which features that were two are one."""
+
+    map: StochasticMap
+    covisibility: CovisibilityGraph
+    ids: IntArray  # (k, 2) of the features that became one: that which is kept, and that which is gone
+    became: IntArray  # (n,) feature that each of the features before is now
+    returned: IntArray = _NOTHING  # (r,) ids of the features that came back with an inactive map
+
+    def then(self, later: Fusion) -> Fusion:
+        """Both in turn. What was kept by the first may be gone by the second."""
+        kept_later = dict(zip(later.ids[:, 1].tolist(), later.ids[:, 0].tolist()))
+        ids = [(kept_later.get(kept, kept), gone) for kept, gone in self.ids.tolist()] + later.ids.tolist()
+        returned = np.concatenate([self.returned, later.returned])
+        return Fusion(later.map, later.covisibility, np.array(ids, np.int64), later.became[self.became], returned)
+
+
+def fuse(m: StochasticMap, graph: CovisibilityGraph, pairs: IntArray) -> Fusion:
+    """The features of each pair (k, 2) made one, the first of which is kept. Map and graph are not changed."""
+    became, kept = np.arange(m.n), np.delete(np.arange(m.n), pairs[:, 1])
+    became[pairs[:, 1]] = pairs[:, 0]
+    fused = graph.fused(pairs[:, 0], pairs[:, 1])
+    return Fusion(equate(m, pairs), fused, m.ids[pairs], np.searchsorted(kept, became))
+
+
+def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
+    """Pairs (k, 2) of an older feature and one of the recent part that are the same; none where no loop is believed."""
+    parts = parts_of(m, graph, spec)
+    found = None if parts is None else recognise(m, parts.recent, m, graph, parts.older, spec)
+    if parts is None or found is None:
+        return NO_PAIRS
+    paired = found.features != UNPAIRED
+    pairs = np.column_stack([parts.older[found.features[paired]], parts.recent[paired]])
+    pairs = agreeing(m, pairs[np.argsort(pairs[:, 0])], spec, prior=True)
+    believed = len(pairs) >= spec.min_pairs and never_together(graph, pairs)
+    return pairs if believed and overlap(m, parts, pairs) >= spec.min_fraction else NO_PAIRS
+
+
+def join_recognised(older: MappedArea, newer: MappedArea, recent: IntArray, spec: RecognitionSpec) -> Fusion | None:
+    """Both maps as one, in the base of the older, if features `recent` (g,) of the newer are recognised; else None.
+
+    The features are those of the older map, then of the newer; the robot is that of the newer. What is known of the
+    relation comes from the pairs alone: they must have one shape under the covariance of both maps, and be most of what
+    both have there. Neither map is changed.
+    """
+    a, b, among = older.map, newer.map, np.flatnonzero(~older.map.provisional)
+    enough = min(len(among), len(recent)) >= spec.min_pairs
+    found = recognise(b, recent, a, older.covisibility, among, spec) if enough else None
+    if found is None:
+        return None
+    paired = found.features != UNPAIRED
+    both = join_at(a, b, found.pose)
+    pairs = np.column_stack([among[found.features[paired]], a.n + recent[paired]])
+    pairs = agreeing(both, pairs, spec, prior=False)
+    if len(pairs) < spec.min_pairs or overlap(both, Parts(a.n + recent, among), pairs) < spec.min_fraction:
+        return None
+    return fuse(both, older.covisibility.followed_by(newer.covisibility), pairs)
+
+
+def join_relocated(
+    older: MappedArea, newer: MappedArea, found: Relocation, features: IntArray, spec: RecognitionSpec
+) -> Fusion | None:
+    """As `join_recognised`, by one scan that was `found` in the older map.
+
+    In the newer one it has updated or started the `features` (m,), or UNPAIRED. A wrong relocation can be taken back by
+    the next, a wrong join cannot: as many pairs are asked for as of a recent part, of one shape.
+    """
+    a, b = older.map, newer.map
+    both = join_at(a, b, compose(found.pose, inverse(b.pose)))
+    paired = (found.features != UNPAIRED) & (features != UNPAIRED)
+    pairs = np.column_stack([found.features[paired], a.n + features[paired]])
+    pairs = agreeing(both, pairs, spec, prior=False)
+    return fuse(both, older.covisibility.followed_by(newer.covisibility), pairs) if len(pairs) else None
+
+
+def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> IntArray:
+    """Pairs (k, 2) of an older and a newer feature that are the same, one of which was seen in `recent` scans."""
+    sure = m.seen >= max(_SEEN, m.spec.confirmations)
+    lately, known = np.flatnonzero(sure & (m.last_seen >= m.step - recent)), np.flatnonzero(sure)
+    gate = chi2_gate(2, _CONFIDENCE)
+    D = m.distances_between(lately, known, _INFLATION**2 * gate)
+    compatible: dict[tuple[int, int], bool] = {}  # by pair: whether it passes the narrow gate, too
+    for row in np.flatnonzero(np.isfinite(D).sum(axis=1) == 1).tolist():
+        column = int(D[row].argmin())
+        one, other = int(lately[row]), int(known[column])
+        alike = attributes_agree(m, np.array([one]), np.array([other])).all()
+        if other not in graph.neighbours(one) and alike:
+            compatible[min(one, other), max(one, other)] = bool(D[row, column] < gate)
+    candidates = _one_to_one(np.array(list(compatible), np.int64).reshape(-1, 2))
+    pairs = [pair for pair in candidates.tolist() if _are_one(m, graph, pair, candidates, compatible[tuple(pair)])]
+    return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+def _are_one(
+    m: StochasticMap, graph: CovisibilityGraph, pair: list[int], candidates: IntArray, compatible: bool
+) -> bool:
+    """What sightings say of the features of a `pair`, `compatible` or so in the wide gate only.
+
+    A feature seen with either of them speaks for it, and so do two that may be duplicates themselves, where one was
+    seen with the first and the other with the second.
+    """
+    first, second = (graph.neighbours(feature) for feature in pair)
+    common = len(np.intersect1d(first, second, assume_unique=True))
+    doubled = int((np.isin(candidates[:, 0], first) & np.isin(candidates[:, 1], second)).sum())
+    total = common + (doubled if doubled >= _DOUBLED else 0)
+    return total >= _COMMON if compatible else total >= _MANY_COMMON and int(m.seen[pair].min()) >= _MANY_SEEN
+
+
+def _one_to_one(pairs: IntArray) -> IntArray:
+    """Those of the pairs (k, 2) whose features are in no other."""
+    features, times = np.unique(pairs, return_counts=True)
+    alone: IntArray = pairs[~np.isin(pairs, features[times > 1]).any(axis=1)]
+    return alone

@@ -1,0 +1,178 @@
+"""Place recognition: the recent part of the active map is searched for among other features, without a prior.
+
+A robot that comes back with more drift than its covariance admits starts its features a second time, and one that was
+carried away maps known ground again. No single scan tells such ground from new ground; a dozen features do. They take
+the place of a scan (`as_scan`), and one of the searches of relocation pairs them with older features of the active map,
+or with those of an inactive one. What it finds is verified before it is believed (`slam.places.verification`).
+
+The errors of a group of features are correlated, and the searches take the measurements of a scan for independent. Any
+motion of the group as a whole is taken out first, which costs nothing since its place is unknown anyway: with G the
+directions of a rigid motion and J = I − G(GᵀG)⁻¹Gᵀ, P_g = J P Jᵀ. The blocks on its diagonal are then multiplied by κ,
+the largest eigenvalue of P_g relative to its block diagonal D. As P_g ≤ κ D, distances, areas and D² are never judged
+by less than their true covariance: the search is conservative.
+
+A wrong pairing ruins the map, a missed one can be made later. So there must be enough pairs, and several more than
+chance brings, where chance is what the same search finds for the mirror image of the recent part.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym.association import indexed, resolve_relocator
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.locality import linked
+from slam_gym.mapping.stochastic_map import StochasticMap
+from slam_gym.types import Array, IntArray, Landmarks, Relocation, Relocator, Scan
+
+_FLOOR = 1e-12  # [m²] least variance of a feature that stands for a measurement
+
+
+@dataclass(frozen=True)
+class RecognitionSpec:
+    """What is searched for while the robot is tracked, and when the answer is believed."""
+
+    search: str | Relocator = "indexed"  # what finds the recent part among other features
+    node_limit: int = 5_000  # poses that `indexed` weighs before it gives up
+    every: int = 20  # [scans] from one search to the next
+    group: int = 20  # features of the recent part: those seen last
+    recent: int = 60  # [scans] what was seen in these is not older
+    min_pairs: int = 8  # with six, half of the loops that were closed were wrong
+    above_mirror: int = 3  # pairs more than the mirror image of the recent part finds
+    min_fraction: float = 0.5  # of the features of either part, where they overlap, that must be paired
+    confidence: float = 0.999  # of the tests of shape and of motion
+    inflation: float = 3.0  # of the standard deviations of the motion between the two parts
+
+    def __post_init__(self) -> None:
+        resolve_relocator(self.search)
+        least = {"node_limit": 1, "every": 1, "recent": 1, "group": 3, "min_pairs": 3, "above_mirror": 0}
+        for name, value in least.items():
+            if getattr(self, name) < value:
+                raise ValueError(f"RecognitionSpec.{name}: {getattr(self, name)} is less than {value}")
+        if not 0.0 <= self.min_fraction <= 1.0:
+            raise ValueError(f"RecognitionSpec.min_fraction: {self.min_fraction} is not between 0 and 1")
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"RecognitionSpec.confidence: {self.confidence} is not between 0 and 1")
+        if not 1.0 <= self.inflation < math.inf:
+            raise ValueError(f"RecognitionSpec.inflation: {self.inflation} is not a number ≥ 1")
+
+
+class Parts(NamedTuple):
+    """What is searched for, and where."""
+
+    recent: IntArray  # (g,) features that are searched for, ascending
+    older: IntArray  # (a,) features that they are searched among, ascending
+
+
+def recent_part(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
+    """The established features (g,) that were seen last, ascending.
+
+    They are those of the recent scans, and features up to two links of the covisibility graph away from them.
+    """
+    last, established = m.last_seen, ~m.provisional
+    linked_to = np.flatnonzero(graph.local_to(np.flatnonzero(last >= m.step - spec.recent)))
+    part = np.flatnonzero(established & graph.local_to(linked_to))
+    return np.sort(part[np.argsort(last[part], kind="stable")[-spec.group :]])
+
+
+def parts_of(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> Parts | None:
+    """The recent part of a map and the older features that it may be, or None where there are too few of either.
+
+    Older features are individually compatible with one of the recent part under the inflated covariance. A feature of
+    the recent part that none is compatible with is still searched for, as part of its shape.
+    """
+    recent, old = recent_part(m, graph, spec), ~m.provisional & (m.last_seen < m.step - spec.recent)
+    old[recent] = False
+    older = np.flatnonzero(old)
+    if len(recent) < spec.min_pairs or len(older) < spec.min_pairs:
+        return None
+    gate = spec.inflation**2 * chi2_gate(2, spec.confidence)
+    near = np.isfinite(m.distances_between(recent, older, gate))
+    if near.any(axis=1).sum() < spec.min_pairs or near.any(axis=0).sum() < spec.min_pairs:
+        return None
+    return Parts(recent, older[near.any(axis=0)])
+
+
+def recognise(
+    m: StochasticMap,
+    recent: IntArray,
+    of: StochasticMap,
+    graph: CovisibilityGraph,
+    among: IntArray,
+    spec: RecognitionSpec,
+) -> Relocation | None:
+    """Where features `recent` (g,) of a map are found among the features `among` (a,) of another, or of the same.
+
+    None where too few are, or as many elsewhere, or hardly more than of their mirror image. `graph` is that of the
+    map `of` which they are searched in. The pose found is that of the base of the first map in the base of the other.
+    """
+    scan, landmarks = as_scan(m, recent), landmarks_of(of, among)
+    first, second = np.nonzero(graph.among(among))
+    locality = linked(len(among), np.column_stack([first, second])[first < second], hops=2)
+    search = resolve_relocator(spec.search)
+    if search is indexed:  # clutter can make it look at everything
+        search = functools.partial(indexed, node_limit=spec.node_limit)
+    found = search(scan, landmarks, locality)
+    if found.pairings < max(spec.min_pairs, found.min_pairings) or found.ambiguous or found.effort.limit_hit:
+        return None
+    by_chance = search(mirrored(scan), landmarks, locality).pairings
+    return found if found.pairings >= by_chance + spec.above_mirror else None
+
+
+def as_scan(m: StochasticMap, group: IntArray) -> Scan:
+    """Features `group` (g,) of a map as if they were measured from its base, with conservative covariances.
+
+    See the head of this file. Raises ValueError for fewer than three features, or ones that do not exist.
+    """
+    group = np.asarray(group, dtype=np.int64)
+    if len(group) < 3 or group.min() < 0 or group.max() >= m.n:
+        raise ValueError(f"group: {group.tolist()} are not three or more features of a map of {m.n}")
+    points = m.positions[group]
+    shape = shape_covariance(points, m.covariance_of(group))
+    g = np.arange(len(group))
+    blocks = shape.reshape(len(group), 2, len(group), 2)[g, :, g, :] + _FLOOR * np.eye(2)
+    roots = np.linalg.cholesky(blocks)
+    whitened = np.linalg.solve(roots, shape.reshape(len(group), 2, -1)).reshape(len(shape), -1)
+    whitened = np.linalg.solve(roots, whitened.T.reshape(len(group), 2, -1)).reshape(len(shape), -1)
+    kappa = max(1.0, float(np.linalg.eigvalsh(0.5 * (whitened + whitened.T))[-1]))
+    covariances = kappa * 0.5 * (blocks + blocks.transpose(0, 2, 1))
+    return Scan(points, covariances, m.sizes[group], m.size_variances[group], m.kinds[group])
+
+
+def shape_covariance(points: Array, P: Array) -> Array:
+    """J P Jᵀ (2g, 2g): the covariance of points (g, 2), less every motion of all of them together."""
+    G = rigid_motions(points)
+    J = np.eye(len(G)) - G @ np.linalg.pinv(G)
+    out: Array = J @ P @ J.T
+    return out
+
+
+def rigid_motions(points: Array) -> Array:
+    """G (2g, 3): how points (g, 2) move with a shift in x, in y, and a turn about their centre."""
+    x, y = (points - points.mean(axis=0)).T
+    G = np.zeros((2 * len(points), 3))
+    G[0::2, 0] = G[1::2, 1] = 1.0
+    G[0::2, 2], G[1::2, 2] = -y, x
+    return G
+
+
+def landmarks_of(m: StochasticMap, features: IntArray) -> Landmarks:
+    """Some features (k,) of a map, with their joint covariance."""
+    landmarks = Landmarks.from_points(m.positions[features], covariance=m.covariance_of(features))
+    of_each = {name: getattr(m, name)[features] for name in ("sizes", "size_variances", "kinds")}
+    return replace(landmarks, **of_each)
+
+
+def mirrored(scan: Scan) -> Scan:
+    """The scan as it would be measured beyond a mirror: y becomes −y.
+
+    A map holds no mirror image of itself, but for rooms that are symmetric: what a search finds of it is chance.
+    """
+    flip = np.diag([1.0, -1.0])
+    return Scan(scan.points @ flip, flip @ scan.covariances @ flip, scan.sizes, scan.size_variances, scan.kinds)
