@@ -23,7 +23,11 @@ BUILDINGS: tuple[Scenario, ...] = (
         "building",  # large rooms, and a robot that sees across them: by default that of floor plan files
         _LARGE_ROOMS,
         budget=3_000,
-        slam=SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6, chance=0.05),  # jambs stand in pairs
+        slam=SlamSpec(
+            MapSpec(unconfirmed_age=5),
+            new_confidence=1.0 - 1e-6,
+            max_chance_probability=0.05,  # jambs stand in pairs
+        ),
         sensor=SensorSpec(range=20.0),  # 9 features in sight on real floors, more than 20 in one scan of thirty
         beams=BeamSpec(count=90, range=20.0),
         wall_compass=True,  # where a hall shows no feature, its walls still say where the robot is heading

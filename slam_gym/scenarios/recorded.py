@@ -10,7 +10,12 @@ from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.recordings.recording import Recording
 from slam_gym.slam.slam import SlamSpec
 
-GENERIC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6, chance=0.05, anew=True)
+GENERIC = SlamSpec(
+    MapSpec(unconfirmed_age=20),
+    new_confidence=1.0 - 1e-6,
+    max_chance_probability=0.05,
+    start_features_from_rejected=True,
+)
 """Of a log that nobody has chosen settings for; the reach is taken from its scans. With a limited view, a robot that
 comes back sees one old feature first, or one beside it that nobody has mapped."""
 

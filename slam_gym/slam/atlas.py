@@ -3,15 +3,17 @@
 **Loops.** Old features that the way back has made ambiguous (so uncertain, seen from those the robot has just paired,
 that others lie within their gates) are not offered to the associator: a scan pairs them wrongly now and then, and one
 wrong scan decides where the map ends. They are left to place recognition, which looks for the recent part of the map
-among them. (Associators that weigh all hypotheses are offered them all the same, but for `SlamSpec.anew`.)
+among them. (Associators that weigh all hypotheses are offered them all the same, unless
+`SlamSpec.start_features_from_rejected` is set.)
 
 **First links.** Where a scan pairs a feature or two that the robot has not seen for long, a neighbour that is not
 mapped may be what was measured, half a metre beside it: a door has two jambs, and 20 m away a gate is as wide. Such
 pairings are rejected until there are so many that chance hardly brings them all (`kernels.hold_back`). A robot that
 waits for them with few others in view is soon so uncertain that everything fits something, and learns nothing more:
-with `SlamSpec.anew`, a measurement whose pairing was rejected starts a new feature, and the recent part of the map
-grows all the same. Associators that weigh all hypotheses refuse by themselves what is ambiguous, and would starve if
-more was kept from them; with `anew` they go by the same rules as all others, that for new features included.
+with `SlamSpec.start_features_from_rejected`, a measurement whose pairing was rejected starts a new feature, and the
+recent part of the map grows all the same. Associators that weigh all hypotheses refuse by themselves what is ambiguous,
+and would starve if more was kept from them; with that setting they go by the same rules as all others, that for new
+features included.
 
 **Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
 robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is

@@ -63,18 +63,17 @@ class SlamSpec:
     lost_fraction: float = 0.3  # a scan that pairs less of the features that should be in view is doubted …
     lost_scans: int = 5  # … and so many of them in a row have lost the robot
     min_expected: int = 3  # features that should be in view, without which no scan is doubted
-    chance: float = 1.0  # of all pairings of a scan with old features being wrong, above which none is learned from
-    anew: bool = False  # measurements that it keeps from pairing start features, which the loops are left to fuse
+    max_chance_probability: float = 1.0  # that all pairings with old features are accidental; above, they are rejected
+    start_features_from_rejected: bool = False  # a measurement whose pairing was rejected starts a feature
 
     def __post_init__(self) -> None:
         if self.reach is not None and not 0.0 < self.reach < math.inf:
             raise ValueError(f"SlamSpec.reach: expected a finite length > 0 [m] or None, got {self.reach}")
         if self.new_confidence is not None and not 0.0 < self.new_confidence < 1.0:
             raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
-        if not 0.0 <= self.chance <= 1.0:
-            raise ValueError(f"SlamSpec.chance: {self.chance} is not between 0 and 1")
-        if not 0.0 <= self.lost_fraction <= 1.0:
-            raise ValueError(f"SlamSpec.lost_fraction: {self.lost_fraction} is not between 0 and 1")
+        for name in ("max_chance_probability", "lost_fraction"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is not between 0 and 1")
         for name in ("recent", "lost_scans", "min_expected"):
             if getattr(self, name) < 1:
                 raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is less than 1")
@@ -112,7 +111,9 @@ class Slam:
         if atlas is not None:
             if relocate is None:
                 raise ValueError("atlas: a robot that is not searched for when it is lost has no use for one")
-            self.atlas = Atlas(atlas, relocate, self.spec.chance, self.spec.anew)
+            self.atlas = Atlas(
+                atlas, relocate, self.spec.max_chance_probability, self.spec.start_features_from_rejected
+            )
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
         self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, in turns

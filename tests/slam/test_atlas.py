@@ -164,10 +164,10 @@ def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_
 
 
 def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_one_rule() -> None:
-    anew, kept = replace(SPEC, chance=0.05, anew=True), []
+    rejecting, kept = replace(SPEC, max_chance_probability=0.05, start_features_from_rejected=True), []
     for seed in range(4):
         log = loop_drive(seed)
-        by_itself, by_rule = (Slam(spec, view_from, relocate=nobody, atlas=EARLY) for spec in (SPEC, anew))
+        by_itself, by_rule = (Slam(spec, view_from, relocate=nobody, atlas=EARLY) for spec in (SPEC, rejecting))
         (without, _), (judged, _) = (map_it(slam, log, "marginal") for slam in (by_itself, by_rule))
         assert fused(by_rule, "loop") and sources_differ(judged, fused(by_rule, "loop")) == 0, f"seed {seed}"
         assert not fused(by_itself, "loop") and duplicates(judged) <= 1, f"seed {seed}"

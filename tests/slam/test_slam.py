@@ -233,7 +233,7 @@ def test_a_drive_in_a_known_world_stays_accurate() -> None:
         {"reach": np.nan},
         {"new_confidence": 1.0},
         {"lost_fraction": 1.5},
-        {"chance": 1.5},
+        {"max_chance_probability": 1.5},
         {"recent": 0},
         {"lost_scans": 0},
         {"min_expected": 0},

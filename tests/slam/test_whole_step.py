@@ -97,7 +97,7 @@ def test_an_atlas_that_is_lost_and_closes_loops_is_the_page_s(ambiguous: float, 
 
 def test_so_is_one_that_holds_back_what_may_be_chance() -> None:
     one, other, plain = (
-        Slam(replace(SPEC, chance=c), view_from, relocate=relocate_by("gcbb"), atlas=NEVER_AMBIGUOUS)
+        Slam(replace(SPEC, max_chance_probability=c), view_from, relocate=relocate_by("gcbb"), atlas=NEVER_AMBIGUOUS)
         for c in (0.05, 0.05, 1.0)
     )
     assert_twins(one, other, log_of(3, steps=330, in_pairs=True), jcbb)
@@ -108,7 +108,12 @@ def test_so_is_one_that_holds_back_what_may_be_chance() -> None:
 
 def test_what_is_held_back_starts_features_where_it_is_told_to() -> None:
     believing, waiting, anew = (
-        Slam(replace(SPEC, chance=c, anew=new), view_from, relocate=relocate_by("gcbb"), atlas=NEVER_AMBIGUOUS)
+        Slam(
+            replace(SPEC, max_chance_probability=c, start_features_from_rejected=new),
+            view_from,
+            relocate=relocate_by("gcbb"),
+            atlas=NEVER_AMBIGUOUS,
+        )
         for c, new in ((1.0, False), (0.05, False), (0.05, True))
     )
     for odometry, scan, *_ in log_of(3, steps=330, in_pairs=True):
