@@ -44,7 +44,7 @@ BEFORE_RELOCATION = tuple(column for column in COLUMNS if column.key not in ("f1
 
 SIMPLEST_FIRST = (
     "nearest_neighbour", "global_nearest_neighbour", "singles", "one_point_ransac", "jcbb", "ipjc", "map_hypothesis",
-    "marginal", "deferred", "learned",
+    "marginal", "learned",
 )  # fmt: skip
 
 

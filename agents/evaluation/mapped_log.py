@@ -14,12 +14,9 @@ from slam_gym.metrics.association import Identities
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
-from slam_gym.slam.deferred import followed
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, UNPAIRED, Array, Associator, BoolArray, IntArray, SlamStep, Truth
-
-_Entry = tuple[Array, Array, float, IntArray, BoolArray]
+from slam_gym.types import NO_ID, UNPAIRED, Array, Associator, BoolArray, IntArray, Truth
 
 
 @dataclass(frozen=True)
@@ -69,27 +66,19 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
         slam.map.place(start, np.zeros((3, 3)))
     meter, associate = metered(associator)
     judged = JudgedSlam(slam, associate, informed=informed)
-    ways: list[list[_Entry]] = [[]]  # to each of the maps that are kept
+    poses, covariances, seconds, ids, created = [], [], [], [], []
     for odometry, scan, sources in log.steps():
         began = time.perf_counter()
-        step = judged.step(odometry, scan, Truth(judged.slam.map.pose, sources))
-        seconds = time.perf_counter() - began
-        if len(judged.kept) > 1 or len(ways) > 1:
-            ways = followed(ways, [branch.parent for branch in judged.kept], list.copy)
-            for way, branch in zip(ways[1:], judged.kept[1:]):
-                way.append(_entry(branch.slam.map, branch.step, seconds))
-        ways[0].append(_entry(judged.slam.map, step, seconds))
-    poses, covariances, taken, ids, created = zip(*ways[0])
+        step = judged.step(odometry, scan, Truth(slam.map.pose, sources))
+        seconds.append(time.perf_counter() - began)
+        poses.append(slam.map.pose)
+        covariances.append(slam.map.pose_covariance)
+        ids.append(step.ids)
+        created.append(step.created)
     return MappedLog(
-        np.array(poses), np.array(covariances), np.array(taken), np.concatenate(ids), np.concatenate(created),
-        judged.slam.map, judged.identities, meter, start is not None,
+        np.array(poses), np.array(covariances), np.array(seconds), np.concatenate(ids), np.concatenate(created),
+        slam.map, judged.identities, meter, start is not None,
     )  # fmt: skip
-
-
-def _entry(m: StochasticMap, step: SlamStep | None, seconds: float) -> _Entry:
-    """What `MappedLog` keeps of a step."""
-    assert step is not None
-    return m.pose, m.pose_covariance, seconds, step.ids, step.created
 
 
 def start_of(log: Recording) -> Array | None:

@@ -20,11 +20,10 @@ from slam_gym.association.relocation.policy import (
     relocator_from_policy,
 )
 from slam_gym.association.relocation.random_sampling import random_sampling
-from slam_gym.association.tracking.deferred import deferred
 from slam_gym.association.tracking.global_nearest_neighbour import global_nearest_neighbour
 from slam_gym.association.tracking.ipjc import ipjc
 from slam_gym.association.tracking.jcbb import jcbb
-from slam_gym.association.tracking.map_hypothesis import MostProbable, map_hypothesis
+from slam_gym.association.tracking.map_hypothesis import map_hypothesis
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tracking.nearest_neighbour import nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
@@ -37,11 +36,9 @@ from slam_gym.validation import imported
 __all__ = [
     "ASSOCIATORS",
     "RELOCATORS",
-    "MostProbable",
     "Policy",
     "RelocationPolicy",
     "SampledRelocation",
-    "deferred",
     "from_policy",
     "gcbb",
     "global_nearest_neighbour",
@@ -66,7 +63,6 @@ __all__ = [
 ]
 
 ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
-    "deferred": deferred,
     "global_nearest_neighbour": global_nearest_neighbour,
     "ipjc": ipjc,
     "jcbb": jcbb,

@@ -7,7 +7,6 @@ B, the frame of the robot's first pose.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,12 +22,10 @@ from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.appraisal import appraise_map, appraise_pose
-from slam_gym.simulation.belief import Belief
 from slam_gym.simulation.goals import Tried
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping, is_right
 from slam_gym.slam.atlas import AtlasSpec
-from slam_gym.slam.deferred import Branch, followed
 from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.slam import Slam, SlamSpec, send
 from slam_gym.types import Array, Associator, BoolArray, Hypothesis, IntArray, Prediction, SlamStep
@@ -105,7 +102,6 @@ class Episode:
         self.identities = self._judged.identities
         self.kidnapping = Kidnapping(scenario.kidnapping, scenario.budget)
         self._keyframes = Keyframes(self.grid)
-        self._field = field
         self._compass = WallCompass(scenario.beams.sigma) if scenario.wall_compass else None
         # over the plan's own bounds, hence in W: its criteria do not depend on how the robot stood at the start
         self.virtual_map = VirtualMap(site.plan.bounds, 1.0, scenario.prior_sigma) if virtual else None
@@ -116,7 +112,6 @@ class Episode:
         self.poses: list[Array] = []  # true, in W, one per tick
         self.estimates: list[Array] = []  # in B
         self.nees: list[float] = []  # of the pose; NaN in a second map, whose place in B nobody claims to know
-        self._beliefs = [Belief(self.grid, self._keyframes, self.estimates, self.nees)]  # that go with the maps kept
         self.path = np.empty((0, 2))  # (p, 2) in B, what the driver follows now
         self.tried = Tried()  # frontiers that were driven to and are frontiers still
         self.ticks = -1  # the first look, from where the robot stands, is no tick
@@ -157,24 +152,9 @@ class Episode:
     def _take_in(self, step: SlamStep) -> None:
         """What follows a SLAM step: explored space, and the judgement of it all."""
         self.last_step = step
-        if len(self._judged.kept) > 1 or len(self._beliefs) > 1:
-            self._follow(self._judged.kept)
         if not self.slam.doubted:  # from a pose that cannot be right, walls would be drawn where none are
             self._explore(step.ids)
         self._log(self.truth.pose)
-
-    def _follow(self, kept: Sequence[Branch]) -> None:
-        """Where several maps are kept, each has its own explored space: go on with that of the most probable one."""
-        self._beliefs = followed(self._beliefs, [branch.parent for branch in kept], Belief.copy)
-        for belief, branch in zip(self._beliefs[::-1], kept[::-1]):
-            self.slam, self.identities = branch.slam, self._judged.identities
-            self.grid, self._keyframes, self.estimates, self.nees = belief
-            self._cells = self.grid.cells
-            self.slam.view_from = ViewsFrom(self._field, self.grid.explored)
-            if branch.step is not None and branch is not kept[0]:
-                if not self.slam.doubted:
-                    self._explore(branch.step.ids)
-                self._estimate(self.truth.pose)
 
     def _explore(self, seen: IntArray) -> None:
         """Draw the beams from where the robot believes to be, and anew what the features `seen` (m,) have moved."""
@@ -186,16 +166,12 @@ class Episode:
             sigma = self.scenario.sensor.sigma_halfway
             self.virtual_map.observe(compose(self.base, pose), covariance, beams, sigma)
 
-    def _estimate(self, true_pose: Array) -> tuple[float, float]:
-        """Note the estimate of the pose; what it is off by, [m] and [rad]."""
+    def _log(self, true_pose: Array) -> None:
+        """Note the estimate of the pose, and what it is off by."""
         estimate, slam, (x, P, _, _) = np.empty(3), self.slam, self.slam.map.arrays
         nees, distance, turn = appraise_pose(x, P, self.base, true_pose, estimate)
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
-        return distance, turn
-
-    def _log(self, true_pose: Array) -> None:
-        slam, (distance, turn) = self.slam, self._estimate(true_pose)
         self.ticks += 1
         self.poses.append(true_pose)
         if slam.relocations or self.kidnapping.happened is not None:

@@ -9,9 +9,7 @@ from slam_gym.association import true_association
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import form_of
-from slam_gym.slam.deferred import Branch, Branches, followed
-from slam_gym.slam.slam import AskingStep, Slam, send
+from slam_gym.slam.slam import AskingStep, send
 from slam_gym.types import Associator, Hypothesis, Odometry, Prediction, Scan, SlamStep, Truth
 
 CEILING = "true_association"
@@ -35,7 +33,7 @@ class JudgedSlam:
     """A SLAM run with the judgement of its associations.
 
     Arguments:
-        slam: what takes the steps, and where the associator leaves decisions open, all maps of `slam.deferred`.
+        slam: what takes the steps.
         associator: a name, `"module:function"` or a callable. `CEILING`, by name, is told the truth of every scan.
         informed: the map of `CEILING` is told as well: every labelled feature goes in when it is first seen, whatever
             it is compatible with, and nothing else does.
@@ -54,11 +52,8 @@ class JudgedSlam:
     ) -> None:
         self.slam = slam
         self.identities = identities or Identities()
-        told = self._truth_told = isinstance(associator, str) and associator == CEILING
-        self._branches = Branches(slam) if isinstance(slam, Slam) and not told else None
-        self._identities = [self.identities]  # of each map that is kept
+        self._truth_told = isinstance(associator, str) and associator == CEILING
         self._associate = asked(associator)
-        self._at_once = form_of(self._associate) is not None
         self._informed = informed
 
     @property
@@ -73,30 +68,10 @@ class JudgedSlam:
 
     def step(self, odometry: Odometry, scan: Scan, truth: Truth, *, plain: bool = False) -> SlamStep:
         """One SLAM step, judged. Raises as `Slam.step`, which says what `plain` is."""
-        if self._at_once:
-            step = self.slam.step(odometry, scan, self._associate, plain=plain)
-            self.identities.judge(step, truth)
-            return step
-        if self._branches is not None:
-            return self._with_branches(self._branches, odometry, scan, truth)
+        if not self._truth_told:
+            return self._judge(self.slam.step(odometry, scan, self._associate, plain=plain), truth)
         asking = self.slam.asking_step(odometry, scan)
         return self._judge(send(asking, self.associate(scan, next(asking), truth)), truth)
-
-    @property
-    def kept(self) -> tuple[Branch, ...]:
-        """The maps that are kept, the most probable one first, whose `slam` and `identities` these are; none where
-        there can be no more than one."""
-        return () if self._branches is None else self._branches.kept
-
-    def _with_branches(self, branches: Branches, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
-        """A step of every map, each judged by itself: what is decided anew counts as if it had never been otherwise."""
-        step = branches.step(odometry, scan, self._associate)
-        self._identities = followed(self._identities, [branch.parent for branch in branches.kept])
-        for identities, branch in zip(self._identities, branches.kept):
-            assert branch.step is not None
-            identities.judge(branch.step, truth)
-        self.slam, self.identities = branches.slam, self._identities[0]
-        return step
 
     def associate(self, scan: Scan, prediction: Prediction, truth: Truth) -> Hypothesis:
         """What the associator says; `CEILING` is told the truth."""

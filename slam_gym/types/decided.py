@@ -66,7 +66,6 @@ class Hypothesis:
     new: BoolArray | None = None  # (m,) which measurements start a feature; None: by the rule of `Slam`
     exclusive: bool = True  # no feature is paired twice; False: decided one by one, as nearest neighbour does
     experience: Experience | None = None  # for the next prediction
-    alternatives: tuple[Hypothesis, ...] = ()  # one of them is right: `slam.deferred` keeps a map for each
 
     @property
     def pairings(self) -> int:

@@ -10,7 +10,6 @@ import pytest
 
 from slam_gym.association import (
     ASSOCIATORS,
-    deferred,
     gcbb,
     global_nearest_neighbour,
     ipjc,
@@ -28,7 +27,7 @@ from slam_gym.types import UNPAIRED, Prediction, Scan
 from tests.oracles import association as oracles
 
 BLIND = [associator for name, associator in ASSOCIATORS.items() if name != "true_association"]
-SEARCHES = [global_nearest_neighbour, one_point_ransac, ipjc, map_hypothesis, marginal, deferred, learned_associator]
+SEARCHES = [global_nearest_neighbour, one_point_ransac, ipjc, map_hypothesis, marginal, learned_associator]
 
 
 @pytest.mark.parametrize("associator", BLIND)
@@ -51,7 +50,7 @@ def test_what_holds_of_every_associator(associator, seed):
     row_of = {int(feature): row for row, feature in enumerate(prediction.features)} | {UNPAIRED: UNPAIRED}
     rows = [row_of[int(feature)] for feature in answer.features]
     oracles.check(answer, scan, prediction, rows)
-    gate = 0.999 if associator in (map_hypothesis, marginal, deferred, learned_associator) else 0.99
+    gate = 0.999 if associator in (map_hypothesis, marginal, learned_associator) else 0.99
     for row, found in zip(rows, oracles.compatible(scan, prediction, gate)):
         assert row == UNPAIRED or row in [j for _, j in found]
     again = associator(scan, prediction)
@@ -129,9 +128,7 @@ def test_all_spurious_pairs_nothing(search):
     assert answer.features.tolist() == [UNPAIRED] * 6 and (answer.joint_distance, answer.dof) == (0.0, 0)
 
 
-@pytest.mark.parametrize(
-    "search", [s for s in SEARCHES if s not in (marginal, deferred, learned_associator)]
-)  # which refuse
+@pytest.mark.parametrize("search", [s for s in SEARCHES if s not in (marginal, learned_associator)])  # which refuse
 def test_duplicate_features_and_features_on_a_line_are_paired_once_each(search):
     rng = np.random.default_rng(1)
     line = np.column_stack([np.arange(6.0), np.zeros(6)])

@@ -6,12 +6,12 @@ What the density of a hypothesis is, `scan_hypotheses` says.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym.association.compatibility import chi2_gate, joint_distance, plain
+from slam_gym.association.compatibility import chi2_gate, joint_distance
 from slam_gym.association.tracking.near_first import Found, near_first
 from slam_gym.association.tracking.scan_hypotheses import (
     Kept,
@@ -20,7 +20,6 @@ from slam_gym.association.tracking.scan_hypotheses import (
     check_search,
     checked_visibility,
     log_densities,
-    scan_area,
     some,
     views,
 )
@@ -84,45 +83,6 @@ def map_hypothesis(
     runner_up = float(fractions[1]) if len(fractions) > 1 else 0.0
     posterior = Posterior(float(scores[0]), float(fractions[0]), second, runner_up, marginals, unpaired)
     return replace(as_hypothesis(prediction, found.rows, distance, found.effort), posterior=posterior)
-
-
-@dataclass
-class MostProbable:
-    """`map_hypothesis` that learns from scan to scan how dense what is not in the map lies.
-
-    Called as any associator. The density λ is (prior + Σ unpaired) / (prior / density + Σ area), each scan weighing
-    `memory` of the next, so that it follows a robot from known into unknown space. The area of a scan is `area`, or
-    what its measurements tell (`scan_area`). `options` go to `map_hypothesis`.
-    """
-
-    density: float = 0.02  # [1/m²] λ to begin with, and now
-    prior: float = 1.0  # unpaired measurements that this is worth
-    memory: float = 0.95
-    area: float | None = None  # [m²] in the sensor's view
-    options: dict[str, float | int | str | None] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if not (0.0 < self.density < math.inf and 0.0 < self.prior < math.inf):
-            raise ValueError(f"MostProbable: density {self.density} and prior {self.prior} must be positive")
-        if not 0.0 <= self.memory <= 1.0:
-            raise ValueError(f"MostProbable.memory: {self.memory} is not between 0 and 1")
-        if self.area is not None and not 0.0 < self.area < math.inf:
-            raise ValueError(f"MostProbable.area: {self.area} m² is not positive")
-        self._start = (self.prior, self.prior / self.density)
-        self._unpaired = self._seen = 0.0
-
-    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        options = {"clutter_density": 0.5 * self.density, "new_density": 0.5 * self.density} | self.options
-        answer = map_hypothesis(scan, prediction, **options)  # type: ignore[arg-type]
-        self._unpaired = self.memory * self._unpaired + float((answer.features == UNPAIRED).sum())
-        self._seen = self.memory * self._seen + self._area(scan)
-        self.density = (self._start[0] + self._unpaired) / (self._start[1] + self._seen)
-        return answer
-
-    def _area(self, scan: Scan) -> float:
-        if self.area is not None:
-            return self.area
-        return scan_area(plain(scan.points))
 
 
 def _check_densities(clutter: float, new: float) -> None:

@@ -72,24 +72,6 @@ class Marginals(NamedTuple):
     unpaired: Array  # (m,) probability that each measurement is of nothing in the map
     effort: Effort
     experience: Experience  # with this scan
-    kept: list[Kept]  # what was found in each narrow heading, whose hypotheses those are, one after the other
-    prior: float  # to be added to log densities that are compared with those of another map, of other experience
-
-    @property
-    def evidence(self) -> float:
-        """Log density of the scan, summed over the hypotheses: what maps that expect it differently are weighed by."""
-        return self.prior + float(np.logaddexp.reduce(self.log_densities))
-
-    def some(self, chosen: IntArray) -> Marginals:
-        """As if the search had kept the hypotheses `chosen` (c,) alone; `kept` and what was learned stay."""
-        hypotheses, share = self.hypotheses[chosen], self.weights[chosen]
-        weights = share / share.sum()
-        pairings, (b, i) = np.zeros_like(self.pairings), np.nonzero(hypotheses != UNPAIRED)
-        np.add.at(pairings, (i, hypotheses[b, i]), weights[b])
-        return self._replace(
-            hypotheses=hypotheses, weights=weights, log_densities=self.log_densities[chosen], pairings=pairings,
-            unpaired=weights @ (hypotheses == UNPAIRED),
-        )  # fmt: skip
 
 
 def marginals(
@@ -126,7 +108,7 @@ def marginals(
     weighed = detection is None and parts[0].visibility is not None
     experience = experience_after(known, unpaired, area, by_value if weighed else None)
     effort = functools.reduce(together, [one.effort for one in kept])
-    return Marginals(hypotheses, shares, scores, pairings, unpaired, effort, experience, kept, belief.prior)
+    return Marginals(hypotheses, shares, scores, pairings, unpaired, effort, experience)
 
 
 def experience_after(known: Experience, unpaired: Array, area: float, by_value: Array | None) -> Experience:
@@ -148,7 +130,6 @@ class _Belief(NamedTuple):
     unpaired: float  # a, with nothing unpaired in this scan
     area: float  # [m²] b + A
     prices: Array  # (m + 1,) log density of leaving so many measurements unpaired
-    prior: float  # log of what makes a density of those, and of the weights
 
     def density(self, strange: int) -> float:
         """[1/m²] λ of a scan in which `strange` measurements have no candidate."""
@@ -159,11 +140,10 @@ def _belief(detection: float | None, density: float | None, m: int, known: Exper
     """Of a scan of m measurements in `area` [m²]."""
     values, weights = (DETECTIONS, plain(known.detections)) if detection is None else (np.array([detection]), _SURE)
     a, b = UNPAIRED_BEFORE + known.unpaired, AREA + known.area + area
-    prior = a * math.log(b - area) - math.lgamma(a) if density is None else 0.0
     if density is not None:
         a, b = _SURELY * density, _SURELY
     mean, prices = expected_detections(values, weights, a, b, -1.0 if density is None else density, m)
-    return _Belief(values, weights, mean, a, b, prices, prior - float(np.logaddexp.reduce(weights)))
+    return _Belief(values, weights, mean, a, b, prices)
 
 
 @compiled

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.association import MostProbable, jcbb, map_hypothesis
+from slam_gym.association import jcbb, map_hypothesis
 from slam_gym.types import UNPAIRED, Prediction, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
@@ -106,22 +106,6 @@ def test_the_denser_the_clutter_the_fewer_the_pairings(seed):
     assert pairings == sorted(pairings, reverse=True) and pairings[-1] == 0
 
 
-def test_the_online_density_tends_to_what_is_there():
-    density, area, rng = 0.3, 16.0, np.random.default_rng(0)
-    associate = MostProbable(area=area)
-    for _ in range(120):
-        scan, prediction = oracles.problem(rng, 0, 4, spread=2.0)
-        count = int(rng.poisson(density * area))
-        noise = np.tile(1e-4 * np.eye(2), (count, 1, 1))
-        points = rng.uniform(-2.0, 2.0, (count, 2)) + 50.0
-        associate(dataclasses.replace(scan, points=points, covariances=noise), prediction)
-    assert associate.density == pytest.approx(density, rel=0.25)
-    fresh = MostProbable()
-    scan, prediction = oracles.problem(rng, 8, 10, spread=2.0)
-    given = map_hypothesis(scan, prediction, clutter_density=0.01, new_density=0.01)
-    assert fresh(scan, prediction).features.tolist() == given.features.tolist()
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -145,12 +129,6 @@ def test_a_visibility_that_is_no_probability_is_refused(v):
     scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
     with pytest.raises(ValueError, match="visibility"):
         map_hypothesis(scan, dataclasses.replace(prediction, view=lambda positions, covariances: np.array(v)))
-
-
-@pytest.mark.parametrize("options", [{"density": 0.0}, {"prior": -1.0}, {"memory": 2.0}, {"area": 0.0}])
-def test_meaningless_settings_of_the_online_variant_are_refused(options):
-    with pytest.raises(ValueError, match=next(iter(options))):
-        MostProbable(**options)
 
 
 def test_a_view_that_does_not_move_weighs_what_is_missed_from_the_predicted_pose():
