@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     )
     from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
     from slam_gym.recordings.catalogue import open_recordings
-    from slam_gym.recordings.trajectory_file import write_tum
+    from slam_gym.recordings.recording import write_tum
     from slam_gym.scenarios import SCENARIOS, Scenario, register
     from slam_gym.slam.atlas import AtlasSpec
     from slam_gym.slam.local_maps import LocalMapSlam
@@ -64,7 +64,7 @@ _WHERE = {
     ),
     "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
     "recordings.catalogue": ("open_recordings",),
-    "recordings.trajectory_file": ("write_tum",),
+    "recordings.recording": ("write_tum",),
     "scenarios": ("SCENARIOS", "Scenario", "register"),
     "slam.atlas": ("AtlasSpec",),
     "slam.local_maps": ("LocalMapSlam",),

@@ -10,10 +10,6 @@ from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.relocate import RelocateEnv
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--fuzz", type=int, default=60, metavar="N", help="inputs tried on each reader of files")
-
-
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of real recordings and floor plans: `SLAM_GYM_DATA`, or `../shared/data` beside the checkout."""

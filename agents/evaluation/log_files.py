@@ -17,8 +17,7 @@ import numpy as np
 from agents.evaluation.log_measures import compare
 from agents.evaluation.mapped_log import MappedLog
 from agents.evaluation.records import stem
-from slam_gym.recordings.recording import Recording
-from slam_gym.recordings.trajectory_file import write_tum
+from slam_gym.recordings.recording import Recording, write_tum
 from slam_gym.types import Array
 
 MAP_FIELDS = (

@@ -2,7 +2,6 @@
 
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.reading import RecordingError
-from slam_gym.recordings.recording import Recording
-from slam_gym.recordings.recording_file import load, save
+from slam_gym.recordings.recording import Recording, load, save, write_tum
 
-__all__ = ["Recording", "RecordingError", "load", "open_recordings", "save"]
+__all__ = ["Recording", "RecordingError", "load", "open_recordings", "save", "write_tum"]

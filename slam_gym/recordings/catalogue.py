@@ -9,8 +9,7 @@ from pathlib import Path
 from slam_gym.recordings import mrclam as _mrclam
 from slam_gym.recordings import victoria_park as _victoria_park
 from slam_gym.recordings.pose_graph import g2o, isam
-from slam_gym.recordings.recording import Recording
-from slam_gym.recordings.recording_file import load
+from slam_gym.recordings.recording import Recording, load
 
 PUBLISHED = {"victoria_park": _victoria_park.SOURCE, "mrclam": _mrclam.SOURCE}
 """Public logs that can be asked for by name, and what to cite. Their files are the user's business."""

@@ -3,6 +3,7 @@
 Published by K. Leung, Y. Halpern, T. Barfoot and H. Liu, "The UTIAS multi-robot cooperative localization and mapping
 dataset", IJRR 30(8), 2011, to be cited; for educational use. A set is a folder with `Barcodes.dat`,
 `Landmark_Groundtruth.dat` and `RobotN_{Odometry,Measurement,Groundtruth}.dat`, each of which may be gzipped.
+Its stationary groups are relocation cases; S. Choi extracted them (Triangulation Toolbox, `mrclamN.mat`).
 """
 
 from __future__ import annotations
@@ -18,9 +19,21 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym._files import content_of, gunzipped, lines_of
 from slam_gym.geometry import wrap_angle
-from slam_gym.recordings.reading import Points, RecordingError, from_polar, naming
+from slam_gym.recordings.reading import (
+    Points,
+    RecordingError,
+    check_finite,
+    check_shapes,
+    check_starts,
+    from_polar,
+    naming,
+    numbers_of,
+    read_matlab,
+    refuse_rows,
+    starts_of,
+)
 from slam_gym.recordings.recording import Recording, interpolate
-from slam_gym.types import SPURIOUS, Array, IntArray
+from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Array, IntArray, Landmarks, Scan
 
 SOURCE = (
     "MR.CLAM, University of Toronto Institute for Aerospace Studies. Cite: Leung, Halpern, Barfoot and Liu, IJRR 30(8) "
@@ -226,3 +239,96 @@ def _integrate(times: Array, odometry: Array, growth: tuple[float, float, float,
         motions[k, 0], motions[k, 1], motions[k, 2] = x, y, wrap_angle(theta)
         covariances[k] = 0.5 * (C + C.T)
     return motions, covariances
+
+
+@dataclass(frozen=True)
+class RelocationCases:
+    """Scans in a surveyed map, the identity behind each measurement, and the pose that each scan was taken from.
+
+    Raises RecordingError, naming the field, where arrays do not fit together or hold what they may not.
+    """
+
+    name: str
+    source: str  # where it is published and what to cite
+    terms: str  # under which it may be used
+    landmark_ids: IntArray  # (L,) identities, none twice
+    landmarks: Array  # (L, 2) [m] in W
+    starts: IntArray  # (C + 1,) the measurements of case k are rows starts[k]:starts[k + 1] of the arrays (M, …)
+    points: Array  # (M, 2) [m] in R
+    covariances: Array  # (M, 2, 2) [m²] in R
+    sources: IntArray  # (M,) identity behind each measurement, −1 spurious, −2 unknown
+    poses: Array  # (C, 3) [m, m, rad] true poses in W
+
+    def __post_init__(self) -> None:
+        L, C, M = len(self.landmark_ids), len(self.poses), len(self.points)
+        shapes = {"landmarks": (L, 2), "starts": (C + 1,), "points": (M, 2), "covariances": (M, 2, 2)}
+        check_shapes(self, {**shapes, "sources": (M,), "poses": (C, 3)})
+        check_finite(self, ("landmarks", "points", "covariances", "poses"))
+        check_starts(self.starts, M)
+        if len(np.unique(self.landmark_ids)) != L:
+            raise RecordingError("field 'landmark_ids' names a landmark twice")
+        if not np.isin(self.sources, [SPURIOUS, UNLABELLED, *self.landmark_ids]).all():
+            raise RecordingError("field 'sources' names a landmark that is not there")
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def scan(self, case: int) -> Scan:
+        """What was measured. Sizes are unknown."""
+        rows = slice(self.starts[case], self.starts[case + 1])
+        return Scan.from_points(self.points[rows], self.covariances[rows])
+
+    def features_of(self, case: int) -> IntArray:
+        """(m,) row of `landmarks` behind each measurement, UNPAIRED where there is none: the true hypothesis."""
+        rows = {identity: row for row, identity in enumerate(self.landmark_ids.tolist())}
+        sources = self.sources[self.starts[case] : self.starts[case + 1]]
+        return np.array([rows.get(source, UNPAIRED) for source in sources.tolist()], dtype=np.int64)
+
+    def map(self, sigma: float = 0.01) -> Landmarks:
+        """The surveyed landmarks, each off by `sigma` [m] per axis, independently of the others."""
+        return Landmarks.from_points(self.landmarks, sigma=sigma)
+
+
+GROUPED = Noise(range=0.15, range_per_metre=0.0, bearing=0.02)
+"""That of the stationary groups, as their poses show it: σ of ranges 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
+_FARTHEST_GROUP = 1e5  # [m], [rad]; and more groups or landmarks than that are none of this dataset
+_COLUMNS = {"landmark": 3, "groundtruth": 4, "measurement": 4}  # of the variables of a file
+
+
+def stationary(path: str | Path, noise: Noise | None = None) -> RelocationCases:
+    """Groups of three or more measurements that a robot made within a second and a centimetre, with its true pose.
+
+    From a file `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. Gross errors were removed by those who
+    extracted the groups, and barcodes of robots too: nothing is spurious. Most groups repeat the one before, since
+    robots stand still for long. `noise` is by default that of the groups themselves. Raises FileNotFoundError, or
+    RecordingError that names file, variable and row.
+    """
+    noise, path = noise or GROUPED, Path(path)
+    content = read_matlab(path, list(_COLUMNS), SOURCE)
+    tables = {name: numbers_of(path, name, content[name], columns) for name, columns in _COLUMNS.items()}
+    landmarks, truth, measured = tables.values()
+    for name, table in tables.items():
+        refuse_rows(
+            path, name, (np.abs(table[:, 1:]) > _FARTHEST_GROUP).any(axis=1), f"holds more than {_FARTHEST_GROUP:g}"
+        )
+    whole = (landmarks[:, 0] == np.round(landmarks[:, 0])) & (landmarks[:, 0] >= 0) & (landmarks[:, 0] < 1 << 53)
+    refuse_rows(path, "landmark", ~whole, "has no whole number")
+    if not np.array_equal(truth[:, 0], np.arange(1, len(truth) + 1)):
+        raise RecordingError(f"{path}: variable 'groundtruth': the cases are not numbered 1 … {len(truth)}")
+    for column, known, what in ((0, truth[:, 0], "case"), (1, landmarks[:, 0], "landmark")):
+        refuse_rows(path, "measurement", ~np.isin(measured[:, column], known), f"is of no {what} that is there")
+    measured = measured[np.argsort(measured[:, 0], kind="stable")]
+    points, covariances = noise.points(measured[:, 2], measured[:, 3])
+    with naming(path):
+        return RelocationCases(
+            name=f"mrclam/stationary/{path.stem}",
+            source=SOURCE,
+            terms=TERMS,
+            landmark_ids=landmarks[:, 0].astype(np.int64),
+            landmarks=landmarks[:, 1:].copy(),
+            starts=starts_of(np.bincount(measured[:, 0].astype(np.int64) - 1, minlength=len(truth))),
+            points=points,
+            covariances=covariances,
+            sources=measured[:, 1].astype(np.int64),
+            poses=truth[:, 1:].copy(),
+        )

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slam_gym._files import content_of, lines_of, whole_number
+from slam_gym._files import content_of, lines_of
 from slam_gym.recordings.reading import RecordingError, naming, starts_of
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array
@@ -108,7 +108,7 @@ def _enter(graph: _Graph, number: int, tag: str, words: Sequence[str], lines: di
     rest = [float(word) for word in words[line.indices :]]
     if len(words) != line.numbers or not all(map(math.isfinite, rest)):
         raise ValueError(f"{tag} takes {line.numbers} finite numbers")
-    key = tuple(whole_number(word) for word in words[: line.indices])
+    key = tuple(_index(word) for word in words[: line.indices])
     value: Any = rest if line.indices == 1 else _Edge(number, rest[: line.size], rest[line.size :])
     table = getattr(graph, line.table)
     if line.table == "measurements":
@@ -117,6 +117,13 @@ def _enter(graph: _Graph, number: int, tag: str, words: Sequence[str], lines: di
         raise ValueError(f"the motion from {key[0]} to {key[1]} is there twice")
     else:
         table[key] = value
+
+
+def _index(word: str) -> int:
+    """The number of a pose or landmark, with all of its digits."""
+    if not (word.isdecimal() and len(word) < 20 and int(word) < 1 << 63):
+        raise ValueError(f"{word[:40]} is no index")
+    return int(word)
 
 
 def _covariances(edges: Sequence[_Edge], size: int, root: bool) -> Array:

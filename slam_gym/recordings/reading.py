@@ -1,15 +1,18 @@
-"""What the readers of logs share: one error, checks of fields, points from ranges and bearings."""
+"""What the readers of logs share: one error, checks of fields, MATLAB variables, points from ranges and bearings."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+import io
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.io import loadmat
 
+from slam_gym._files import content_of
 from slam_gym.types import Array, IntArray
 
 
@@ -47,6 +50,23 @@ def check_finite(record: object, names: Iterable[str]) -> None:
     for name in names:
         finite = np.isfinite(getattr(record, name))
         refuse(name, ~finite.all(axis=tuple(range(1, finite.ndim))), "is not finite")
+
+
+def read_matlab(path: Path, names: Sequence[str], source: str) -> dict[str, Any]:
+    """The variables of a MATLAB file from a `source` to be cited.
+
+    Raises FileNotFoundError, or RecordingError for a file that is too large, unreadable or lacks a variable.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: not there. {source}")
+    try:
+        read: dict[str, Any] = loadmat(io.BytesIO(content_of(path)), variable_names=list(names))
+    except Exception as error:  # scipy raises whatever the damage leads to
+        raise RecordingError(f"{path}: no readable MATLAB file: {error}") from error
+    for name in names:
+        if name not in read:
+            raise RecordingError(f"{path}: variable {name!r} is missing")
+    return {name: read[name] for name in names}
 
 
 def numbers_of(path: Path, name: str, value: Any, columns: int | None = None) -> Array:

@@ -7,20 +7,37 @@ that the simulator gives, so that whatever runs on one runs on the other.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
+from slam_gym._files import array_of, content_of, zip_members
 from slam_gym.geometry import compose, compose_jacobians
-from slam_gym.recordings.reading import RecordingError, check_finite, check_shapes, check_starts, refuse, starts_of
+from slam_gym.recordings.reading import (
+    RecordingError,
+    check_finite,
+    check_shapes,
+    check_starts,
+    naming,
+    refuse,
+    starts_of,
+)
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 
 PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
 """The fields of a recording with a row for each measurement."""
 
+FORMAT, VERSION = "slam_gym recording", 1
+_TEXTS = ("name", "source", "terms")
+_INTEGERS = ("starts", "sources", "landmark_ids")
+_NUMBERS = ("range", "field_of_view")
 _LARGEST_IDENTITY = 1 << 20
 _LARGEST = 1e9  # [m] of a coordinate or a standard deviation: what is larger overflows, further in, when it is squared
 _TOLERANCE = 1e-9  # of asymmetry and negative eigenvalues, relative to the largest entry
@@ -154,6 +171,74 @@ class Recording:
             landmarks=places,
             covariances=self.covariances + spread * np.eye(2),
         )
+
+
+def save(recording: Recording, path: str | Path) -> None:
+    """Write a recording to `path` (.npz, no pickles), atomically."""
+    target = Path(path)
+    arrays: dict[str, Any] = {field.name: np.asarray(getattr(recording, field.name)) for field in fields(recording)}
+    scratch = target.with_name(f".{target.name}.{os.getpid()}")
+    with scratch.open("wb") as file:
+        np.savez_compressed(file, format=np.array(FORMAT), version=np.array(VERSION), **arrays)
+    scratch.replace(target)
+
+
+def load(path: str | Path) -> Recording:
+    """Read a recording that `save`, or anybody who follows the format, has written.
+
+    Raises FileNotFoundError, or RecordingError that names the file and what is wrong with it. Nothing is unpickled.
+    """
+    known = {field.name for field in fields(Recording)}
+    with naming(path):
+        members = zip_members(content_of(Path(path)))
+        content = {name.removesuffix(".npy"): member for name, member in members.items()}
+        if unknown := sorted(set(content) - known - {"format", "version"}):
+            raise RecordingError(f"unknown field {unknown[0][:40]!r}")
+        for name in ("format", "version", *sorted(known)):
+            if name not in content:
+                raise RecordingError(f"field {name!r} is missing")
+        if str(array_of(content["format"], "U")) != FORMAT:
+            raise RecordingError(f"field 'format' does not say {FORMAT!r}")
+        version = array_of(content["version"], "iu")
+        if version.shape != () or version != VERSION:
+            raise RecordingError(f"field 'version' is {version}; this release reads version {VERSION}")
+        return Recording(**{name: _field_of(name, content[name]) for name in known})
+
+
+def _field_of(name: str, content: bytes) -> Any:
+    """A field as the dataclass has it."""
+    try:
+        value = array_of(content, "fiuU")
+    except ValueError as error:
+        raise RecordingError(f"field {name!r} {error}") from None
+    if name in _TEXTS:
+        if value.shape != () or value.dtype.kind != "U":
+            raise RecordingError(f"field {name!r} is no text")
+        return str(value)
+    if name in _NUMBERS:
+        if value.shape != () or value.dtype.kind not in "fiu":
+            raise RecordingError(f"field {name!r} is no number")
+        return float(value)
+    if value.dtype.kind not in ("iu" if name in _INTEGERS else "fiu"):
+        raise RecordingError(f"field {name!r} has entries of type {value.dtype}")
+    if name in _INTEGERS and value.dtype == np.uint64 and value.size and value.max() > np.iinfo(np.int64).max:
+        raise RecordingError(f"field {name!r} holds {value.max()}, which is above 2⁶³ − 1")
+    return np.ascontiguousarray(value, dtype=np.int64 if name in _INTEGERS else np.float64)
+
+
+def write_tum(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
+    """Poses (t, 3) [m, m, rad] at `times` (t,) [s], one a line: `t x y z qx qy qz qw` (Sturm et al., IROS 2012).
+
+    Raises ValueError where the shapes do not fit, or a number is not finite.
+    """
+    at, trajectory = np.asarray(times, np.float64), np.asarray(poses, np.float64)
+    if at.ndim != 1 or trajectory.shape != (len(at), 3):
+        raise ValueError(f"times, poses: shapes {at.shape} and {trajectory.shape}, expected (t,) and (t, 3)")
+    if not (np.isfinite(at).all() and np.isfinite(trajectory).all()):
+        raise ValueError("times, poses: not all of them are finite")
+    half, zero = 0.5 * trajectory[:, 2], np.zeros(len(at))
+    rows = np.column_stack([at, trajectory[:, :2], zero, zero, zero, np.sin(half), np.cos(half)])
+    np.savetxt(path, rows, fmt="%.9g", header="timestamp x y z qx qy qz qw")
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:

@@ -18,8 +18,15 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.recordings.matlab_file import read_matlab
-from slam_gym.recordings.reading import RecordingError, from_polar, naming, numbers_of, refuse_rows, starts_of
+from slam_gym.recordings.reading import (
+    RecordingError,
+    from_polar,
+    naming,
+    numbers_of,
+    read_matlab,
+    refuse_rows,
+    starts_of,
+)
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, IntArray
 
@@ -111,9 +118,10 @@ def _detections(path: Path, cells: Array, scans: int) -> list[Array]:
         raise RecordingError(f"{path}: variable 'zt': expected {scans} cells, found {cells.dtype} {cells.shape}")
     tables = []
     for k, cell in enumerate(cells.ravel(), 1):
+        cell = np.asarray(cell)
         if cell.dtype.kind not in "fiu" or cell.size % 3 or not (np.abs(cell) <= _FARTHEST).all():
             raise RecordingError(f"{path}: variable 'zt': cell {k} is no table of 3 rows of finite numbers")
-        tables.append(np.asarray(cell, np.float64).reshape(3, -1).T)
+        tables.append(cell.astype(np.float64).reshape(3, -1).T)
     return tables
 
 

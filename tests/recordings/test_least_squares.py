@@ -10,8 +10,7 @@ import pytest
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.recordings.least_squares import _Problem, least_squares
-from slam_gym.recordings.matlab_file import read_matlab
-from slam_gym.recordings.reading import starts_of
+from slam_gym.recordings.reading import read_matlab, starts_of
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import SOURCE
 from slam_gym.simulation.judged import JudgedSlam

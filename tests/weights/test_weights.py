@@ -73,7 +73,7 @@ def test_damage_is_refused(path: Path) -> None:
 
 
 def test_numbers_that_are_not_finite_and_objects_are_refused(path: Path) -> None:
-    for array, message in ((np.array([0, np.nan, 0]), "bias: not all"), (np.array([None] * 3), "entries of type obj")):
+    for array, message in ((np.array([0, np.nan, 0]), "bias: not all"), (np.array([None] * 3), "is not a numpy array")):
         write(path, some()._replace(arrays={**some().arrays, "bias": array}))
         with pytest.raises(ValueError, match=message):
             load(path, 2, ("range", "age"), SHAPES)

@@ -29,9 +29,8 @@ from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.locality import covisible, linked, same_local_map, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.recordings.least_squares import Optimum, least_squares
-from slam_gym.recordings.mrclam_groups import stationary
+from slam_gym.recordings.mrclam import RelocationCases, stationary
 from slam_gym.recordings.recording import Recording
-from slam_gym.recordings.relocation_cases import RelocationCases
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.recorded import slam_for
 from slam_gym.simulation.judged import JudgedSlam

@@ -20,7 +20,7 @@ from slam_gym.bench.recordings.places import (
     spread,
 )
 from slam_gym.geometry import observe, transform, wrap_angle
-from slam_gym.recordings.mrclam_groups import stationary
+from slam_gym.recordings.mrclam import stationary
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.types import SPURIOUS, UNPAIRED
 
