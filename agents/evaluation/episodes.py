@@ -6,19 +6,16 @@ import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import VectorizeMode
-from gymnasium.vector import AutoresetMode
 
 import slam_gym  # noqa: F401  (registers the environments)
 from agents.drivers.base import Agent, visible
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.records import Record
 from slam_gym.association.tracking.policy import Policy
-from slam_gym.envs.vector.env import ManyWorlds
 from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import Associator, Relocator
 
@@ -63,10 +60,6 @@ class ExploreArguments(_Arguments):
         given = self.plain | {name: other for name, other in others.items() if other is not None}
         return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **given)
 
-    def make_many(self, action: str, count: int, workers: int | None = None) -> ManyWorlds:
-        """So many of it, in so many processes (None: as many as there are cores), each reset where its episode ends."""
-        return _many(EXPLORE, count, workers, action=action, **self.plain)
-
 
 @dataclass(frozen=True)
 class AssociateArguments(_Arguments):
@@ -84,16 +77,6 @@ class AssociateArguments(_Arguments):
     def make(self, action: str = "branch") -> gym.Env[Any, Any]:
         """The environment, which has one action only. ValueError, with the known names, for what it does not know."""
         return gym.make(ASSOCIATE, disable_env_checker=True, **self.plain)
-
-    def make_many(self, action: str, count: int, workers: int | None = None) -> ManyWorlds:
-        """So many of it, in so many processes (None: as many as there are cores), each reset where its episode ends."""
-        return _many(ASSOCIATE, count, workers, **self.plain)
-
-
-def _many(name: str, count: int, workers: int | None, **arguments: Any) -> ManyWorlds:
-    mode = VectorizeMode.VECTOR_ENTRY_POINT
-    envs = gym.make_vec(name, count, mode, workers=workers, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
-    return cast(ManyWorlds, envs)
 
 
 LOST_ERROR, LOST_DUPLICATES = 0.8, 10.0

@@ -24,7 +24,6 @@ from slam_gym.simulation.association_runs import (
     LoggedRun,
     ScanLog,
 )
-from slam_gym.simulation.episode import Site
 from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
 from slam_gym.simulation.right_answers import NOT_OFFERED, RightAnswers
 from slam_gym.types import UNPAIRED, Hypothesis
@@ -190,16 +189,8 @@ class AssociateEnv(BaseEnv):
         self._changed()
         return reward
 
-    def upcoming_world(self) -> int | None:
-        """As the base class says; of a log there is nothing to draw."""
-        return None if isinstance(self.scenario, ScanLog) else super().upcoming_world()
-
-    def _draw(self, world: int) -> Site:
-        assert isinstance(self.scenario, Scenario)
-        return self._survey(self.scenario, world)
-
     @property
-    def _over(self) -> bool:
+    def over(self) -> bool:
         return self._ended
 
     def _picture(self) -> Any:

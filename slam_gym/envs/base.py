@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym.envs.warm_up import compile_on_two_cores
+from slam_gym.envs.warm_up import warm_up
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, overridden, world_generator, world_seed
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.episode import Site, survey
@@ -67,12 +67,11 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     """An environment whose episodes follow from the generator's state at the reset, its options, and the actions.
 
     Where a reset has no seed, the episode has the generator that lies one jump (2¹²⁷ numbers and more) beyond that of
-    the episode before: which episodes follow a seed does not depend on what is done in them. So the next world is known
-    while an episode runs, and another process may draw it (`upcoming_world`, `draw`, `take`).
+    the episode before: which episodes follow a seed does not depend on what is done in them.
 
     A subclass says how an episode begins (`_begin`) and what an action does (`_act`), what the agent sees and is told
-    (`_observe`, `_info`), when the episode is over (`_over`) and what it looks like (`_picture`). It calls `_changed`
-    whenever there is something new to see.
+    (`_observe`, `_info`), when the episode is `over` and what it looks like (`_picture`). It calls `_changed` whenever
+    there is something new to see.
 
     Environments pickle and deepcopy while they run: a copy is constructed from the same arguments and replays the
     episode, so that it takes as long as that; it goes on like the original, bit for bit. Watchers and windows stay
@@ -92,7 +91,6 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._series: tuple[int, ...] = ()
         self._failed = False  # half-way through a step
         self._site: Site | None = None
-        self._drawn: dict[int, Any] = {}  # the world that was drawn elsewhere, by its number
         self._watchers: list[Callable[[Any], None]] = []
         self._replaying = False
         self._window: Any = None
@@ -114,7 +112,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
         self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), False, []
-        compile_on_two_cores(self.associator)
+        warm_up()
         return self._begin(self._draw_world(options)), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
@@ -127,12 +125,12 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         history = self._snapshot if self._snapshot is not None else self._started(self._snapshot)
         if self._failed:
             raise RuntimeError("the last step failed half-way: call reset(), or restore(snapshot()) to go back")
-        if self._over:
+        if self.over:
             raise RuntimeError("the episode is over: call reset()")
         action = self._checked(action)
         self._failed = True
         reward = self._act(action)
-        outcome = self._observe(), reward, self._over, False, self._info()
+        outcome = self._observe(), reward, self.over, False, self._info()
         self._failed = False
         history.actions.append(action)
         return outcome
@@ -204,26 +202,6 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         parts = copy.deepcopy((self._arguments, self._snapshot, self._np_random, self._carried_over()), memo)
         return _copy(type(self), *parts)
 
-    # -- worlds drawn ahead ------------------------------------------------------------------------------------------
-
-    def upcoming_world(self) -> int | None:
-        """The world of the next episode, if the next reset has no arguments; None where that is nothing to draw."""
-        self._started(self._snapshot)
-        kept = self._np_random, self._series
-        self._np_random = self._next_generator()
-        try:
-            return self._draw_world({})
-        finally:
-            self._np_random, self._series = kept
-
-    def draw(self, world: int) -> bytes:
-        """What takes long in a reset into this world, for `take` of an environment with the same arguments."""
-        return pickle.dumps(self._draw(world), pickle.HIGHEST_PROTOCOL)
-
-    def take(self, world: int, drawn: bytes) -> None:
-        """Keep what `draw` gave for a world until the next reset, which is faster then and otherwise the same."""
-        self._drawn = {world: pickle.loads(drawn)}
-
     # -- what a subclass provides ------------------------------------------------------------------------------------
 
     @abstractmethod
@@ -242,11 +220,8 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     @property
     @abstractmethod
-    def _over(self) -> bool: ...
-
-    @abstractmethod
-    def _draw(self, world: int) -> Any:
-        """What an episode in a world needs and no other depends on: a function of the world alone."""
+    def over(self) -> bool:
+        """Whether the episode has ended."""
 
     @abstractmethod
     def _picture(self) -> Any:
@@ -299,8 +274,6 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     def _survey(self, scenario: Scenario, world: int) -> Site:
         """The floor of a world; one that is the same in every episode is surveyed once."""
-        if world in self._drawn:
-            return cast(Site, self._drawn.pop(world))
         plan = scenario.generator(world_generator(self.split, world))
         if self._site is None or self._site.plan is not plan:
             self._site = survey(plan, scenario)

@@ -20,7 +20,7 @@ from slam_gym.scenarios import Scenario
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation import goals as goals_module
 from slam_gym.simulation.driver import carry_out
-from slam_gym.simulation.episode import Episode, Site
+from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.atlas import AtlasSpec
@@ -186,15 +186,8 @@ class ExploreEnv(BaseEnv):
         reward, self._last_error = self._last_error - error, error
         return reward
 
-    def upcoming_world(self) -> int | None:
-        """As the base class says; on a floor plan there is nothing to draw."""
-        return None if self._arguments["floor_plan"] is not None else super().upcoming_world()
-
-    def _draw(self, world: int) -> Site:
-        return self._survey(self.scenario, world)
-
     @property
-    def _over(self) -> bool:
+    def over(self) -> bool:
         return self._episode.over
 
     def _picture(self) -> Any:

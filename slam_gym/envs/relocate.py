@@ -203,16 +203,8 @@ class RelocateEnv(BaseEnv):
         self._changed()
         return reward
 
-    def upcoming_world(self) -> int | None:
-        """As the base class says; None where the map of that world is kept."""
-        world = super().upcoming_world()
-        return None if world in self._maps else world
-
-    def _draw(self, world: int) -> MappedWorld:
-        return self._map(world)
-
     @property
-    def _over(self) -> bool:
+    def over(self) -> bool:
         return self.walk.done
 
     def _picture(self) -> Any:
@@ -225,7 +217,7 @@ class RelocateEnv(BaseEnv):
 
     def _map(self, world: int) -> MappedWorld:
         """The map of a world: the one kept, or made anew; the last few asked for are kept."""
-        mapped = self._maps.pop(world, None) or self._drawn.pop(world, None)
+        mapped = self._maps.pop(world, None)
         if mapped is None:
             mapped = map_world(self.scenario, self.split, world, self.associator, self._elsewhere)
         self._maps[world] = mapped

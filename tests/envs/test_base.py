@@ -237,9 +237,6 @@ def test_what_is_handed_out_lies_in_its_space_and_has_its_type(case) -> None:
             np.testing.assert_array_equal(info["action_mask"], env.action_masks())
 
 
-# -- worlds drawn ahead --------------------------------------------------------------------------------------------
-
-
 @every_case
 def test_the_episodes_that_follow_a_seed_do_not_depend_on_what_is_done(case) -> None:
     idle, busy = made(case), made(case)
@@ -247,29 +244,6 @@ def test_the_episodes_that_follow_a_seed_do_not_depend_on_what_is_done(case) -> 
     assert len(list(episode(busy, 6, seed=4))) > 1
     for _ in range(2):
         assert not differences(idle.reset(), busy.reset())
-
-
-@pytest.mark.parametrize("case", ["explore, twists", "associate", "relocate"])
-def test_a_world_that_was_drawn_elsewhere_is_the_same_world(case, monkeypatch) -> None:
-    env, elsewhere, twin = made(case), made(case), made(case)
-    env.reset(seed=4), twin.reset(seed=4)
-    generator = copy.deepcopy(env.np_random.bit_generator.state)
-    while (world := env.upcoming_world()) is None:  # the kept map of Relocate-v0
-        env.reset(), twin.reset()
-    if case != "relocate":
-        assert env.np_random.bit_generator.state == generator, "looking ahead draws nothing"
-    drawn = elsewhere.draw(world)
-    env.take(world, drawn)
-    with monkeypatch.context() as patch:
-        patch.setattr("slam_gym.envs.base.survey", None)  # nothing is drawn here any more
-        patch.setattr("slam_gym.envs.relocate.map_world", None)
-        one = env.reset()
-    assert not differences(one, twin.reset())
-    assert env.snapshot().actions == [] and not differences(env.snapshot(), twin.snapshot())
-    env.take(world, drawn)  # late, or for another world than that of the next reset
-    assert not differences(env.reset(options={"world": 5}), twin.reset(options={"world": 5}))
-    for _ in range(2):
-        assert not differences(env.reset(), twin.reset())
 
 
 # -- snapshots and copies ------------------------------------------------------------------------------------------

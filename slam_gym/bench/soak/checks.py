@@ -139,7 +139,7 @@ def check_copies(checked: Checked, info: dict[str, Any], steps: int) -> None:
     restored.np_random.bit_generator.state = env.np_random.bit_generator.state
     copies = {"pickle": pickle.loads(pickle.dumps(env)), "deepcopy": copy.deepcopy(env), "snapshot": restored}
     for _ in range(steps):
-        if env._over:
+        if env.over:
             return
         action = checked.action(info)
         outcome = env.step(action)

@@ -1,0 +1,394 @@
+"""Many worlds as one vector environment: `gym.make_vec("slam_gym/Explore-v0", 8, "vector_entry_point")`.
+
+Several processes, this one among them, step a group of worlds each. Actions, observations, rewards and ends lie in
+memory that all of them map; infos are sent over the standard output of the workers. A worker does not import the
+caller's main module, which therefore needs no guard, and ends when its standard input does, however this one ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import cloudpickle
+import gymnasium as gym
+import numba
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from slam_gym.envs.associate import AssociateEnv
+from slam_gym.envs.base import BaseEnv, Observation
+from slam_gym.envs.explore import ExploreEnv
+from slam_gym.envs.relocate import RelocateEnv
+from slam_gym.types import Array, BoolArray, IntArray
+
+Infos = dict[str, Any]  # by key arrays (N, …); beside every `key`, `_key` (N,) tells which worlds have it
+Told = list[tuple[int, dict[str, Any]]]  # worlds and their infos, to be entered in this order
+
+_WORKER = "import sys; sys.path[:] = {path!r}; from slam_gym.envs.vector import serve; serve()"
+
+
+class WorldError(RuntimeError):
+    """An error in one of the worlds, which the message numbers; a note has the traceback."""
+
+
+class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
+    """N worlds of one of the environments, each bit for bit what the single environment is with the same seed.
+
+    A step that fails or is interrupted closes the vector environment for good: its worlds are no longer at the same
+    step. Other errors in a world are raised when all worlds have answered, and change nothing else.
+    """
+
+    def __init__(
+        self,
+        of: type[BaseEnv],
+        num_envs: int = 1,
+        *,
+        workers: int | None = None,
+        autoreset_mode: AutoresetMode | Literal["NextStep", "SameStep", "Disabled"] = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        **arguments: Any,
+    ) -> None:
+        """Make the worlds.
+
+        Args:
+            of: the class of the single environment, which `gym.make_vec` knows by its id.
+            num_envs: how many worlds.
+            workers: processes, of which this is the first; 0 or 1: all in this one; None: as many as there are cores.
+            autoreset_mode: what happens at the end of an episode, as Gymnasium has it.
+            max_episode_steps: after so many steps an episode is `truncated`; None: never.
+            **arguments: of every single environment.
+        """
+        if not (isinstance(num_envs, int) and num_envs >= 1):
+            raise ValueError(f"num_envs={num_envs}: expected a whole number >= 1")
+
+        def make() -> gym.Env[Any, Any]:
+            env: gym.Env[Any, Any] = of(**arguments)
+            return env if max_episode_steps is None else gym.wrappers.TimeLimit(env, max_episode_steps)
+
+        single, self._autoreset = make(), AutoresetMode(autoreset_mode)  # refuses bad arguments now
+        self.num_envs, self.render_mode = num_envs, single.render_mode
+        self.metadata = {**single.metadata, "autoreset_mode": self._autoreset}
+        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
+        self.observation_space = batch_space(single.observation_space, num_envs)
+        self.action_space = batch_space(single.action_space, num_envs)
+        self._pending, self._failure = "", ""  # the call that is not answered yet; why the environment is closed
+        self._started, self._groups = False, list[Any]()  # `_Worlds` here, then each `_Worker`
+        processes = int(cast(Any, numba.config).NUMBA_DEFAULT_NUM_THREADS) if workers is None else workers
+        groups = np.array_split(np.arange(num_envs), min(max(processes, 1), num_envs))
+        kind, folder = _row_type(single), "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+        handle, path = tempfile.mkstemp(prefix="slam_gym-", dir=folder)
+        with self._closing_on_failure(), os.fdopen(handle, "wb") as file:
+            file.write(bytes(num_envs * kind.itemsize))  # all of it: a folder that is full says so now
+            file.flush()
+            self._shared: NDArray[Any] = np.asarray(np.memmap(path, kind, "r+"))
+            others = [_Worker(worlds, make, self._autoreset, path, kind) for worlds in groups[1:]]
+            self._groups = [_Worlds(groups[0], make, self._autoreset, path, kind), *others]
+            self._exchange("call", "render_mode", (), {})  # all are ready when they have answered
+        with contextlib.suppress(PermissionError):  # Windows keeps files that are mapped
+            Path(path).unlink()
+
+    def reset(  # type: ignore[override]
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Infos]:
+        """Begin an episode in every world. `seed` is that of world 0, that of world i being i more, or one for each.
+
+        `options` are those of the single environment, where `world` may be a sequence with one for each world; and
+        `reset_mask` (N,) bool, the worlds to reset.
+        """
+        options, count = dict(options or {}), self.num_envs
+        mask = np.asarray(options.pop("reset_mask", np.ones(count, np.bool_)))
+        if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(f"options['reset_mask']={mask}: expected {count} flags (bool), at least one of them true")
+        seeds = [seed + i for i in range(count)] if isinstance(seed, int | np.integer) else self._each("seed", seed)
+        worlds = self._each("options['world']", options.get("world"))
+        each = [options if world is None else options | {"world": world} for world in worlds]
+        resets = {i: {"seed": seeds[i], "options": each[i]} for i in np.flatnonzero(mask).tolist()}
+        return self._outcome(self._exchange("reset", resets))
+
+    def step(self, actions: Any) -> tuple[Observation, Array, BoolArray, BoolArray, Infos]:  # type: ignore[override]
+        """Carry out an action in every world.
+
+        Raises ValueError for an action outside the space and RuntimeError for a world without an episode or, where
+        nothing resets it, with one that is over; both name the world, and no world has moved then.
+        """
+        self._check_pending("")
+        with self._closing_on_failure():
+            self.step_async(actions)
+            return self.step_wait()
+
+    def step_async(self, actions: Any) -> None:
+        """Begin a step, and return while the workers carry it out; `step_wait` does the part of this process."""
+        self._check_pending("")
+        self._shared["action"] = self._checked(actions)
+        self._request("step")
+
+    def step_wait(self) -> tuple[Observation, Array, BoolArray, BoolArray, Infos]:
+        """What the step that was begun came to. Raises NoAsyncCallError where none was."""
+        self._check_pending("step")
+        observations, infos = self._outcome(self._answers())
+        reward, terminated, truncated = (self._shared[name].copy() for name in ("reward", "terminated", "truncated"))
+        return observations, reward, terminated, truncated, infos
+
+    def render(self) -> tuple[Any, ...]:  # type: ignore[override]
+        return self.call("render")
+
+    def close_extras(self, **_: Any) -> None:
+        for group in self._groups:
+            group.close()
+
+    def call(self, name: str, *arguments: Any, **named: Any) -> tuple[Any, ...]:
+        """What the method or attribute `name` of each world gives."""
+        return tuple(itertools.chain(*self._exchange("call", name, arguments, named)))
+
+    get_attr = call
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute in each world: to the value of each, given as a sequence, or to one and the same."""
+        self._exchange("set_attr", name, self._each(name, values))
+
+    def action_masks(self) -> BoolArray:
+        """(N, actions) which actions are legal in each world now. AttributeError where there are no masks."""
+        if not isinstance(self.single_action_space, spaces.Discrete):
+            raise AttributeError("action masks exist in goal mode only")
+        if not self._started:
+            raise RuntimeError("no episode yet: call reset() first")
+        return np.array(self._shared["mask"])
+
+    def _exchange(self, name: str, *arguments: Any) -> list[Any]:
+        """What a method of each group of worlds gives."""
+        self._check_pending("")
+        self._request(name, *arguments)
+        return self._answers()
+
+    def _check_pending(self, call: str) -> None:
+        if self.closed:
+            raise ClosedEnvironmentError(f"the environment is closed{self._failure}: make it anew")
+        if self._pending and not call:
+            raise AlreadyPendingCallError(f"a {self._pending} is pending: call step_wait() first", self._pending)
+        if self._pending != call:
+            raise NoAsyncCallError(f"no {call} is pending: call step_async() first", call)
+
+    def _request(self, name: str, *arguments: Any) -> None:
+        with self._closing_on_failure():
+            self._pending = name
+            for group in self._groups:
+                group.request(name, *arguments)
+
+    def _answers(self) -> list[Any]:
+        """Of all groups; every one is read before the first error is raised."""
+        with self._closing_on_failure():
+            answers = [group.answer() for group in self._groups]
+            errors = [answer for answer in answers if isinstance(answer, WorldError)]
+            if not (errors and self._pending == "step"):
+                self._pending = ""
+            if errors:
+                raise errors[0]
+            return answers
+
+    @contextlib.contextmanager
+    def _closing_on_failure(self) -> Iterator[None]:
+        """Close where a call is pending: an answer that was not read would be taken for that of the next call."""
+        try:
+            yield
+        except BaseException as error:
+            if self._pending and not self.closed:
+                self._failure = f" since a {self._pending} failed ({error!r})"
+                self.close()
+            if isinstance(error, EOFError | OSError | pickle.UnpicklingError):
+                raise RuntimeError("a worker process has ended: make the environment anew") from error
+            raise
+
+    def _outcome(self, told: list[Told]) -> tuple[Observation, Infos]:
+        """The observations and infos of all worlds, the latter from what the groups tell."""
+        shared: Any = self._shared["observation"]
+        infos: Infos = {}
+        self._started = True
+        for world, info in itertools.chain(*told):
+            infos = self._add_info(infos, info, world)
+        return {name: np.array(shared[name]) for name in shared.dtype.names}, infos
+
+    def _checked(self, actions: Any) -> NDArray[Any]:
+        """(N,) or (N, 2) actions. Raises as `step`; those of worlds that are about to be reset may be anything."""
+        over = self._shared["terminated"] | self._shared["truncated"]
+        if not self._started:
+            raise RuntimeError("no episode yet: call reset() first")
+        if self._autoreset is AutoresetMode.DISABLED and over.any():
+            raise RuntimeError(f"world {np.argmax(over)}: the episode is over: call reset(options={{'reset_mask': …}})")
+        values, space, shape = np.asarray(actions), self.single_action_space, self._shared["action"].shape
+        if values.shape != shape or values.dtype.kind not in ("iu" if len(shape) == 1 else "iuf"):
+            raise ValueError(f"actions {actions!r}: expected {shape} whole numbers or fractions, a row for each world")
+        low, high = (0, space.n - 1) if isinstance(space, spaces.Discrete) else (-1.0, 1.0)
+        legal = ((values >= low) & (values <= high)).reshape(self.num_envs, -1).all(axis=1)
+        legal |= over & (self._autoreset is AutoresetMode.NEXT_STEP)
+        if not legal.all():
+            raise ValueError(f"world {np.argmin(legal)}: action {values[np.argmin(legal)]} not within {low} … {high}")
+        return values
+
+    def _each(self, name: str, values: Any) -> list[Any]:
+        """The values as a list, one that is no sequence for all. ValueError where there is not one for each world."""
+        if not isinstance(values, list | tuple | np.ndarray):
+            return [values] * self.num_envs
+        if len(values) != self.num_envs:
+            raise ValueError(f"{name}: {len(values)} values for {self.num_envs} worlds")
+        return list(values)
+
+
+ExploreWorlds = partial(ManyWorlds, ExploreEnv)
+AssociateWorlds = partial(ManyWorlds, AssociateEnv)
+RelocateWorlds = partial(ManyWorlds, RelocateEnv)
+
+
+def _row_type(env: gym.Env[Any, Any]) -> np.dtype[Any]:
+    """What a world has in shared memory. An action is a whole number, or two float64, which hold a float32 exactly."""
+    assert isinstance(env.observation_space, spaces.Dict)
+    parts = np.dtype([(name, box.dtype, box.shape) for name, box in env.observation_space.items()], align=True)
+    action: list[Any] = [("action", np.float64, (2,))]
+    if isinstance(env.action_space, spaces.Discrete):
+        action = [("action", np.int64), ("mask", np.bool_, (int(env.action_space.n),))]
+    ends = [("reward", np.float64), ("terminated", np.bool_), ("truncated", np.bool_)]
+    return np.dtype([*action, *ends, ("observation", parts)], align=True)
+
+
+class _Worlds:
+    """The `worlds` with these numbers, stepped one after the other; a file of shared memory has a row for each."""
+
+    def __init__(self, worlds: IntArray, make: Callable[[], Any], mode: AutoresetMode, path: str, kind: Any) -> None:
+        self._autoreset, self._envs = mode, {world: make() for world in worlds.tolist()}
+        self._shared: NDArray[Any] = np.asarray(np.memmap(path, kind, "r+"))
+
+    def request(self, name: str, *arguments: Any) -> None:
+        self._method = partial(getattr(self, name), *arguments)
+
+    def answer(self) -> Any:
+        """What the method requested gives; a WorldError where it fails."""
+        try:
+            return self._method()
+        except WorldError as error:
+            return error
+
+    def reset(self, resets: Mapping[int, dict[str, Any]]) -> Told:
+        """Begin an episode in each of these worlds, with these arguments."""
+        told: Told = []
+        for world in filter(self._envs.get, resets):
+            with _numbered(world):
+                observation, info = self._envs[world].reset(**resets[world])
+            told.append((world, info))
+            self._hand_out(world, observation, info, 0.0, False, False)
+        return told
+
+    def step(self) -> Told:
+        """Carry out the actions; where an episode was or is over, begin the next as the mode has it."""
+        told: Told = []
+        for world, env in self._envs.items():
+            row = self._shared[world]
+            with _numbered(world):
+                if (row["terminated"] or row["truncated"]) and self._autoreset is AutoresetMode.NEXT_STEP:
+                    (observation, info), ends = env.reset(), (0.0, False, False)
+                else:
+                    observation, *ends, info = env.step(row["action"])
+                if (ends[1] or ends[2]) and self._autoreset is AutoresetMode.SAME_STEP:
+                    told.append((world, {"final_obs": observation, "final_info": info}))
+                    observation, info = env.reset()
+            told.append((world, info))
+            self._hand_out(world, observation, info, *ends)
+        return told
+
+    def call(self, name: str, arguments: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
+        """What the method or attribute of each world gives."""
+        values = []
+        for world, env in self._envs.items():
+            with _numbered(world):
+                value = env.get_wrapper_attr(name)
+                values.append(value(*arguments, **named) if callable(value) else value)
+        return values
+
+    def set_attr(self, name: str, values: Sequence[Any]) -> None:
+        for world, env in self._envs.items():
+            env.set_wrapper_attr(name, values[world])
+
+    def close(self) -> None:
+        for env in self._envs.values():
+            env.close()
+
+    def _hand_out(self, world: int, observation: Observation, info: dict[str, Any], *ends: Any) -> None:
+        row = self._shared[world]
+        row["reward"], row["terminated"], row["truncated"] = ends
+        if "action_mask" in info:
+            row["mask"] = info["action_mask"]
+        for name, part in observation.items():
+            row["observation"][name] = part
+
+
+class _Worker:
+    """`_Worlds` of another process, which answers later. Raises EOFError or OSError where the process is no more."""
+
+    def __init__(self, *arguments: Any) -> None:
+        command = [sys.executable, "-c", _WORKER.format(path=[str(Path(place).resolve()) for place in sys.path])]
+        environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        pipe: Any = subprocess.PIPE
+        self.process: Any = subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe)
+        self.request("", *arguments)
+
+    def request(self, name: str, *arguments: Any) -> None:
+        cloudpickle.dump((name, arguments), self.process.stdin)  # arguments may be functions of the caller's script
+        self.process.stdin.flush()
+
+    def answer(self) -> Any:
+        return pickle.load(self.process.stdout)
+
+    def close(self) -> None:
+        """Let the process end by itself, which it does at the end of its input; else kill it."""
+        for pipe in (self.process.stdin, self.process.stdout):
+            with contextlib.suppress(OSError):
+                pipe.close()
+        try:
+            self.process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+def serve() -> None:
+    """In a worker: make worlds and answer requests until the standard input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what worlds print must not get among the answers
+    with contextlib.suppress(EOFError, BrokenPipeError):
+        worlds = _Worlds(*pickle.load(requests)[1])
+        while True:
+            name, arguments = pickle.load(requests)
+            worlds.request(name, *arguments)
+            answer = worlds.answer()
+            try:
+                content = pickle.dumps(answer, pickle.HIGHEST_PROTOCOL)
+            except Exception as error:
+                content = pickle.dumps(WorldError(f"the answer to {name!r} does not pickle: {error}"))
+            answers.write(content)
+            answers.flush()
+
+
+@contextlib.contextmanager
+def _numbered(world: int) -> Iterator[None]:
+    """Raises any error as a WorldError with the number of the world."""
+    try:
+        yield
+    except Exception as error:
+        numbered = WorldError(f"world {world}: {type(error).__name__}: {error}")
+        numbered.add_note(traceback.format_exc())  # the cause stays behind in a worker
+        raise numbered from error
