@@ -2,8 +2,7 @@
 
 All vectors take turns in one run, block by block, by the clock: medians over the blocks. Twists are drawn blindly,
 goals among the legal ones; a goal takes many ticks, hence ticks are counted. The cost of a reset is that of a step in
-which one world is reset, the worlds ending at different times, beyond the median of the steps between; worlds are
-drawn ahead where there are workers.
+which one world is reset, the worlds ending at different times, beyond the median of the steps between.
 """
 
 from __future__ import annotations
@@ -103,7 +102,7 @@ def resets(scenario: str, worlds: int, workers: int, steps: int, seed: int) -> l
     rows: list[Record] = [{"": "a reset alone", "longer by [ms]": 1e-3 * float(np.median(alone))}]
     for name, envs in (
         (f"{worlds} worlds, this process", short(worlds, 0)),
-        (f"{worlds} worlds, {workers} workers, drawn ahead", short(worlds, workers)),
+        (f"{worlds} worlds, {workers} workers", short(worlds, workers)),
     ):
         rows.append({"": name} | reset_cost(envs, steps, seed))
         envs.close()
