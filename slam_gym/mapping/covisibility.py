@@ -82,7 +82,7 @@ class CovisibilityGraph:
 
         Raises ValueError where a feature is not in the graph.
         """
-        features = np.ascontiguousarray(features, dtype=np.int64)
+        features = self._existing(features, UNPAIRED)
         needed = count_pairs(self._neighbours, self._counts, self._degrees, self.n, features)
         if needed > self._neighbours.shape[1]:
             self.widen(needed)
@@ -94,6 +94,8 @@ class CovisibilityGraph:
         Raises ValueError, the graph unchanged, where they are not ascending nodes of it.
         """
         kept = np.ascontiguousarray(kept, dtype=np.int64)
+        if len(kept) and (kept[0] < 0 or kept[-1] >= self.n or (np.diff(kept) <= 0).any()):
+            raise ValueError("kept: not the ascending indices of nodes in the graph")
         keep_nodes(self._neighbours, self._counts, self._degrees, self.n, kept)
         self.n = len(kept)
 
@@ -135,21 +137,26 @@ class CovisibilityGraph:
 
     def local_to(self, features: IntArray) -> BoolArray:
         """(n,) the features given, but for UNPAIRED, and all their neighbours. Raises ValueError as `see_together`."""
-        return mark_local(self._neighbours, self._degrees, self.n, np.ascontiguousarray(features, dtype=np.int64))
+        return mark_local(self._neighbours, self._degrees, self.n, self._existing(features, UNPAIRED))
 
     def among(self, features: IntArray) -> BoolArray:
         """(j, j) which of `features` (j,) are neighbours of each other or the same; symmetric.
 
         Raises ValueError where a feature is not in the graph.
         """
-        rows = np.ascontiguousarray(features, dtype=np.int64)
-        return self.among_rows(rows)(np.arange(len(rows)))
+        return among(self._neighbours, self._degrees, self.n, self._existing(features, 0))
 
     def among_rows(self, features: IntArray) -> LocalRows:
         """`among` for rows of `features` (k,), from read-only arrays that go on with the graph: `Prediction.local`."""
         if self._shown is None:
             self._shown = read_only(self._neighbours), read_only(self._degrees)
         return LocalRows(*self._shown, self.n, features)
+
+    def _existing(self, features: IntArray, lowest: int) -> IntArray:
+        features = np.ascontiguousarray(features, dtype=np.int64)
+        if ((features < lowest) | (features >= self.n)).any():
+            raise ValueError("features: not all of them are in the graph")
+        return features
 
     def edges(self) -> Edges:
         """All edges, in ascending order."""
@@ -193,16 +200,8 @@ class LocalRows:
 
 
 @compiled
-def _require(features: IntArray, lowest: int, n: int) -> None:
-    for f in features:
-        if f < lowest or f >= n:
-            raise ValueError("features: not all of them are in the graph")
-
-
-@compiled
 def count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
     """Count each pair; returns the row length needed, with nothing counted if there is less."""
-    _require(features, UNPAIRED, n)
     seen, k, needed = np.empty(len(features), np.int64), 0, 0
     for f in features:
         at = k
@@ -251,9 +250,7 @@ def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: In
 
 @compiled
 def keep_nodes(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, kept: IntArray) -> None:
-    for i in range(len(kept)):
-        if kept[i] < 0 or kept[i] >= n or (i > 0 and kept[i] <= kept[i - 1]):
-            raise ValueError("kept: not the ascending indices of nodes in the graph")
+    """`CovisibilityGraph.keep`, in place."""
     renumbered = np.full(n, UNPAIRED)
     for i in range(len(kept)):
         renumbered[kept[i]] = i
@@ -270,7 +267,6 @@ def keep_nodes(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int
 @compiled
 def mark_local(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
     """`CovisibilityGraph.local_to`; without any arrays of a graph, all n features are local."""
-    _require(features, UNPAIRED, n)
     local = np.full(n, len(neighbours) == 0)
     if len(neighbours) == 0:
         return local
@@ -284,7 +280,7 @@ def mark_local(neighbours: IntArray, degrees: IntArray, n: int, features: IntArr
 
 @compiled
 def among(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
-    _require(features, 0, n)
+    """`CovisibilityGraph.among`."""
     m = len(features)
     out = np.zeros((m, m), np.bool_)
     local = np.zeros(n, np.bool_)

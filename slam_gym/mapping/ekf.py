@@ -73,34 +73,9 @@ def symmetric(P: Array, d: int) -> Array:
 
 
 @compiled
-def copy_upper(P: Array, d: int, out: Array) -> None:
-    """Enter the upper triangle of P[:d, :d] in `out`: memory of the lower one is never touched, and so never taken."""
-    for i in range(d):
-        out[i, i:d] = P[i, i:d]
-
-
-@compiled
-def covariance_of(P: Array, features: IntArray) -> Array:
-    """(2k, 2k) of the features (k,), from the upper triangle of P."""
-    k = len(features)
-    out = np.empty((2 * k, 2 * k))
-    for a in range(2 * k):
-        row = 3 + 2 * features[a // 2] + a % 2
-        for b in range(2 * k):
-            column = 3 + 2 * features[b // 2] + b % 2
-            out[a, b] = P[min(row, column), max(row, column)]
-    return out
-
-
-@compiled
-def relative_covariance(P: Array, reference: int, feature: int) -> tuple[float, float, float]:
-    """[m²] xx, xy and yy of P_jj + P_rr − P_jr − P_rj of the feature j and the reference r to know it from."""
-    return _difference(P, 3 + 2 * reference, 3 + 2 * feature)
-
-
-@compiled
-def _difference(P: Array, p: int, q: int) -> tuple[float, float, float]:
-    """xx, xy and yy of the covariance of F_i − F_j, whose states start at p and q."""
+def relative_covariance(P: Array, i: int, j: int) -> tuple[float, float, float]:
+    """[m²] xx, xy and yy of P_ii + P_jj − P_ij − P_ji, the covariance of F_i − F_j."""
+    p, q = 3 + 2 * i, 3 + 2 * j
     low, high = min(p, q), max(p, q)
     if low == high:
         return 0.0, 0.0, 0.0
@@ -124,7 +99,7 @@ def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gat
             widest = 2.0 * (P[p, p] + P[p + 1, p + 1] + P[q, q] + P[q + 1, q + 1])
             if u * u + v * v >= gate * widest:
                 continue
-            xx, xy, yy = _difference(P, p, q)
+            xx, xy, yy = relative_covariance(P, first[a], second[b])
             determinant = xx * yy - xy * xy
             if determinant > 0.0:
                 distance = (yy * u * u - 2.0 * xy * u * v + xx * v * v) / determinant
@@ -186,28 +161,6 @@ def confirmed(x: Array, seen: IntArray, n: int, confirmations: int) -> Array:
             out[e, 0], out[e, 1] = x[3 + 2 * j], x[4 + 2 * j]
             e += 1
     return out[:e]
-
-
-@compiled
-def stale(counted: IntArray, n: int, confirmations: int, before: int) -> IntArray:
-    """Features seen in fewer steps than `confirmations`, which came before step `before`."""
-    out, k = np.empty(n, np.int64), 0
-    for j in range(n):
-        if counted[SEEN, j] < confirmations and counted[FIRST_SEEN, j] < before:
-            out[k] = j
-            k += 1
-    return out[:k]
-
-
-@compiled
-def feature_covariances(P: Array, n: int) -> Array:
-    """(n, 2, 2) marginal covariance of each feature."""
-    out = np.empty((n, 2, 2))
-    for j in range(n):
-        f = 3 + 2 * j
-        out[j, 0, 0], out[j, 1, 1] = P[f, f], P[f + 1, f + 1]
-        out[j, 0, 1] = out[j, 1, 0] = P[f, f + 1]
-    return out
 
 
 @compiled

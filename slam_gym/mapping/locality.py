@@ -8,12 +8,13 @@ symmetric and reflexive. None stands for everything, and searches in full.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from slam_gym._compile import compiled
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.types import Array, IntArray, Locality
 
@@ -41,11 +42,10 @@ def linked(n: int, pairs: IntArray, hops: int = 1) -> Locality:
     bad = (pairs < 0).any(axis=1) | (pairs >= n).any(axis=1) | (pairs[:, 0] == pairs[:, 1])
     if bad.any():
         raise ValueError(f"pairs[{int(bad.argmax())}]: {pairs[bad.argmax()].tolist()} are not two of {n} features")
-    starts, members = _rows(n, pairs)
-    further, reached = starts, members
+    once = further = _relation(n, pairs)
     for _ in range(hops - 1):
-        further, reached = _one_hop_more(further, reached, starts, members)
-    return Locality(further, reached)
+        further = further @ once
+    return _locality_of(further)
 
 
 def within(positions: Array, distance: float) -> Locality:
@@ -66,7 +66,7 @@ def within(positions: Array, distance: float) -> Locality:
     if not len(points):
         return Locality(np.zeros(1, np.int64), np.empty(0, np.int64))
     pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
-    return Locality(*_rows(len(points), np.ascontiguousarray(pairs, dtype=np.int64).reshape(-1, 2)))
+    return _locality_of(_relation(len(points), pairs.reshape(-1, 2)))
 
 
 def same_local_map(map_of: ArrayLike) -> Locality:
@@ -78,8 +78,10 @@ def same_local_map(map_of: ArrayLike) -> Locality:
     numbers = np.array(map_of, dtype=np.int64).reshape(-1)
     if (numbers < 0).any():
         raise ValueError(f"map_of[{int((numbers < 0).argmax())}]: {numbers.min()} is no local map")
-    _, compact = np.unique(numbers, return_inverse=True)
-    return Locality(*_blocks_of(np.ascontiguousarray(compact, dtype=np.int64).reshape(-1)))
+    maps, compact = np.unique(numbers, return_inverse=True)
+    n = len(numbers)
+    member = csr_array((np.ones(n, np.bool_), (np.arange(n), compact.reshape(-1))), shape=(n, len(maps)))
+    return _locality_of(member @ member.T)
 
 
 def locality_sizes(locality: Locality | None, n: int) -> IntArray:
@@ -94,83 +96,13 @@ def locality_sizes(locality: Locality | None, n: int) -> IntArray:
     return np.diff(locality.starts)
 
 
-@compiled
-def _rows(n: int, pairs: IntArray) -> tuple[IntArray, IntArray]:
-    """Compressed rows of the symmetric, reflexive relation with these pairs (e, 2), i ≠ j, each given once."""
-    starts = np.zeros(n + 1, np.int64)
-    for j in range(n):
-        starts[j + 1] = 1
-    for e in range(len(pairs)):
-        starts[pairs[e, 0] + 1] += 1
-        starts[pairs[e, 1] + 1] += 1
-    for j in range(n):
-        starts[j + 1] += starts[j]
-    members, filled = np.empty(starts[n], np.int64), starts[:n].copy()
-    for j in range(n):
-        members[filled[j]] = j
-        filled[j] += 1
-    for e in range(len(pairs)):
-        i, j = pairs[e, 0], pairs[e, 1]
-        members[filled[i]], members[filled[j]] = j, i
-        filled[i], filled[j] = filled[i] + 1, filled[j] + 1
-    for j in range(n):
-        members[starts[j] : starts[j + 1]].sort()
-    return starts, members
+def _relation(n: int, pairs: IntArray) -> Any:
+    """(n, n) the symmetric, reflexive relation of n features with these pairs (e, 2), i ≠ j, sparse."""
+    every = np.arange(n)
+    rows, columns = np.concatenate([every, pairs[:, 0], pairs[:, 1]]), np.concatenate([every, pairs[:, 1], pairs[:, 0]])
+    return csr_array((np.ones(len(rows), np.bool_), (rows, columns)), shape=(n, n))
 
 
-@compiled
-def _one_hop_more(
-    starts: IntArray, members: IntArray, one_starts: IntArray, one_members: IntArray
-) -> tuple[IntArray, IntArray]:
-    """Rows of all that is one hop from a member: counted in a first pass, written and sorted in a second."""
-    n = len(starts) - 1
-    marked = np.full(n, -1)
-    further = np.zeros(n + 1, np.int64)
-    reached = np.empty(0, np.int64)
-    for writing in range(2):
-        if writing == 1:
-            reached = np.empty(further[n], np.int64)
-            marked[:] = -1
-        for j in range(n):
-            count = 0
-            for at in range(starts[j], starts[j + 1]):
-                middle = members[at]
-                for step in range(one_starts[middle], one_starts[middle + 1]):
-                    end = one_members[step]
-                    if marked[end] == j:
-                        continue
-                    marked[end] = j
-                    if writing == 1:
-                        reached[further[j] + count] = end
-                    count += 1
-            if writing == 0:
-                further[j + 1] = further[j] + count
-            else:
-                reached[further[j] : further[j + 1]].sort()
-    return further, reached
-
-
-@compiled
-def _blocks_of(map_of: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows of "same map" for map numbers 0 … k−1 (n,)."""
-    n, maps = len(map_of), 0
-    for number in map_of:
-        maps = max(maps, number + 1)
-    first = np.zeros(maps + 1, np.int64)
-    for number in map_of:
-        first[number + 1] += 1
-    for k in range(maps):
-        first[k + 1] += first[k]
-    features, filled = np.empty(n, np.int64), first[:maps].copy()
-    for j in range(n):
-        features[filled[map_of[j]]] = j
-        filled[map_of[j]] += 1
-    starts = np.zeros(n + 1, np.int64)
-    for j in range(n):
-        starts[j + 1] = starts[j] + first[map_of[j] + 1] - first[map_of[j]]
-    members = np.empty(starts[n], np.int64)
-    for j in range(n):
-        base = first[map_of[j]]
-        for k in range(starts[j + 1] - starts[j]):
-            members[starts[j] + k] = features[base + k]
-    return starts, members
+def _locality_of(relation: Any) -> Locality:
+    relation.sort_indices()
+    return Locality(relation.indptr.astype(np.int64), relation.indices.astype(np.int64))

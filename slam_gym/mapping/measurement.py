@@ -29,18 +29,17 @@ from slam_gym.types import Array, IntArray
 
 
 @compiled
-def _relative_covariance(x: Array, P: Array, a: int, b: int) -> tuple[float, float, float, float]:
-    """G_a P G_bᵀ with G_j = C H_j, for the features that start at a ≤ b: entries xx, xy, yx, yy."""
-    ax, ay = x[a] - x[0], x[a + 1] - x[1]
-    bx, by = x[b] - x[0], x[b + 1] - x[1]
-    # rows x, y and θ of P G_bᵀ for the robot, then the same two columns for feature a
-    xx, xy = P[0, b] - P[0, 0] + P[0, 2] * by, P[0, b + 1] - P[0, 1] - P[0, 2] * bx
-    yx, yy = P[1, b] - P[0, 1] + P[1, 2] * by, P[1, b + 1] - P[1, 1] - P[1, 2] * bx
-    tx, ty = P[2, b] - P[0, 2] + P[2, 2] * by, P[2, b + 1] - P[1, 2] - P[2, 2] * bx
-    across = P[a, b + 1] if a == b else P[a + 1, b]
-    fxx, fxy = P[a, b] - P[0, a] + P[2, a] * by, P[a, b + 1] - P[1, a] - P[2, a] * bx
-    fyx, fyy = across - P[0, a + 1] + P[2, a + 1] * by, P[a + 1, b + 1] - P[1, a + 1] - P[2, a + 1] * bx
-    return fxx - xx + ay * tx, fxy - xy + ay * ty, fyx - yx - ax * tx, fyy - yy - ax * ty
+def _relative_covariance(x: Array, P: Array, f: int) -> tuple[float, float, float]:
+    """G P Gᵀ with G = C H, for the feature that starts at f: entries xx, xy, yy."""
+    dx, dy = x[f] - x[0], x[f + 1] - x[1]
+    # rows x, y and θ of P Gᵀ for the robot
+    xx, xy = P[0, f] - P[0, 0] + P[0, 2] * dy, P[0, f + 1] - P[0, 1] - P[0, 2] * dx
+    yy = P[1, f + 1] - P[1, 1] - P[1, 2] * dx
+    tx, ty = P[2, f] - P[0, 2] + P[2, 2] * dy, P[2, f + 1] - P[1, 2] - P[2, 2] * dx
+    # then for the feature
+    fxx, fxy = P[f, f] - P[0, f] + P[2, f] * dy, P[f, f + 1] - P[1, f] - P[2, f] * dx
+    fyy = P[f + 1, f + 1] - P[1, f + 1] - P[2, f + 1] * dx
+    return fxx - xx + dy * tx, fxy - xy + dy * ty, fyy - yy - dx * ty
 
 
 @compiled
@@ -59,7 +58,7 @@ def features_in_reach(
         f = 3 + 2 * j
         dx, dy = x[f] - x[0], x[f + 1] - x[1]
         beyond = math.sqrt(dx * dx + dy * dy) - reach
-        xx, xy, _, yy = _relative_covariance(x, P, f, f)
+        xx, xy, yy = _relative_covariance(x, P, f)
         # 9σ² is compared; the trace bounds σ² and spares most features the root
         if beyond > 0.0 and beyond * beyond > 9.0 * (xx + yy):
             continue

@@ -85,7 +85,9 @@ class StochasticMap:
     @property
     def covariances(self) -> Array:
         """(n, 2, 2) [m²] marginal covariance of each feature in B."""
-        return ekf.feature_covariances(self._P, self.n)
+        x = np.arange(3, self._d, 2)
+        P, y = self._P, x + 1
+        return np.stack([P[x, x], P[x, y], P[x, y], P[y, y]], axis=1).reshape(-1, 2, 2)
 
     @property
     def mean(self) -> Array:
@@ -102,7 +104,9 @@ class StochasticMap:
 
         Raises ValueError where one does not exist.
         """
-        return ekf.covariance_of(self._P, existing(features, self.n))
+        entries = (3 + 2 * existing(features, self.n)[:, None] + np.arange(2)).ravel()
+        of_both: Array = self._P[np.minimum.outer(entries, entries), np.maximum.outer(entries, entries)]
+        return of_both
 
     def distances_between(self, first: IntArray, second: IntArray, gate: float) -> Array:
         """(a, b) D² of F_i − F_j for features i of `first` (a,) and j of `second` (b,); inf where it exceeds `gate`.
@@ -275,7 +279,7 @@ class StochasticMap:
         age = self.spec.unconfirmed_age
         if age is None:
             return np.empty(0, dtype=np.int64)
-        return ekf.stale(self._counted, self.n, self.spec.confirmations, self.step - age)
+        return np.flatnonzero(self.provisional & (self._counted[ekf.FIRST_SEEN, : self.n] < self.step - age))
 
     def end_of_step(self) -> None:
         """Advance the step number."""
@@ -308,7 +312,8 @@ class StochasticMap:
         d, side = self._d, padded(3 + 2 * capacity)
         x, P = np.zeros(side), aligned_zeros(side, side)
         x[:d] = self._x[:d]
-        ekf.copy_upper(self._P, d, P)
+        for row in range(d):  # memory below the diagonal is never touched, and so never taken
+            P[row, row:d] = self._P[row, row:d]
         self._x, self._P, self._shown = x, P, None
         counted, sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
         counted[:, : self.n], sized[:, : self.n] = self._counted[:, : self.n], self._sized[:, : self.n]

@@ -65,8 +65,7 @@ def update(
         return refused
     here, where, change = x, x, np.zeros(padded(d))  # where: the state that H is taken at
     while True:
-        nu, W, S = _innovation(here, where, P, d, z, R, paired)
-        _refer_to_prior(nu, change, where, paired)
+        nu, W, S = _innovation(here, where, change, P, d, (z, R, paired))
         if not cholesky(S):
             return len(features)
         whiten(S, W, nu)
@@ -110,12 +109,14 @@ def _pairings(scan: tuple[Array, Array], features: IntArray, n: int) -> tuple[in
 
 @compiled
 def _innovation(
-    x: Array, where: Array, P: Array, d: int, points: Array, covariances: Array, paired: IntArray
+    x: Array, where: Array, change: Array, P: Array, d: int, pairings: tuple[Array, Array, IntArray]
 ) -> tuple[Array, Array, Array]:
     """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle), in axes parallel to B.
 
-    Of the k pairings of `points` (k, 2) and `covariances` (k, 2, 2) with the features `paired` (k,).
+    Of the k pairings of points (k, 2) and covariances (k, 2, 2) with features (k,). H is taken at the state `where`,
+    and ν = z − h(x) + H `change`, what has led to x from the prior.
     """
+    points, covariances, paired = pairings
     k = len(paired)
     nu, HP, S = np.empty(2 * k), np.zeros((2 * k, padded(d))), np.zeros((2 * k, 2 * k))
     robot = np.empty((3, d))
@@ -126,10 +127,12 @@ def _innovation(
     ca, sa = math.cos(where[2]), math.sin(where[2])
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
-        # ν = z − h(x), turned by the heading at which H is taken
+        # z − h(x), turned by the heading at which H is taken
         hx, hy = x[f] - x[0], x[f + 1] - x[1]
         ex, ey = points[i, 0] - (c * hx + s * hy), points[i, 1] - (-s * hx + c * hy)
-        nu[a], nu[b] = ca * ex - sa * ey, sa * ex + ca * ey
+        dx, dy = where[f] - where[0], where[f + 1] - where[1]
+        nu[a] = ca * ex - sa * ey + (change[f] - change[0] + dy * change[2])
+        nu[b] = sa * ex + ca * ey + (change[f + 1] - change[1] - dx * change[2])
         _rows_of_HP(where, P, d, f, robot, HP[a], HP[b])
         S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1])
     for i in range(k):
@@ -157,22 +160,6 @@ def _rows_of_HP(where: Array, P: Array, d: int, f: int, robot: Array, out_x: Arr
     for j in range(len(rt)):
         out_x[j] += dy * rt[j] - rx[j]
         out_y[j] -= dx * rt[j] + ry[j]
-
-
-@compiled
-def _along(change: Array, where: Array, f: int) -> tuple[float, float]:
-    """H `change` for the feature that starts at f, H taken at `where`; in the axes of `_innovation`."""
-    dx, dy = where[f] - where[0], where[f + 1] - where[1]
-    return change[f] - change[0] + dy * change[2], change[f + 1] - change[1] - dx * change[2]
-
-
-@compiled
-def _refer_to_prior(nu: Array, change: Array, where: Array, paired: IntArray) -> None:
-    """ν ← ν + H (x_i − x) for H at `where`, `change` being what led from x to x_i."""
-    for i in range(len(paired)):
-        along_x, along_y = _along(change, where, 3 + 2 * paired[i])
-        nu[2 * i] += along_x
-        nu[2 * i + 1] += along_y
 
 
 @compiled
@@ -213,26 +200,22 @@ def _left_over(here: Array, then: Array, where: Array, change: Array, covariance
     own σ after the update (Mahalanobis), for Hᵀ R⁻¹ H ≤ (P⁺)⁻¹. That H has changed, too, moves it much less.
     """
     c, s, total = math.cos(where[2]), math.sin(where[2]), 0.0
+    ch, sh = math.cos(where[2] - here[2]), math.sin(where[2] - here[2])
+    ct, st = math.cos(where[2] - then[2]), math.sin(where[2] - then[2])
     for i in range(len(paired)):
         f = 3 + 2 * paired[i]
-        from_x, from_y = _measured(here, where, f)
-        to_x, to_y = _measured(then, where, f)
-        along_x, along_y = _along(change, where, f)
-        rx, ry = to_x - from_x - along_x, to_y - from_y - along_y
+        hx, hy = here[f] - here[0], here[f + 1] - here[1]
+        tx, ty = then[f] - then[0], then[f + 1] - then[1]
+        dx, dy = where[f] - where[0], where[f + 1] - where[1]
+        # h(then) − h(here) − H change, in the axes of `_innovation`, then in R
+        rx = ct * tx - st * ty - (ch * hx - sh * hy) - (change[f] - change[0] + dy * change[2])
+        ry = st * tx + ct * ty - (sh * hx + ch * hy) - (change[f + 1] - change[1] - dx * change[2])
         u, v = c * rx + s * ry, c * ry - s * rx
         xx, xy, yy = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1]
         squared, determinant = yy * u * u - 2.0 * xy * u * v + xx * v * v, xx * yy - xy * xy
         if squared > 0.0:
             total += squared / determinant if determinant > 0.0 else math.inf
     return total
-
-
-@compiled
-def _measured(x: Array, where: Array, f: int) -> tuple[float, float]:
-    """h(x) of the feature that starts at f, in the axes of `_innovation`."""
-    c, s = math.cos(where[2] - x[2]), math.sin(where[2] - x[2])
-    dx, dy = x[f] - x[0], x[f + 1] - x[1]
-    return c * dx - s * dy, s * dx + c * dy
 
 
 @compiled
