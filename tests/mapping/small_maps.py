@@ -3,8 +3,9 @@
 import numpy as np
 
 from slam_gym.geometry import observe, wrap_angle
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import Array, Odometry
+from slam_gym.types import Array, IntArray, Odometry, Prediction
 from tests.oracles.map import KnownAssociation, TextbookMap, wander
 
 KEEP = MapSpec(iterations=1, error="ordinary", second_order=False, unconfirmed_age=None)  # the filter of the textbook
@@ -28,6 +29,17 @@ def mapped(spec: MapSpec = KEEP, steps: int = 30, seed: int = 0) -> tuple[Stocha
         twins.step(step)
     assert twins.textbook is not None
     return twins.map, twins.textbook, twins.sources
+
+
+def predicted(
+    m: StochasticMap,
+    reach: float = 100.0,
+    graph: CovisibilityGraph | None = None,
+    recent: IntArray | None = None,
+    odometry: Odometry | None = None,
+) -> Prediction:
+    lately = np.empty(0, np.int64) if recent is None else recent
+    return m.prediction(reach, graph, lately, None, odometry)
 
 
 def numerical(f, x: Array, wrapped: int | None = None, step: float = 1e-6) -> Array:

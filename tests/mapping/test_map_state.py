@@ -8,7 +8,7 @@ import pytest
 from slam_gym.mapping.map_state import Columns, map_of_state, state_of, successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNKNOWN_KIND, Odometry
-from tests.mapping.small_maps import KEEP, mapped
+from tests.mapping.small_maps import KEEP, mapped, predicted
 from tests.oracles.map import Q, make_scan
 
 COLUMNS = [field.name for field in fields(Columns)]
@@ -34,7 +34,7 @@ def test_taken_apart_and_put_together_it_is_the_same_map_and_stays_so() -> None:
     m = used_map()
     again = map_of_state(KEEP, state_of(m))
     assert_same(m, again)
-    scan = make_scan(m.prediction(100.0).positions[:3] + 0.05, np.tile(0.01 * np.eye(2), (3, 1, 1)))
+    scan = make_scan(predicted(m).positions[:3] + 0.05, np.tile(0.01 * np.eye(2), (3, 1, 1)))
     for each in (m, again):
         each.predict(Odometry(np.array([0.1, 0.0, 0.2]), Q))
         each.update(scan, np.array([2, 0, -1]))
@@ -56,10 +56,6 @@ def test_a_state_is_a_copy() -> None:
     np.testing.assert_array_equal(m.mean, before)
 
 
-def test_an_empty_map_has_a_state_too() -> None:
-    assert_same(StochasticMap(KEEP), map_of_state(KEEP, state_of(StochasticMap(KEEP))))
-
-
 def test_a_successor_is_empty_and_its_ids_and_steps_go_on() -> None:
     m = used_map()
     fresh = successor(m)
@@ -75,11 +71,6 @@ def columns(**given) -> Columns:
     none = np.full(3, np.nan)
     plain = dict(ids=np.arange(3), seen=np.ones(3, np.int64), first_seen=np.arange(4, 7), last_seen=np.arange(4, 7))
     return Columns(**plain | dict(sizes=none, size_variances=none, kinds=np.full(3, UNKNOWN_KIND)) | given)
-
-
-def test_columns_follow_one_another() -> None:
-    both = columns().followed_by(columns(ids=np.array([7, 8, 9])))
-    assert len(both) == 6 and both.ids.tolist() == [0, 1, 2, 7, 8, 9] and both.first_seen.tolist() == [4, 5, 6] * 2
 
 
 def test_a_feature_takes_over_what_was_known_of_its_duplicate() -> None:

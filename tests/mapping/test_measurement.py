@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
-from tests.mapping.small_maps import h, mapped, numerical
+from tests.mapping.small_maps import STILL, h, mapped, numerical, predicted
 from tests.oracles.geometry import observe_jacobians
 from tests.oracles.map import make_scan
 
@@ -21,7 +22,7 @@ def driven_map(seed, n=12):
     for _ in range(10):
         motion = np.array([0.5, 0.0, rng.uniform(-0.5, 0.5)])
         slam.predict(Odometry(motion, np.diag([0.01, 0.01, 0.002])))
-        seen = slam.prediction(math.inf).positions + 0.1 * rng.standard_normal((n, 2))
+        seen = predicted(slam, math.inf).positions + 0.1 * rng.standard_normal((n, 2))
         slam.update(Scan.from_points(seen, sigma=0.1), np.where(rng.random(n) < 0.5, np.arange(n), UNPAIRED))
     return slam, rng
 
@@ -29,7 +30,7 @@ def driven_map(seed, n=12):
 @pytest.mark.parametrize("seed", range(20))
 def test_heading_is_the_variance_of_the_heading_and_its_covariance_with_what_is_predicted(seed):
     slam, rng = driven_map(seed)
-    prediction, rows = slam.prediction(math.inf), rng.permutation(slam.n)[:7]
+    prediction, rows = predicted(slam, math.inf), rng.permutation(slam.n)[:7]
     variance, across = prediction.heading_variance, prediction.heading_covariances[rows]
     P, pose = slam.covariance, slam.pose
     assert variance == pytest.approx(P[2, 2])
@@ -44,7 +45,7 @@ def test_heading_is_the_variance_of_the_heading_and_its_covariance_with_what_is_
 @pytest.mark.parametrize("seed", range(10))
 def test_the_joint_covariance_holds_the_marginals_whatever_the_order(seed):
     slam, rng = driven_map(seed)
-    prediction, rows = slam.prediction(math.inf), rng.integers(0, slam.n, 9)
+    prediction, rows = predicted(slam, math.inf), rng.integers(0, slam.n, 9)
     joint = prediction.joint(rows)
     np.testing.assert_array_equal(joint, joint.T)
     for k, row in enumerate(rows):
@@ -53,7 +54,7 @@ def test_the_joint_covariance_holds_the_marginals_whatever_the_order(seed):
 
 def test_prediction_is_first_order_propagation_of_h() -> None:
     m, _, _ = mapped()
-    prediction = m.prediction(100.0)
+    prediction = predicted(m)
     assert len(prediction) == m.n
     H = numerical(lambda x: h(x, prediction.features), m.mean)
     expected = H @ m.covariance @ H.T
@@ -69,7 +70,7 @@ def test_reach_is_widened_by_three_sigma() -> None:
     points = np.array([[4.9, 0.0], [5.2, 0.0], [0.0, 5.2], [-5.2, 0.0], [20.0, 0.0]])
     R = np.array([np.eye(2) * 0.01**2, np.eye(2) * 0.05**2, np.diag([0.01, 0.1]) ** 2, *[np.eye(2) * 0.08**2] * 2])
     m.add(make_scan(points, R), np.arange(5))
-    prediction = m.prediction(5.0)
+    prediction = predicted(m, 5.0)
     np.testing.assert_array_equal(prediction.features, [0, 2, 3])
     np.testing.assert_allclose(prediction.positions, points[[0, 2, 3]])
     np.testing.assert_allclose(prediction.covariances, R[[0, 2, 3]])
@@ -77,7 +78,7 @@ def test_reach_is_widened_by_three_sigma() -> None:
 
 def test_joint_of_any_rows_in_any_order() -> None:
     m, _, _ = mapped()
-    prediction = m.prediction(100.0)
+    prediction = predicted(m)
     whole = prediction.joint(np.arange(len(prediction)))
     rows = np.array([6, 0, 6, 3])
     entries = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
@@ -85,10 +86,50 @@ def test_joint_of_any_rows_in_any_order() -> None:
     np.testing.assert_array_equal(whole, whole.T)
 
 
+@pytest.mark.parametrize("locality", [True, False])
+def test_motion_and_prediction_in_one_call_are_one_after_the_other(locality: bool) -> None:
+    """With localities, near is what is local to the features that were lately paired."""
+    moved = Odometry(np.array([0.3, 0.1, 0.2]), np.diag([1e-3, 2e-3, 3e-3]))
+    together, graph = mapped()[0], CovisibilityGraph()
+    apart = together.copy()
+    graph.add(together.n)
+    graph.see_together(np.array([0, 1, 5]))
+    recent, local = np.array([1, UNPAIRED]), graph if locality else None
+    one = predicted(together, 5.0, local, recent, moved)
+    apart.predict(moved)
+    other = predicted(apart, 5.0, local, recent)
+    assert 5 < len(one) < together.n
+    for name in ("features", "positions", "covariances", "sizes", "kinds", "ages", "near", "heading_covariances"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(together.covariance, apart.covariance)
+    np.testing.assert_array_equal(one.near, np.isin(one.features, [0, 1, 5]) | (not locality))
+    before = together.mean
+    with pytest.raises(ValueError, match="odometry"):
+        predicted(together, odometry=Odometry(np.array([0.0, np.nan, 0.0]), np.zeros((3, 3))))
+    np.testing.assert_array_equal(together.mean, before)
+
+
+@pytest.mark.parametrize("change", ["predict", "update", "add", "remove"])
+def test_an_outdated_prediction_says_so(change: str) -> None:
+    m, _, _ = mapped()
+    prediction = predicted(m)
+    scan = make_scan(prediction.positions[:1], np.tile(np.eye(2), (1, 1, 1)))
+    changes = {
+        "predict": lambda: m.predict(STILL),
+        "update": lambda: m.update(scan, np.array([0])),
+        "add": lambda: m.add(scan, np.array([0])),
+        "remove": lambda: m.remove(np.array([0])),
+    }
+    prediction.joint(np.array([0]))
+    changes[change]()
+    with pytest.raises(RuntimeError, match="changed"):
+        prediction.joint(np.array([0]))
+
+
 # --- to second order --------------------------------------------------------------------------------------------------
 
 
-def predicted(m: StochasticMap, draws: int, rng: np.random.Generator) -> Array:
+def drawn_from(m: StochasticMap, draws: int, rng: np.random.Generator) -> Array:
     """(draws, 2n) what states drawn from the filter's Gaussian, in the coordinates of the group, would measure."""
     delta = rng.multivariate_normal(np.zeros(3 + 2 * m.n), m.covariance, draws, method="cholesky")
     turn = delta[:, 2]
@@ -112,7 +153,7 @@ def test_a_poor_heading_bends_what_is_predicted_as_drawing_from_the_filter_does(
     m = StochasticMap(MapSpec(unconfirmed_age=None), [1.0, 2.0, 0.5], np.diag([0.05, 0.05, 0.02]) ** 2)
     m.add(Scan.from_points(rng.uniform(-6.0, 6.0, (4, 2)), sigma=0.05), np.arange(4))
     m.predict(Odometry.from_motion([0.5, 0.0, 0.3], [0.1, 0.05, 0.2]))
-    drawn = predicted(m, 400_000, rng).reshape(-1, 4, 2)
+    drawn = drawn_from(m, 400_000, rng).reshape(-1, 4, 2)
     far = int(np.argmax(np.hypot(*(m.positions - m.pose[:2]).T)))
     sight = drawn[:, far].mean(axis=0)
     sight /= np.hypot(*sight)
@@ -120,7 +161,7 @@ def test_a_poor_heading_bends_what_is_predicted_as_drawing_from_the_filter_does(
     off, along = {}, {}
     for name, second_order in (("bent", True), ("linear", False)):
         m.spec = MapSpec(unconfirmed_age=None, second_order=second_order)
-        prediction = m.prediction(math.inf)
+        prediction = predicted(m, math.inf)
         off[name] = np.abs(prediction.positions - drawn.mean(axis=0)).max()
         along[name] = sight @ prediction.covariances[far] @ sight
     assert off["linear"] > 0.05 and off["bent"] < 0.1 * off["linear"]
@@ -133,7 +174,7 @@ def test_what_is_turned_as_a_whole_is_not_bent() -> None:
     m = StochasticMap(spec, np.zeros(3), np.diag([0.0, 0.0, 0.35]) ** 2)
     scan = Scan.from_points([[5.0, 1.0], [2.0, -4.0]], sigma=0.03)
     m.add(scan, np.arange(2))
-    prediction = m.prediction(math.inf)
+    prediction = predicted(m, math.inf)
     np.testing.assert_allclose(prediction.positions, scan.points, atol=1e-12)
     np.testing.assert_allclose(prediction.covariances, (1.0 + 0.25 * 0.35**2) * scan.covariances, atol=1e-12)
 
@@ -148,8 +189,8 @@ def test_gates_hold_what_they_claim_with_a_poor_heading() -> None:
             m = StochasticMap(spec)
             m.add(Scan.from_points(rng.uniform(-6.0, 6.0, (6, 2)), sigma=0.02), np.arange(6))
             m.predict(Odometry.from_motion([0.1, 0.0, 0.2], [0.05, 0.03, 0.13]))
-            z = predicted(m, 1, rng)[0] + 0.04 * rng.standard_normal(12)
-            prediction = m.prediction(math.inf)
+            z = drawn_from(m, 1, rng)[0] + 0.04 * rng.standard_normal(12)
+            prediction = predicted(m, math.inf)
             nu, S = z - prediction.positions.ravel(), prediction.joint(np.arange(6)) + 0.04**2 * np.eye(12)
             missed += nu[:2] @ np.linalg.solve(S[:2, :2], nu[:2]) > 9.210, nu @ np.linalg.solve(S, nu) > 26.217
         outside[name] = missed / runs

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.ekf import relative_covariance
-from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry
-from tests.mapping.small_maps import KEEP, STILL, h, landmarks, mapped
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Odometry, Scan
+from tests.mapping.small_maps import KEEP, h, landmarks, mapped, predicted
 from tests.oracles.map import KnownAssociation, Q, make_scan, random_covariance, wander
 
 NOISE = np.tile(0.01 * np.eye(2), (3, 1, 1))
@@ -31,7 +30,7 @@ def test_removal_is_marginalisation() -> None:
     for name in ("ids", "seen", "first_seen", "last_seen", "sizes", "size_variances"):
         np.testing.assert_array_equal(getattr(m, name), getattr(before, name)[kept])
     np.testing.assert_array_equal(m.remove(np.arange(m.n)), [])
-    assert m.n == 0 and len(m.prediction(10.0)) == 0
+    assert m.n == 0 == len(predicted(m))
 
 
 def test_capacity_changes_nothing() -> None:
@@ -60,39 +59,6 @@ def test_copies_go_their_own_way(duplicate) -> None:
             np.testing.assert_array_equal(m.covariance, covariance)
     np.testing.assert_array_equal(m.mean, other.mean)
     np.testing.assert_array_equal(m.covariance, other.covariance)
-
-
-# --- what is predicted ------------------------------------------------------------------------------------------------
-
-
-def test_localities_are_those_of_the_graph_and_near_is_what_is_local_to_recent_features() -> None:
-    m, _, _ = mapped()
-    graph = CovisibilityGraph()
-    graph.add(m.n)
-    graph.see_together(np.array([0, 1]))
-    prediction = m.prediction(100.0, graph, np.array([1]))
-    np.testing.assert_array_equal(prediction.near, np.arange(m.n) < 2)
-    rows = np.array([2, 1, 0])
-    np.testing.assert_array_equal(prediction.local(rows), graph.among(rows))
-    without = m.prediction(100.0)
-    assert without.local is None and without.near.all()
-
-
-@pytest.mark.parametrize("change", ["predict", "update", "add", "remove"])
-def test_an_outdated_prediction_says_so(change: str) -> None:
-    m, _, _ = mapped()
-    prediction = m.prediction(100.0)
-    scan = make_scan(prediction.positions[:1], np.tile(np.eye(2), (1, 1, 1)))
-    changes = {
-        "predict": lambda: m.predict(STILL),
-        "update": lambda: m.update(scan, np.array([0])),
-        "add": lambda: m.add(scan, np.array([0])),
-        "remove": lambda: m.remove(np.array([0])),
-    }
-    prediction.joint(np.array([0]))
-    changes[change]()
-    with pytest.raises(RuntimeError, match="changed"):
-        prediction.joint(np.array([0]))
 
 
 # --- bookkeeping ------------------------------------------------------------------------------------------------------
@@ -137,13 +103,7 @@ def test_maintenance_names_features_seen_once_more_than_two_steps_ago() -> None:
     np.testing.assert_array_equal(m.ids, [1, 3])
     fresh(m, 1)
     np.testing.assert_array_equal(m.ids, [1, 3, 4])  # an id is never given twice
-
-
-def test_without_an_age_limit_nothing_is_unconfirmed() -> None:
-    m = StochasticMap(KEEP)
-    fresh(m, 2)
-    for _ in range(10):
-        m.end_of_step()
+    m.spec = KEEP  # without an age limit
     assert len(m.unconfirmed()) == 0
 
 
@@ -165,7 +125,7 @@ def test_kinds_are_those_last_reported_and_unknown_before() -> None:
     assert slam_map.kinds.tolist() == [1, UNKNOWN_KIND, UNKNOWN_KIND]
     told = replace(make_scan(points, NOISE), kinds=np.array([UNKNOWN_KIND, 0, 3]))
     slam_map.update(told, np.array([0, 1, UNPAIRED]))
-    assert slam_map.kinds.tolist() == [1, 0, UNKNOWN_KIND] == slam_map.prediction(9.0).kinds.tolist()
+    assert slam_map.kinds.tolist() == [1, 0, UNKNOWN_KIND] == predicted(slam_map, 9.0).kinds.tolist()
 
 
 def test_what_is_handed_out_is_no_window_into_the_map() -> None:
@@ -174,7 +134,6 @@ def test_what_is_handed_out_is_no_window_into_the_map() -> None:
     names = ("pose", "pose_covariance", "positions", "covariances", "mean", "covariance", "ids", "seen", "sizes")
     for name in (*names, "first_seen", "last_seen", "size_variances", "provisional"):
         getattr(m, name)[...] = 0
-    m.prediction(100.0).positions[...] = 0.0
     for old, new in zip(before, (m.mean, m.covariance, m.sizes, m.ids)):
         np.testing.assert_array_equal(old, new)
 
@@ -205,10 +164,6 @@ def test_a_robot_that_was_placed_knows_nothing_of_the_features_and_leaves_them_a
     np.testing.assert_array_equal(slam_map.covariance[:3, 3:], 0.0)
     np.testing.assert_array_equal(slam_map.mean[3:], features)
     np.testing.assert_array_equal(slam_map.covariance[3:, 3:], P)
-    with pytest.raises(ValueError, match="pose: expected 3 finite"):
-        slam_map.place([0.0, np.nan, 0.0], covariance)
-    with pytest.raises(ValueError, match="pose_covariance: not a 3 x 3"):
-        slam_map.place([0.0, 0.0, 0.0], -covariance)
 
 
 # --- how features lie to each other -----------------------------------------------------------------------------------
@@ -237,11 +192,100 @@ def test_what_is_told_of_some_features_is_that_of_the_whole_map() -> None:
                 assert told[b] == pytest.approx((S[0, 0], S[0, 1], S[1, 1]), rel=1e-6, abs=1e-12)
 
 
-def test_features_that_do_not_exist_are_not_told_of() -> None:
-    m, some = mapped()[0], np.array([0])
-    for ask in (
-        lambda: m.covariance_of(np.array([m.n])),
-        lambda: m.distances_between(some, np.array([-1]), 1.0),
-    ):
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def scan_with(points: Array | None = None, covariances: Array | None = None) -> Scan:
+    return make_scan(
+        np.ones((2, 2)) if points is None else points,
+        np.tile(np.eye(2), (2, 1, 1)) if covariances is None else covariances,
+    )
+
+
+BAD_SCANS = {
+    "NaN point": scan_with(points=np.array([[1.0, 1.0], [1.0, np.nan]])),
+    "indefinite": scan_with(covariances=np.array([np.eye(2), [[1.0, 2.0], [2.0, 1.0]]])),
+    "asymmetric": scan_with(covariances=np.array([np.eye(2), [[1.0, 0.1], [0.2, 1.0]]])),
+}
+
+
+@pytest.mark.parametrize("name", BAD_SCANS)
+def test_a_bad_measurement_is_refused_by_number_and_changes_nothing(name: str) -> None:
+    m, _, _ = mapped()
+    before = m.mean, m.covariance, m.seen
+    with pytest.raises(ValueError, match="measurement 1"):
+        m.update(BAD_SCANS[name], np.array([0, 1]))
+    with pytest.raises(ValueError, match="measurement 1"):
+        m.add(BAD_SCANS[name], np.array([1]))
+    for old, new in zip(before, (m.mean, m.covariance, m.seen)):
+        np.testing.assert_array_equal(old, new)
+    m.update(BAD_SCANS[name], np.array([0, UNPAIRED]))  # unpaired, it does no harm
+
+
+@pytest.mark.parametrize("features", [[0, -2], [0, 1000], [0]])
+def test_pairings_that_make_no_sense_are_refused(features: list[int]) -> None:
+    m, _, _ = mapped()
+    mean = m.mean
+    with pytest.raises(ValueError, match="features"):
+        m.update(scan_with(), np.array(features))
+    np.testing.assert_array_equal(m.mean, mean)
+    absent = np.array([m.n])
+    for refusing in (m.remove, m.covariance_of, lambda features: m.distances_between(features, features, 1.0)):
         with pytest.raises(ValueError, match="features"):
-            ask()
+            refusing(absent)
+
+
+@pytest.mark.parametrize(
+    "odometry",
+    [
+        Odometry(np.array([0.0, np.nan, 0.0]), Q),
+        Odometry(np.zeros(3), -Q),
+        Odometry(np.zeros(3), np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 0.0], [2.0, 0.0, 1.0]])),
+    ],
+)
+def test_bad_odometry_is_refused_and_changes_nothing(odometry: Odometry) -> None:
+    m, _, _ = mapped()
+    mean, covariance = m.mean, m.covariance
+    with pytest.raises(ValueError, match="odometry"):
+        m.predict(odometry)
+    np.testing.assert_array_equal(m.mean, mean)
+    np.testing.assert_array_equal(m.covariance, covariance)
+
+
+def test_no_uncertainty_anywhere_is_refused() -> None:
+    m, exact = StochasticMap(), scan_with(covariances=np.zeros((2, 2, 2)))
+    m.add(exact, np.array([0]))
+    with pytest.raises(ValueError, match="singular"):
+        m.update(exact, np.array([0, UNPAIRED]))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"pose": [0.0, 0.0]},
+        {"pose": [0.0, np.nan, 0.0]},
+        {"pose_covariance": -np.eye(3)},
+        {"pose_covariance": np.eye(2)},
+        {"capacity": 0},
+    ],
+)
+def test_a_map_that_cannot_start_says_why(arguments: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        StochasticMap(**arguments)
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        {"confidence": 1.0},
+        {"confidence": 0.0},
+        {"unconfirmed_age": -1},
+        {"iterations": 0},
+        {"error": "none"},
+        {"settled": -1.0},
+        {"confirmations": 0},
+    ],
+)
+def test_settings_out_of_range_are_refused(field: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(field))):
+        MapSpec(**field)
