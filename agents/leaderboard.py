@@ -8,69 +8,81 @@ command is given again.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated, Literal
 
-from agents.cli import add_execution_options, command_line, execution, program, require_positive, run_main
-from agents.evaluation.pipeline import carry_out
+from rich.console import Console
+from typer import Option
+
+from agents.cli import Execute, command, typed
+from agents.drivers.base import AGENTS
+from agents.evaluation.pipeline import Execution, carry_out
 from agents.evaluation.records import write_whole
-from agents.ranking.entries import BASELINES, ranked, read_entries, write_entry
-from agents.ranking.protocol import protocol
-from agents.ranking.served import entry, role_of
-from agents.ranking.table import markdown
-from agents.ranking.tasks import leaderboard_evaluation
+from agents.ranking.board import BASELINES, markdown, ranked, read_entries, write_entry
+from agents.ranking.entry_process import EntryError
+from agents.ranking.protocol import Protocol, Role, leaderboard_evaluation, process
+from slam_gym.association import ASSOCIATORS, RELOCATORS
 from slam_gym.simulation.judged import CEILING
 
 MARKS = "<!-- the tables: python -m agents.leaderboard --page FILE -->", "<!-- end of the tables -->"
 """Between these a page gets its tables."""
 
 
-def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog=program("agents.leaderboard"), description="Rank an entry by the frozen protocol, or rank all once more."
-    )
-    p.add_argument("--entry", metavar="NAME", help="name, module:Class, module:function or model file (.pt)")
-    p.add_argument("--role", choices=("agent", "associator", "relocator"), help="default: as its name tells")
-    p.add_argument("--board", type=Path, default=Path("leaderboard"), metavar="DIR", help="default: %(default)s")
-    p.add_argument("--quick", action="store_true", help="a few worlds, to try an entry; ranked apart")
-    p.add_argument("--page", type=Path, metavar="FILE", help="put the tables between the marks of this page as well")
-    p.add_argument("--no-baselines", dest="baselines", action="store_false", help="leave out the entries that ship")
-    add_execution_options(p, "BOARD/runs/ROLE-NAME")
-    return p
-
-
-def main(argv: list[str]) -> int:
-    a = parser().parse_args(argv)
-    require_positive(a, "jobs")
-    if a.entry:
-        _run(a, command_line("agents.leaderboard", argv))
-    entries = read_entries([*([BASELINES] if a.baselines else []), a.board])
+def main(
+    execute: Execute,
+    entry: Annotated[
+        str | None, Option(metavar="NAME", help="Name, module:Class, module:function, model file.")
+    ] = None,
+    role: Annotated[
+        Literal["agent", "associator", "relocator"] | None, Option(help="By default as NAME tells.")
+    ] = None,
+    board: Annotated[Path, Option(metavar="DIR", help="Where entries and the page go.")] = Path("leaderboard"),
+    quick: Annotated[bool, Option("--quick", help="A few worlds, to try an entry; ranked apart.")] = False,
+    page: Annotated[Path | None, Option(metavar="FILE", help="Put the tables between the marks of this page.")] = None,
+    baselines: Annotated[bool, Option("--baselines/--no-baselines", help="Rank the entries that ship as well.")] = True,
+) -> None:
+    """Rank an entry by the frozen protocol, or rank all once more."""
+    if entry:
+        _evaluate(entry, role, quick, board, execute)
+    entries = read_entries([*([BASELINES] if baselines else []), board])
     if not entries:
-        raise ValueError(f"there is no entry in {a.board}: give one with --entry")
+        raise ValueError(f"there is no entry in {board}: give one with --entry")
     tables = markdown(entries)
-    a.board.mkdir(parents=True, exist_ok=True)
-    write_whole(a.board / "leaderboard.md", f"# Leaderboard\n\n{tables}\n")
-    if a.page:
-        write_whole(a.page, with_tables(a.page.read_text(encoding="utf-8"), tables))
-    print(f"leaderboard: {a.board / 'leaderboard.md'}")
-    return 0
+    board.mkdir(parents=True, exist_ok=True)
+    write_whole(board / "leaderboard.md", f"# Leaderboard\n\n{tables}\n")
+    if page:
+        write_whole(page, with_tables(page.read_text(encoding="utf-8"), tables))
+    print(f"leaderboard: {board / 'leaderboard.md'}")
 
 
-def _run(a: argparse.Namespace, command: str) -> None:
+def _evaluate(entry: str, role: Role | None, quick: bool, board: Path, execute: Execute) -> None:
     """Put the entry through the protocol, or through what is left of it, and write its file."""
-    role = a.role or role_of(a.entry)
-    if a.entry != CEILING:  # which no process is told of
-        entry(role, a.entry)  # refuses what is none before anything is written
-    chosen = protocol(role, a.quick)
-    stem = f"{role}-{Path(a.entry).name.replace(':', '.')}{'-quick' if a.quick else ''}"
-    out = a.out or a.board / "runs" / stem
-    how = execution(a, command)
-    if (out / "results.json").exists():
-        how = execution(argparse.Namespace(**(vars(a) | {"resume": True})), command)
-    results = carry_out(leaderboard_evaluation(a.entry, chosen), out, how)
-    seconds = sum(float(run.get("seconds", 0.0)) for run in results.content["commands"])
-    path = write_entry(a.board, ranked(a.entry, chosen, results.records, command, seconds))
+    found = role or _role_of(entry)
+    if entry != CEILING:  # which no process is told of
+        try:
+            found = process(found, entry).about["role"]  # refuses what is none before anything is written
+        except EntryError as error:
+            raise ValueError(str(error)) from None
+    chosen = Protocol(found, quick)
+    stem = f"{found}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
+    out = execute.out or board / "runs" / stem
+    resumed = execute.resume or (out / "results.json").exists()
+    how = Execution(execute.jobs, execute.backend, typed(), resumed, Console())
+    results = carry_out(leaderboard_evaluation(entry, chosen), out, how)
+    failed = [record["failed"] for record in results.records if record.get("failed")]
+    if failed:
+        how.console.print(f"{len(failed)} of {len(results.records)} episodes are lost: {failed[0]}", soft_wrap=True)
+    path = write_entry(board, ranked(entry, chosen, results.records, typed()))
     how.console.print(f"entry: {path}", soft_wrap=True)
+
+
+def _role_of(entry: str) -> str:
+    """By the tables of names; nothing is imported. `auto` where the entry's own process has to tell."""
+    tables = {"agent": AGENTS, "associator": ASSOCIATORS, "relocator": RELOCATORS}
+    roles = [role for role, table in tables.items() if entry in table]
+    if len(roles) > 1:
+        raise ValueError(f"entry {entry!r}: give --role, for it is the name of {' and '.join(roles)}")
+    return roles[0] if roles else "auto"
 
 
 def with_tables(page: str, tables: str) -> str:
@@ -82,5 +94,7 @@ def with_tables(page: str, tables: str) -> str:
     return f"{before}{begin}\n\n{tables}\n\n{end}{after}"
 
 
+app = command(main)
+
 if __name__ == "__main__":
-    raise SystemExit(run_main(main))
+    app()

@@ -1,8 +1,7 @@
-"""The frozen protocol: on which worlds an entry is judged, by what, and the hashes that say so.
+"""The frozen protocol: on which worlds an entry is judged, by what, and the tasks that do it.
 
 What an entry loses is a number in an episode, 0 at best: the map's error where something is driven, 1 − score in the
-suite, 1 − F1 over a recording. A column is an experiment or a scenario; the mean over the columns that need no data
-ranks.
+suite. A column is an experiment or a scenario; the mean over columns ranks.
 """
 
 from __future__ import annotations
@@ -10,91 +9,51 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass
-from pathlib import Path
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
-import numpy as np
+import gymnasium as gym
 
-from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.records import PROTOCOL
-from agents.ranking.served import Role
-from slam_gym.recordings.catalogue import DATA
-from slam_gym.scenarios import get_scenario, world_generator
+from agents.drivers.base import Agent, make_agent
+from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.pipeline import LEADERBOARD, Evaluation
+from agents.evaluation.records import Key, Record
+from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
+from agents.suite.worlds import WorldTask
+from slam_gym.association import ASSOCIATORS
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
-from slam_gym.world.floor_plan import FloorPlan
+from slam_gym.simulation.judged import CEILING
+from slam_gym.types import Associator
 
-VERSION = 2
-"""Of the protocol: raised with any change of what follows, or of how an episode is run."""
+Role = Literal["agent", "associator", "relocator"]
+Parts = dict[str, int]
+"""Scenarios and levels of the suite (EXPERIMENT/NUMBER), and how many worlds of each."""
+
+VERSION = 3
+"""Of the protocol: raised with any change of what follows, of the floors, or of how an episode is run."""
 
 SPLIT = "test"
 FIRST = 1000  # of its worlds: those before it are looked at while somebody develops, and tell less
 PROBLEMS = 12  # of a world of the suite, at most
 DRIVER = "information_gain"  # where the entry does not drive
+LOST = 1.0
+"""The loss of an episode in which the entry fails: that of an empty map."""
 
-
-@dataclass(frozen=True)
-class Part:
-    """Some episodes of one setting."""
-
-    kind: Literal["drive", "suite", "floor", "log"]
-    setting: str  # scenario, level of the suite, file of a floor or name of a recording
-    count: int  # of its worlds, from `FIRST` of the split on
-
-    @property
-    def worlds(self) -> range:
-        """Their numbers in the split."""
-        return range(FIRST, FIRST + self.count)
-
-    @property
-    def column(self) -> str:
-        """What it is counted under."""
-        return self.setting.partition("/")[0] if self.kind in ("drive", "suite") else Path(self.setting).name[:8]
-
-    @property
-    def needs_data(self) -> bool:
-        """It is no part of the mean that ranks."""
-        return self.kind in ("floor", "log")
-
-    def arguments(self) -> ExploreArguments:
-        """Of the environment, where something is driven."""
-        if self.kind == "drive":
-            return ExploreArguments(self.setting, split=SPLIT)
-        return ExploreArguments("building", split=SPLIT, floor_plan=str(_data() / self.setting), resolution=0.1)
-
-
-def _data() -> Path:
-    return Path(os.environ.get(DATA, ""))
-
-
-def _suite(experiments: Sequence[str], worlds: int) -> tuple[Part, ...]:
-    return tuple(Part("suite", level.id, worlds) for name in experiments for level in EXPERIMENTS[name].levels)
-
-
-def _drives(worlds: int, *scenarios: str) -> tuple[Part, ...]:
-    return tuple(Part("drive", name, worlds) for name in scenarios)
-
-
-_FLOORS = tuple(Part("floor", f"kth_floorplans/{name}_occ_map.npy.gz", 1) for name in ("50052748", "50052750"))
 _CALM = ("office-small", "office", "aliased", "hall", "crowd")
 _DRIFT = ("drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift")
+_SUITE = [level.id for name, experiment in EXPERIMENTS.items() if name != RELOCATION for level in experiment.levels]
+_KIDNAPPED = [level.id for level in EXPERIMENTS[RELOCATION].levels]
 
-PARTS: dict[str, tuple[Part, ...]] = {
-    "agent": (*_drives(8, *_CALM, "drift-1", "drift-2", "drift-3"), *_FLOORS),
-    "associator": (
-        *_suite([name for name in EXPERIMENTS if name != RELOCATION], 4),
-        *_drives(6, *_DRIFT),
-        *_FLOORS,
-        Part("log", "victoria_park", 1),
-    ),
-    "relocator": (*_suite([RELOCATION], 8), *_drives(6, "kidnapped", "drift-2", "drift-3", "aliased-drift")),
-}  # fmt: skip
-QUICK: dict[str, tuple[Part, ...]] = {
-    "agent": _drives(1, "office-small"),
-    "associator": (Part("suite", "clutter/1", 1), *_drives(1, "office-small")),
-    "relocator": (Part("suite", "kidnapped/0", 1), *_drives(1, "office-small")),
+PARTS: dict[Role, Parts] = {
+    "agent": dict.fromkeys((*_CALM, "drift-1", "drift-2", "drift-3"), 8),
+    "associator": dict.fromkeys(_SUITE, 4) | dict.fromkeys(_DRIFT, 6),
+    "relocator": dict.fromkeys(_KIDNAPPED, 8) | dict.fromkeys(("kidnapped", "drift-2", "drift-3", "aliased-drift"), 6),
+}
+QUICK: dict[Role, Parts] = {
+    "agent": {"office-small": 1},
+    "associator": {"clutter/1": 1, "office-small": 1},
+    "relocator": {"kidnapped/0": 1, "office-small": 1},
 }
 """For tests: ranked among themselves only."""
 
@@ -103,68 +62,86 @@ class Protocol(NamedTuple):
     """What an entry of a role is put through."""
 
     role: Role
-    quick: bool
-    parts: tuple[Part, ...]  # those that there are data for
+    quick: bool = False
 
     @property
-    def about(self) -> dict[str, object]:
-        """Which protocol it is, for records and entries."""
-        return {"version": VERSION, "role": self.role, "quick": self.quick, "hash": self.hash}
+    def parts(self) -> Parts:
+        """Its settings, and how many worlds of each."""
+        return (QUICK if self.quick else PARTS)[self.role]
 
     @property
-    def hash(self) -> str:
-        """Of everything that is frozen, whether there are data for it or not."""
-        parts = [asdict(part) for part in _all(self.role, self.quick)]
-        frozen = {
-            "version": VERSION,
-            "split": SPLIT,
-            "first": FIRST,
-            "problems": PROBLEMS,
-            "driver": DRIVER,
-            "parts": parts,
-        }
-        return _digest(json.dumps(frozen, sort_keys=True).encode())
-
-    def worlds_hash(self) -> str:
-        """Of the floors, to a micrometre, of the parts that need no data, and of robot, sensors, filter and budget."""
-        parts = [part for part in self.parts if not part.needs_data]
-        plans = [_plan_hash(part.setting, world) for part in parts for world in part.worlds]
-        return _digest("".join([str(PROTOCOL), *(_settings(part.setting) for part in parts), *plans]).encode())
+    def about(self) -> dict[str, Any]:
+        """Which protocol it is: only entries of the same `hash` are compared."""
+        frozen = json.dumps([VERSION, SPLIT, FIRST, PROBLEMS, DRIVER, self.role, self.parts])
+        found = hashlib.sha256(frozen.encode()).hexdigest()[:16]
+        return {"version": VERSION, "role": self.role, "quick": self.quick, "hash": found}
 
 
-def protocol(role: Role, quick: bool = False) -> Protocol:
-    """The protocol of a role; without the parts whose data are not there."""
-    return Protocol(role, quick, tuple(part for part in _all(role, quick) if not part.needs_data or _is_there(part)))
+def column_of(setting: str) -> str:
+    """What a setting is counted under."""
+    return setting.partition("/")[0]
 
 
-def _all(role: Role, quick: bool) -> tuple[Part, ...]:
-    return (QUICK if quick else PARTS)[role]
+@dataclass(frozen=True)
+class EntryTask:
+    """One world of one setting."""
+
+    entry: str
+    role: Role
+    setting: str
+    world: int
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        return (Key(self.entry, self.setting, self.world),)
+
+    def run(self, wanted: Sequence[Key]) -> list[Record]:
+        """The record of the world: its loss, and how the entry failed if it did."""
+        record: Record = {"entry": self.entry, "setting": self.setting, "episode": self.world}
+        try:
+            loss = self._suite() if "/" in self.setting else self._drive()
+        except EntryError as error:
+            return [record | {"loss": LOST, "failed": str(error)}]
+        return [record | {"loss": loss}]
+
+    def _drive(self) -> float:
+        agent, env = _loop(self.entry, self.role, self.setting)
+        return float(run_episode(env, agent, self.world)["map_error"])
+
+    def _suite(self) -> float:
+        task = WorldTask(self.setting, self.world, (self.entry,), PROBLEMS, SPLIT)
+        if self.role == "relocator":
+            found = task.relocate({self.entry: EntryRelocator(process(self.role, self.entry))})
+        else:
+            found = task.associate({self.entry: _associator(self.entry)})
+        return 1.0 - float(found[self.entry]["score"])
 
 
-def _is_there(part: Part) -> bool:
-    return bool(os.environ.get(DATA)) and (_data() / part.setting).exists()
+@functools.lru_cache(maxsize=4)
+def process(role: str, name: str) -> EntryProcess:
+    """The process of an entry, one for each process of the evaluation."""
+    return EntryProcess(role, name)
 
 
-def _settings(setting: str) -> str:
-    """Everything in a scenario but its floors."""
-    return _said(get_scenario(setting), without="generator")
+def _associator(name: str) -> Associator:
+    """An associator in its own process; `true_association` is told the truth, which no process gets."""
+    return ASSOCIATORS[CEILING] if name == CEILING else EntryAssociator(process("associator", name))
 
 
-def _said(value: object, without: str = "") -> str:
-    """A value, however deep; what a scenario does not ask for says nothing: a new option changes no hash."""
-    if not is_dataclass(value):
-        return repr(value)
-    held = {f.name: getattr(value, f.name) for f in fields(value) if f.name != without}
-    said = {n: v for n, v in held.items() if v is not False}
-    return f"{type(value).__name__}({', '.join(f'{n}={_said(v)}' for n, v in said.items())})"
+@functools.lru_cache(maxsize=2)
+def _loop(name: str, role: Role, scenario: str) -> tuple[Agent, gym.Env[Any, Any]]:
+    """Who drives, and the environment; what the entry does not do is done by the baselines."""
+    agent: Agent = EntryAgent(process("agent", name)) if role == "agent" else make_agent(DRIVER)
+    others: dict[str, Any] = {}
+    if role == "associator":
+        others["associator"] = name if name == CEILING else _associator(name)
+    if role == "relocator":
+        others["relocation"] = EntryRelocator(process("relocator", name))
+    return agent, ExploreArguments(scenario, split=SPLIT).make(agent.action, **others)
 
 
-@functools.cache
-def _plan_hash(setting: str, world: int) -> str:
-    plan: FloorPlan = get_scenario(setting).generator(world_generator(SPLIT, world))
-    parts = (plan.walls, plan.features.positions, plan.features.sizes, plan.furniture)
-    return _digest(b"".join(np.round(np.asarray(part, np.float64) * 1e6).astype(np.int64).tobytes() for part in parts))
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:16]
+def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:
+    """An entry through the protocol."""
+    worlds = [(setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)]
+    tasks = [EntryTask(name, chosen.role, *world) for world in worlds]
+    return Evaluation(LEADERBOARD, tasks, {"entry": name} | chosen.about, lambda records: {})

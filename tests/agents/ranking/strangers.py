@@ -5,55 +5,96 @@ import time
 
 import numpy as np
 
-from slam_gym.association import jcbb, nearest_neighbour
+from slam_gym.association import nearest_neighbour
 
 
-class Snooping:
-    """A driver that fails as soon as its process holds an environment, or its information the truth."""
+class Driver:
+    """Takes the last legal goal; the bad ones below do something else at their second decision."""
 
-    name, action = "snooping", "goal"
+    name, action = "driver", "goal"
 
     def reset(self, seed):
-        self.seed = seed
+        self.decisions = 0
 
     def act(self, observation, info):
-        import gc
-
-        from slam_gym.envs.base import BaseEnv
-        from slam_gym.simulation.episode import Episode
-
-        if any(isinstance(found, BaseEnv | Episode) for found in gc.get_objects()):
-            raise RuntimeError("an environment is in this process")
-        if set(info) - {"pose", "ticks", "action_mask"}:
-            raise RuntimeError(f"told {sorted(info)}")
+        assert set(info) <= {"pose", "ticks", "action_mask"}
         print("what an entry prints is not taken for an answer")
+        self.decisions += 1
+        return int(np.flatnonzero(info["action_mask"])[-1]) if self.decisions == 1 else self.decide(info)
+
+    def decide(self, info):
         return int(np.flatnonzero(info["action_mask"])[-1])
 
 
-def failing(scan, prediction):
-    """An associator that raises."""
-    raise ValueError("no idea")
+class Snooping(Driver):
+    """Looks for a simulator in its process, and replaces whatever scores it."""
+
+    def decide(self, info):
+        import gc
+
+        import agents.evaluation.episodes
+        import slam_gym.metrics.map_quality
+        from slam_gym.envs.base import BaseEnv
+        from slam_gym.simulation.episode import Episode
+
+        assert not any(isinstance(found, BaseEnv | Episode) for found in gc.get_objects())
+        agents.evaluation.episodes.run_episode = lambda *_: {"map_error": 0.0}
+        slam_gym.metrics.map_quality.map_quality = lambda *_, **__: None
+        return super().decide(info)
 
 
-def dying(scan, prediction):
-    """One that ends its process."""
-    os._exit(3)
+class Raising(Driver):
+    def decide(self, info):
+        raise ValueError("no idea")
 
 
-def slow(scan, prediction):
-    """One that takes too long."""
-    time.sleep(60)
+class Exiting(Driver):
+    def decide(self, info):
+        os._exit(3)
 
 
-def answering_nonsense(scan, prediction):
-    """One whose answer is none."""
-    return {"features": [1, 2, 3]}
+class Sleeping(Driver):
+    def decide(self, info):
+        time.sleep(3600)
 
 
-def careful(scan, prediction):
-    """JCBB, and what it may look at while it decides."""
-    assert not hasattr(prediction.joint, "__self__")
-    return jcbb(scan, prediction)
+class Illegal(Driver):
+    def decide(self, info):
+        return int(np.flatnonzero(~info["action_mask"])[0])
+
+
+class Writing(Driver):
+    """Writes what is no answer to wherever it can."""
+
+    def decide(self, info):
+        for number in range(3, 64):
+            try:
+                os.write(number, b'[[["nonsense\n')
+            except OSError:
+                continue
+        return super().decide(info)
+
+
+class Flooding(Driver):
+    """Answers without an end."""
+
+    def decide(self, info):
+        return [1] * 10_000_000
+
+
+class Talking(Driver):
+    def decide(self, info):
+        return {"action": "left"}
+
+
+def pairing_all_with_one(scan, prediction):
+    answer = nearest_neighbour(scan, prediction)
+    answer.features[:] = 10**6
+    return answer
+
+
+def answering_a_list(scan, prediction):
+    return [1, 2, 3]
 
 
 def mine(scan, prediction):

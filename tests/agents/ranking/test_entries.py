@@ -1,55 +1,109 @@
-"""Entries survive their files, and files that were edited are refused by name."""
+"""Entries in processes of their own decide as they would here, and whatever they do, the evaluation goes on."""
 
-import json
-import math
+import sys
 
+import numpy as np
 import pytest
 
-from agents.ranking.entries import BASELINES, ranked, read_entries, read_entry, source_hash, write_entry
-from agents.ranking.protocol import FIRST, Part, protocol
-from tests.agents.ranking.strangers import mine
+from agents.drivers.base import make_agent
+from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.ranking import protocol
+from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
+from agents.ranking.protocol import FIRST, LOST, EntryTask
+from slam_gym.association import gcbb, marginal
+from slam_gym.slam.slam import Slam
+from tests.rollouts import differences, relocate
 
-RECORDS = [
-    {"setting": "office-small", "episode": FIRST, "loss": 0.25},
-    {"setting": "office-small", "episode": FIRST + 1, "loss": None},
-]
-TWO = protocol("agent", quick=True)._replace(parts=(Part("drive", "office-small", 2),))
-
-
-def an_entry(name="random"):
-    return ranked(name, TWO, RECORDS, "python -m …", 12.3)
+STRANGERS = "tests.agents.ranking.strangers"
+WORLD = ExploreArguments("office-small", (("budget", 60),))
 
 
-def test_entries_come_back_as_they_were_written(tmp_path):
-    path = write_entry(tmp_path, an_entry())
-    found = read_entry(path)
-    assert path.name == "agent-random-quick.json" and found.key == an_entry().key
-    assert found.losses["office-small"][0] == 0.25 and math.isnan(found.losses["office-small"][1])
-    assert found.about["seconds"] == 12 and "numpy" in found.about["versions"] and found.about["source"] == ""
+@pytest.fixture
+def started():
+    """Entries that end with the test."""
+    entries = []
+
+    def start(role, name, **options):
+        entries.append(EntryProcess(role, name, **options))
+        return entries[-1]
+
+    yield start
+    for entry in entries:
+        entry.close()
 
 
-@pytest.mark.parametrize("edit", [lambda c: c["losses"].update({"office-small": [0.0, 0.0]}), lambda c: c.pop("role"),
-                                  lambda c: c.update(worlds="other"), lambda c: c.update(losses=3)])  # fmt: skip
-def test_files_that_were_edited_are_refused_by_name(tmp_path, edit):
-    path = write_entry(tmp_path, an_entry())
-    content = json.loads(path.read_text())
-    edit(content)
-    path.write_text(json.dumps(content))
-    with pytest.raises(ValueError, match=r"agent-random-quick\.json: (was changed|no entry)"):
-        read_entry(path)
+def timeless(record):
+    return {name: value for name, value in record.items() if name not in ("seconds", "ticks_per_second")}
 
 
-def test_later_folders_replace_entries_of_the_same_name(tmp_path):
-    write_entry(tmp_path / "a", an_entry())
-    write_entry(tmp_path / "b", an_entry())
-    write_entry(tmp_path / "b", an_entry("lawnmower"))
-    assert [entry.name for entry in read_entries([tmp_path / "a", tmp_path / "b"])] == ["random", "lawnmower"]
+def test_an_agent_drives_as_it_does_in_this_process(started):
+    agent = EntryAgent(started("agent", "nearest_frontier"))
+    here = run_episode(WORLD.make("goal"), make_agent("nearest_frontier"), 1)
+    assert timeless(run_episode(WORLD.make(agent.action), agent, 1)) == timeless(here)
 
 
-def test_the_source_of_strangers_is_hashed():
-    assert len(source_hash(f"{mine.__module__}:mine")) == 16 and source_hash("jcbb") == ""
+def test_an_associator_that_looks_everything_up_decides_as_it_does_in_this_process(started):
+    served, driver = EntryAssociator(started("associator", "marginal")), make_agent("nearest_frontier")
+    here = run_episode(WORLD.make("goal", associator=marginal), driver, 1)
+    assert timeless(run_episode(WORLD.make("goal", associator=served), driver, 1)) == timeless(here)
 
 
-def test_what_ships_can_be_read_and_is_of_this_protocol():
-    for entry in read_entries([BASELINES]):
-        assert entry.protocol == protocol(entry.role).about
+def test_a_relocator_finds_what_it_finds_in_this_process(started):
+    served, env = EntryRelocator(started("relocator", "gcbb")), relocate()
+    for seed in range(2):
+        env.reset(seed=seed)
+        problem = env.kidnapped.scan, env.mapped.landmarks, env.mapped.locality("covisibility")
+        one, other = served(*problem), gcbb(*problem)
+        np.testing.assert_array_equal(one.features, other.features)
+        assert not differences(one.pose, other.pose) and one.accepted == other.accepted
+
+
+def test_an_entry_finds_no_simulator_and_replaces_no_score(started):
+    own, other = (EntryAgent(started("auto", f"{STRANGERS}:{name}")) for name in ("Driver", "Snooping"))
+    expected, found = (run_episode(WORLD.make("goal"), agent, 0) for agent in (own, other))
+    assert timeless(found) == timeless(expected) and found["decisions"] > 1
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Raising", "ValueError: no idea"), ("Exiting", "its process ended"), ("Sleeping", "no answer in 2 s"),
+        ("Illegal", "is not legal"), ("Writing", "nonsense"), ("Flooding", "nonsense"), ("Talking", "is not legal"),
+    ],
+)  # fmt: skip
+def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, started, name, said):
+    process = started("agent", f"{STRANGERS}:{name}", limit=2.0)
+    monkeypatch.setattr(protocol, "process", lambda role, name: process)
+    protocol._loop.cache_clear()
+    for world in (FIRST, FIRST + 1):
+        (record,) = EntryTask(name, "agent", "office-small", world).run(())
+        assert record["loss"] == LOST and said in record["failed"] and name in record["failed"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("pairing_all_with_one", r"features\[0\]: 1000000"), ("answering_a_list", "no hypothesis")]
+)
+def test_an_associator_that_answers_nonsense_is_refused(started, name, said):
+    served, slam, env = EntryAssociator(started("associator", f"{STRANGERS}:{name}")), Slam(), WORLD.make("twist")
+    env.reset(seed=0)
+    episode = env.unwrapped.episode
+    slam.step(episode.odometry, episode.scan, "jcbb")
+    with pytest.raises(EntryError, match=said):
+        served(episode.scan, slam.map.prediction(6.0))
+
+
+@pytest.mark.parametrize(
+    ("role", "name", "said"),
+    [("agent", "nobody", "unknown agent 'nobody'"), ("auto", f"{STRANGERS}:mine", "give --role"),
+     ("auto", "nowhere.zip", "no such file"), ("associator", "nowhere:f", "nowhere")],
+)  # fmt: skip
+def test_what_does_not_exist_is_refused_at_the_start(role, name, said):
+    with pytest.raises(EntryError, match=said):
+        EntryProcess(role, name)
+
+
+def test_the_evaluator_imports_nothing_of_an_entry(started, tmp_path, monkeypatch):
+    (tmp_path / "theirs.py").write_text("import sys\nsys.theirs = True\n\ndef associate(scan, prediction): ...\n")
+    monkeypatch.chdir(tmp_path)
+    started("associator", "theirs:associate")
+    assert "theirs" not in sys.modules and not hasattr(sys, "theirs")

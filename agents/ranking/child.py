@@ -1,0 +1,79 @@
+"""The process of an entry: it imports the entry's module, answers requests, and holds no simulator.
+
+A request comes on stdin: its length in eight bytes, and a pickle that the evaluator wrote. An answer goes to stdout as
+one line of JSON; whatever the entry prints goes to stderr.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.drivers.base import find_agent, make_agent
+from agents.evaluation.associators import find_associator
+from slam_gym.association import resolve_relocator
+
+Answers = tuple[dict[str, Any], Callable[..., Any]]
+"""What the evaluator is told of an entry at first, and what answers its requests."""
+
+
+def load(role: str, name: str) -> Answers:
+    """An entry by name, `module:function`, `module:Class` or model file. Raises ValueError where the name does not tell
+    its `role`, or there is none such."""
+    if role == "auto":
+        role = _role_of(name)
+    if role != "agent":
+        return {"role": role}, (find_associator if role == "associator" else resolve_relocator)(name)
+    agent = make_agent("ppo", name) if Path(name).suffix == ".zip" else make_agent(name)
+
+    def drive(what: str, *request: Any) -> Any:
+        return agent.reset(*request) if what == "reset" else agent.act(*request)
+
+    return {"role": role, "name": agent.name, "action": agent.action}, drive
+
+
+def _role_of(name: str) -> str:
+    if Path(name).suffix == ".zip":
+        from agents.learning.models import read_about
+
+        return "associator" if read_about(Path(name)).action == "branch" else "agent"
+    if ":" in name and hasattr(find_agent(name), "act"):
+        return "agent"
+    raise ValueError("give --role, since its name does not tell")
+
+
+def plain(value: Any) -> Any:
+    """What JSON does not know, in what it knows: arrays as lists, dataclasses as tables."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: getattr(value, field.name) for field in fields(value)}
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+def main(role: str, name: str) -> None:
+    """Answer requests until there are no more; an error of the entry is an answer, and the last one."""
+    incoming, outgoing = sys.stdin.buffer, os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    try:
+        answer, entry = load(role, name)
+        while True:
+            print(json.dumps({"answer": answer}, default=plain), file=outgoing, flush=True)
+            length = incoming.read(8)
+            if len(length) < 8:
+                return
+            answer = entry(*pickle.loads(incoming.read(int.from_bytes(length, "little"))))
+    except Exception as error:
+        print(json.dumps({"error": f"{type(error).__name__}: {error}"}), file=outgoing, flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,180 @@
+"""An entry as the evaluator sees it: a process that is sent what a robot could know, and whose answers are checked.
+
+The evaluator imports nothing of an entry and unpickles nothing from it: answers are JSON, read up to a length and a
+time limit. An entry that fails loses the episode. Who reads another process's memory is not defended against.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import json
+import os
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.drivers.base import ActionKind, Info, Observation, legal_goals
+from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Prediction, Relocation, Scan
+from slam_gym.validation import check_hypothesis
+
+LIMIT = 60.0  # [s] for an answer
+START = 600.0  # [s] for the first two of a process, which imports and compiles
+_LONGEST = 1 << 22  # bytes of an answer
+_NONSENSE = (KeyError, TypeError, ValueError, IndexError, OverflowError, np.linalg.LinAlgError)
+
+
+class EntryError(RuntimeError):
+    """What an entry did that loses the episode."""
+
+
+class EntryProcess:
+    """An entry in a process of its own, which is started again for the next episode after it has failed.
+
+    Raises EntryError where there is no such entry, or its `role` is "auto" and its name does not tell.
+    """
+
+    def __init__(self, role: str, name: str, limit: float = LIMIT) -> None:
+        self._who, self._limit, self._patience = (role, name), limit, START
+        self._loop = asyncio.new_event_loop()
+        self._process: asyncio.subprocess.Process | None = None
+        atexit.register(self.close)
+        self.about = self._start()
+
+    def ask(self, *request: Any) -> Any:
+        """Its answer to a request. Raises EntryError where it gives none."""
+        if self._process is None:
+            self._start()
+        patience, self._patience = self._patience, self._limit
+        return self._answer(pickle.dumps(request), patience)
+
+    def refuse(self, reason: object) -> EntryError:
+        """The error that ends the episode; the process ends as well."""
+        self.close()
+        return EntryError(f"{' '.join(self._who)}: {str(reason)[:300]}")
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process = self._process, None
+        if process is not None and process.returncode is None:
+            process.kill()
+            self._loop.run_until_complete(asyncio.wait([self._loop.create_task(process.wait())], timeout=5.0))
+
+    def _start(self) -> dict[str, Any]:
+        path = os.pathsep.join([str(Path(__file__).parents[2]), os.getcwd(), os.environ.get("PYTHONPATH", "")])
+        pipe, env = asyncio.subprocess.PIPE, os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+        child = asyncio.create_subprocess_exec(
+            sys.executable, "-m", "agents.ranking.child", *self._who, stdin=pipe, stdout=pipe, limit=_LONGEST, env=env
+        )
+        self._process, self._patience = self._loop.run_until_complete(child), START
+        about = self._answer(b"", START)
+        if not isinstance(about, dict) or about.get("role") not in ("agent", "associator", "relocator"):
+            raise self.refuse("what it says of itself is nonsense")
+        return about
+
+    def _answer(self, request: bytes, seconds: float) -> Any:
+        try:
+            line = self._loop.run_until_complete(asyncio.wait_for(self._exchange(request), seconds))
+            message = json.loads(line)
+            if "answer" not in message:
+                raise self.refuse(message["error"])
+            return message["answer"]
+        except TimeoutError:
+            raise self.refuse(f"no answer in {seconds:g} s") from None
+        except (OSError, asyncio.IncompleteReadError):
+            raise self.refuse("its process ended") from None
+        except (*_NONSENSE, RecursionError, asyncio.LimitOverrunError):
+            raise self.refuse("its answer is nonsense") from None
+
+    async def _exchange(self, request: bytes) -> bytes:
+        assert self._process is not None and self._process.stdin is not None and self._process.stdout is not None
+        if request:
+            self._process.stdin.write(len(request).to_bytes(8, "little") + request)
+            await self._process.stdin.drain()
+        return await self._process.stdout.readuntil(b"\n")
+
+
+class EntryAgent:
+    """A driver in a process of its own."""
+
+    def __init__(self, process: EntryProcess) -> None:
+        self._process = process
+        self.name = str(process.about.get("name"))
+        self.action: ActionKind = "twist" if process.about.get("action") == "twist" else "goal"
+
+    def reset(self, seed: int) -> None:
+        self._process.ask("reset", seed)
+
+    def act(self, observation: Observation, info: Info) -> int | NDArray[np.float32]:
+        action = self._process.ask("act", dict(observation), dict(info))
+        try:
+            if self.action == "twist":
+                return _numbers(action, (2,)).clip(-1.0, 1.0).astype(np.float32)
+            if action not in np.flatnonzero(legal_goals(info)).tolist():
+                raise ValueError(f"goal {str(action)[:80]} is not legal")
+            return int(action)
+        except _NONSENSE as error:
+            raise self._process.refuse(error) from None
+
+
+class EntryAssociator:
+    """An associator in a process of its own."""
+
+    def __init__(self, process: EntryProcess) -> None:
+        self._process = process
+
+    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
+        answer = self._process.ask(scan, prediction)
+        try:
+            new, known = answer["new"], answer["experience"]
+            found = Hypothesis(
+                np.array(answer["features"]),
+                float(_numbers(answer["joint_distance"], ())),
+                int(answer["dof"]),
+                new=None if new is None else np.array(new),
+                exclusive=bool(answer["exclusive"]),
+                experience=None if known is None else Experience(
+                    float(_numbers(known["unpaired"], ())), float(_numbers(known["area"], ())),
+                    _numbers(known["detections"], (-1,)),
+                ),
+            )  # fmt: skip
+            return check_hypothesis(found, len(scan), int(prediction.features.max(initial=-1)) + 1)
+        except _NONSENSE as error:
+            raise self._process.refuse(f"no hypothesis, {error}") from None
+
+
+class EntryRelocator:
+    """A relocator in a process of its own."""
+
+    def __init__(self, process: EntryProcess) -> None:
+        self._process = process
+
+    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
+        answer = self._process.ask(scan, landmarks, locality)
+        try:
+            features, pose, covariance = np.array(answer["features"]), np.full(3, np.nan), np.full((3, 3), np.nan)
+            distance, located = 0.0, (features != UNPAIRED).sum() >= 2
+            check_hypothesis(Hypothesis(features, 0.0, 0), len(scan), len(landmarks))
+            if located:
+                distance = float(_numbers(answer["joint_distance"], ()))
+                pose, covariance = _numbers(answer["pose"], (3,)), _numbers(answer["covariance"], (3, 3))
+                np.linalg.cholesky(covariance + 1e-9 * np.eye(3))  # refuses what is no covariance
+            counts = [int(answer[name]) for name in ("dof", "min_pairings", "ambiguous", "ties")]
+            dof, least, ambiguous, ties = counts
+            return Relocation(features, pose, covariance, distance, dof, least, bool(ambiguous), ties, Effort())
+        except _NONSENSE as error:
+            raise self._process.refuse(f"no relocation, {error}") from None
+
+
+def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Finite numbers of that shape; −1 stands for any length."""
+    found = np.array(value, np.float64)
+    if found.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, found.shape)):
+        raise ValueError(f"numbers of shape {found.shape}, expected {shape}")
+    if not np.isfinite(found).all():
+        raise ValueError("a number is not finite")
+    return found
