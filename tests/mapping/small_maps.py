@@ -8,7 +8,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import Array, IntArray, Odometry, Prediction
 from tests.oracles.map import KnownAssociation, TextbookMap, wander
 
-KEEP = MapSpec(iterations=1, error="ordinary", second_order=False, unconfirmed_age=None)  # the filter of the textbook
+KEEP = MapSpec(iterations=1, right_invariant=False, second_order=False, unconfirmed_age=None)  # the textbook filter
 START = np.array([1.0, -2.0, 3.0])
 START_COVARIANCE = np.array([[0.04, 0.01, 0.002], [0.01, 0.03, -0.001], [0.002, -0.001, 0.01]])
 STILL = Odometry(np.zeros(3), np.zeros((3, 3)))

@@ -66,7 +66,7 @@ def everything_new(scan: Scan, prediction: Any) -> Hypothesis:
     "spec",
     [
         SlamSpec(reach=6.0),
-        SlamSpec(reach=6.0, locality=False, new_confidence=0.999, map=MapSpec(error="ordinary", iterations=1)),
+        SlamSpec(reach=6.0, locality=False, new_confidence=0.999, map=MapSpec(right_invariant=False, iterations=1)),
         SlamSpec(reach=6.0, map=MapSpec(confirmations=3, unconfirmed_age=5)),
         SlamSpec(reach=6.0, map=MapSpec(unconfirmed_age=None)),
     ],

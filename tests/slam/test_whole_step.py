@@ -70,12 +70,15 @@ def log_of(seed: int, carried_at: int | None = None, steps: int = 220, in_pairs:
         yield odometry, scan, *rest
 
 
+ONE_PASS = MapSpec(right_invariant=False, iterations=1)
+
+
 @pytest.mark.parametrize("associate", [jcbb, nearest_neighbour, singles])
 @pytest.mark.parametrize(
     "spec",
     [
         SPEC,
-        replace(SPEC, reach=None, locality=False, new_confidence=0.9999, map=MapSpec(error="ordinary", iterations=1)),
+        replace(SPEC, reach=None, locality=False, new_confidence=0.9999, map=ONE_PASS),
         replace(SPEC, map=MapSpec(confirmations=3, unconfirmed_age=5)),
         replace(SPEC, map=MapSpec(second_order=False, unconfirmed_age=None)),
     ],

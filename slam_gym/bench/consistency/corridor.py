@@ -53,7 +53,7 @@ def run_corridor(
     associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, locality: bool = True
 ) -> CorridorRun:
     """One loop through the corridor."""
-    spec = MapSpec(confidence=confidence, iterations=1, error="ordinary", second_order=False)
+    spec = MapSpec(confidence=confidence, iterations=1, right_invariant=False, second_order=False)
     slam = Slam(SlamSpec(spec, reach=RANGE, locality=locality))
     judged = JudgedSlam(slam, associator)
     poses: list[Array] = []

@@ -100,7 +100,7 @@ def _judged(log: DrivenLog, method: str, associator: str) -> tuple[Slam | LocalM
 def _settings(spec: MapSpec, method: str) -> MapSpec:
     if method == "right-invariant":
         return spec
-    return replace(spec, iterations=1, error="ordinary", second_order=False)
+    return replace(spec, iterations=1, right_invariant=False, second_order=False)
 
 
 def _whole_map(slam: Slam | LocalMapSlam) -> StochasticMap:

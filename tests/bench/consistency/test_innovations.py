@@ -31,7 +31,7 @@ def test_errors_and_innovations_are_as_large_as_predicted_and_innovations_white(
 
 def test_a_filter_that_takes_bends_for_straight_lines_is_found_out() -> None:
     """That of the papers, at the worst wheels: one pass, to first order."""
-    papers = MapSpec(iterations=1, error="ordinary", second_order=False, unconfirmed_age=5)
+    papers = MapSpec(iterations=1, right_invariant=False, second_order=False, unconfirmed_age=5)
     scenario = replace(at_level(3, 150), slam=SlamSpec(papers, new_confidence=1.0 - 1e-6))
     found = row(3, [innovations(scenario, world) for world in range(3)])
     assert found["NIS, free"].low > 1.06
