@@ -25,7 +25,7 @@ from mkdocs.structure.pages import Page
 
 import slam_gym
 from slam_gym.bench.runner import BENCHMARKS
-from slam_gym.scenarios import SCENARIOS, Scenario, buildings, drift, registry
+from slam_gym.scenarios import SCENARIOS, Scenario, registry
 from slam_gym.scenarios.suite import EXPERIMENTS
 
 ROOT = Path(__file__).parents[1]
@@ -212,8 +212,7 @@ def _worlds(scenario: Scenario) -> str:
 
 def _about(scenario: Scenario) -> str:
     """What its entry in the registry says behind its name; else nothing."""
-    source = "".join(inspect.getsource(module) for module in (registry, drift, buildings))
-    found = re.search(rf'"{scenario.name}",  # (.+)', source)
+    found = re.search(rf'"{scenario.name}",[^#\n]*# (.+)', inspect.getsource(registry))
     return found[1] if found else ""
 
 

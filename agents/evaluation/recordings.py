@@ -21,7 +21,7 @@ from agents.evaluation.tables import Column, Rows, Table, by_setting
 from slam_gym.association import resolve_relocator
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
-from slam_gym.scenarios.recorded import slam_for
+from slam_gym.scenarios.registry import slam_for
 from slam_gym.slam.relocate import SEARCH
 
 COLUMNS = (

@@ -6,15 +6,14 @@ from slam_gym import geometry
 from slam_gym._compile import announce_compilation
 from slam_gym.envs import observation
 from slam_gym.mapping import linear_algebra
-from slam_gym.metrics import association, point_assignment
+from slam_gym.metrics import association, consistency, map_quality, point_assignment
 from slam_gym.navigation import grid, keyframes, visibility
-from slam_gym.simulation import appraisal
 from slam_gym.slam import kernels, slam, tracker, whole_step
 from slam_gym.world import boxes, detection, driving, reachability, wall_grid
 
 COMPILED = (
     geometry, slam, tracker, observation, grid, keyframes, linear_algebra, point_assignment, association, boxes,
-    detection, driving, reachability, visibility, wall_grid, appraisal, kernels, whole_step,
+    detection, driving, reachability, visibility, wall_grid, consistency, map_quality, kernels, whole_step,
 )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Optimal assignment between two point sets with a cutoff: exact, and fast because distant pairs never meet.
 
 Minimises Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) over partial assignments γ, which is the same as minimising
-Σ_{(i,j) ∈ γ} (d_ij^p − c^p): only pairs closer than the cutoff c can help. They are gathered through a grid, then
+Σ_{(i,j) ∈ γ} (d_ij^p − c^p): only pairs closer than the cutoff c can help. They are gathered along x, then
 assigned by shortest augmenting paths (Jonker and Volgenant 1987) over that sparse graph, where a row may also stay
 unassigned at cost 0. Rows whose nearest column nobody else wants are settled without a search, which in a good map is
 almost all of them.
@@ -29,20 +29,15 @@ class PointAssignment(NamedTuple):
 
 
 class Index(NamedTuple):
-    """True points with cells over them, in which their neighbours are looked up."""
+    """True points with their order along x, in which neighbours are looked up."""
 
     true: Array  # (N, 2) [m]
-    starts: IntArray  # (cells + 1,) the points of cell c are order[starts[c]:starts[c + 1]], row by row
-    order: IntArray  # (N,)
+    order: IntArray  # (N,) by ascending x
+    x: Array  # (N,) [m] ascending
     cutoff: float  # [m]
-    x: float  # [m] lower left corner
-    y: float
-    cell: float  # [m] side
-    width: int  # [cells]
-    height: int
 
 
-PackedIndex = tuple[Array, IntArray, IntArray, float, float, float, float, int, int]
+PackedIndex = tuple[Array, IntArray, Array, float]
 """An `Index` as a plain tuple, as it comes from Python and goes back there."""
 
 
@@ -105,77 +100,36 @@ def assign_to(estimated: Array, index: Index, p: float) -> PointAssignment:
 @compiled
 def _pairs_within(estimated: Array, index: Index) -> _Pairs:
     """All pairs closer than the cutoff, their distances [m] as costs."""
-    _extent(estimated, 0), _extent(estimated, 1)  # are finite
-    true, order, cell_starts, cutoff = index.true, index.order, index.starts, index.cutoff
-    room = 0
-    starts = np.zeros(len(estimated) + 1, np.int64)
-    columns, distances = np.empty(0, np.int64), np.empty(0)
-    for filling in (False, True):  # the first pass counts who is in the cells around
-        q = 0
-        for i in range(len(estimated)):
-            x, y = (estimated[i, 0] - index.x) / index.cell, (estimated[i, 1] - index.y) / index.cell
-            if len(true) and -1.0 <= x < index.width + 1 and -1.0 <= y < index.height + 1:
-                left, right = max(math.floor(x) - 1, 0), min(math.floor(x) + 1, index.width - 1)
-                for row in range(max(math.floor(y) - 1, 0), min(math.floor(y) + 2, index.height)):
-                    first, last = cell_starts[row * index.width + left], cell_starts[row * index.width + right + 1]
-                    if not filling:
-                        room += last - first
-                        continue
-                    for k in range(first, last):
-                        dx, dy = estimated[i, 0] - true[order[k], 0], estimated[i, 1] - true[order[k], 1]
-                        if dx * dx + dy * dy < cutoff * cutoff:
-                            columns[q], distances[q] = order[k], math.sqrt(dx * dx + dy * dy)
-                            q += 1
-            starts[i + 1] = q
-        if not filling:
-            columns, distances = np.empty(room, np.int64), np.empty(room)
-    return _Pairs(starts, columns[: starts[-1]], distances[: starts[-1]])
+    _check_finite(estimated)
+    first = np.searchsorted(index.x, estimated[:, 0] - index.cutoff)
+    last = np.searchsorted(index.x, estimated[:, 0] + index.cutoff, side="right")
+    starts, q = np.zeros(len(estimated) + 1, np.int64), 0
+    room = (last - first).sum()
+    columns, distances = np.empty(room, np.int64), np.empty(room)
+    for i in range(len(estimated)):
+        for k in range(first[i], last[i]):
+            j = index.order[k]
+            dx, dy = estimated[i, 0] - index.true[j, 0], estimated[i, 1] - index.true[j, 1]
+            if dx * dx + dy * dy < index.cutoff * index.cutoff:
+                columns[q], distances[q] = j, math.sqrt(dx * dx + dy * dy)
+                q += 1
+        starts[i + 1] = q
+    return _Pairs(starts, columns[:q], distances[:q])
 
 
 @compiled
 def indexed(true: Array, cutoff: float) -> PackedIndex:
-    """`Index` of points (N, 2), for a cutoff [m]: O(N) cells, none smaller than that.
-
-    Raises ValueError for points that are not finite, or too far apart.
-    """
-    x_low, x_high = _extent(true, 0)
-    y_low, y_high = _extent(true, 1)
-    wide, high = x_high - x_low, y_high - y_low
-    cell = max(cutoff, math.sqrt(wide / (4 * len(true) + 1) * high), wide / 1024, high / 1024)
-    if not math.isfinite(cell):
-        raise ValueError("the true positions are too far apart")
-    width, height = int(wide / cell) + 1, int(high / cell) + 1
-    starts, order = _sorted_into(x_low, y_low, cell, width, height, true)
-    return true, starts, order, cutoff, x_low, y_low, cell, width, height
+    """`Index` of points (N, 2), for a cutoff [m]. Raises ValueError for points that are not finite."""
+    _check_finite(true)
+    order = np.argsort(true[:, 0])
+    return true, order, true[:, 0][order], cutoff
 
 
 @compiled
-def _extent(points: Array, axis: int) -> tuple[float, float]:
-    """Smallest and largest coordinate [m]."""
-    low, high = (points[0, axis], points[0, axis]) if len(points) else (0.0, 0.0)
+def _check_finite(points: Array) -> None:
     for j in range(len(points)):
-        if not math.isfinite(points[j, axis]):
+        if not math.isfinite(points[j, 0] + points[j, 1]):
             raise ValueError("a position is not finite")
-        low, high = min(low, points[j, axis]), max(high, points[j, axis])
-    return low, high
-
-
-@compiled
-def _sorted_into(x: float, y: float, cell: float, width: int, height: int, points: Array) -> tuple[IntArray, IntArray]:
-    """Counting sort of points (N, 2) into cells, row by row: starts (cells + 1,) and the points (N,) in order."""
-    cells = np.empty(len(points), np.int64)
-    starts = np.zeros(width * height + 1, np.int64)
-    for j in range(len(points)):
-        row, column = int((points[j, 1] - y) / cell), int((points[j, 0] - x) / cell)
-        cells[j] = row * width + column
-        starts[cells[j] + 1] += 1
-    for k in range(width * height):
-        starts[k + 1] += starts[k]
-    order, free = np.empty(len(points), np.int64), starts.copy()
-    for j in range(len(points)):
-        order[free[cells[j]]] = j
-        free[cells[j]] += 1
-    return starts, order
 
 
 @compiled

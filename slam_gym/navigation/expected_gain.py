@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from slam_gym._arrays import ascending
 from slam_gym._compile import compiled
 from slam_gym.mapping.linear_algebra import cholesky
 from slam_gym.navigation.explored_grid import ExploredGrid
@@ -90,7 +89,7 @@ def _in_view(x: Array, explored: ExploredCells, place: Array, reach: float) -> I
             near[k], distances[k] = j, distance
             k += 1
     chosen, count = np.empty(MAX_FEATURES, np.int64), 0
-    for i in ascending(distances[:k]):
+    for i in np.argsort(distances[:k], kind="mergesort"):
         if count < MAX_FEATURES and _in_sight(explored, place, x[3 + 2 * near[i] : 5 + 2 * near[i]]):
             chosen[count] = near[i]
             count += 1

@@ -14,7 +14,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.navigation.explored_grid import ExploredGrid
@@ -249,7 +248,7 @@ def _open(packed: _PackedFrames, k: int, pose: Array, seen: IntArray, ids: IntAr
     frames, row_of = _Frames(*packed), _rows_of(ids)
     here, count = (pose[0], pose[1], pose[2]), 0
     frames.drawn[k] = True
-    fill_from(frames.poses[k], pose)
+    frames.poses[k, :] = pose
     frames.anchors[k, :] = NO_ID
     for feature in seen:
         count = _anchored(frames, k, count, here, feature, row_of, positions)

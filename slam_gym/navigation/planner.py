@@ -52,7 +52,12 @@ class DistanceField:
 
     def lengths_to(self, points: Array) -> Array:
         """`length_to` each of `points` (q, 2), (q,)."""
-        return _lengths_to(self.lengths, self.origin, self.resolution, points)
+        columns, rows = (points - self.origin).T / self.resolution
+        h, w = self.lengths.shape
+        inside = (rows >= 0.0) & (rows < h) & (columns >= 0.0) & (columns < w)
+        out = np.full(len(points), math.inf)
+        out[inside] = self.lengths[rows[inside].astype(np.int64), columns[inside].astype(np.int64)]
+        return out
 
     def nearest(self, point: Array) -> Array:
         """Centre (2,) in B of the reachable cell nearest to `point` (2,); the start where no cell is reachable."""
@@ -63,14 +68,19 @@ class DistanceField:
         centre: Array = centres[np.argmin(((centres - point) ** 2).sum(axis=1))]
         return centre
 
-    def along(self, goal: Array, spacing: float) -> Array:
-        """Points (p, 2) in B on the path to `goal` (2,), some `spacing` [m] apart, the goal's cell among them."""
-        return self.along_each(goal[None], spacing)[0]
-
     def along_each(self, goals: Array, spacing: float) -> tuple[Array, IntArray]:
-        """`along` to each of `goals` (q, 2), one after the other (p, 2), and how many points each has (q,)."""
-        stride = max(1, round(spacing / self.resolution))
-        return _along_each(self.steps, self.costs, self.origin, self.resolution, goals, stride)
+        """Points (p, 2) in B on the paths to `goals` (q, 2), one path after the other, and how many each has (q,).
+
+        They are some `spacing` [m] apart, the goal's cell among them.
+        """
+        stride, ways = max(1, round(spacing / self.resolution)), []
+        for goal in goals:
+            cell = self.cell(goal)
+            reached = cell is not None and np.isfinite(self.costs[cell])
+            cells = _trace(self.steps, *cell)[::-stride][::-1] if reached else np.empty((0, 2), np.int64)
+            ways.append(self.origin + (cells[:, ::-1] + 0.5) * self.resolution)
+        counts = np.array([len(way) for way in ways], np.int64)
+        return np.concatenate([np.empty((0, 2)), *ways]), counts
 
     def path(self, goal: Array) -> Array:
         """Waypoints (p, 2) in B from the start to `goal` (2,), shortened; (0, 2) if no path leads to the goal's cell.
@@ -136,16 +146,6 @@ def _window(grid: ExploredGrid, within: Array) -> tuple[Cells, Array]:
 def _cell_of(point: Array, origin: Array, resolution: float, shape: tuple[int, ...]) -> tuple[int, int] | None:
     column, row = (float(point[0]) - origin[0]) / resolution, (float(point[1]) - origin[1]) / resolution
     return (int(row), int(column)) if 0.0 <= row < shape[0] and 0.0 <= column < shape[1] else None
-
-
-@compiled
-def _lengths_to(lengths: Array, origin: Array, resolution: float, points: Array) -> Array:
-    out = np.full(points.shape[0], math.inf)
-    for q in range(points.shape[0]):
-        column, row = (points[q, 0] - origin[0]) / resolution, (points[q, 1] - origin[1]) / resolution
-        if 0.0 <= row < lengths.shape[0] and 0.0 <= column < lengths.shape[1]:
-            out[q] = lengths[int(row), int(column)]
-    return out
 
 
 @compiled
@@ -254,32 +254,6 @@ def _trace(steps: Steps, row: int, column: int) -> IntArray:
         k = max(0, steps[r, c])
         r, c = r - _ROWS[k], c - _COLUMNS[k]
     return cells
-
-
-@compiled
-def _along_each(
-    steps: Steps, costs: Array, origin: Array, resolution: float, goals: Array, stride: int
-) -> tuple[Array, IntArray]:
-    """See `DistanceField.along_each`; every so many cells, counted from the goal."""
-    counts, ends = np.zeros(goals.shape[0], dtype=np.int64), np.empty((goals.shape[0], 2), dtype=np.int64)
-    for q in range(goals.shape[0]):
-        column, row = (goals[q, 0] - origin[0]) / resolution, (goals[q, 1] - origin[1]) / resolution
-        if not (0.0 <= row < costs.shape[0] and 0.0 <= column < costs.shape[1]):
-            continue
-        ends[q, 0], ends[q, 1] = int(row), int(column)
-        if costs[ends[q, 0], ends[q, 1]] < math.inf:
-            counts[q] = (len(_trace(steps, ends[q, 0], ends[q, 1])) - 1) // stride + 1
-    points, end = np.empty((counts.sum(), 2)), 0
-    for q in range(goals.shape[0]):
-        end += counts[q]
-        if counts[q] == 0:
-            continue
-        cells = _trace(steps, ends[q, 0], ends[q, 1])
-        for i in range(counts[q]):
-            cell = cells[len(cells) - 1 - i * stride]
-            points[end - 1 - i, 0] = origin[0] + (cell[1] + 0.5) * resolution
-            points[end - 1 - i, 1] = origin[1] + (cell[0] + 0.5) * resolution
-    return points, counts
 
 
 @compiled

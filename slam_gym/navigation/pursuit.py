@@ -23,16 +23,16 @@ class OnPath(NamedTuple):
 @compiled
 def on_path(path: Array, position: Array) -> OnPath:
     """Where a path (p, 2), p ≥ 2, is nearest to `position` (2,)."""
-    best = OnPath(0, 0.0, math.inf)
+    best, segment, covered = math.inf, 0, 0.0
+    x, y = position[0], position[1]
     for i in range(path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
-        length = math.hypot(dx, dy)
-        x, y = position[0] - path[i, 0], position[1] - path[i, 1]
-        along = min(1.0, max(0.0, (x * dx + y * dy) / max(length, 1e-9) ** 2))
-        gap = math.hypot(x - along * dx, y - along * dy)
-        if gap < best.gap:
-            best = OnPath(i, along * length, gap)
-    return best
+        squared = dx * dx + dy * dy
+        t = 0.0 if squared == 0.0 else min(1.0, max(0.0, ((x - path[i, 0]) * dx + (y - path[i, 1]) * dy) / squared))
+        gap = math.hypot(path[i, 0] + t * dx - x, path[i, 1] + t * dy - y)
+        if gap < best:
+            best, segment, covered = gap, i, t * math.sqrt(squared)
+    return OnPath(segment, covered, best)
 
 
 @compiled
@@ -117,15 +117,7 @@ def follow(pose: Array, path: Array, spec: PursuitSpec = _STANDARD) -> Twist:
     heading error and, near the end of the path, the less room there is to stop. Large errors are turned away on the
     spot first. An empty path means standing still.
     """
-    return Twist(*steer(pose, path, pose, tuple(spec))[2:])
-
-
-@compiled
-def steer(pose: Array, path: Array, goal: Array, packed: tuple[float, ...]) -> tuple[float, float, float, float]:
-    """What a tick of driving to a goal asks for, at once: `length_left` of the path [m], how far `goal` (2,) is [m],
-    and the speeds of `follow`, with a spec as a plain tuple."""
-    forward, turn = _pursue(pose, path, packed)
-    return length_left(path, pose[:2]), math.hypot(goal[0] - pose[0], goal[1] - pose[1]), forward, turn
+    return Twist(*_pursue(pose, path, tuple(spec)))
 
 
 class _Ahead(NamedTuple):
@@ -137,26 +129,18 @@ class _Ahead(NamedTuple):
 
 
 @compiled
-def _ahead(x: float, y: float, path: Array, lookahead: float) -> _Ahead:
-    """Chase the point of a polyline `lookahead` beyond the one nearest to (x, y)."""
-    best, segment, along = math.inf, 0, 0.0
-    for i in range(path.shape[0] - 1):
-        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
-        squared = dx * dx + dy * dy
-        t = 0.0 if squared == 0.0 else min(1.0, max(0.0, ((x - path[i, 0]) * dx + (y - path[i, 1]) * dy) / squared))
-        distance = math.hypot(path[i, 0] + t * dx - x, path[i, 1] + t * dy - y)
-        if distance < best:
-            best, segment, along = distance, i, t * math.sqrt(squared)
-    target_x, target_y = path[-1, 0], path[-1, 1]
-    left, found = -along, False
-    for i in range(segment, path.shape[0] - 1):
+def _ahead(pose: Array, path: Array, lookahead: float) -> _Ahead:
+    """The point of a path (p, 2), p ≥ 1, `lookahead` [m] beyond the one nearest to the robot."""
+    at = on_path(path, pose[:2])
+    x, y, left, found = path[-1, 0], path[-1, 1], -at.covered, False
+    for i in range(at.segment, path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
         length = math.hypot(dx, dy)
         if not found and left + length >= lookahead:
             t = (lookahead - left) / length if length > 0.0 else 0.0
-            target_x, target_y, found = path[i, 0] + t * dx, path[i, 1] + t * dy, True
+            x, y, found = path[i, 0] + t * dx, path[i, 1] + t * dy, True
         left += length
-    return _Ahead(target_x, target_y, left)
+    return _Ahead(x, y, left)
 
 
 @compiled
@@ -164,7 +148,7 @@ def _pursue(pose: Array, path: Array, packed: tuple[float, ...]) -> tuple[float,
     if path.shape[0] == 0:
         return 0.0, 0.0
     spec = PursuitSpec(*packed)
-    ahead = _ahead(pose[0], pose[1], path, spec.lookahead)
+    ahead = _ahead(pose, path, spec.lookahead)
     left = max(ahead.left, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
     if left < spec.tolerance:
         return 0.0, 0.0

@@ -10,7 +10,6 @@ paid for its overconfidence.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -59,15 +58,15 @@ class VirtualMap:
 
     def a_opt(self) -> float:
         """A-optimality tr(P)/l [m²] of all l = 2hw coordinates together: the mean λ, σ₀² before any observation."""
-        return _spectrum(self.covariances).mean
+        return _mean_eigenvalues(self.covariances)[0]
 
     def d_opt(self) -> float:
         """D-optimality exp(mean log λ) [m²], σ₀² before any observation."""
-        return math.exp(_spectrum(self.covariances).mean_log)
+        return math.exp(_mean_eigenvalues(self.covariances)[1])
 
     def entropy(self) -> float:
         """Differential entropy per coordinate, mean over λ of ½ log(2πe λ) [nat]."""
-        return 0.5 * (math.log(2.0 * math.pi * math.e) + _spectrum(self.covariances).mean_log)
+        return 0.5 * (math.log(2.0 * math.pi * math.e) + _mean_eigenvalues(self.covariances)[1])
 
 
 @compiled
@@ -80,7 +79,8 @@ def _observe(
     directions = np.empty((bearings.shape[0], 2))
     for b in range(bearings.shape[0]):
         directions[b, 0], directions[b, 1] = math.cos(pose[2] + bearings[b]), math.sin(pose[2] + bearings[b])
-    spread = _half_gap(bearings)
+    # a beam speaks for half the gap between the first two on either side
+    spread = math.cos(0.5 * (bearings[1] - bearings[0])) if bearings.shape[0] > 1 else 1.0
     improved = 0
     left, right = (pose[0] - origin[0] - max_range) / cell, (pose[0] - origin[0] + max_range) / cell
     low, high = (pose[1] - origin[1] - max_range) / cell, (pose[1] - origin[1] + max_range) / cell
@@ -98,12 +98,6 @@ def _observe(
 
 
 @compiled
-def _half_gap(bearings: Array) -> float:
-    """Cosine of the angle to either side of a beam that it speaks for: half the gap between the first two."""
-    return math.cos(0.5 * (bearings[1] - bearings[0])) if bearings.shape[0] > 1 else 1.0
-
-
-@compiled
 def _in_view(dx: float, dy: float, directions: Array, ranges: Array, max_range: float, spread: float) -> bool:
     """The beam nearest in direction to a point at (dx, dy) from the sensor speaks for it, and reaches as far."""
     distance = math.hypot(dx, dy)
@@ -115,16 +109,9 @@ def _in_view(dx: float, dy: float, directions: Array, ranges: Array, max_range: 
     return nearest >= 0 and best >= spread * distance - 1e-9 and distance <= min(ranges[nearest], max_range)
 
 
-class _Spectrum(NamedTuple):
-    """Eigenvalues λ [m²] of all covariances."""
-
-    mean: float
-    mean_log: float
-
-
 @compiled
-def _spectrum(covariances: Array) -> _Spectrum:
-    """From traces and determinants."""
+def _mean_eigenvalues(covariances: Array) -> tuple[float, float]:
+    """Means of λ [m²] and of log λ over the eigenvalues of all covariances, from traces and determinants."""
     h, w = covariances.shape[0], covariances.shape[1]
     traces, logs = 0.0, 0.0
     for row in range(h):
@@ -132,4 +119,4 @@ def _spectrum(covariances: Array) -> _Spectrum:
             c = covariances[row, column]
             traces += c[0, 0] + c[1, 1]
             logs += math.log(c[0, 0] * c[1, 1] - c[0, 1] * c[1, 0])
-    return _Spectrum(traces / (2 * h * w), logs / (2 * h * w))
+    return traces / (2 * h * w), logs / (2 * h * w)

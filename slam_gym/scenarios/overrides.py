@@ -30,7 +30,6 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
     Raises ValueError that names the override: where no such field exists (it lists those that do), for a value of the
     wrong type or a number that is not finite, and for what the dataclasses themselves refuse.
     """
-    tree: dict[str, Any] = {}
     for name, value in overrides.items():
         if not isinstance(name, str):
             raise ValueError(f"override {reprlib.repr(name)}: expected the name of a field")
@@ -38,16 +37,7 @@ def overridden(scenario: Scenario, overrides: Mapping[str, Plain]) -> Scenario:
             raise ValueError(
                 f"override {name!r}: expected a bool, a number, a string or None, got {reprlib.repr(value)}"
             )
-        *way, last = name.split(".")
-        branch = tree
-        for part in way:
-            branch = branch.setdefault(part, {})
-            if not isinstance(branch, dict):
-                raise ValueError(f"override {name!r}: {part!r} is given a value and fields")
-        if last in branch:
-            raise ValueError(f"override {name!r}: {last!r} is given a value and fields")
-        branch[last] = value
-    return _changed(scenario, tree, "")
+    return _changed(scenario, overrides, "")
 
 
 def parse_override(text: str) -> tuple[str, Plain]:
@@ -65,22 +55,28 @@ def parse_override(text: str) -> tuple[str, Plain]:
     return name.strip(), parsed if parsed is None or isinstance(parsed, _PLAIN) else value
 
 
-def _changed(record: _Record, tree: Mapping[str, Any], prefix: str) -> _Record:
-    """`record`, a dataclass reached by the names in `prefix`, with the fields changed that `tree` names."""
+def _changed(record: _Record, overrides: Mapping[str, Plain], prefix: str) -> _Record:
+    """`record`, a dataclass reached by the names in `prefix`, with the fields changed that `overrides` name."""
     hints = get_type_hints(type(record))
-    values: dict[str, Any] = {}
     known = [f.name for f in fields(record) if _can_change(getattr(record, f.name), hints[f.name])]  # type: ignore[arg-type]
-    for name, change in tree.items():
+    below: dict[str, dict[str, Plain]] = {}  # by field, overrides of what is in it; "" stands for the field itself
+    for name, value in overrides.items():
+        first, _, rest = name.partition(".")
+        below.setdefault(first, {})[rest] = value
+    values: dict[str, Any] = {}
+    for name, inner in below.items():
         if name not in known:
             where = f" in {prefix[:-1]!r}" if prefix else ""
             raise ValueError(f"override {prefix + name!r}: there is no such field{where}; {known_names(name, known)}")
         old = getattr(record, name)
-        if not isinstance(change, dict):
-            values[name] = _checked(prefix + name, change, hints[name])
-        elif (inner := old if is_dataclass(old) else _dataclass_of(hints[name])) is None:
+        if "" in inner and len(inner) > 1:
+            raise ValueError(f"override {prefix + name!r}: is given a value and fields")
+        if "" in inner:
+            values[name] = _checked(prefix + name, inner[""], hints[name])
+        elif (start := old if is_dataclass(old) else _dataclass_of(hints[name])) is None:
             raise ValueError(f"override {prefix + name!r}: has no fields")
         else:
-            values[name] = _changed(inner() if isinstance(inner, type) else inner, change, f"{prefix}{name}.")
+            values[name] = _changed(start() if isinstance(start, type) else start, inner, f"{prefix}{name}.")
     try:
         return replace(record, **values)  # type: ignore[type-var]
     except ValueError as error:

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam_gym.navigation.explored_grid import FREE, ExploredGrid
 from slam_gym.navigation.planner import DistanceField, distance_field
-from slam_gym.navigation.pursuit import PursuitSpec, length_left, next_stretch, points_ahead, steer
+from slam_gym.navigation.pursuit import PursuitSpec, follow, length_left, next_stretch, points_ahead
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import FRONTIERS, LOOK, WORTH_SEEING, clearances
 from slam_gym.types import Array
@@ -59,7 +59,7 @@ def _look_around(episode: Episode) -> Iterator[Command]:
 
 def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | None) -> Iterator[Command]:
     robot = episode.scenario.robot
-    pursuit = tuple(PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn))
+    pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
     path, asked, seen = np.empty((0, 2)), goal, False
     nearest, since = math.inf, 0
     ticks = 0
@@ -71,12 +71,12 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
             if len(path) == 0 or seen:
                 break
             goal = path[-1]  # another one nearby, where that asked for is no longer open
-        left, gap, forward, turn = steer(pose, path, goal, pursuit)
+        left = length_left(path, pose[:2])
         nearest, since = (left, 0) if left < nearest - STUCK_DISTANCE else (nearest, since + 1)
-        if gap < ARRIVED or since > STUCK_TICKS:
+        if math.dist(pose[:2], goal) < ARRIVED or since > STUCK_TICKS:
             break
         episode.path = path
-        yield forward, turn
+        yield follow(pose, path, pursuit)
         ticks += 1
     episode.path = np.empty((0, 2))
     if frontier and not seen and not episode.over:

@@ -14,6 +14,7 @@ import numpy as np
 from slam_gym.geometry import compose, observe, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Tally
+from slam_gym.metrics.consistency import appraise_pose
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.keyframes import Keyframes
@@ -21,7 +22,6 @@ from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario
-from slam_gym.simulation.appraisal import appraise_map, appraise_pose
 from slam_gym.simulation.goals import Tried
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping, is_right
@@ -205,7 +205,7 @@ class Episode:
         if self._appraised_at != self.ticks:
             self._appraised_at, m = self.ticks, self.slam.map
             if len(self.slam.maps) == 1:
-                self._appraised = appraise_map(
+                self._appraised = map_quality.appraise_map(
                     m.arrays, m.n, m.spec.confirmations, self.base, self._indexed, self._cells, self._places
                 )
             else:

@@ -25,7 +25,7 @@ from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.mrclam import ROBOTS
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.scenarios import SPLITS
-from slam_gym.scenarios.recorded import slam_for
+from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.association_runs import ScanLog
 from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import Array, Odometry, Scan, Truth

@@ -14,11 +14,6 @@ def test_interquartile_mean_is_the_trimmed_mean(n):
     assert interquartile_mean(values[0]) == pytest.approx(trim_mean(values[0], 0.25))
 
 
-def test_one_wild_episode_does_not_move_the_interquartile_mean():
-    values = np.arange(20.0)
-    assert interquartile_mean(np.append(values[:-1], 1e9)) == interquartile_mean(values) == 9.5
-
-
 def test_interval_covers_the_true_value_about_as_often_as_it_says():
     rng = np.random.default_rng(0)
     hits = 0
@@ -48,12 +43,6 @@ def test_pairing_sees_a_difference_that_the_spread_between_seeds_hides():
     assert difference.high < 0.0 and difference.low < -0.2 < difference.high
     assert bootstrap_interval(a, rng).high > bootstrap_interval(b, rng).low
     assert paired_difference(b, a, rng).low > 0.0
-
-
-def test_the_same_generator_gives_the_same_interval():
-    values = np.random.default_rng(3).normal(size=30)
-    a, b = (bootstrap_interval(values, np.random.default_rng(5)) for _ in range(2))
-    assert a == b
 
 
 def test_bad_values_are_refused():

@@ -98,13 +98,6 @@ def test_a_log_with_holes_is_refused(tmp_path, cut, message) -> None:
         g2o(path)
 
 
-def test_edges_that_close_loops_between_poses_are_not_passed_over(tmp_path) -> None:
-    path, _ = files(tmp_path)
-    path.write_text(path.read_text() + f"\nEDGE_SE2 0 3 {numbers(STEP)} {upper(np.eye(3))}")
-    with pytest.raises(RecordingError, match=r"edge \(0, 3\) joins poses that do not follow each other"):
-        g2o(path)
-
-
 def test_identities_that_no_float_tells_apart_stay_apart(tmp_path) -> None:
     """GTSAM writes the character of a symbol into the upper byte of its number."""
     path, _ = files(tmp_path)

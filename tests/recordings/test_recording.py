@@ -1,6 +1,6 @@
 """A recording in memory and as a file: what goes in comes out, and whatever is wrong is named."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -47,11 +47,6 @@ def test_a_part_has_the_scans_of_its_steps() -> None:
             recording.part(first, last)
 
 
-def test_a_recording_cannot_be_made_wrong_by_replacing_a_field() -> None:
-    with pytest.raises(RecordingError, match="field 'times' has shape"):
-        replace(Recording(**by_hand()), motions=np.zeros((5, 3)), times=np.zeros((2, 2)))
-
-
 def test_what_a_log_does_not_tell_is_unknown() -> None:
     told = by_hand()
     for name in ("sizes", "size_variances", "reference_times", "reference_poses", "landmark_ids", "landmarks"):
@@ -72,11 +67,6 @@ def test_large_identities_are_numbered_anew_in_their_order(large) -> None:
     assert recording.part(2, 4).sources.tolist() == recording.sources[8:16].tolist()
 
 
-def test_identities_below_a_million_are_kept() -> None:
-    told = by_hand() | {"sources": np.tile([7, 8, 9, (1 << 20) - 1], 6)}
-    assert Recording(**told).sources.max() == (1 << 20) - 1
-
-
 @pytest.mark.parametrize(
     ("name", "index", "value", "message"),
     [
@@ -93,13 +83,6 @@ def test_what_would_overflow_further_in_is_refused(name, index, value, message) 
     told[name] = np.array(told[name], np.float64)
     told[name][index] = value
     with pytest.raises(RecordingError, match=message):
-        Recording(**told)
-
-
-def test_starts_whose_differences_overflow_are_refused() -> None:
-    told = by_hand()
-    told["starts"] = np.array([0, 2**63 - 1, -(2**63), -1, 24, 24, 24])
-    with pytest.raises(RecordingError, match="field 'starts': entry 2 descends"):
         Recording(**told)
 
 
@@ -174,21 +157,6 @@ def test_a_truncated_file_is_named(tmp_path, keep) -> None:
     path.write_bytes(whole[: int(keep * len(whole))])
     with pytest.raises(RecordingError, match=r"cut\.npz"):
         load(path)
-
-
-def test_bits_that_flipped_do_not_pass_for_data(tmp_path) -> None:
-    path = written(tmp_path / "flipped.npz")
-    whole = bytearray(path.read_bytes())
-    at = whole.index(np.float64(by_hand()["points"][3, 0]).tobytes())
-    whole[at + 6] ^= 0xFF
-    path.write_bytes(whole)
-    with pytest.raises(RecordingError, match=r"flipped\.npz"):
-        load(path)
-
-
-def test_a_file_that_is_not_there_is_not_there(tmp_path) -> None:
-    with pytest.raises(FileNotFoundError):
-        load(tmp_path / "none.npz")
 
 
 def test_evo_reads_back_what_was_written(tmp_path) -> None:

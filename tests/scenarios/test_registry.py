@@ -1,4 +1,4 @@
-"""Scenarios by name, those that users add, and floor plans from files."""
+"""Scenarios by name, those that users add, floor plans from files, and settings of recordings."""
 
 from dataclasses import replace
 
@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 
 from slam_gym.envs.explore import ExploreEnv
+from slam_gym.geometry import compose, relative
+from slam_gym.recordings import Recording
 from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, from_floor_plan, get_scenario, register, world_seed
+from slam_gym.scenarios.registry import DRIFT, GENERIC, MRCLAM, VICTORIA_PARK, floor_budget, slam_for
 from slam_gym.simulation.episode import survey
-from slam_gym.world.floor_plan_file import save_floor_plan
+from slam_gym.world.floor_plan import Features, FloorPlan
+from slam_gym.world.floor_plan_file import load_floor_plan, save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
+from slam_gym.world.physics import Motion
+from slam_gym.world.sensor import OdometrySpec, Sensor
+from tests.recordings.test_recording import by_hand
 from tests.scenarios.test_scenario import assert_frozen
 
 
@@ -101,19 +108,72 @@ def test_a_floor_plan_file_becomes_a_scenario_with_a_budget_for_its_size(tmp_pat
     assert quality["map_error"] < 0.9 and quality["coverage"] > 0.3
 
 
-def test_files_that_are_no_floor_plans_are_refused_by_name(tmp_path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"missing\.json"):
-        from_floor_plan(tmp_path / "missing.json")
-    (tmp_path / "bad.json").write_text('{"walls": [[0, 0, 1, NaN]]}')
-    with pytest.raises(ValueError, match=r"bad\.json"):
-        from_floor_plan(tmp_path / "bad.json")
-    np.save(tmp_path / "image.npy", np.full((50, 50), 254, np.uint8))
-    with pytest.raises(ValueError, match=r"image\.npy.*resolution"):
-        from_floor_plan(tmp_path / "image.npy")
-
-
 @pytest.mark.parametrize("file", ["kth_floorplans/50052750_occ_map.npy.gz", "willow_garage/willow-full.pgm"])
 def test_real_floors_can_be_driven_and_mapped(data_dir, file) -> None:
     quality = drive(from_floor_plan(data_dir / file, resolution=0.1), 20)
     assert quality["features"] > 20 and quality["precision"] > 0.8
     assert 0.0 < quality["coverage"] < 1.0 and quality["map_error"] < 1.0
+
+
+NO_FEATURES = Features(np.empty((0, 2)), np.empty(0, np.int64), np.empty(0))
+
+
+def square(side: float) -> FloorPlan:
+    corners = np.array([[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]])
+    return FloorPlan("square", np.hstack([corners, np.roll(corners, -1, axis=0)]), NO_FEATURES)
+
+
+@pytest.mark.parametrize("side", [25.0, 60.0])
+def test_the_budget_follows_the_area_that_can_be_reached(side) -> None:
+    building, short_sighted = SCENARIOS["building"], SCENARIOS["short-sighted"]
+    budget = floor_budget(square(side), building)
+    assert budget == pytest.approx(3.0 * (side - 0.4) ** 2, rel=0.03)
+    assert floor_budget(square(side), short_sighted) == pytest.approx(budget * (2.0 + 20.0 / 6.0) / 3.0, rel=0.001)
+    walled_in = np.concatenate([square(side).walls, [[0.0, side / 4, side, side / 4]]])
+    assert floor_budget(FloorPlan("cut", walled_in, NO_FEATURES), building) == pytest.approx(0.75 * budget, rel=0.05)
+
+
+def test_real_floors_get_the_time_that_they_take(data_dir) -> None:
+    plan = load_floor_plan(data_dir / "kth_floorplans" / "50052748_occ_map.npy.gz", 0.1)
+    assert 6_000 < floor_budget(plan, SCENARIOS["building"]) < 7_500
+
+
+def test_each_level_loses_more_of_its_way_than_the_one_before() -> None:
+    scenario = get_scenario("office")
+    site = survey(scenario.generator(np.random.default_rng(0)), scenario)
+    way = Motion(moved=np.array([0.1, 0.0, 0.05]), wheels=np.array([0.1, 0.0, 0.05]), contact=False)
+    lost = []
+    for wheels in (OdometrySpec(), *DRIFT.values()):
+        sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, wheels)
+        rng, errors = np.random.default_rng(1), []
+        for _ in range(100):
+            believed = true = np.zeros(3)
+            for _ in range(20):
+                believed, true = compose(believed, sensor.odometry(way, rng).motion), compose(true, way.moved)
+            errors.append(relative(true, believed))
+        lost.append(np.sqrt(np.mean(np.square(errors), axis=0)))
+    assert (np.diff(lost, axis=0) > 0.0).all()
+    assert lost[3][2] > 5.0 * lost[0][2]  # the heading at level 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_sides_of_the_loop_do_not_see_each_other(seed) -> None:
+    scenario = get_scenario("loop")
+    plan = scenario.generator(np.random.default_rng(seed))
+    centres = np.array([room.centre for room in plan.rooms])
+    gaps = np.hypot(*(centres[:, None] - centres[None]).T)
+    assert gaps[~np.eye(4, dtype=bool)].min() > scenario.sensor.range
+    assert not survey(plan, scenario).index.visible(centres[0], centres[1:], np.zeros(3)).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("victoria_park", VICTORIA_PARK),
+        ("mrclam/MRCLAM_Dataset6/robot3", MRCLAM),
+        ("mine", GENERIC),
+        ("mine/mrclam", GENERIC),
+    ],
+)
+def test_the_first_part_of_the_name_decides(name, settings) -> None:
+    assert slam_for(replace(Recording(**by_hand()), name=name)) == settings

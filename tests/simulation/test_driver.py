@@ -51,16 +51,6 @@ def test_goals_are_reached_lost_or_out_of_date_and_hardly_ever_given_up() -> Non
     assert count.get("stuck", 0) <= 0.05 * len(reasons), count
 
 
-def test_a_revisit_where_nobody_walks_arrives() -> None:
-    env = explore(replace(get_scenario("hall"), budget=10**6))
-    for seed in range(4):
-        *_, (_, _, _, _, info) = episode(env, 5, seed=seed)
-        slots = np.flatnonzero(info["action_mask"][FIRST_REVISIT:]) + FIRST_REVISIT
-        goal = env.goals.positions[slots[0]]
-        env.step(int(slots[0]))
-        assert math.dist(env.episode.slam.map.pose[:2], goal) < ARRIVED
-
-
 def test_looking_around_turns_once_on_the_spot() -> None:
     env = explore("hall")
     env.reset(seed=0)
@@ -101,15 +91,6 @@ def test_a_goal_ends_with_the_budget_in_its_middle() -> None:
     _, info = env.reset(seed=0)
     *_, terminated, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
     assert terminated and info["ticks"] == 5
-
-
-def test_the_path_is_there_while_it_is_followed() -> None:
-    env, paths = explore("office"), []
-    _, info = env.reset(seed=0)
-    env.watch(lambda watched: paths.append(len(watched.episode.path)))
-    slot = int(np.flatnonzero(info["action_mask"])[1])
-    *_, info = env.step(slot)
-    assert len(paths) == info["ticks"] and min(paths) >= 2 and len(env.episode.path) == 0
 
 
 def walled_up(grid, point: np.ndarray, radius: float) -> None:

@@ -5,14 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.expected_gain import expected_reduction, features_in_sight
+from slam_gym.navigation.expected_gain import features_in_sight
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.planner import distance_field
-from slam_gym.scenarios import get_scenario
 from slam_gym.simulation import goals
 from slam_gym.simulation.goals import FRONTIERS, LOOK, PLACE_SPACING, REVISITS, WORTH_SEEING, Places, Tried
-from slam_gym.types import Scan
 from tests.rollouts import SCENARIOS, episode, explore
 
 FIRST_REVISIT = 1 + FRONTIERS
@@ -66,46 +63,15 @@ def test_revisits_are_places_passed_apart_from_each_other_and_best_per_metre_fir
     assert 2 <= most <= REVISITS
 
 
-def test_the_promised_reduction_is_that_of_the_foreseen_update() -> None:
-    *_, (env, offer) = decisions("office", 6)
-    ep, sensor = env.episode, env.scenario.sensor
-    sigma = math.hypot(sensor.range_sigma, sensor.bearing_sigma * sensor.range / 2.0) / math.sqrt(5.0)
-    field = distance_field(ep.grid, ep.slam.map.pose[:2], 0.25)
-    looks = goals._looks(field, offer.positions[offer.legal])
-    blind = offer.lengths[offer.legal] * goals._blind(env.scenario, ep.slam.map, ep.grid, looks)
-    drift = np.array([0.03, 0.03, 0.02]) * np.sqrt(1.0 + blind[:, None])
-    again = expected_reduction(
-        ep.slam.map.mean,
-        ep.slam.map.covariance,
-        ep.grid,
-        offer.positions[offer.legal],
-        reach=6.0,
-        sigma=sigma,
-        drift=drift,
-    )
-    np.testing.assert_allclose(offer.reductions[offer.legal], again, rtol=1e-12)
-
-
 def test_what_is_in_view_on_the_way_is_counted_along_it() -> None:
     *_, (env, offer) = decisions("office", 6)
     ep = env.episode
     field = distance_field(ep.grid, ep.slam.map.pose[:2], env.scenario.robot.radius + goals.CLEARANCE)
     for slot in np.flatnonzero(offer.legal)[1:]:
-        way = field.along(offer.positions[slot], 2.0)
+        way, _ = field.along_each(offer.positions[slot : slot + 1], 2.0)
         seen = features_in_sight(ep.slam.map.mean, ep.grid, way, 6.0)
         assert offer.in_view[slot] == pytest.approx(0.75 * seen.mean())  # three quarters of a turn are in view
     assert offer.in_view[offer.legal].max() > 2.0 and not offer.in_view[~offer.legal].any()
-
-
-def test_a_way_without_features_in_view_is_blind() -> None:
-    scenario, grid, m = get_scenario("office"), corridor(pockets=0), StochasticMap()
-    ahead = np.array([[4.0, 3.0], [5.0, 3.0], [4.0, 2.5], [56.0, 3.0], [57.0, 3.0]])
-    m.add(Scan.from_points(ahead, sigma=0.1), np.arange(5))
-    spots = np.array([[1.5, 3.0], [8.0, 3.0], [55.0, 3.0]])
-    looks = goals._looks(distance_field(grid, spots[0], 0.25), spots)
-    blind, in_view = goals._blind(scenario, m, grid, looks), goals._in_view(scenario, m, grid, looks)
-    assert blind[:2].tolist() == [0.0, 0.0] and 0.6 < blind[2] < 0.8
-    assert in_view[1] == pytest.approx(0.75 * 3.0) and in_view[2] < 1.0
 
 
 def test_places_are_thinned_out_and_the_first_and_the_last_are_kept() -> None:

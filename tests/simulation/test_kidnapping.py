@@ -12,9 +12,8 @@ from slam_gym.envs.explore import ExploreEnv
 from slam_gym.geometry import compose, relative
 from slam_gym.scenarios import KidnappingSpec, Scenario
 from slam_gym.simulation.kidnapping import HEADING, POSITION, Kidnapping, is_right
-from slam_gym.slam.relocate import relocate_by
 from slam_gym.types import Array, Landmarks, Locality, Relocation, Scan
-from tests.rollouts import differences, explore, short
+from tests.rollouts import explore, short
 
 BUDGET = 300
 
@@ -44,17 +43,6 @@ def test_inside_is_a_place_where_the_robot_has_been_and_far_enough_away() -> Non
     been = np.array(TRAIL)[:, 0]
     assert np.isin(drawn[:, 0], been[been <= 5.0]).all() and len(np.unique(drawn[:, 0])) > 30
     assert drawn[:, 2].min() < -3.0 and drawn[:, 2].max() > 3.0  # facing anywhere
-
-
-def test_where_no_place_is_far_enough_it_is_the_farthest() -> None:
-    for seed in range(5):
-        assert destination(seed=seed, distance=50.0)[0] == 0.0
-
-
-def test_outside_is_as_far_as_there_is_from_all_where_the_robot_has_been() -> None:
-    np.testing.assert_array_equal(destination(inside=False)[:2], [19.0, 0.0])
-    back = [*TRAIL, *(np.array([x, 0.0, 0.0]) for x in np.linspace(9.0, 18.0, 91))]
-    assert destination(been=back, inside=False)[0] == 19.0
 
 
 def test_it_happens_once_when_it_is_due_and_never_without_a_spec() -> None:
@@ -153,38 +141,3 @@ def test_the_robot_is_carried_where_it_is_said_to_be(inside) -> None:
             cells = env.episode.site.cells
             farthest = np.hypot(*(cells[:, None] - poses[:at:10, :2]).transpose(2, 0, 1)).min(axis=1).max()
             assert before.min() > 0.8 * farthest - 0.5
-
-
-def test_a_kidnapping_is_the_same_each_time() -> None:
-    (one, quality), other = played(1, "gcbb"), explore(kidnapped(), relocation="gcbb")
-    assert not differences(quality, nearest_frontier(other, 1))
-    np.testing.assert_array_equal(one.episode.poses, other.episode.poses)
-    other.restore(one.snapshot())
-    np.testing.assert_array_equal(one.episode.estimates, other.episode.estimates)
-
-
-def test_relocation_does_no_harm_where_nobody_is_carried_away() -> None:
-    env = explore(short(BUDGET, "office"), relocation="gcbb")
-    for world in range(3):
-        quality = nearest_frontier(env, world)
-        assert quality["kidnapped"] == quality["relocations_wrong"] == 0.0 and quality["ate"] < 0.2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"relocation": "oracle"}, "unknown relocator 'oracle'; known: .*gcbb"),
-        ({"relocation": "gcbb", "relocation_locality": "rooms"}, "locality: 'rooms' is none of"),
-    ],
-)
-def test_bad_arguments_are_named(arguments, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        explore(**arguments)
-
-
-@pytest.mark.parametrize("settings", [{"at": 0.0}, {"at": 1.0}, {"at": np.nan}, {"distance": -1.0}])
-def test_bad_settings_are_named(settings) -> None:
-    with pytest.raises(ValueError, match=f"KidnappingSpec.{next(iter(settings))}"):
-        KidnappingSpec(**settings)
-    with pytest.raises(ValueError, match="probability"):
-        relocate_by("gcbb", probability=0.0)

@@ -1,7 +1,6 @@
 """Recordings as scenarios of `Associate-v0`: windows, identities, rewards, and what a user is told where data lack."""
 
 import math
-import pickle
 import warnings
 from dataclasses import replace
 
@@ -17,7 +16,6 @@ from slam_gym.recordings import Recording, save
 from slam_gym.simulation.recorded_logs import reference_poses, windows
 from slam_gym.types import SPURIOUS, UNLABELLED
 from tests.envs.test_associate import ID, Playing, associate, at_random, episode, refuse, total
-from tests.rollouts import differences
 
 STEPS = 60
 
@@ -91,11 +89,6 @@ def test_windows_are_pieces_of_their_part_of_the_log_and_start_where_the_robot_s
     assert starts == set(steps[: len(steps) - 4])
 
 
-def test_a_window_is_no_longer_than_its_part() -> None:
-    assert windows(drive(), "train").length == 42 and windows(drive(), "test").length == 18
-    assert [windows(drive(steps=2), split).length for split in ("train", "test")] == [1, 1]
-
-
 def test_reference_poses_are_read_between_their_neighbours_and_across_the_cut_of_the_circle() -> None:
     recording = drive()
     every_third = replace(
@@ -121,24 +114,6 @@ def test_checkers_find_nothing_to_warn_of(arc, options) -> None:
         warnings.simplefilter("error")
         check_env(gym.make(ID, scenario=f"{arc}?looks=12", **options).unwrapped)
         check_env_sb3(gym.make(ID, scenario=f"{arc}?looks=12&every=2", **options))
-
-
-def test_same_seed_same_episode_and_other_seeds_other_windows(arc) -> None:
-    env, other, starts = associate(f"{arc}?looks=8"), associate(f"{arc}?looks=8"), set()
-    for seed in range(6):
-        record = list(episode(env, at_random(seed), seed=seed))
-        assert not differences(record, list(episode(other, at_random(seed), seed=seed)))
-        starts.add(env.run.poses[0].tobytes())
-    assert len(starts) > 3
-
-
-def test_snapshots_restore_in_another_environment_and_pickle(arc) -> None:
-    env, choose = associate(f"{arc}?looks=12"), at_random(1)
-    for step in episode(env, choose, seed=3, steps=20):
-        last = step
-    other = pickle.loads(pickle.dumps(associate(f"{arc}?looks=12")))
-    observation, info = other.restore(pickle.loads(pickle.dumps(env.snapshot())))
-    assert not differences((observation, info), (last[0], last[4]))
 
 
 def test_refusing_everything_earns_nothing_and_the_truth_the_maximum(arc) -> None:
@@ -211,18 +186,6 @@ def test_names_without_a_recording_are_refused_with_what_to_do(name, error, mess
         associate(name)
 
 
-def test_a_pose_graph_with_landmarks_is_a_scenario(tmp_path) -> None:
-    lines, positions = [], np.array([[2.0, 1.0], [2.0, -1.0], [4.0, 0.0]])
-    for k in range(40):
-        if k:
-            lines.append(f"EDGE_SE2 {k - 1} {k} 0.1 0 0 1e4 0 0 1e4 0 1e4")
-        for landmark, (x, y) in enumerate(positions - [0.1 * k, 0.0]):
-            lines.append(f"EDGE_SE2_XY {k} {100 + landmark} {x} {y} 1e3 0 1e3")
-    (tmp_path / "row.g2o").write_text("\n".join(lines))
-    env = associate(f"recording:{tmp_path / 'row.g2o'}?looks=10", split="test")
-    assert total(episode(env, Playing(jcbb))) == pytest.approx(1.0)
-
-
 def test_numbers_out_of_range_are_refused(arc) -> None:
     for query, message in (("looks=0", "looks=0"), ("every=0", "every 0"), ("every=60", "'arc': 1 steps are too few")):
         with pytest.raises(ValueError, match=message):
@@ -250,12 +213,3 @@ def test_mrclam_is_set_6_of_the_robot_that_was_asked_for(data_dir, monkeypatch) 
     env = associate("recording:mrclam/3?looks=60", reward="map_error")
     assert env.scenario.name == "mrclam/MRCLAM_Dataset6/robot3" and env.scenario.targets.shape == (15, 2)
     assert min(total(episode(env, truth, seed=seed)) for seed in range(4)) > 0.0
-
-
-@pytest.mark.parametrize("name", ["victoria_park", "mrclam/3"])
-def test_published_logs_pass_the_checkers(data_dir, monkeypatch, name) -> None:
-    monkeypatch.setenv("SLAM_GYM_DATA", str(data_dir))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(gym.make(ID, scenario=f"recording:{name}?looks=20").unwrapped, skip_render_check=True)
-        check_env_sb3(gym.make(ID, scenario=f"recording:{name}?looks=20", split="test"))

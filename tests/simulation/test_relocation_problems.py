@@ -8,10 +8,8 @@ import pytest
 
 from slam_gym.geometry import transform
 from slam_gym.simulation.relocation_problems import KNOWN, MappedWorld, kidnap, map_world
-from slam_gym.slam.relocate import LOCALITIES
 from slam_gym.types import SPURIOUS, UNPAIRED
 from tests.rollouts import differences, short
-from tests.simulation.test_kidnapping import pose_is_right
 
 SCENARIO = short(150)
 
@@ -41,17 +39,6 @@ def test_every_true_feature_is_behind_one_landmark_at_most_and_near_it() -> None
     assert len(world.trail) == SCENARIO.budget + 1
 
 
-@pytest.mark.parametrize("kind", [*LOCALITIES, None])
-def test_localities_are_of_the_landmarks(kind) -> None:
-    world = mapped()
-    locality = world.locality(kind)
-    assert (locality is None) is (kind is None)
-    if locality is not None:
-        assert len(locality) == len(world.landmarks)
-        sizes = np.diff(locality.starts)
-        assert sizes.min() >= 1 and sizes.max() > 3
-
-
 def test_inside_the_robot_has_been_there_and_knows_what_it_sees() -> None:
     world, rng = mapped(), np.random.default_rng(0)
     headings = []
@@ -70,14 +57,6 @@ def test_inside_the_robot_has_been_there_and_knows_what_it_sees() -> None:
     assert np.ptp(headings) > 3.0
 
 
-def test_the_pose_in_the_map_is_the_true_one_but_for_its_drift() -> None:
-    world, rng = mapped(), np.random.default_rng(1)
-    for _ in range(5):
-        drawn = kidnap(world, SCENARIO, True, rng)
-        in_world = np.array([*transform(world.base, drawn.pose[None, :2])[0], drawn.pose[2] + world.base[2]])
-        assert pose_is_right(in_world, drawn.true_pose)
-
-
 def test_outside_is_another_world_where_nothing_is_known() -> None:
     world, rng = mapped(), np.random.default_rng(2)
     for _ in range(5):
@@ -91,10 +70,3 @@ def test_outside_is_another_world_where_nothing_is_known() -> None:
 def test_where_there_is_one_world_only_there_is_no_outside() -> None:
     with pytest.raises(ValueError, match="has one world only"):
         kidnap(replace(mapped(), elsewhere=None), SCENARIO, False, np.random.default_rng(0))
-
-
-def test_same_draws_same_kidnapping() -> None:
-    for inside in (True, False):
-        one, other = (kidnap(mapped(), SCENARIO, inside, np.random.default_rng(5)) for _ in range(2))
-        assert not differences(one.scan.points, other.scan.points)
-        assert not differences(one.pose, other.pose) and not differences(one.features, other.features)

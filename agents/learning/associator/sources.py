@@ -16,7 +16,7 @@ from slam_gym.association import resolve_associator
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios import get_scenario, world_generator, world_seed
-from slam_gym.scenarios.recorded import slam_for
+from slam_gym.scenarios.registry import slam_for
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.simulation.association_runs import DRIVERS, AssociationRun, DrivenRun, LoggedRun, ScanLog
 from slam_gym.simulation.episode import survey

@@ -20,7 +20,7 @@ from slam_gym.bench.records import Record
 from slam_gym.bench.report import Report
 from slam_gym.metrics.statistics import Interval, bootstrap_interval
 from slam_gym.scenarios import Scenario, get_scenario, world_generator
-from slam_gym.scenarios.drift import DRIFT
+from slam_gym.scenarios.registry import DRIFT
 from slam_gym.simulation.episode import Episode, survey
 from slam_gym.types import UNPAIRED, Array, IntArray
 

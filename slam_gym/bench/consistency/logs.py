@@ -25,7 +25,7 @@ from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios import Scenario, from_floor_plan, get_scenario, world_generator
-from slam_gym.scenarios.recorded import slam_for
+from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.association_runs import DrivenRun, nearest_frontier
 from slam_gym.simulation.episode import survey
 from slam_gym.slam.slam import SlamSpec

@@ -32,7 +32,7 @@ from slam_gym.recordings.least_squares import Optimum, least_squares
 from slam_gym.recordings.mrclam import RelocationCases, stationary
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
-from slam_gym.scenarios.recorded import slam_for
+from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan, Truth

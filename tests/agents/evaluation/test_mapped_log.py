@@ -10,7 +10,7 @@ from agents.evaluation.mapped_log import map_log, start_of
 from slam_gym.metrics.trajectory import ate
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.victoria_park import victoria_park
-from slam_gym.scenarios.recorded import MRCLAM, VICTORIA_PARK
+from slam_gym.scenarios.registry import MRCLAM, VICTORIA_PARK
 from slam_gym.types import UNLABELLED
 from tests.agents.evaluation import SPEC, posts_log
 

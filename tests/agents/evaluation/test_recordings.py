@@ -12,7 +12,7 @@ from agents.evaluate_association import main
 from agents.evaluation.recordings import COLUMNS, FURTHER_COLUMNS, Log, LogTask, columns_with_numbers, logs_of, numbers
 from slam_gym.geometry import compose, compose_jacobians, relative
 from slam_gym.recordings import Recording, open_recordings, save
-from slam_gym.scenarios.recorded import GENERIC, MRCLAM, VICTORIA_PARK, slam_for
+from slam_gym.scenarios.registry import GENERIC, MRCLAM, VICTORIA_PARK, slam_for
 from slam_gym.types import SPURIOUS
 from tests.agents.evaluation import posts_log
 
