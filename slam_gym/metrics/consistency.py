@@ -8,8 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from slam_gym._compile import compiled
-from slam_gym.geometry import compose, relative, wrap_angle
-from slam_gym.mapping import ekf
+from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 
 
@@ -49,19 +48,6 @@ def pose_nees(pose: Array, covariance: Array, true: Array) -> float:
     error = pose - true
     error[2] = wrap_angle(error[2])
     return nees(error, covariance)
-
-
-@compiled
-def appraise_pose(x: Array, P: Array, base: Array, true: Array, estimate: Array) -> tuple[float, float, float]:
-    """NEES of the pose that a map with state x and covariance P has, and by how much [m], [rad] it is off.
-
-    `base` (3,) is the frame B of the map in W, `true` (3,) the pose in W; `estimate` (3,) becomes the pose in B.
-    """
-    for i in range(3):
-        estimate[i] = x[i]
-    nees = pose_nees(estimate, ekf.symmetric(P, 3), relative(base, true))
-    error = relative(true, compose(base, estimate))
-    return nees, math.hypot(error[0], error[1]), abs(error[2])
 
 
 def anees(values: Array, dof: int) -> float:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import transform
-from slam_gym.mapping import ekf
-from slam_gym.mapping.ekf import MapArrays
 from slam_gym.metrics.point_assignment import Index, PackedIndex, assign_points, assign_to, indexed
 from slam_gym.types import Array, IntArray
 
@@ -131,24 +129,6 @@ def coverage(cells: NDArray[np.uint8], places: IntArray) -> float:
         if place >= 0 and flat[place] != 0:
             known += 1
     return known / len(places) if len(places) else math.nan
-
-
-@compiled
-def appraise_map(
-    arrays: MapArrays,
-    n: int,
-    confirmations: int,
-    base: Array,
-    targets: PackedIndex,
-    cells: NDArray[np.uint8],
-    places: IntArray,
-) -> tuple[float, float]:
-    """Map error and coverage of a map of n features with its base in W, against true features in W.
-
-    `places` (c,) are those of the reachable cells in the explored grid, as `cells_of` gives them.
-    """
-    landmarks = transform(base, ekf.confirmed(arrays[0], arrays[2][ekf.SEEN], n, confirmations))
-    return error_of(landmarks, targets), coverage(cells, places)
 
 
 def _points(name: str, points: Array) -> Array:

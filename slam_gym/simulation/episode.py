@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam_gym.geometry import compose, observe, transform
+from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Tally
-from slam_gym.metrics.consistency import appraise_pose
+from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.keyframes import Keyframes
@@ -168,14 +168,16 @@ class Episode:
 
     def _log(self, true_pose: Array) -> None:
         """Note the estimate of the pose, and what it is off by."""
-        estimate, slam, (x, P, _, _) = np.empty(3), self.slam, self.slam.map.arrays
-        nees, distance, turn = appraise_pose(x, P, self.base, true_pose, estimate)
+        slam, estimate = self.slam, self.slam.map.pose
+        nees = pose_nees(estimate, slam.map.pose_covariance, relative(self.base, true_pose))
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
         self.ticks += 1
         self.poses.append(true_pose)
         if slam.relocations or self.kidnapping.happened is not None:
-            self.kidnapping.judge(self.ticks, is_right(distance, turn), slam.relocations, slam.lost)
+            x, y, turn = relative(true_pose, compose(self.base, estimate)).tolist()
+            right = is_right(math.hypot(x, y), abs(turn))
+            self.kidnapping.judge(self.ticks, right, slam.relocations, slam.lost)
 
     @property
     def tally(self) -> Tally:
@@ -203,14 +205,9 @@ class Episode:
     def _appraise(self) -> tuple[float, float]:
         """Map error and coverage, once a tick: rewards and info both ask for them."""
         if self._appraised_at != self.ticks:
-            self._appraised_at, m = self.ticks, self.slam.map
-            if len(self.slam.maps) == 1:
-                self._appraised = map_quality.appraise_map(
-                    m.arrays, m.n, m.spec.confirmations, self.base, self._indexed, self._cells, self._places
-                )
-            else:
-                error = map_quality.error_of(self.landmarks, self._indexed)
-                self._appraised = error, map_quality.coverage(self._cells, self._places)
+            error = map_quality.error_of(self.landmarks, self._indexed)
+            self._appraised = error, map_quality.coverage(self._cells, self._places)
+            self._appraised_at = self.ticks
         return self._appraised
 
 
