@@ -37,9 +37,9 @@ class Agent(Protocol):
 
 
 AGENTS: dict[str, str] = {
-    "random": "agents.drivers.random:RandomAgent",
-    "nearest_frontier": "agents.drivers.nearest_frontier:NearestFrontier",
-    "lawnmower": "agents.drivers.lawnmower:Lawnmower",
+    "random": "agents.drivers.baselines:RandomAgent",
+    "nearest_frontier": "agents.drivers.baselines:NearestFrontier",
+    "lawnmower": "agents.drivers.baselines:Lawnmower",
     "information_gain": "agents.drivers.information_gain:InformationGain",
     "information_gain_no_revisits": "agents.drivers.information_gain:InformationGainNoRevisits",
     "learned": "agents.drivers.learned:LearnedDriver",

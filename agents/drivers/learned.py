@@ -1,22 +1,215 @@
-"""The learned driver that ships: information gain, and what a network has learned from trying goals out."""
+"""The learned driver that ships: information gain, and what a network has learned from trying goals out.
+
+The network is run on plain arrays, without torch; `agents.learning.driver` trains it. Goals are its tokens: each goal,
+the map around it, and the state of the episode. Of the map that is known already they tell nothing but where its
+features are: what a revisit is worth is not learned.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
-from agents.drivers.goal_network import Size, choose, shapes
-from agents.drivers.goal_tokens import TOKEN_FIELDS, tokens_of
-from agents.drivers.information_gain import InformationGain
+from agents.drivers.information_gain import GainSpec, InformationGain, rates
 from slam_gym.envs.goal_observation import unsquash_goals
+from slam_gym.envs.observation import METRES, PIXELS
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
+from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.weights import Weights, load
 
 VERSION = 3  # of the tokens: weights trained on others are refused
+
+_REACHES = (1, 3, 6)  # [pixels] half the sides of the squares around a goal in which the image is summed up
+_AROUND = tuple(f"{what} within {reach}" for reach in _REACHES for what in ("free", "wall", "features", "unknown"))
+OWN = (
+    "is look around", "is frontier", "distance", "cosine of the bearing", "path", "area", "log rate",
+    "beyond the image", "fraction of the time left", *_AROUND,
+)  # fmt: skip
+COMMON = (
+    "budget", "log ticks left", "ticks used", "frontiers", "area in all", "free in all", "wall in all",
+    "features in all", "features per free",
+)  # fmt: skip
+TOKEN_FIELDS = (*OWN, *COMMON)
+"""Columns of a token: a goal's own, and what all goals of an observation share."""
+
+CHOICES = 4  # goals that are weighed at a decision, those of the highest rates: further down hardly any is better
+_MOST_TICKS = 5_000.0  # [ticks] that are taken to be left while the budget is not known
+
+
+class Tokens(NamedTuple):
+    """One row a goal."""
+
+    fields: Array  # (k, len(TOKEN_FIELDS))
+    places: Array  # (k, 2) [m] in the robot frame
+    rates: Array  # (k,) [m² per tick] of information gain by new area, the greedy score
+
+
+def ticks_left(budget: float, used: float) -> float:
+    """[ticks] from the fraction of the `budget` that is left and the ticks `used`; many at the start, untold then."""
+    return min(_MOST_TICKS, used * budget / (1.0 - budget)) if budget < 1.0 and used > 0.0 else _MOST_TICKS
+
+
+def most_promising(tokens: Tokens, legal: BoolArray) -> tuple[IntArray, Tokens]:
+    """(CHOICES,) the goals of the highest rates, best first, and their tokens; goals that are not legal come last."""
+    rows = np.argsort(-np.where(legal, tokens.rates, -np.inf), kind="stable")[:CHOICES]
+    return rows, Tokens(*(part[rows] for part in tokens))
+
+
+def tokens_of(observation: Observation, used: float) -> Tokens:
+    """The tokens of all goals of an observation, those that are not legal among them, after `used` ticks."""
+    goals = unsquash_goals(observation["goals"])
+    goals |= {"area": np.where(goals["revisit"] > 0.5, 0.0, goals["area"]), "reduction": np.zeros(len(goals["x"]))}
+    places = np.column_stack([goals["x"], goals["y"]])
+    budget = float(observation["budget"][0])
+    left, rate = ticks_left(budget, used), rates(goals, GainSpec())
+    own = np.zeros((len(places), len(OWN)))
+    own[LOOK_AROUND, 0], own[:, 1] = 1.0, goals["frontier"]
+    distances = np.hypot(*places.T)
+    own[:, 2], own[:, 3] = distances / 10.0, places[:, 0] / np.maximum(distances, 0.1)
+    own[:, 4], own[:, 5] = goals["path"] / 10.0, goals["area"] / 50.0
+    own[:, 6] = np.log10(rate + 1e-3)
+    own[:, 7] = np.abs(places).max(axis=1) > 0.5 * METRES
+    own[:, 8] = np.minimum(2.0, (5.0 + 12.0 * goals["path"]) / max(left, 1.0))
+    own[:, 9:] = _around(_summed(observation["image"]), places)
+    fields = np.concatenate([own, np.tile(_common(observation, goals, left, used), (len(own), 1))], axis=1)
+    return Tokens(np.clip(fields, -4.0, 4.0), places, rate)
+
+
+def _common(observation: Observation, goals: dict[str, Array], left: float, used: float) -> Array:
+    free, wall, features = observation["image"].reshape(3, -1).mean(axis=1) / 255.0
+    return np.array([
+        float(observation["budget"][0]), math.log10(left + 1.0) - 2.0, used / 500.0,
+        goals["frontier"].sum() / 10.0, goals["area"].sum() / 500.0, free, wall, 10.0 * features,
+        features / (free + 0.02),
+    ])  # fmt: skip
+
+
+def _summed(image: Array) -> Array:
+    """Sums (4, PIXELS + 1, PIXELS + 1) of free, wall, features and unknown over all pixels before each."""
+    layers = image.astype(np.float64) / 255.0
+    unknown = np.maximum(0.0, 1.0 - layers[0] - layers[1])
+    out = np.zeros((4, PIXELS + 1, PIXELS + 1))
+    out[:, 1:, 1:] = np.concatenate([layers, unknown[None]]).cumsum(axis=1).cumsum(axis=2)
+    return out
+
+
+def _around(summed: Array, places: Array) -> Array:
+    """(k, 4 · len(_REACHES)) means of the layers in squares around the places, as far as the image goes."""
+    pixel, out = METRES / PIXELS, []
+    rows, columns = np.floor((METRES / 2.0 - places) / pixel).astype(np.int64).T
+    for reach in _REACHES:
+        top, bottom = np.clip(rows - reach, 0, PIXELS), np.clip(rows + reach + 1, 0, PIXELS)
+        left, right = np.clip(columns - reach, 0, PIXELS), np.clip(columns + reach + 1, 0, PIXELS)
+        sums = summed[:, bottom, right] - summed[:, top, right] - summed[:, bottom, left] + summed[:, top, left]
+        out.append((sums / np.maximum((bottom - top) * (right - left), 1)).T)
+    return np.concatenate(out, axis=1)
+
+
+# -- the network -------------------------------------------------------------------------------------------------------
+
+Arrays = Mapping[str, NDArray[Any]]
+
+GAP = 5.0  # [m] the unit of distances between goals
+_EPSILON = 1e-5  # of the layer norms, as torch has it
+
+
+class Size(NamedTuple):
+    """Of the network; its number of goals is that of the observation."""
+
+    width: int = 32
+    heads: int = 4
+    layers: int = 2
+    members: int = 3  # networks that were trained alike, whose mean counts
+
+
 SIZE = Size()
+
+
+def shapes(size: Size) -> dict[str, tuple[int, ...]]:
+    """The arrays of a network of some size, of all members together."""
+    w, fields = size.width, len(TOKEN_FIELDS)
+    out: dict[str, tuple[int, ...]] = {
+        "greed": (), "shift": (fields,), "scale": (fields,), "embed.weight": (w, fields), "embed.bias": (w,),
+    }  # fmt: skip
+    for i in range(size.layers):
+        parts = {
+            "nearness": (size.heads,), "before.weight": (w,), "before.bias": (w,), "between.weight": (w,),
+            "between.bias": (w,), "attend.weight": (3 * w, w), "attend.bias": (3 * w,), "mix.weight": (w, w),
+            "mix.bias": (w,), "wide.weight": (2 * w, w), "wide.bias": (2 * w,), "narrow.weight": (w, 2 * w),
+            "narrow.bias": (w,),
+        }  # fmt: skip
+        out |= {f"blocks.{i}.{name}": shape for name, shape in parts.items()}
+    out |= {"last.weight": (w,), "last.bias": (w,), "score.weight": (1, w), "score.bias": (1,)}
+    return {name: (size.members, *shape) for name, shape in out.items()}
+
+
+def greedy_score(rates: Array) -> Array:
+    """(k,) what the greedy driver orders goals by, on the scale of the network's scores."""
+    out: Array = np.log10(rates + 1e-3)
+    return out
+
+
+def gaps_between(places: Array) -> Array:
+    """(k, k) distances between goals, squashed below 4 and in units of `GAP`."""
+    out: Array = np.minimum(np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) / GAP, 4.0)
+    return out
+
+
+def scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Array:
+    """(k,) a score for each goal: by how many hundredths of E it beats the others; −inf where it is not legal."""
+    members = ({name: array[i] for name, array in arrays.items()} for i in range(size.members))
+    found: Array = np.mean([_scores(member, size, tokens, legal) for member in members], axis=0)
+    return np.where(legal, found, -np.inf)
+
+
+def choose(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> int:
+    """The goal of the highest score among the most promising of those that are legal."""
+    rows, weighed = most_promising(tokens, legal)
+    return int(rows[np.argmax(scores(arrays, size, weighed, legal[rows]))])
+
+
+def _scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Array:
+    """(k,) those of one member."""
+    x = _linear(arrays, "embed", (tokens.fields - arrays["shift"]) * arrays["scale"])
+    gaps = gaps_between(tokens.places)
+    for i in range(size.layers):
+        x = _block(arrays, f"blocks.{i}", x, gaps, legal, size.heads)
+    residual = _linear(arrays, "score", _normed(arrays, "last", x))[:, 0]
+    return float(arrays["greed"]) * greedy_score(tokens.rates) + residual
+
+
+def _block(arrays: Arrays, name: str, x: Array, gaps: Array, legal: BoolArray, heads: int) -> Array:
+    goals, width = x.shape
+    qkv = _linear(arrays, f"{name}.attend", _normed(arrays, f"{name}.before", x))
+    q, k, v = qkv.reshape(goals, 3, heads, -1).transpose(1, 2, 0, 3)  # each (heads, goals, width / heads)
+    match = q @ k.transpose(0, 2, 1) / math.sqrt(width / heads) - arrays[f"{name}.nearness"][:, None, None] * gaps
+    match = np.where(legal, match, -np.inf)
+    share = np.exp(match - match.max(axis=2, keepdims=True))
+    share /= share.sum(axis=2, keepdims=True)
+    x = x + _linear(arrays, f"{name}.mix", (share @ v).transpose(1, 0, 2).reshape(goals, width))
+    thought = np.maximum(_linear(arrays, f"{name}.wide", _normed(arrays, f"{name}.between", x)), 0.0)
+    return x + _linear(arrays, f"{name}.narrow", thought)
+
+
+def _linear(arrays: Arrays, name: str, x: Array) -> Array:
+    out: Array = x @ arrays[f"{name}.weight"].T + arrays[f"{name}.bias"]
+    return out
+
+
+def _normed(arrays: Arrays, name: str, x: Array) -> Array:
+    centred = x - x.mean(axis=-1, keepdims=True)
+    out: Array = centred / np.sqrt((centred**2).mean(axis=-1, keepdims=True) + _EPSILON)
+    return out * arrays[f"{name}.weight"] + arrays[f"{name}.bias"]
+
+
+# -- the driver --------------------------------------------------------------------------------------------------------
 
 
 class LearnedDriver:

@@ -1,15 +1,16 @@
 """Learned weights that ship with the package: plain arrays in a `.npz`, and beside each a card that says what they are.
 
 The card is a JSON table: which inputs the weights expect (`version`, `inputs`), the shape of each array, and where they
-come from (scenarios, seeds, command, metrics of their training). Weights are read like any file from a stranger: within
-1 MB, nothing pickled, of the shapes that the card declares and that the caller expects, all of them finite.
+come from (scenarios, seeds, command, metrics of their training). Weights of strangers are read like any file: up to
+1 MB, nothing pickled, of the shapes that the caller expects, all of them finite.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,9 +21,6 @@ from slam_gym._files import array_of, content_of, json_of, zip_members
 
 MAX_BYTES = 1 << 20  # of an archive, and of what it unpacks to
 _FOLDER = Path(__file__).parent
-_FIELDS = {
-    "version": int, "inputs": list, "shapes": dict, "scenarios": list, "seeds": list, "command": str, "note": str,
-}  # fmt: skip
 
 
 class Card(NamedTuple):
@@ -64,8 +62,16 @@ def load(name: str | Path, version: int, inputs: tuple[str, ...], shapes: Mappin
     path = _path(name)
     card = _read_card(path)
     try:
-        _check_fit(card, version, inputs, shapes)
-        arrays = _arrays(content_of(path, MAX_BYTES), card)
+        if card.version != version:
+            raise ValueError(f"made for version {card.version} of the inputs, these are version {version}")
+        if card.inputs != inputs:
+            other = sorted(set(card.inputs) ^ set(inputs))
+            raise ValueError(f"made for other inputs: {', '.join(other) or 'the same in another order'}")
+        members = zip_members(content_of(path, MAX_BYTES), MAX_BYTES)
+        found = {name.removesuffix(".npy"): content for name, content in members.items()}
+        if found.keys() != shapes.keys():
+            raise ValueError(f"holds {', '.join(found)}; expected {', '.join(shapes)}")
+        arrays = {name: _array(name, found[name], shape) for name, shape in shapes.items()}
     except (OSError, ValueError) as error:
         raise ValueError(f"weights {path.name}: {error}") from None
     return Weights(card, arrays)
@@ -76,12 +82,10 @@ def write(path: Path, weights: Weights) -> None:
     card = weights.card._replace(shapes={name: array.shape for name, array in weights.arrays.items()})
     file = io.BytesIO()
     np.savez(file, **weights.arrays)  # type: ignore[arg-type]  # numpy takes names for its own option
-    content = file.getvalue()
-    if len(content) > MAX_BYTES:
-        raise ValueError(f"weights {path.name}: {len(content)} bytes, more than {MAX_BYTES}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content)
-    path.with_suffix(".json").write_text(_text(card), encoding="utf-8")
+    path.write_bytes(file.getvalue())
+    text = json.dumps(card._asdict(), indent=1, ensure_ascii=False)
+    path.with_suffix(".json").write_text(f"{text}\n", encoding="utf-8")
 
 
 def _path(name: str | Path) -> Path:
@@ -95,54 +99,30 @@ def _path(name: str | Path) -> Path:
 
 def _read_card(path: Path) -> Card:
     try:
-        return _card(json_of(content_of(path.with_suffix(".json"), MAX_BYTES)))
+        card = Card(**json_of(content_of(path.with_suffix(".json"), MAX_BYTES)))
+        shapes = {name: tuple(shape) for name, shape in card.shapes.items()}
+        return card._replace(
+            inputs=tuple(card.inputs), shapes=shapes, scenarios=tuple(card.scenarios), seeds=tuple(card.seeds)
+        )
     except (OSError, ValueError) as error:
         raise ValueError(f"weights {path.name}: {error}") from None
+    except (TypeError, AttributeError) as error:
+        raise ValueError(f"weights {path.name}: its card is none ({error})") from None
 
 
-def _text(card: Card) -> str:
-    return json.dumps(card._asdict(), indent=1, ensure_ascii=False) + "\n"
+def _array(name: str, content: bytes, shape: tuple[int, ...]) -> NDArray[Any]:
+    array = array_of(content, "fiu", MAX_BYTES)
+    if array.ndim != len(shape) or any(n not in (-1, there) for n, there in zip(shape, array.shape)):
+        raise ValueError(f"{name}: shape {array.shape}, expected {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: not all of it is finite")
+    return array
 
 
-def _card(found: Any) -> Card:
-    if not isinstance(found, dict) or set(found) | {"note"} != set(Card._fields):
-        raise ValueError(f"its card has not the fields {', '.join(Card._fields)}")
-    found = {"note": "", **found}
-    for name, kind in _FIELDS.items():
-        if not isinstance(found[name], kind) or isinstance(found[name], bool):
-            raise ValueError(f"its card: {name} is no {kind.__name__}")
-    for name, kind in (("inputs", str), ("scenarios", str), ("seeds", int)):
-        if not all(isinstance(entry, kind) for entry in found[name]):
-            raise ValueError(f"its card: {name} holds other than {kind.__name__}")
-    shapes = found["shapes"]
-    if not all(isinstance(s, list) and all(isinstance(n, int) and n >= 0 for n in s) for s in shapes.values()):
-        raise ValueError("its card: shapes holds what is no shape")
-    given = {name: tuple(found[name]) for name in ("inputs", "scenarios", "seeds")}
-    return Card(**{**found, **given, "shapes": {name: tuple(shape) for name, shape in shapes.items()}})
-
-
-def _check_fit(card: Card, version: int, inputs: tuple[str, ...], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    if card.version != version:
-        raise ValueError(f"made for version {card.version} of the inputs, these are version {version}")
-    if card.inputs != inputs:
-        other = sorted(set(card.inputs) ^ set(inputs))
-        raise ValueError(f"made for other inputs: {', '.join(other) or 'the same in another order'}")
-    if card.shapes.keys() != shapes.keys():
-        raise ValueError(f"holds {', '.join(card.shapes)}; expected {', '.join(shapes)}")
-    for name, shape in shapes.items():
-        found = card.shapes[name]
-        if len(found) != len(shape) or any(n not in (-1, there) for n, there in zip(shape, found)):
-            raise ValueError(f"{name}: shape {found}, expected {shape}")
-
-
-def _arrays(content: bytes, card: Card) -> dict[str, NDArray[Any]]:
-    members = zip_members(content, MAX_BYTES)
-    if members.keys() != {f"{name}.npy" for name in card.shapes}:
-        raise ValueError(f"holds {', '.join(members)}, its card says {', '.join(card.shapes)}")
-    arrays = {name: array_of(members[f"{name}.npy"], "fiu", MAX_BYTES) for name in card.shapes}
-    for name, array in arrays.items():
-        if array.shape != card.shapes[name]:
-            raise ValueError(f"{name}: shape {array.shape}, its card says {card.shapes[name]}")
-        if not np.isfinite(array).all():
-            raise ValueError(f"{name}: not all of it is finite")
-    return arrays
+def figure(values: Sequence[float]) -> dict[str, float]:
+    """A figure of a card: the mean over seeds, and three standard deviations of one seed, at least 2 % of it, to either
+    side."""
+    mean = math.fsum(values) / len(values)
+    spread = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / max(len(values) - 1, 1))
+    margin = max(3.0 * spread, 0.02 * abs(mean))  # machines round differently
+    return {"estimate": mean, "low": mean - margin, "high": mean + margin}

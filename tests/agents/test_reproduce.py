@@ -4,16 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from agents.reproduce import compared, figure, main, verdict
+from agents.reproduce import app, compared, verdict
 from slam_gym import weights
 from slam_gym.association.learned.associator import learned_odds
-from slam_gym.weights import Card, Weights
+from slam_gym.weights import Card, Weights, figure
 
 
-def test_the_associator_is_trained_from_nothing(tmp_path, capsys):
-    assert main(["associator", "--quick", "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
+def test_the_associator_is_trained_from_nothing(tmp_path):
+    done = CliRunner().invoke(app, ["associator", "--quick", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    said = done.output
     assert "seed 1: cross-entropy" in said and "wrote" in said
     shipped = weights.card_of("associator")
     found = weights.load(tmp_path / "associator.npz", shipped.version, shipped.inputs, shipped.shapes)
@@ -48,5 +50,5 @@ def test_the_verdict_tells_figures_and_arrays_apart():
 
 def test_the_recordings_have_to_be_there(monkeypatch, tmp_path):
     monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
-    with pytest.raises(ValueError, match="SLAM_GYM_DATA is not set"):
-        main(["associator", "--out", str(tmp_path)])
+    done = CliRunner().invoke(app, ["associator", "--out", str(tmp_path)])
+    assert done.exit_code == 2 and "SLAM_GYM_DATA is not set" in done.output

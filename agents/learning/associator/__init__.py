@@ -1,0 +1,3 @@
+from agents.learning.associator.reproduction import reproduce
+
+__all__ = ["reproduce"]

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field, replace
 from agents.learning.associator.decisions import Decisions
 from agents.learning.associator.sources import HIDDEN, LEVELS, LOGS, LOOPS, VIEWS, VIEWS_AND_SIZES, Source
 from agents.learning.associator.training import Odds, TensorBatch, Training, batches_of, fit, mean_loss
-from agents.reproduce import figure
 from slam_gym.association.learned.associator import WEIGHTS
 from slam_gym.association.learned.inputs import INPUTS, VERSION
 from slam_gym.association.learned.network import load_network
-from slam_gym.weights import Card, Weights
+from slam_gym.weights import Card, Weights, figure
 
 HIDDEN_LOOPS = (
     *(("sizes", 6, name) for name in ("office", "drift-2", "hall", "crowd-drift")),

@@ -1,13 +1,17 @@
 """The upper reference: it needs the truth, keeps to the goals on offer, and maps more than those who do not know."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from agents.drivers.base import make_agent
-from agents.drivers.clairvoyant import Clairvoyant
-from agents.drivers.nearest_frontier import NearestFrontier
+from agents.drivers.baselines import NearestFrontier
+from agents.drivers.clairvoyant import Clairvoyant, best_tour, gained
+from agents.drivers.true_views import bits_of
 from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
 from tests.agents.drivers import offered
+from tests.agents.drivers.test_true_views import members
 
 SMALL = ExploreArguments("office-small", (("budget", 200),), split="train")
 
@@ -44,16 +48,64 @@ class Curious(NearestFrontier):
         self.shown = episode
 
 
-class Heir(Clairvoyant):
-    shown = None
-
-    def behold(self, episode):
-        self.shown = episode
-
-
 def test_nobody_else_is_shown_the_truth():
-    env, curious, heir = SMALL.make("goal"), Curious(), Heir()
+    env, curious = SMALL.make("goal"), Curious()
     begin_episode(env, curious, 0)
     assert curious.shown is None
-    begin_episode(env, heir, 0)
-    assert heir.shown is env.unwrapped.episode
+
+
+# -- tours against all sequences of a few viewpoints -------------------------------------------------------------------
+
+
+def problem(rng, viewpoints=4, features=90):
+    """Legs with views between some places of a square, the last of which is the start."""
+    places = rng.uniform(0.0, 100.0, (viewpoints + 1, 2))
+    ticks = np.hypot(*(places[:, None] - places).transpose(2, 0, 1)) + 30.0
+    legs = np.array([[bits_of(rng.random(features) < 0.1) for _ in ticks] for _ in ticks])
+    return ticks, legs, rng.uniform(-0.2, 1.0, features)
+
+
+def brute_force(ticks, legs, left, seen, worth):
+    """The most that any sequence of viewpoints brings; there is time for five at most."""
+    start, best = len(ticks) - 1, 0.0
+    for count in range(1, 6):
+        for order in itertools.product(range(start), repeat=count):
+            route = list(itertools.pairwise((start, *order)))
+            if sum(ticks[leg] for leg in route) <= left:
+                found = set().union(*(members(legs[leg]) for leg in route)) - members(seen)
+                best = max(best, sum(worth[i] for i in found))
+    return best
+
+
+def tour(ticks, legs, left, seen, worth, chance, early=0.0):
+    n = len(ticks) - 1
+    inner = np.ascontiguousarray(ticks[:n, :n]), np.ascontiguousarray(legs[:n, :n])
+    return best_tour((ticks[n, :n].copy(), legs[n, :n].copy()), inner, left, seen, worth, chance, early)
+
+
+def test_what_is_gained_is_what_the_new_features_are_worth():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        one, other, worth = rng.random(130) < 0.5, rng.random(130) < 0.5, rng.normal(size=130)
+        assert np.isclose(gained(bits_of(one), bits_of(other), worth), worth[other & ~one].sum())
+
+
+def test_no_tour_brings_more_than_the_best_sequence_and_many_come_near_it():
+    rng, reached, best = np.random.default_rng(1), 0.0, 0.0
+    for _ in range(8):
+        ticks, legs, worth = problem(rng)
+        left, seen = float(rng.uniform(60.0, 180.0)), bits_of(rng.random(90) < 0.2)
+        chance = np.exp(0.6 * rng.standard_normal((200, len(ticks) - 1)))
+        found, most = tour(ticks, legs, left, seen, worth, chance), brute_force(ticks, legs, left, seen, worth)
+        assert found <= most + 1e-9
+        reached, best = reached + found, best + most
+    assert reached > 0.97 * best
+
+
+def test_early_views_count_more_and_nothing_is_left_to_see_in_no_time():
+    ticks, legs, worth = problem(np.random.default_rng(2))
+    worth, chance, nothing = np.abs(worth), np.ones((4, len(ticks) - 1)), np.zeros(2, np.uint64)
+    plain, urgent = (tour(ticks, legs, 200.0, nothing, worth, chance, early) for early in (0.0, 0.5))
+    assert plain < urgent < 1.5 * plain
+    assert tour(ticks, legs, 20.0, nothing, worth, chance) == 0.0
+    assert tour(ticks, legs, 200.0, ~nothing, worth, chance) == 0.0

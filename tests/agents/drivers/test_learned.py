@@ -1,16 +1,25 @@
 """The learned driver that ships: its weights fit what the environment shows, and nothing else is needed to drive."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from agents.drivers.base import make_agent
-from agents.drivers.goal_network import shapes
-from agents.drivers.goal_tokens import TOKEN_FIELDS, tokens_of
-from agents.drivers.learned import SIZE, VERSION, LearnedDriver
+from agents.drivers.learned import (
+    CHOICES,
+    SIZE,
+    TOKEN_FIELDS,
+    VERSION,
+    LearnedDriver,
+    Size,
+    Tokens,
+    choose,
+    greedy_score,
+    most_promising,
+    scores,
+    shapes,
+    tokens_of,
+)
+from agents.evaluation.episodes import ExploreArguments, reset_arguments
 from slam_gym.envs.goal_observation import encode_goals
 from slam_gym.envs.observation import observe
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -19,9 +28,6 @@ from slam_gym.simulation.goals import Goals
 from slam_gym.types import Beams, Prediction, Scan
 from slam_gym.weights import Weights, card_of, load
 from tests.agents.drivers import offered
-
-ROOT = Path(__file__).parents[3]
-
 
 COVARIANCE = np.diag([0.01, 0.04, 0.0025])  # of the pose
 
@@ -97,7 +103,70 @@ def test_only_looking_around_on_offer():
     assert make_agent("learned").act(shown, info) == 0
 
 
-def test_it_needs_no_torch():
-    code = "import sys; from agents.drivers.base import make_agent; make_agent('learned'); "
-    code += "sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+# -- the network: what its scores may depend on, and what they may not -------------------------------------------------
+
+SMALL = Size(width=8, heads=2, layers=2, members=2)
+RNG = np.random.default_rng(0)
+ARRAYS = {name: RNG.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes(SMALL).items()}
+
+
+def some_tokens(goals=7):
+    rng = np.random.default_rng(1)
+    fields, places = rng.normal(size=(goals, len(TOKEN_FIELDS))), rng.uniform(-9.0, 9.0, (goals, 2))
+    return Tokens(fields, places, rng.uniform(0.0, 0.2, goals)), rng.random(goals) < 0.7
+
+
+def test_the_order_of_goals_does_not_matter_and_their_number_may_change():
+    tokens, legal = some_tokens()
+    order = np.random.default_rng(2).permutation(len(legal))
+    turned = Tokens(*(part[order] for part in tokens))
+    assert np.allclose(scores(ARRAYS, SMALL, turned, legal[order]), scores(ARRAYS, SMALL, tokens, legal)[order])
+    legal = np.append(legal, False)
+    more = Tokens(*(np.concatenate([part, part[:1]]) for part in tokens))
+    assert np.allclose(scores(ARRAYS, SMALL, more, legal)[:-1], scores(ARRAYS, SMALL, tokens, legal[:-1]))
+
+
+def test_goals_that_are_not_legal_have_no_score_and_no_say():
+    tokens, legal = some_tokens()
+    found = scores(ARRAYS, SMALL, tokens, legal)
+    assert np.isneginf(found[~legal]).all() and np.isfinite(found[legal]).all()
+    other = tokens._replace(fields=np.where(legal[:, None], tokens.fields, 3.0))
+    assert np.allclose(scores(ARRAYS, SMALL, other, legal)[legal], found[legal])
+    other = tokens._replace(fields=np.where(np.arange(len(legal))[:, None] == legal.argmax(), 3.0, tokens.fields))
+    assert not np.allclose(scores(ARRAYS, SMALL, other, legal)[legal][1:], found[legal][1:])
+
+
+def test_without_a_residual_it_is_the_greedy_driver():
+    tokens, legal = some_tokens()
+    silent = ARRAYS | {"score.weight": np.zeros((2, 1, 8)), "score.bias": np.zeros((2, 1)), "greed": np.full(2, 3.0)}
+    assert np.allclose(scores(silent, SMALL, tokens, legal)[legal], 3.0 * greedy_score(tokens.rates)[legal])
+
+
+def test_it_chooses_among_the_most_promising_goals_that_are_legal():
+    tokens, legal = some_tokens(goals=12)
+    rows, weighed = most_promising(tokens, legal)
+    best = np.flatnonzero(legal)[np.argsort(-tokens.rates[legal])][:CHOICES]
+    assert np.array_equal(rows, best) and np.array_equal(weighed.fields, tokens.fields[best])
+    for scale in (1.0, -1.0):
+        turned = ARRAYS | {name: scale * ARRAYS[name] for name in ("score.weight", "score.bias", "greed")}
+        expected = best[scores(turned, SMALL, weighed, np.ones(CHOICES, bool)).argmax()]
+        assert choose(turned, SMALL, tokens, legal) == expected
+    assert choose(ARRAYS, SMALL, tokens, np.arange(12) == 5) == 5
+
+
+def test_tokens_of_an_episode_are_finite_and_know_the_ticks_that_are_left():
+    env, rng, used, over = (
+        ExploreArguments("office-small", split="train").make("goal"),
+        np.random.default_rng(0),
+        0,
+        False,
+    )
+    observation, info = env.reset(**reset_arguments(0))
+    while not over:
+        tokens = tokens_of(observation, used)
+        assert np.isfinite(tokens.fields).all() and np.abs(tokens.fields).max() <= 4.0
+        if used:
+            left = tokens.fields[0, TOKEN_FIELDS.index("log ticks left")]
+            assert np.isclose(10.0 ** (left + 2.0) - 1.0, 300 - used, rtol=1e-3, atol=0.1)
+        observation, _, over, _, info = env.step(int(rng.choice(np.flatnonzero(info["action_mask"]))))
+        used += info["ticks"]

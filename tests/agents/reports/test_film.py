@@ -31,11 +31,11 @@ def test_a_film_shows_the_episode_that_was_evaluated(tmp_path):
 
 
 def test_films_that_are_there_stay(tmp_path):
-    path = filming.film_path(tmp_path, "agents.drivers.random:RandomAgent")
-    assert path.name == "agents-drivers-random-RandomAgent.mp4"
+    path = filming.film_path(tmp_path, "agents.drivers.baselines:RandomAgent")
+    assert path.name == "agents-drivers-baselines-RandomAgent.mp4"
     path.parent.mkdir()
     path.with_suffix(".png").write_bytes(b"before")
-    drivers = [Driver("agents.drivers.random:RandomAgent"), Driver("nearest_frontier")]
+    drivers = [Driver("agents.drivers.baselines:RandomAgent"), Driver("nearest_frontier")]
     filming.make_films(drivers, SMALL, 0, tmp_path, Execution(console=Console(quiet=True)))
     assert path.with_suffix(".png").read_bytes() == b"before" and not path.exists()
     assert filming.film_path(tmp_path, "nearest_frontier").exists()

@@ -1,24 +1,54 @@
-"""Lawn-mower coverage (boustrophedon; Choset 2001) over goals: lane by lane, back and forth."""
+"""The simplest drivers: a random goal, the nearest frontier, and lanes back and forth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from slam_gym.envs.goal_observation import unsquash_goals
 from slam_gym.geometry import transform
+from slam_gym.types import Array, IntArray
+
+LANE_WIDTH = 4.0  # [m] lanes run along the x axis of the map base B
 
 
-@dataclass(frozen=True)
-class LawnmowerSpec:
-    lane_width: float = 4.0  # [m] lanes run along the x axis of the map base B
+class RandomAgent:
+    """One of the legal goals, uniformly."""
+
+    name = "random"
+    action: ActionKind = "goal"
+
+    def __init__(self) -> None:
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+
+    def act(self, observation: Observation, info: Info) -> int:
+        return int(self._rng.choice(np.flatnonzero(legal_goals(info))))
+
+
+class NearestFrontier:
+    """The legal frontier with the shortest path (Yamauchi, CIRA 1997). With no frontier left the floor counts as
+    explored, and it stays."""
+
+    name = "nearest_frontier"
+    action: ActionKind = "goal"
+
+    def reset(self, seed: int) -> None:
+        pass
+
+    def act(self, observation: Observation, info: Info) -> int:
+        goals = unsquash_goals(observation["goals"])
+        frontiers = legal_goals(info) & (goals["frontier"] > 0.5)
+        if not frontiers.any():
+            return LOOK_AROUND
+        return int(np.argmin(np.where(frontiers, goals["path"], np.inf)))
 
 
 class Lawnmower:
-    """Frontiers in the order of a lawn-mower: along the lane while it goes on ahead, else turn into the nearest lane.
+    """Frontiers in the order of a lawn-mower (boustrophedon; Choset 2001): along the lane while it goes on ahead, else
+    turn into the nearest lane.
 
     Frontiers are what blocks a lane in an unknown building, so the sweep goes from one to the next instead of along
     straight lines. When no frontier is left, the lanes are driven again over the revisits, which closes loops.
@@ -27,8 +57,7 @@ class Lawnmower:
     name = "lawnmower"
     action: ActionKind = "goal"
 
-    def __init__(self, spec: LawnmowerSpec | None = None) -> None:
-        self._spec = spec or LawnmowerSpec()
+    def __init__(self) -> None:
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -43,10 +72,10 @@ class Lawnmower:
                 return self._next(goals, np.flatnonzero(legal & wanted), np.asarray(info["pose"], dtype=float))
         return LOOK_AROUND
 
-    def _next(self, goals: dict[str, NDArray[np.float64]], slots: NDArray[np.int64], pose: NDArray[np.float64]) -> int:
+    def _next(self, goals: dict[str, Array], slots: IntArray, pose: Array) -> int:
         in_robot = np.ascontiguousarray(np.column_stack([goals["x"][slots], goals["y"][slots]]), dtype=float)
         in_base = transform(pose, in_robot)
-        lanes = np.floor(in_base[:, 1] / self._spec.lane_width + 0.5).astype(int)
+        lanes = np.floor(in_base[:, 1] / LANE_WIDTH + 0.5).astype(int)
         ahead = (in_base[:, 0] - pose[0]) * self._direction
         here = lanes == self._lane
         if not (here & (ahead > 0.0)).any():

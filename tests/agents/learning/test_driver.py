@@ -1,0 +1,202 @@
+"""The training of the learned driver: drives in outline, what is learned from them, and the weights that come of it."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from agents.drivers.base import LOOK_AROUND
+from agents.drivers.information_gain import InformationGain
+from agents.drivers.learned import (
+    SIZE,
+    TOKEN_FIELDS,
+    VERSION,
+    LearnedDriver,
+    Size,
+    gaps_between,
+    greedy_score,
+    most_promising,
+    scores,
+    shapes,
+    tokens_of,
+)
+from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.learning.driver import Drive, Examples, GoalNetwork, Plan, fit, greedy, regret, regret_of, reproduce
+from agents.learning.sketch import (
+    FREE_TURN,
+    QUARTER,
+    SPEED,
+    STRETCH,
+    TURN,
+    Sketch,
+    Surroundings,
+    drive_along,
+    look,
+    missed_by,
+)
+from slam_gym.simulation.goals import FRONTIERS
+from slam_gym.weights import load, write
+from slam_gym.world.ray_casting import WallIndex
+from tests.agents.drivers.test_learned import some_tokens
+
+SMALL = Size(width=8, heads=2, layers=1, members=2)
+SHORT = Plan(size=SMALL, epochs=12, batch=32, rate=1e-2)
+
+
+@pytest.fixture(scope="module")
+def env():
+    return ExploreArguments("office-small", split="train").make("goal")
+
+
+def begun(env, world, budget=300):
+    env.reset(seed=world, options={"world": world})
+    return Sketch(env.unwrapped.episode, budget)
+
+
+# -- drives in outline -------------------------------------------------------------------------------------------------
+
+
+def test_an_outline_misses_about_what_an_episode_misses(env):
+    outline, full = [], []
+    for world in range(6):
+        sketch = begun(env, world)
+        outline.append(missed_by(sketch, greedy, greedy(sketch)))
+        run_episode(env, InformationGain(), world)
+        episode = env.unwrapped.episode
+        mapped = np.concatenate([part.ids[~part.provisional] for part in episode.slam.maps])
+        found = np.isin(np.flatnonzero(episode.site.observable), episode.identities.source_of(mapped))
+        full.append(1.0 - found.mean())
+    assert -0.12 < np.mean(outline) - np.mean(full) < 0.04  # a robot in outline stops and turns less, and sees at once
+
+
+def test_what_is_seen_stays_and_the_budget_ends_the_drive(env):
+    sketch, missed = begun(env, 1, 200), [1.0]
+    while not sketch.over:
+        before, legal, slot = sketch.ticks, sketch.legal, greedy(sketch)
+        assert legal[slot] and not legal[1 + FRONTIERS :].any()
+        sketch.step(slot)
+        assert sketch.ticks > before
+        missed.append(sketch.missed)
+    assert (np.diff(missed) <= 0.0).all() and missed[-1] < 0.7 and sketch.ticks < 200 + 3 * QUARTER
+
+
+def test_trying_a_goal_leaves_the_drive_alone_and_nobody_looks_around_twice(env):
+    sketch = begun(env, 2)
+    sketch.step(greedy(sketch))
+    shown, missed, ticks = sketch.observation(), sketch.missed, sketch.ticks
+    ends = [[missed_by(sketch, greedy, int(k)) for k in np.flatnonzero(sketch.legal)] for _ in range(2)]
+    after = sketch.observation()
+    assert (sketch.missed, sketch.ticks) == (missed, ticks) and all(np.array_equal(shown[k], after[k]) for k in shown)
+    assert ends[0] == ends[1] and len(set(ends[0])) > 1
+    sketch.step(LOOK_AROUND)
+    assert sketch.ticks == ticks + 4 * QUARTER and not sketch.legal[LOOK_AROUND]
+
+
+WALLS = np.array([[-5.0, -5.0, 15.0, -5.0], [15.0, -5.0, 15.0, 5.0], [15.0, 5.0, -5.0, 5.0], [-5.0, 5.0, -5.0, -5.0],
+                  [4.0, 0.5, 4.0, 5.0]])  # fmt: skip
+FEATURES = np.array([[3.0, 0.0], [5.0, 3.0], [-3.0, 0.0], [12.0, 0.0]])  # ahead, behind a wall, behind, far away
+
+
+@pytest.fixture(scope="module")
+def around():
+    bearings = np.linspace(-math.pi, math.pi, 40, endpoint=False)
+    walls = WallIndex(WALLS).packed
+    return Surroundings(walls, FEATURES, np.full(4, 1e-3), np.zeros(3), 0.1, 6.0, 2.0, bearings, 6.0)
+
+
+def test_a_look_sees_what_is_near_ahead_and_not_hidden(around):
+    sighted = np.zeros(4, np.int64)
+    ranges = look(around, np.zeros(3), sighted)
+    assert list(sighted) == [1, 0, 0, 0]
+    assert np.array_equal(ranges, WallIndex(WALLS).cast(np.zeros(2), around.bearings, 6.0))
+    look(around, np.array([0.0, 0.0, math.pi]), sighted)
+    assert list(sighted) == [1, 0, 1, 0]
+
+
+def test_stretches_are_of_one_length_and_turns_take_time(around):
+    path, sighted = np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 2.0]]), np.zeros(4, np.int64)
+    found = drive_along(around, np.zeros(3), path, 100, 0.0, 1000, sighted)
+    assert np.allclose(found.poses[-1], [0.5, 2.0, 0.5 * math.pi]) and found.passed == 3
+    assert found.ticks - STRETCH * len(found.poses) == round(TURN * (0.5 * math.pi - FREE_TURN))
+    assert math.isclose(len(found.poses) * STRETCH * SPEED, 2.5, abs_tol=STRETCH * SPEED)
+    assert len(drive_along(around, np.zeros(3), path, 2, 0.0, 1000, sighted).poses) == 2
+
+
+# -- what is learned from them -----------------------------------------------------------------------------------------
+
+
+def test_a_drive_gives_the_same_states_each_time_and_what_is_mapped_in_the_end(env):
+    (world, one), (_, two) = (Drive("office-small", 7)() for _ in range(2))
+    assert world == 7 and all(np.array_equal(a, b) for a, b in zip(one, two))
+    assert (one.values[~one.legal] == 0.0).all() and (one.values[one.legal] > 0.0).all() and one.values.max() <= 100.0
+    assert (one.legal.sum(axis=1) > 1).all() and len(one) == len(one.tokens) > 1
+    sketch = begun(env, 7, int(300 * np.random.default_rng(7).uniform(0.45, 1.1)))
+    rows, tokens = most_promising(tokens_of(sketch.observation(), sketch.ticks), sketch.legal)
+    assert np.array_equal(one.tokens[0], tokens.fields) and rows[0] == greedy(sketch)
+    for k in np.flatnonzero(one.legal[0]):
+        assert one.values[0, k] == 100.0 * (1.0 - missed_by(sketch, greedy, int(rows[k])))
+
+
+def of_torch(network, tokens, legal):
+    parts = (tokens.fields, gaps_between(tokens.places), greedy_score(tokens.rates))
+    with torch.no_grad():
+        inputs = [torch.as_tensor(part, dtype=torch.float32)[None] for part in parts]
+        return network(*inputs, torch.as_tensor(legal)[None])[0].numpy()
+
+
+def test_plain_arrays_give_the_scores_that_torch_gives_and_an_untrained_network_is_greedy():
+    torch.manual_seed(0)
+    tokens, legal = some_tokens()
+    members = [GoalNetwork(SMALL) for _ in range(SMALL.members)]
+    untrained = of_torch(members[0], tokens, legal)
+    assert np.allclose(untrained[legal], 3.0 * greedy_score(tokens.rates)[legal], atol=1e-5)
+    for network in members:
+        for parameter in network.parameters():
+            torch.nn.init.normal_(parameter, 0.0, 0.3)
+    arrays = {name: np.stack([network.arrays()[name] for network in members]) for name in members[0].arrays()}
+    assert {name: array.shape for name, array in arrays.items()} == shapes(SMALL)
+    expected = np.mean([of_torch(network, tokens, legal) for network in members], axis=0)
+    assert np.allclose(scores(arrays, SMALL, tokens, legal)[legal], expected[legal], atol=1e-4)
+
+
+def states(n, seed, goals=6):
+    """A teacher who likes what the first field says, and dislikes goals that lie among others."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.0, 4.0, (n, goals))
+    gaps = np.abs(places[:, :, None] - places[:, None])
+    tokens = rng.normal(size=(n, goals, len(TOKEN_FIELDS)))
+    legal = rng.random((n, goals)) < 0.8
+    legal[:, 0] = True
+    values = 2.0 * tokens[..., 0] - np.where(legal[:, None], gaps < 0.5, False).sum(axis=2)
+    return Examples(tokens, gaps, 0.3 * rng.normal(size=(n, goals)) - 1.0, legal, np.where(legal, values, 0.0))
+
+
+def test_it_learns_to_choose_what_the_teacher_values_and_the_same_each_time():
+    train, held_out = states(400, 0), states(200, 1)
+    network, again = (fit(SHORT, train, 0).arrays() for _ in range(2))
+    assert all(np.array_equal(network[name], again[name]) for name in network)
+    assert regret([fit(SHORT, train, 1)], held_out).mean() < 0.3 * regret_of(held_out.greedy, held_out).mean()
+
+
+def test_regret_is_what_the_choice_is_worse_than_the_best():
+    legal, greedy_scores, values = (
+        np.array([[True, True, False]]),
+        np.array([[2.0, 1.0, 9.0]]),
+        np.array([[1.0, 4.0, 0.0]]),
+    )
+    example = Examples(np.zeros((1, 3, len(TOKEN_FIELDS))), np.zeros((1, 3, 3)), greedy_scores, legal, values)
+    assert regret_of(example.greedy, example) == 3.0
+
+
+def test_from_worlds_to_weights_that_drive(tmp_path):
+    found = reproduce(True, "python -m agents.reproduce driver", lambda text: None)
+    metrics = found.card.metrics
+    assert found.card.scenarios == ("office-small", "hall") and metrics["states"]["estimate"] > 20
+    learned = metrics["regret held out [.01 E]"]
+    assert 0.0 <= learned["low"] <= learned["estimate"] <= learned["high"]
+    write(tmp_path / "driver.npz", found)
+    loaded = load(tmp_path / "driver.npz", VERSION, TOKEN_FIELDS, shapes(SIZE))
+    assert all(np.array_equal(loaded.arrays[name], found.arrays[name]) for name in shapes(SIZE))
+    arguments = ExploreArguments("office-small", (("budget", 60),), split="train")
+    assert run_episode(arguments.make("goal"), LearnedDriver(tmp_path / "driver.npz"), 0)["ticks"] == 60
