@@ -16,8 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from slam_gym._compile import compiled
 from slam_gym.simulation.episode import Site
 from slam_gym.types import Array, BoolArray, IntArray
-from slam_gym.world.ray_casting import pull_back, sees
-from slam_gym.world.wall_grid import Grid, Packed
+from slam_gym.world.ray_casting import Grid, Packed, pull_back, sees
 
 Bits = NDArray[np.uint64]
 """(…, w) sets of features, one bit each, 64 to a word."""

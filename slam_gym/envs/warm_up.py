@@ -9,11 +9,11 @@ from slam_gym.mapping import linear_algebra
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
 from slam_gym.navigation import grid, keyframes, visibility
 from slam_gym.slam import kernels, slam, tracker, whole_step
-from slam_gym.world import boxes, detection, driving, reachability, wall_grid
+from slam_gym.world import detection, driving, ray_casting, reachability
 
 COMPILED = (
-    geometry, slam, tracker, observation, grid, keyframes, linear_algebra, point_assignment, association, boxes,
-    detection, driving, reachability, visibility, wall_grid, consistency, map_quality, kernels, whole_step,
+    geometry, slam, tracker, observation, grid, keyframes, linear_algebra, point_assignment, association, detection,
+    driving, ray_casting, reachability, visibility, consistency, map_quality, kernels, whole_step,
 )  # fmt: skip
 
 

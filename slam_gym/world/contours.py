@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from slam_gym.types import Array, IntArray
 from slam_gym.world.floor_plan import FloorPlanError
 
-_MAX_CONTOURS, _MAX_SIDES = 20_000, 1_000_000  # islands of a mask; sides of pixels between free and blocked
-_MAX_WORK = 10_000**2  # the sum of the squares of the vertices of all rings: `straightened` takes a time like that
+_MAX_WORK = 10_000**2  # sum of the squares of the vertices of all rings, which `straightened` takes a time like
 
 Mask = NDArray[np.uint8]  # (h, w), 0 or 1
 
@@ -47,8 +46,6 @@ def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
     of their own: passages keep their full width. Simplification is Douglas and Peucker's (1973).
     """
     cv2 = import_cv2()
-    if cv2.connectedComponents(1 - mask, connectivity=8)[0] > _MAX_CONTOURS or _sides(mask) > _MAX_SIDES:
-        raise FloorPlanError("occupancy", "its outlines are too many or too long: noise is no floor")
     lattice = np.zeros((2 * mask.shape[0] + 1, 2 * mask.shape[1] + 1), dtype=np.uint8)
     lattice[1::2, 1::2] = mask
     lattice = cv2.dilate(lattice, np.ones((3, 3), np.uint8))
@@ -72,12 +69,6 @@ def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
         if is_pillar[-1]:
             pillars.append((x / 2.0, y / 2.0, radius))
     return Outlines(rings, np.array(pillars, dtype=np.float64).reshape(-1, 3), is_pillar)
-
-
-def _sides(mask: Mask) -> int:
-    return sum(
-        int(np.count_nonzero(one != other)) for one, other in ((mask[1:], mask[:-1]), (mask[:, 1:], mask[:, :-1]))
-    )
 
 
 def _with_corners(contour: NDArray[np.int32], lattice: Mask) -> NDArray[np.int32]:

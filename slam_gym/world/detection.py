@@ -10,8 +10,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, Array, IntArray
-from slam_gym.world.ray_casting import Movers, hides, movers_near, range_along, sees
-from slam_gym.world.wall_grid import Grid, Packed
+from slam_gym.world.ray_casting import Grid, Movers, Packed, hides, movers_near, range_along, sees
 
 _SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
 
@@ -83,18 +82,9 @@ def in_sight(
     return k
 
 
-class Measured(NamedTuple):
-    """Room for a scan, one row for each measurement that there may be."""
-
-    points: Array  # (n, 2) [m] in R
-    covariances: Array  # (n, 2, 2) [m²]
-    sizes: Array  # (n,) [m]
-    size_variances: Array  # (n,) [m²]
-    sources: IntArray  # (n,)
-
-
-PackedMeasured = tuple[Array, Array, Array, Array, IntArray]
-"""`Measured` as a plain tuple."""
+Measured = tuple[Array, Array, Array, Array, IntArray]
+"""Room for a scan of up to n measurements: points (n, 2) [m] in R, covariances (n, 2, 2) [m²], sizes (n,) [m], their
+variances (n,) [m²], sources (n,)."""
 
 
 @compiled
@@ -106,7 +96,7 @@ def measure(
     moving: Moving,
     noise: tuple[Array, Array],
     packed: PackedSettings,
-    out: PackedMeasured,
+    out: Measured,
 ) -> int:
     """A scan of what is `seen`, the answer of `in_sight` and its arrays, entered in `out`: its length.
 
@@ -138,41 +128,27 @@ def measure(
         measured[2, n] = max(size + settings.size_sigma * normal[3 * i + 2], 0.0)
         origins[n] = source
         n += 1
-    return _sweep(measured, origins, int(n), settings, Measured(*out))  # int: not the literal 0 as well
+    return _sweep(measured, origins, int(n), settings, out)  # int: not the literal 0 as well
 
 
 @compiled
 def _sweep(measured: Array, origins: IntArray, count: int, settings: Settings, out: Measured) -> int:
     """The nearest `max_features` of the first `count` measurements (3, …), by rising bearing, made Cartesian."""
-    order = np.empty(count, np.int64)
-    for i in range(count):
-        order[i] = i
-    _sort(order, count, measured[0])
-    m = min(count, settings.max_features)
-    _sort(order, m, measured[1])
-    for i in range(m):
+    points, covariances, sizes, size_variances, sources = out
+    nearest = np.argsort(measured[0, :count], kind="mergesort")[: settings.max_features]
+    order = nearest[np.argsort(measured[1][nearest], kind="mergesort")]
+    for i in range(len(order)):
         r, bearing = measured[0, order[i]], measured[1, order[i]]
         c, s = math.cos(bearing), math.sin(bearing)
         along = settings.range_sigma**2 + (settings.range_sigma_ratio * r) ** 2
         across = (settings.bearing_sigma * r) ** 2
-        out.points[i, 0], out.points[i, 1] = r * c, r * s
-        out.covariances[i, 0, 0] = c * c * along + s * s * across
-        out.covariances[i, 1, 1] = s * s * along + c * c * across
-        out.covariances[i, 0, 1] = out.covariances[i, 1, 0] = c * s * (along - across)
-        out.sizes[i], out.size_variances[i] = measured[2, order[i]], settings.size_sigma**2
-        out.sources[i] = origins[order[i]]
-    return m
-
-
-@compiled
-def _sort(order: IntArray, count: int, keys: Array) -> None:
-    """Sort the first `count` indices in `order` by rising `keys`, by insertion: there are few."""
-    for i in range(1, count):
-        index, j = order[i], i
-        while j > 0 and keys[order[j - 1]] > keys[index]:
-            order[j] = order[j - 1]
-            j -= 1
-        order[j] = index
+        points[i, 0], points[i, 1] = r * c, r * s
+        covariances[i, 0, 0] = c * c * along + s * s * across
+        covariances[i, 1, 1] = s * s * along + c * c * across
+        covariances[i, 0, 1] = covariances[i, 1, 0] = c * s * (along - across)
+        sizes[i], size_variances[i] = measured[2, order[i]], settings.size_sigma**2
+        sources[i] = origins[order[i]]
+    return len(order)
 
 
 Finder = tuple[float, float]
@@ -226,44 +202,3 @@ def report(packed: PackedWheels, way: Array, contact: bool, noise: Array, out: A
         heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2
     out[1:] = 0.0
     out[1, 0], out[2, 1], out[3, 2] = forward, lateral, heading
-
-
-@compiled
-def noticed(
-    wheels: PackedWheels,
-    way: Array,
-    contact: bool,
-    noise: Array,
-    told: Array,
-    walls: Packed,
-    pose: Array,
-    positions: Array,
-    pull_backs: Array,
-    moving: Moving,
-    settings: PackedSettings,
-    polar: Array,
-    sources: IntArray,
-) -> int:
-    """`report` and `in_sight` in one call."""
-    report(wheels, way, contact, noise, told)
-    return in_sight(walls, pose, positions, pull_backs, moving, settings, polar, sources)
-
-
-@compiled
-def sensed(
-    walls: Packed,
-    pose: Array,
-    seen: tuple[int, Array, IntArray],
-    sizes: Array,
-    moving: Moving,
-    noise: tuple[Array, Array],
-    settings: PackedSettings,
-    bearings: Array,
-    finder: Finder,
-    measured: PackedMeasured,
-    ranges: Array,
-) -> int:
-    """`measure` and `noisy_ranges` in one call; the normal random numbers of the beams come after those of the scan."""
-    m = measure(walls, pose, seen, sizes, moving, noise, settings, measured)
-    noisy_ranges(walls, pose, bearings, finder, moving, noise[1][len(noise[0]) :], ranges)
-    return m

@@ -17,9 +17,7 @@ from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
-from slam_gym.world import boxes
-from slam_gym.world.ray_casting import squared_distance
-from slam_gym.world.wall_grid import Grid, Packed
+from slam_gym.world.ray_casting import Grid, Packed, box_distance, squared_distance
 
 X, Y, HEADING, VX, VY, TURNING, RIM, SPIN, ENTERED, BOX = *range(9), 12
 ENTRIES = 16
@@ -112,7 +110,7 @@ def drive_freely(
         after[Y] += after[VY] * step
         after[HEADING] += after[TURNING] * step
         entered(after, figures.radius)
-        if _walls_within(grid, after[X], after[Y], reach) or boxes.distance(after[X], after[Y], furniture) < reach:
+        if _walls_within(grid, after[X], after[Y], reach) or box_distance(after[X], after[Y], furniture) < reach:
             return False
         after[VX] += x * (1.0 / figures.mass) * step
         after[VY] += y * (1.0 / figures.mass) * step

@@ -122,29 +122,6 @@ class Room:
         inside[near] = odd
         return inside
 
-    @cached_property
-    def centre(self) -> Array:
-        """(2,) [m] the point inside that keeps farthest from the outline, among a grid of 33 × 33.
-
-        A little nearness to the middle of the grid is worth as much, so that a corridor's centre is halfway along it.
-        """
-        low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
-        steps = (np.arange(33) + 1.0) / 34.0
-        grid = np.stack(np.meshgrid(*(low + steps[:, None] * (high - low)).T), axis=-1).reshape(-1, 2)
-        inside = grid[self.contains(grid)]
-        if len(inside) == 0:  # a sliver between the grid's points
-            return np.asarray(self.polygon[:3].mean(axis=0))
-        a = self.polygon
-        edge = np.roll(a, -1, axis=0) - a
-        squared = np.maximum(np.sum(edge * edge, axis=1), 1e-12)
-        closest = np.full(len(inside), np.inf)
-        for start, along, length in zip(a, edge, squared):
-            offset = inside - start
-            offset -= np.clip(offset @ along / length, 0.0, 1.0)[:, None] * along
-            np.minimum(closest, np.sum(offset * offset, axis=1), out=closest)
-        off_middle = np.hypot(*(inside - (low + high) / 2).T)
-        return np.asarray(inside[np.argmax(np.sqrt(closest) - 0.01 * off_middle)])
-
 
 @dataclass(frozen=True, eq=False)
 class Door:

@@ -11,13 +11,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._files import content_of, json_of
-from slam_gym.world.floor_plan import MAX_EXTENT, Door, Features, FloorPlan, FloorPlanError, Kind, Room, checked_array
-from slam_gym.world.image_file import read_image, require_image
+from slam_gym._files import array_of, content_of, gunzipped, json_of
+from slam_gym.world.contours import import_cv2
+from slam_gym.world.floor_plan import (
+    MAX_EXTENT,
+    MAX_PIXELS,
+    Door,
+    Features,
+    FloorPlan,
+    FloorPlanError,
+    Kind,
+    Room,
+    checked_array,
+)
 
 FORMAT, VERSION = "slam_gym floor plan", 1
 _MAX_JSON, _MAX_YAML = 1 << 24, 1 << 13  # bytes; real floors take less than a tenth of them
-_LARGEST, _MAX_DEPTH = 1e9, 5  # of any number of a ROS map, and of lists in lists
+_MAX_ARRAY = 8 * MAX_PIXELS + 1024  # bytes: labels of 64 bits, and a header
+_LARGEST = 1e9  # of any number of a ROS map
 
 
 def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
@@ -155,74 +166,74 @@ def _read_labelled_image(path: Path, resolution: float | None) -> _Raster:
     An array named `…_occ_map.npy.gz` is read together with its room labels `…_valid_space.npy.gz` where they lie beside
     it, the naming of the KTH floor plan data set.
     """
-    require_image(path)
+    if not path.name.lower().endswith((".pgm", ".png", ".npy", ".npy.gz")):
+        raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
     if resolution is None:
         raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
-    image, labels = read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))
-    valid = read_image(labels) if labels != path and labels.is_file() else None
+    image, labels = _read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))
+    valid = _read_image(labels) if labels != path and labels.is_file() else None
     return _Raster(image, resolution, path.name.split(".")[0].removesuffix("_occ_map"), valid)
 
 
 def _read_ros_map(path: Path, resolution: float | None) -> _Raster:
     """The map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
-    document = _yaml(path)
-    if not isinstance(document.get("image"), str):
-        raise FloorPlanError("image", "the map names no image")
-    given = {"resolution": resolution, "free_thresh": 0.196, "negate": 0, **document}
-    numbers = {key: _number(key, given[key]) for key in ("resolution", "free_thresh", "negate")}
-    origin = document.get("origin", [0.0, 0.0, 0.0])
+    given = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
+    resolution, threshold, negate = (_number(key, given[key]) for key in ("resolution", "free_thresh", "negate"))
+    origin = given["origin"]
     if not isinstance(origin, list) or len(origin) != 3 or _number("origin", origin[2]) != 0.0:
         raise FloorPlanError("origin", f"{_short(origin)} is not [x, y, 0]")
     x, y = _number("origin", origin[0]), _number("origin", origin[1])
     if max(abs(x), abs(y)) > MAX_EXTENT:
         raise FloorPlanError("origin", f"{_short(origin)} lies beyond {MAX_EXTENT:g} m")
-    image_path = path.parent / document["image"]
-    try:
-        there = image_path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or holds a zero
-        there = False
-    if not there:
-        raise FloorPlanError("image", f"no file at {_short(str(image_path))}")
-    image = read_image(image_path)
+    image = _read_image(path.parent / str(given.get("image")))
     if image.dtype != np.uint8:
         raise FloorPlanError("image", f"holds {image.dtype}, expected uint8")
     grey = np.arange(256.0)
-    occupied = grey / 255.0 if numbers["negate"] else (255.0 - grey) / 255.0
-    free = np.where(occupied < numbers["free_thresh"], 255, 0).astype(np.uint8)  # for each level of grey
-    return _Raster(free[image], numbers["resolution"], path.stem, origin=(x, y))
+    occupied = grey / 255.0 if negate else (255.0 - grey) / 255.0
+    free = np.where(occupied < threshold, 255, 0).astype(np.uint8)  # for each level of grey
+    return _Raster(free[image], resolution, path.stem, origin=(x, y))
 
 
 def _yaml(path: Path) -> dict[Any, Any]:
-    """The mapping in a small YAML file without aliases, which make a document of a few lines endless."""
+    """The mapping in a small YAML file."""
     try:
         import yaml
     except ImportError as error:
         raise ImportError('ROS maps need PyYAML: pip install "slam_gym[maps]"') from error
     try:
-        text = content_of(path, _MAX_YAML).decode("utf-8")
-        depth = 0
-        for event in yaml.parse(text, yaml.SafeLoader):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if isinstance(event, yaml.AliasEvent) or depth > _MAX_DEPTH:
-                raise ValueError("it holds an alias, or is nested too deeply")
-        node = yaml.compose(text, yaml.SafeLoader)
-        document = yaml.safe_load(text)
-        names = [key.value for key, _ in node.value if isinstance(key.value, str)] if isinstance(document, dict) else []
-        if len(set(names)) < len(names):
-            raise ValueError("it holds a key twice")
-    except (yaml.YAMLError, ValueError, TypeError, AttributeError, OSError) as error:
+        document = yaml.safe_load(content_of(path, _MAX_YAML))
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, OSError, RecursionError) as error:
         raise FloorPlanError("file", f"is not YAML ({error})") from None
-    if not isinstance(document, dict):
+    if not isinstance(document, dict) or not isinstance(document.get("image"), str):
         raise FloorPlanError("image", "the map names no image")
     return document
 
 
+def _read_image(path: Path) -> NDArray[Any]:
+    """The pixels (h, w) of an image: uint8 of PGM and PNG, integers or bools of arrays."""
+    try:
+        content = content_of(path)
+        if path.name.endswith((".npy", ".npy.gz")):
+            unpacked = gunzipped(content, _MAX_ARRAY) if path.suffix == ".gz" else content
+            image = array_of(unpacked, "biuf", _MAX_ARRAY)
+        else:
+            cv2 = import_cv2()
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except (ValueError, OSError) as error:
+        raise FloorPlanError("image", str(error)) from None
+    except Exception as error:  # OpenCV's own
+        if isinstance(error, ImportError):
+            raise
+        raise FloorPlanError("image", f"cannot be read ({error})") from None
+    if image is None:
+        raise FloorPlanError("image", "is not a PGM or PNG image, or not all of it is there")
+    return np.asarray(image)
+
+
 def _number(field: str, value: Any) -> float:
-    """A finite number of a file; whole ones may have any number of digits there."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FloorPlanError(field, f"{_short(value)} is not a number")
-    if not abs(value) < _LARGEST:
-        raise FloorPlanError(field, f"{_short(value)} is not finite, or too large")
+    """A finite number of a file."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
+        raise FloorPlanError(field, f"{_short(value)} is not a number, or too large")
     return float(value)
 
 

@@ -12,11 +12,9 @@ import numpy as np
 
 from slam_gym._compile import compiled
 from slam_gym.types import Array, BoolArray, IntArray
-from slam_gym.world import boxes
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import Movers, hides, sees
+from slam_gym.world.ray_casting import Grid, Movers, Packed, box_distance, hides, outlines, sees, wall_grid
 from slam_gym.world.reachability import free_cells, indoor
-from slam_gym.world.wall_grid import Grid, Packed, wall_grid
 
 _CLEARANCE = 0.02  # [m] from walls
 _MARGIN = 0.1  # [m] kept from furniture and other people
@@ -51,9 +49,8 @@ class People:
         self._ahead = np.ones((count, 2), np.int64)  # next waypoint and number of waypoints
         self._timers = np.zeros((count, 2))  # [s] left to rest, waited
         if count:
-            outlines = boxes.outlines(plan.furniture)
-            self._cells = free_cells(plan, radius + _CLEARANCE, obstacles=outlines)
-            self._walls, self._outlines = wall_grid(plan.walls), outlines
+            self._walls, self._outlines = wall_grid(plan.walls), outlines(plan.furniture)
+            self._cells = free_cells(plan, radius + _CLEARANCE, obstacles=self._outlines)
             self.discs = self._places(plan, count, radius, robot, rng)
             self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
 
@@ -135,8 +132,8 @@ def _blocked(person: int, x: float, y: float, keep: float, robot: Array, furnitu
         near = radius + discs[q, 2] + _MARGIN
         if q != person and gap < near and gap < math.hypot(from_x - discs[q, 0], from_y - discs[q, 1]):
             return True
-    gap = boxes.distance(x, y, furniture)
-    return gap < radius and gap < boxes.distance(from_x, from_y, furniture)
+    gap = box_distance(x, y, furniture)
+    return gap < radius and gap < box_distance(from_x, from_y, furniture)
 
 
 @compiled

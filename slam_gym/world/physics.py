@@ -17,11 +17,10 @@ import pymunk
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 from slam_gym.types._records import quick
-from slam_gym.world import boxes, driving
+from slam_gym.world import driving
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
-from slam_gym.world.ray_casting import NO_DISCS
-from slam_gym.world.wall_grid import wall_grid
+from slam_gym.world.ray_casting import NO_DISCS, outlines, wall_grid
 
 _OVERLAP = 1e-3  # [m] that touching bodies keep, so that contacts last
 _OVERLAP_LEFT = 0.5  # fraction of any more overlap that is left after a substep
@@ -112,7 +111,7 @@ class World:
         self._add_walls(plan.walls)
         self._walls = wall_grid(plan.walls)
         self.furniture = plan.furniture.copy()  # (f, 5) [m, m, m, m, rad] x y length width heading, W
-        self.furniture_segments = boxes.outlines(self.furniture)  # (4f, 4) [m] W its sides
+        self.furniture_segments = outlines(self.furniture)  # (4f, 4) [m] W its sides
         self._pieces = [self._add_furniture(box) for box in self.furniture]
         self._body = self._add_robot(start)
         self.pose = np.array([start[0], start[1], wrap_angle(start[2])])  # (3,) [m, m, rad] W
@@ -208,7 +207,7 @@ class World:
                 row[0], row[1] = body.position
                 row[4] = body.angle
                 moving = True
-        self.furniture, self.furniture_segments = furniture, boxes.outlines(furniture)
+        self.furniture, self.furniture_segments = furniture, outlines(furniture)
         self._touch.furniture = moving
 
     def _add_walls(self, walls: Array) -> None:

@@ -30,9 +30,7 @@ _DRAWN, _MEASURED = 0.8, 1.25  # [pixels] by how much outlines may be simplified
 _MIN_DOOR = 0.3  # [m]
 _MAX_DOOR = 3.0  # [m] rooms that meet along more than this are open to each other
 _MAX_OPENING = 1.2e10  # pixels of an image times those of the opening that is looked for everywhere in it
-_MAX_ROOM_PIXELS = 3e8  # of the boxes around all rooms together
 _MAX_ROOMS = 2_000
-_MAX_CONTACTS = 200_000  # pixels at which rooms touch
 _JAMB_REACH = 0.4  # [m] from the end of a door line to the corners that frame it
 
 
@@ -178,7 +176,6 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
     compact = compact.reshape(valid.shape)
     rooms: list[Room] = []
     index = np.zeros(free.shape, dtype=np.int32)  # 1 + room of each pixel
-    left = _MAX_ROOM_PIXELS
     if len(labels) > _MAX_ROOMS:
         raise FloorPlanError("valid", f"holds more than {_MAX_ROOMS} labels")
     for label, box in zip(labels, find_objects(compact + 1)):
@@ -189,9 +186,6 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
         )
         offset = np.array([box[1].start, box[0].start])
         for part in 1 + np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] * frame.resolution**2 >= _MIN_ROOM):
-            left -= parts.size
-            if left < 0 or len(rooms) >= _MAX_ROOMS:
-                raise FloorPlanError("valid", "labels more rooms than a floor of this size has: noise is no floor")
             rings = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN).rings
             if not rings:  # a few large pixels
                 continue
@@ -225,8 +219,6 @@ def _doors(index: NDArray[np.int32], rooms: list[Room], frame: _Frame) -> tuple[
         contacts.append(np.column_stack([x + (1 + dx) / 2, y + (1 + dy) / 2, pair]))
     doors = []
     table = np.vstack(contacts)
-    if len(table) > _MAX_CONTACTS:
-        raise FloorPlanError("valid", "labels rooms that touch along more than any floor's do: noise is no floor")
     for a, b in np.unique(table[:, 2:], axis=0).astype(int):
         points = table[(table[:, 2] == a) & (table[:, 3] == b), :2]
         tree = cKDTree(points)

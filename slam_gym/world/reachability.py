@@ -10,10 +10,8 @@ from scipy import ndimage
 
 from slam_gym._compile import compiled
 from slam_gym.types import Array, BoolArray, IntArray
-from slam_gym.world import boxes
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_SEGMENTS, WallIndex, pull_back, sees
-from slam_gym.world.wall_grid import Grid, Packed
+from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, Packed, WallIndex, box_distance, pull_back, sees
 
 _START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
 
@@ -68,7 +66,7 @@ def indoor(plan: FloorPlan, cells: FreeCells) -> IntArray:
     labels, centres = parts[flat], cells.centres(flat)
     indoors = np.zeros(len(flat), np.bool_)
     for room in plan.rooms:
-        _mark_inside(room.polygon, centres, indoors)
+        indoors |= room.contains(centres)
     if not plan.rooms:
         indoors = labels != parts[0]  # the ground around the plan reaches its outermost cells
     if not indoors.any():
@@ -95,7 +93,7 @@ def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearanc
         raise ValueError(f"floor plan {plan.name!r} has no free space for the robot to start in")
     for i in rng.permutation(len(cells)):
         x, y = cells[i]
-        if boxes.distance(x, y, plan.furniture) >= clearance:
+        if box_distance(x, y, plan.furniture) >= clearance:
             return np.array([x, y, rng.uniform(-math.pi, math.pi)])
     raise ValueError(f"floor plan {plan.name!r}: furniture stands within {clearance} m of every free place")
 
@@ -118,25 +116,6 @@ def _block(free: BoolArray, left: float, bottom: float, cell: float, segments: A
                 t = min(max((dx * ex + dy * ey) / length, 0.0), 1.0)
                 if (dx - t * ex) ** 2 + (dy - t * ey) ** 2 < radius * radius:
                     free[row, column] = False
-
-
-@compiled
-def _mark_inside(polygon: Array, points: Array, inside: BoolArray) -> None:
-    """`inside` |= `Room.contains` of each of `points` (c, 2), without the temporaries that numpy needs."""
-    left, right, top = math.inf, -math.inf, -math.inf
-    for k in range(len(polygon)):
-        left, right, top = min(left, polygon[k, 0]), max(right, polygon[k, 0]), max(top, polygon[k, 1])
-    for i in range(len(points)):
-        x, y, odd = points[i, 0], points[i, 1], False
-        if inside[i] or not left <= x <= right or y > top:
-            continue
-        x1, y1 = polygon[-1, 0], polygon[-1, 1]
-        for k in range(len(polygon)):
-            x2, y2 = polygon[k, 0], polygon[k, 1]
-            if (y1 > y) != (y2 > y) and x < x1 + (y - y1) * (x2 - x1) / (y2 - y1):
-                odd = not odd
-            x1, y1 = x2, y2
-        inside[i] = odd
 
 
 @compiled

@@ -15,15 +15,12 @@ import numpy as np
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.world.detection import (
     Moving,
-    PackedMeasured,
     PackedSettings,
     PackedWheels,
     in_sight,
     measure,
     noisy_ranges,
-    noticed,
     report,
-    sensed,
 )
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
@@ -141,8 +138,6 @@ class Sensor:
         self._walls = index.packed
         self._features = plan.features
         self._positions, self._pull_back = plan.features.positions, pull_back(plan.features)
-        self._polar, self._seen = np.empty((len(plan.features), 2)), np.empty(len(plan.features), np.int64)
-        self._no_kinds = np.full(self.spec.max_features, UNKNOWN_KIND)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
         self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
@@ -155,26 +150,9 @@ class Sensor:
         people: Array = NO_DISCS,
         furniture: Array = NO_SEGMENTS,
     ) -> Senses:
-        """All that a tick has to tell, as `odometry`, `scan` and `beams` one after the other would."""
-        if self.spec.kinds:  # which are drawn in between
-            odometry = self.odometry(motion, rng)
-            return Senses(odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture))
-        moving, told = (people, furniture), np.empty((4, 3))
-        if len(people):
-            self._make_room(len(people))
-        k = noticed(
-            self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), told, self._walls, pose,
-            self._positions, self._pull_back, moving, self._settings, self._polar, self._seen,
-        )  # fmt: skip
-        measurements, count = k + rng.poisson(self.spec.clutter), self.beam_spec.count
-        noise = rng.random(3 * measurements), rng.standard_normal(3 * measurements + count)
-        out, ranges = _room(measurements), np.empty(count)
-        m = sensed(
-            self._walls, pose, (k, self._polar, self._seen), self._sizes, moving, noise, self._settings,
-            self._bearings, self._finder, out, ranges,
-        )  # fmt: skip
-        beams = Beams(self._bearings.copy(), ranges, self._finder[0])
-        return Senses(Odometry(told[0], told[1:]), *_answer(pose, out, m, self._no_kinds[:m].copy()), beams)
+        """All that a tick has to tell: `odometry`, then `scan`, then `beams`."""
+        odometry = self.odometry(motion, rng)
+        return Senses(odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture))
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -186,11 +164,13 @@ class Sensor:
         """
         moving = (people, furniture)
         seen = self._in_sight(pose, moving)
-        draws = 3 * (seen[0] + rng.poisson(self.spec.clutter))
-        noise, out = (rng.random(draws), rng.standard_normal(draws)), _room(draws // 3)
+        n = seen[0] + rng.poisson(self.spec.clutter)  # measurements that there may be
+        noise = rng.random(3 * n), rng.standard_normal(3 * n)
+        out = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
         m = measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
-        kinds = self._kinds(out[4][:m], rng) if self.spec.kinds else self._no_kinds[:m].copy()
-        return _answer(pose, out, m, kinds)
+        points, covariances, sizes, size_variances, sources = (part[:m] for part in out)
+        kinds = self._kinds(sources, rng) if self.spec.kinds else np.full(m, UNKNOWN_KIND)
+        return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
 
     def in_sight(self, pose: Array, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS) -> IntArray:
         """The features (k,) of the plan in sight from `pose`, all of them, without noise."""
@@ -199,18 +179,11 @@ class Sensor:
         return found
 
     def _in_sight(self, pose: Array, moving: Moving) -> tuple[int, Array, IntArray]:
-        """What is in sight, as `measure` takes it. The arrays are used again at the next look."""
-        self._make_room(len(moving[0]))
-        k = in_sight(
-            self._walls, pose, self._positions, self._pull_back, moving, self._settings, self._polar, self._seen
-        )
-        return k, self._polar, self._seen
-
-    def _make_room(self, people: int) -> None:
-        """For all features and so many people in sight."""
-        most = len(self._positions) + people
-        if len(self._seen) < most:
-            self._polar, self._seen = np.empty((most, 2)), np.empty(most, np.int64)
+        """What is in sight, as `measure` takes it."""
+        most = len(self._positions) + len(moving[0])
+        polar, seen = np.empty((most, 2)), np.empty(most, np.int64)
+        k = in_sight(self._walls, pose, self._positions, self._pull_back, moving, self._settings, polar, seen)
+        return k, polar, seen
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
         """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""
@@ -232,15 +205,3 @@ class Sensor:
         out = np.empty((4, 3))
         report(self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
         return Odometry(out[0], out[1:])
-
-
-def _room(n: int) -> PackedMeasured:
-    """For a scan of up to n measurements."""
-    return np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
-
-
-def _answer(pose: Array, out: PackedMeasured, m: int, kinds: IntArray) -> tuple[Scan, Truth]:
-    """The scan whose m measurements stand in the first rows of `out`, and the truth behind it."""
-    points, covariances, sizes, size_variances, sources = out
-    scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
-    return scan, Truth(pose.copy(), sources[:m])

@@ -1,11 +1,9 @@
 """FloorPlan: what it accepts, and what it refuses by name."""
 
-import pickle
-
 import numpy as np
 import pytest
 
-from slam_gym.world.floor_plan import Door, Features, FloorPlan, FloorPlanError, Kind, Room
+from slam_gym.world.floor_plan import Door, Features, FloorPlan, FloorPlanError, Room
 
 SQUARE = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
 CORNERS = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
@@ -21,14 +19,6 @@ def square(**changes):
         "furniture": [[1.0, 1.0, 0.6, 0.4, 0.3]],
     }
     return FloorPlan(**{**fields, **changes})
-
-
-def test_a_plan_without_features_is_a_plan():
-    assert len(square(features=Features([], [], [])).features) == 0
-
-
-def test_bounds():
-    np.testing.assert_array_equal(square().bounds, [0.0, 0.0, 4.0, 4.0])
 
 
 def test_arrays_are_contiguous_copies():
@@ -77,11 +67,6 @@ def test_bad_geometry_is_refused_by_name(build, field, reason):
     assert reason in caught.value.reason
 
 
-def test_errors_survive_another_process():
-    error = pickle.loads(pickle.dumps(FloorPlanError("walls", "bad", "a.json")))
-    assert str(error) == "a.json: walls: bad"
-
-
 def winding(polygon, point):
     """Turns of the outline around a point: ±1 inside a simple polygon, 0 outside."""
     angles = np.arctan2(*(polygon - point).T[::-1])
@@ -98,15 +83,3 @@ def test_contains_agrees_with_the_winding_number(seed):
     points = rng.uniform(-3, 3, (300, 2))
     expected = [winding(polygon, point) != 0 for point in points]
     np.testing.assert_array_equal(Room("star", polygon).contains(points), expected)
-
-
-def test_area_and_centre_of_a_room():
-    shape = Room("L", [[0, 0], [6, 0], [6, 2], [2, 2], [2, 6], [0, 6]])
-    assert shape.area == pytest.approx(20.0)
-    assert shape.contains(shape.centre[None])[0]
-    assert min(shape.centre) > 0.7
-    np.testing.assert_allclose(Room("corridor", [[0, 0], [20, 0], [20, 2], [0, 2]]).centre, [10.0, 1.0], atol=1e-9)
-
-
-def test_kinds_have_the_names_of_the_field():
-    assert [kind.name for kind in Kind] == ["CORNER", "DOOR_JAMB", "PILLAR"]

@@ -5,11 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from slam_gym.world import boxes
-from slam_gym.world.draft import Contents
+from slam_gym.world.draft import Contents, outline
 from slam_gym.world.floor_plan import Kind
 from slam_gym.world.generators import AliasedGenerator, HallGenerator, LoopGenerator, OfficeGenerator
-from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.ray_casting import WallIndex, outlines
 from slam_gym.world.reachability import observable, reachable
 
 RADIUS = 0.2  # [m] of the robot
@@ -27,7 +26,7 @@ GENERATORS = {
     "hall-crowded": HallGenerator(contents=Contents(pilasters=0.5, pillars=120.0, furniture=30.0)),
 }
 CASES = [
-    pytest.param(generator, seed, id=f"{name}-{seed}") for name, generator in GENERATORS.items() for seed in range(4)
+    pytest.param(generator, seed, id=f"{name}-{seed}") for name, generator in GENERATORS.items() for seed in range(2)
 ]
 
 
@@ -47,10 +46,10 @@ def test_same_seed_same_plan(generator, seed):
 @pytest.mark.parametrize(("generator", "seed"), CASES)
 def test_every_room_can_be_driven_to_around_the_furniture(generator, seed):
     plan = draw(generator, seed)
-    obstructed = dataclasses.replace(plan, walls=np.vstack([plan.walls, boxes.outlines(plan.furniture)]))
+    obstructed = dataclasses.replace(plan, walls=np.vstack([plan.walls, outlines(plan.furniture)]))
     cells = reachable(obstructed, RADIUS, 0.1)
     for room in plan.rooms:
-        assert np.hypot(*(cells - room.centre).T).min() < 0.15, room.name
+        assert np.hypot(*(cells - room.polygon.mean(axis=0)).T).min() < 0.15, room.name
     for door in plan.doors:
         assert np.hypot(*(cells - door.position).T).min() < 0.15
 
@@ -67,28 +66,6 @@ def test_features_sit_on_the_walls_and_can_be_seen(generator, seed):
         on_it = np.isclose(np.hypot(*(ends - position).T), size / 2, atol=1e-9)
         assert np.count_nonzero(on_it) == 16  # the two ends of each side of an octagon
     assert observable(plan, WallIndex(plan.walls), reachable(plan, RADIUS), 6.0).all()
-
-
-@pytest.mark.parametrize(
-    ("generator", "low", "high"),
-    [(OfficeGenerator(), 100, 150), (AliasedGenerator(), 80, 260), (HallGenerator(), 45, 85)],
-)
-def test_number_of_features(generator, low, high):
-    counts = [len(draw(generator, seed).features) for seed in range(40)]
-    assert low <= np.percentile(counts, 5) and np.percentile(counts, 95) <= high
-
-
-def test_feature_density_is_a_parameter():
-    def mean(density):
-        contents = Contents(pilasters=density, pillars=0.0)
-        return np.mean([len(draw(OfficeGenerator(contents=contents), seed).features) for seed in range(10)])
-
-    assert mean(0.0) < mean(0.05) - 20 < mean(0.15) - 40
-
-
-def test_an_office_is_as_large_as_promised():
-    sizes = np.array([np.subtract(*np.split(draw(OfficeGenerator(), seed).bounds, 2)[::-1]) for seed in range(40)])
-    np.testing.assert_allclose(sizes.mean(axis=0), [22.0, 13.5], atol=2.0)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -133,3 +110,60 @@ def test_aliased_rooms_are_identical_and_equally_spaced(seed):
 def test_impossible_parameters_are_refused_by_name(build, field):
     with pytest.raises(ValueError, match=field):
         build()
+
+
+@pytest.mark.parametrize(("generator", "seed"), CASES)
+def test_each_door_has_four_jambs_of_its_width(generator, seed):
+    plan = draw(generator, seed)
+    features = plan.features
+    jamb = features.kinds == Kind.DOOR_JAMB
+    assert jamb.sum() == 4 * len(plan.doors)
+    for door in plan.doors:
+        assert 0.9 <= door.width <= 1.3
+        near = np.hypot(*(features.positions - door.position).T) < 0.5 * door.width + 0.2
+        assert near.sum() == 4 and jamb[near].all()
+        np.testing.assert_allclose(features.sizes[near], door.width)
+
+
+def random_rectangles(rng, count):
+    low = rng.integers(0, 12, (count, 2))
+    return np.hstack([low, low + rng.integers(1, 6, (count, 2))]).astype(float)
+
+
+def paint(free, blocked, size=20):
+    image = np.zeros((size, size), dtype=bool)
+    for rectangles, value in ((free, True), (blocked, False)):
+        for x1, y1, x2, y2 in rectangles.astype(int):
+            image[y1 + 1 : y2 + 1, x1 + 1 : x2 + 1] = value
+    return image
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_agrees_with_pixels(seed):
+    rng = np.random.default_rng(seed)
+    free, blocked = random_rectangles(rng, rng.integers(1, 7)), random_rectangles(rng, rng.integers(0, 4))
+    image = paint(free, blocked)
+    walls, corners, shorter = outline(free, blocked)
+
+    edges = set()  # unit edges between a free and a blocked pixel
+    for y, x in zip(*np.nonzero(image[:, 1:] != image[:, :-1])):
+        edges.add((x, y - 1, x, y))
+    for y, x in zip(*np.nonzero(image[1:] != image[:-1])):
+        edges.add((x - 1, y, x, y))
+    covered = []
+    for x1, y1, x2, y2 in walls.astype(int):
+        steps = max(x2 - x1, y2 - y1)
+        dx, dy = (x2 - x1) // steps, (y2 - y1) // steps
+        covered += [(x1 + i * dx, y1 + i * dy, x1 + (i + 1) * dx, y1 + (i + 1) * dy) for i in range(steps)]
+    assert len(covered) == len(set(covered))
+    assert set(covered) == edges
+
+    ends = {tuple(end) for end in walls.reshape(-1, 2)}
+    assert ends == {tuple(corner) for corner in corners}
+    assert len(ends) == len(corners)
+    for corner, length in zip(corners, shorter):
+        meeting = walls[(walls[:, :2] == corner).all(axis=1) | (walls[:, 2:] == corner).all(axis=1)]
+        lengths = np.abs(meeting[:, 2:] - meeting[:, :2]).sum(axis=1)
+        level = meeting[:, 1] == meeting[:, 3]
+        assert len(meeting) in (2, 4) and level.sum() == len(meeting) // 2  # an L, or two of them at a diagonal
+        assert length == lengths.min()

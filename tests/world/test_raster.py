@@ -1,12 +1,11 @@
 """Occupancy images become floor plans: exact where the image is, drivable where the building is real."""
 
 import gzip
-import sys
 
 import numpy as np
 import pytest
 
-from slam_gym.world.contours import thinned
+from slam_gym.world.contours import corners, thinned
 from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import FloorPlanError, Kind
 from slam_gym.world.floor_plan_file import load_floor_plan
@@ -118,20 +117,6 @@ def test_outside_and_unknown_do_not_count():
     np.testing.assert_allclose(from_raster(only, PIXEL).bounds, [0, 0, 3, 3], atol=1e-9)
 
 
-def test_what_only_a_crack_joins_to_the_floor_is_dropped():
-    image = blank(200, 140)
-    image[100:110] = 0
-    image[100:110, 60:66] = 254  # 0.3 m wide
-    plan = from_raster(image, PIXEL)
-    assert plan.rooms[0].area == pytest.approx(6.0 * 4.5, abs=0.3)
-    image[100:110, 60:80] = 254
-    assert from_raster(image, PIXEL).rooms[0].area == pytest.approx(6.0 * 8.5 + 0.5)
-
-
-def test_bool_images_are_free_where_true():
-    np.testing.assert_array_equal(from_raster(blank() > 0, PIXEL).walls, from_raster(blank(), PIXEL).walls)
-
-
 @pytest.fixture(scope="module")
 def floors(data_dir):
     return {name: load_floor_plan(data_dir / "kth_floorplans" / f"{name}_occ_map.npy.gz", 0.1) for name in KTH}
@@ -182,6 +167,9 @@ def test_willow_garage_can_be_driven(data_dir):
         (blank(), PIXEL, np.ones((3, 3), int), "valid"),
         (blank(), PIXEL, blank() / 2.0, "valid"),
         (blank(), PIXEL, np.zeros((100, 140), int), "no free space"),
+        (np.full((1000, 1000), 254, np.uint8), 0.002, None, "resolution: is too fine .* scale the image to 0.00"),
+        (np.full((4097, 4097), 254, np.uint8), 0.05, None, "occupancy: has more than 16 million pixels"),
+        (np.full((200, 200), 254, np.uint8), 1.0, 1 + np.arange(40_000).reshape(200, 200), "more than 2000 labels"),
     ],
 )
 def test_bad_images_are_refused_by_name(image, resolution, valid, message):
@@ -189,24 +177,22 @@ def test_bad_images_are_refused_by_name(image, resolution, valid, message):
         from_raster(image, resolution, valid=valid)
 
 
-@pytest.mark.parametrize(
-    ("image", "resolution", "valid", "message"),
-    [
-        (np.full((1000, 1000), 254, np.uint8), 0.002, None, "resolution: is too fine .* scale the image to 0.00"),
-        (np.full((4097, 4097), 254, np.uint8), 0.05, None, "occupancy: has more than 16 million pixels"),
-        (np.where(np.random.default_rng(0).random((1000, 1000)) < 0.9, 254, 0).astype(np.uint8), 0.05,
-         np.ones((1000, 1000), int), "occupancy: its outlines are too many"),
-        (np.tile(np.eye(2, dtype=np.uint8) * 254, (500, 500)), 0.05, np.ones((1000, 1000), int), "no floor|no free"),
-        (np.full((200, 200), 254, np.uint8), 1.0, 1 + np.arange(40_000).reshape(200, 200), "more than 2000 labels"),
-        (np.full((200, 200), 254, np.uint8), 1.0, 1 + np.indices((200, 200)).sum(axis=0) % 2, "valid: "),
-    ],
-)  # fmt: skip
-def test_what_would_take_minutes_is_refused_at_once(image, resolution, valid, message):
-    with pytest.raises(FloorPlanError, match=message):
-        from_raster(image, resolution, valid=valid)
+def test_corners_ignore_small_steps_and_keep_thin_wall_ends():
+    stepped = np.array([[0, 0], [5, 0], [5, 0.1], [10, 0.1], [10, 5], [0, 5]])
+    assert len(corners(stepped)[0]) == 4
+    thin = np.array([[0, 0], [10, 0], [10, 5], [5.1, 5], [5.1, 3], [5.0, 3], [5.0, 5], [0, 5]])
+    found = corners(thin)[0]
+    assert len(found) == 7 - 1  # four corners of the room, the wall's end, and one of the two at its foot
+    assert np.hypot(*(found - [5.05, 3.0]).T).min() <= 0.06
 
 
-def test_without_opencv_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(ImportError, match=r"slam_gym\[maps\]"):
-        from_raster(blank(), PIXEL)
+@pytest.mark.parametrize("seed", range(5))
+def test_of_points_too_close_to_each_other_the_heavier_stays(seed):
+    rng = np.random.default_rng(seed)
+    points, weights = rng.uniform(0.0, 3.0, (80, 2)), rng.permutation(80).astype(float)
+    kept = thinned(points, weights)
+    apart = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
+    assert (apart[np.ix_(kept, kept)] + np.eye(len(kept)) >= 0.3).all()
+    for dropped in np.setdiff1d(np.arange(80), kept):
+        assert (weights[kept[apart[dropped, kept] < 0.3]] > weights[dropped]).any()
+    assert thinned(np.empty((0, 2)), np.empty(0)).shape == (0,)

@@ -4,9 +4,8 @@ import numpy as np
 import pymunk
 import pytest
 
-from slam_gym.bench.speed.sight import floor
 from slam_gym.world.floor_plan import Features, Kind
-from slam_gym.world.ray_casting import WallIndex, pull_back
+from slam_gym.world.ray_casting import WallIndex, box_distance, outlines, pull_back
 
 ROOM = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], float)
 NO_WALLS = np.empty((0, 4))
@@ -52,21 +51,6 @@ def test_no_ray_leaves_a_closed_room_through_its_corners():
     for origin in rng.uniform(-2, 2, (50, 2)):
         angles = np.arctan2(*(outline - origin).T[::-1])
         assert index.cast(origin, angles, 50.0).max() < 10.0
-
-
-def test_ranges_in_a_rectangular_room():
-    index = WallIndex(ROOM)
-    angles = np.array([0.0, np.pi / 2, np.pi, -np.pi, -np.pi / 2, np.arctan2(1.5, 3.0)])
-    np.testing.assert_allclose(
-        index.cast(np.array([1.0, 1.5]), angles, 20.0), [3, 1.5, 1, 1, 1.5, np.hypot(3, 1.5)], atol=1e-12
-    )
-    np.testing.assert_array_equal(index.cast(np.array([1.0, 1.5]), angles, 0.5), np.full(6, 0.5))
-
-
-def test_nothing_is_hit_where_there_is_nothing():
-    angles = np.linspace(-3, 3, 7)
-    np.testing.assert_array_equal(WallIndex(NO_WALLS).cast(np.array([3.0, 4.0]), angles, 6.0), np.full(7, 6.0))
-    np.testing.assert_array_equal(WallIndex(ROOM).cast(np.array([30.0, 4.0]), angles, 6.0), np.full(7, 6.0))
 
 
 def test_a_disc_around_the_origin_is_not_seen():
@@ -117,16 +101,39 @@ def test_features_are_seen_past_their_own_walls():
     )  # the pillar hides the corner behind it
 
 
-def test_a_target_within_the_pull_back_is_visible():
-    np.testing.assert_array_equal(WallIndex(ROOM).visible(np.ones(2), np.ones((1, 2)), np.full(1, 0.1)), [True])
+@pytest.mark.parametrize("cell", [0.11, 0.7, 3.0, 100.0])
+def test_size_of_the_cells_does_not_matter(cell):
+    rng = np.random.default_rng(7)
+    walls = np.vstack([random_walls(rng), np.round(random_walls(rng) / cell) * cell])  # many along cell borders
+    one_by_one, index = WallIndex(np.zeros((1, 4))), WallIndex(walls, cell)
+    angles = np.concatenate([rng.uniform(-np.pi, np.pi, 60), np.arange(8) * np.pi / 4])
+    for origin in np.vstack([rng.uniform(-3, 18, (30, 2)), np.round(rng.uniform(0, 15, (30, 2)) / cell) * cell]):
+        brute_force = one_by_one.cast(origin, angles, 9.0, segments=walls)
+        np.testing.assert_allclose(index.cast(origin, angles, 9.0), brute_force, rtol=0, atol=1e-12)
 
 
-def test_the_floors_of_the_benchmark_are_what_it_says():
-    for rows, columns, segments in ((5, 5, 100), (25, 50, 5000)):
-        plan = floor(rows, columns)
-        assert len(plan.walls) == segments
-        assert np.all(np.isin(plan.features.positions, plan.walls.reshape(-1, 2)))
-        np.testing.assert_array_equal(plan.bounds, [0, 0, 5 * columns, 5 * rows])
-    middle, straight = np.array([7.5, 7.5]), np.arange(4) * np.pi / 2
-    np.testing.assert_allclose(WallIndex(plan.walls).cast(middle, straight, 6.0), 6.0, err_msg="doors all around")
-    np.testing.assert_allclose(WallIndex(plan.walls).cast(middle, straight + 0.3, 6.0), 2.5 / np.cos(0.3))
+@pytest.mark.parametrize(
+    ("walls", "cell", "message"),
+    [
+        (np.zeros((3, 3)), 1.0, r"shape \(s, 4\)"),
+        (np.array([[0, 0, 1, 1], [0, np.nan, 1, 1]]), 1.0, r"walls\[1\] is not finite"),
+        (ROOM, 0.0, "cell must be a positive length"),
+        (ROOM, np.nan, "cell must be a positive length"),
+    ],
+)
+def test_bad_walls_are_refused_by_name(walls, cell, message):
+    with pytest.raises(ValueError, match=message):
+        WallIndex(walls, cell)
+
+
+def test_box_outlines_and_distances():
+    box = np.array([[1.0, 2.0, 4.0, 2.0, np.pi / 2]])
+    corners = {tuple(np.round(side[:2], 9)) for side in outlines(box)}
+    assert corners == {(0.0, 0.0), (2.0, 0.0), (2.0, 4.0), (0.0, 4.0)}
+    sides = outlines(box)
+    np.testing.assert_allclose(sides[:, 2:], np.roll(sides[:, :2], -1, axis=0))
+    area = 0.5 * np.sum(sides[:, 0] * sides[:, 3] - sides[:, 2] * sides[:, 1])
+    assert area == pytest.approx(8.0), "counter-clockwise"
+    for point, distance in (((1, 2), 0), ((3, 2), 1), ((1, -1), 1), ((5, 8), 5)):
+        assert box_distance(*map(float, point), box) == pytest.approx(distance, abs=1e-12)
+    assert box_distance(0.0, 0.0, np.empty((0, 5))) == np.inf

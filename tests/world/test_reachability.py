@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from slam_gym.world import boxes
 from slam_gym.world.floor_plan import Features, FloorPlan, Room
-from slam_gym.world.ray_casting import WallIndex, pull_back
-from slam_gym.world.reachability import _mark_inside, free_cells, free_start, observable, reachable
+from slam_gym.world.ray_casting import WallIndex, box_distance, outlines, pull_back
+from slam_gym.world.reachability import free_cells, free_start, observable, reachable
 
 NO_FEATURES = Features(np.empty((0, 2)), np.empty(0), np.empty(0))
 
@@ -73,9 +72,9 @@ def test_a_disc_can_move_straight_between_neighbouring_cells():
 
 def test_free_cells_keep_their_distance_from_walls_and_obstacles():
     plan, furniture = two_rooms(0.9), np.array([[3.0, 2.5, 1.0, 0.6, 0.5]])
-    cells = free_cells(plan, 0.3, 0.1, boxes.outlines(furniture))
+    cells = free_cells(plan, 0.3, 0.1, outlines(furniture))
     centres = cells.centres(np.flatnonzero(cells.free))
-    index = WallIndex(np.vstack([plan.walls, boxes.outlines(furniture)]))
+    index = WallIndex(np.vstack([plan.walls, outlines(furniture)]))
     angles = np.linspace(-np.pi, np.pi, 180)
     for centre in centres[:: len(centres) // 200]:
         assert index.cast(centre, angles, 5.0).min() >= 0.3 - 1e-9
@@ -112,11 +111,11 @@ def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor():
     plan, rng = two_rooms(0.9, furniture=furniture), np.random.default_rng(4)
     cells = reachable(plan, 0.2)
     starts = np.array([free_start(plan, cells, rng) for _ in range(300)])
-    outlines = WallIndex(np.vstack([plan.walls, boxes.outlines(furniture)]))
+    index = WallIndex(np.vstack([plan.walls, outlines(furniture)]))
     angles = np.linspace(-np.pi, np.pi, 120)
     for start in starts:
-        assert outlines.cast(start[:2], angles, 3.0).min() >= 0.2 - 1e-9
-        assert boxes.distance(start[0], start[1], furniture) >= 0.3
+        assert index.cast(start[:2], angles, 3.0).min() >= 0.2 - 1e-9
+        assert box_distance(start[0], start[1], furniture) >= 0.3
     assert (starts[:, 0] > 6).mean() == pytest.approx(0.4, abs=0.1), "cells are equally likely"
     assert np.abs(starts[:, 2]).max() > 3.0 and np.abs(starts[:, 2]).min() < 0.1
     again = free_start(plan, cells, np.random.default_rng(8))
@@ -133,13 +132,3 @@ def test_a_floor_full_of_furniture_has_no_start():
 def test_lengths_that_are_none_are_refused(radius, cell):
     with pytest.raises(ValueError, match="radius and cell must be positive"):
         reachable(two_rooms(0.9), radius, cell)
-
-
-def test_rooms_hold_the_same_points_compiled_as_plain():
-    rng = np.random.default_rng(6)
-    for corners in range(3, 30):
-        turn = np.sort(rng.uniform(0, 2 * np.pi, corners))
-        polygon = np.column_stack([np.cos(turn), np.sin(turn)]) * rng.uniform(1, 5, (corners, 1))
-        points, inside = rng.uniform(-5, 5, (400, 2)), np.zeros(400, bool)
-        _mark_inside(polygon, points, inside)
-        np.testing.assert_array_equal(inside, Room("star", polygon).contains(points))

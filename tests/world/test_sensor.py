@@ -1,15 +1,15 @@
 """What the robot senses: noise as declared, truth as it is, and no way to tell the spurious from the rest."""
 
+import itertools
+
 import numpy as np
 import pytest
 
-from slam_gym.geometry import relative
-from slam_gym.types import SPURIOUS, UNKNOWN_KIND
-from slam_gym.world import boxes
+from slam_gym.geometry import observe, relative, transform
+from slam_gym.types import SPURIOUS
 from slam_gym.world.floor_plan import Features, FloorPlan, Kind, Room
-from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.physics import DynamicsSpec, Motion, RobotSpec, World
-from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.ray_casting import WallIndex, pull_back
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, Sensor, SensorSpec
 
 SIDE = 40.0
@@ -48,14 +48,6 @@ def nees(errors, covariances):
 def chi_square_band(dof, count):
     """Where the mean of `count` draws of χ²_dof lies, at four standard deviations."""
     return dof - 4 * np.sqrt(2 * dof / count), dof + 4 * np.sqrt(2 * dof / count)
-
-
-def test_bearings_cut_the_field_of_view_into_equal_parts():
-    around = sensor_in(plan_with([]), beams=BeamSpec(count=40)).beams(POSE, np.random.default_rng(0)).bearings
-    np.testing.assert_allclose(np.diff(around), 2 * np.pi / 40)
-    assert around[0] + np.pi == pytest.approx(np.pi - around[-1]) == pytest.approx(np.pi / 40)
-    ahead = sensor_in(plan_with([]), beams=BeamSpec(count=3, field_of_view=1.2)).beams(POSE, np.random.default_rng(0))
-    np.testing.assert_allclose(ahead.bearings, [-0.4, 0, 0.4], atol=1e-12)
 
 
 def motion_of(dx, dy, turn, contact=False):
@@ -136,33 +128,148 @@ def test_kinds_are_those_of_the_features_and_tell_nothing_of_what_is_spurious():
     np.testing.assert_allclose(shares, np.bincount(kinds, minlength=3) / len(kinds), atol=0.06)
 
 
-def test_a_detector_that_cannot_tell_kinds_hands_out_the_same_scans_without_them():
-    plan = scattered()
-    plain, told = (sensor_in(plan, SensorSpec(kinds=k)).scan(POSE, np.random.default_rng(3))[0] for k in (False, True))
-    assert (plain.kinds == UNKNOWN_KIND).all()
-    np.testing.assert_array_equal(plain.points, told.points)
+@pytest.mark.parametrize("heading", [0.0, 2.5, np.pi, -np.pi + 1e-9])
+def test_measurement_noise_is_what_its_covariance_says(heading):
+    plan, rng, pose = scattered(), np.random.default_rng(1), np.array([20.0, 20.0, heading])
+    sensor, errors, covariances, size_errors = sensor_in(plan), [], [], []
+    for _ in range(200):
+        scan, truth = sensor.scan(pose, rng)
+        errors.append(scan.points - observe(pose, plan.features.positions[truth.sources]))
+        covariances.append(scan.covariances)
+        size_errors.append((scan.sizes - plan.features.sizes[truth.sources]) / np.sqrt(scan.size_variances))
+    errors, covariances = np.concatenate(errors), np.concatenate(covariances)
+    np.testing.assert_array_equal(covariances, covariances.transpose(0, 2, 1))
+    assert np.linalg.eigvalsh(covariances).min() > 0
+    distances, count = nees(errors, covariances), len(errors)
+    low, high = chi_square_band(2, count)
+    assert low * 0.99 < distances.mean() < high * 1.01  # covariances are those of the measured range, not of the true
+    assert (distances > 9.21).mean() == pytest.approx(0.01, abs=0.005)
+    low, high = chi_square_band(1, count)
+    assert low < np.mean(np.concatenate(size_errors) ** 2) < high
 
 
-@pytest.mark.parametrize("kinds", [False, True])
-def test_all_senses_at_once_tell_what_they_tell_one_after_the_other(kinds: bool) -> None:
-    plan = OfficeGenerator()(np.random.default_rng(3))
-    sensor = Sensor(plan, WallIndex(plan.walls), SensorSpec(kinds=kinds, clutter=1.0))
-    furniture, people = boxes.outlines(plan.furniture), np.array([[3.0, 3.0, 0.25]])
-    one, other = np.random.default_rng(4), np.random.default_rng(4)
-    for k in range(40):
-        pose, motion = np.array([0.5 * k, 0.4 * k, 0.3 * k]), motion_of(0.1, 0.01 * k, 0.02, k % 3 == 0)
-        senses = sensor.sense(motion, pose, one, people, furniture)
-        odometry, (scan, truth) = sensor.odometry(motion, other), sensor.scan(pose, other, people, furniture)
-        beams = sensor.beams(pose, other, people, furniture)
-        for given, expected in zip(senses, (odometry, scan, truth, beams)):
-            for name in expected.__slots__:
-                np.testing.assert_array_equal(getattr(given, name), getattr(expected, name))
-
-
-def test_what_is_in_sight_is_what_a_detector_without_a_flaw_reports() -> None:
-    plan = scattered(seed=4)
+def test_all_that_is_in_sight_is_measured_once_by_rising_bearing():
+    plan, rng = scattered(), np.random.default_rng(3)
     sensor = sensor_in(plan)
-    _, truth = sensor.scan(POSE, np.random.default_rng(0))
-    found = sensor.in_sight(POSE)
-    assert 0 < len(found) < len(plan.features)
-    assert sorted(found) == sorted(truth.sources)
+    for heading in np.linspace(-np.pi, np.pi, 9):
+        pose = np.array([20.0, 20.0, heading])
+        scan, truth = sensor.scan(pose, rng)
+        offsets = plan.features.positions - pose[:2]
+        expected = np.flatnonzero(np.hypot(*offsets.T) <= 8.0)
+        np.testing.assert_array_equal(np.sort(truth.sources), expected)
+        bearings = np.arctan2(*scan.points.T[::-1])
+        assert np.all(np.diff(bearings) >= 0)
+        np.testing.assert_array_equal(truth.pose, pose)
+
+
+def test_a_feature_straight_behind_does_not_break_at_pi():
+    """Noise throws its bearing to both sides of ±π: the points stay around the feature."""
+    sensor, rng = sensor_in(plan_with([[15, 20]])), np.random.default_rng(5)
+    points = np.array([sensor.scan(np.array([20.0, 20.0, 0.0]), rng)[0].points[0] for _ in range(500)])
+    np.testing.assert_allclose(points.mean(axis=0), [-5, 0], atol=0.02)
+    assert points[:, 1].min() < -0.05 and points[:, 1].max() > 0.05
+
+
+def test_walls_furniture_and_people_hide_features():
+    plan = plan_with([[25, 20], [20, 25], [15, 20], [20, 15]], inner=[(22, 18, 22, 22)])
+    sensor, rng, pose = sensor_in(plan), np.random.default_rng(6), np.array([20.0, 20.0, 0.3])
+    np.testing.assert_array_equal(np.sort(sensor.scan(pose, rng)[1].sources), [1, 2, 3])
+    people, furniture = np.array([[20.0, 22.0, 0.25]]), np.array([[17.0, 19.0, 17.0, 21.0]])
+    spec = SensorSpec(**{**vars(CLEAN), "person_detection": 0.0})
+    hidden = sensor_in(plan, spec).scan(pose, rng, people, furniture)[1]
+    np.testing.assert_array_equal(hidden.sources, [3])
+
+
+def test_detection_clutter_and_people_come_at_their_rates():
+    plan, rng = scattered(count=30), np.random.default_rng(7)
+    spec = SensorSpec(
+        clutter=1.5, detection=0.7, person_detection=0.4, max_features=1000, field_of_view=2 * np.pi, range=12.0
+    )
+    sensor, people = sensor_in(plan, spec), np.array([[22.0, 20.0, 0.25]])
+    in_sight = sensor_in(plan, SensorSpec(**{**vars(spec), "detection": 1.0})).scan(POSE, rng, people)[1].sources
+    in_sight = np.unique(in_sight[in_sight >= 0])
+    seen = np.zeros(30)
+    clutter, person = [], []
+    for _ in range(2000):
+        scan, truth = sensor.scan(POSE, rng, people)
+        seen[truth.sources[truth.sources >= 0]] += 1
+        spurious = transform(POSE, scan.points[truth.sources == SPURIOUS])
+        at_person = np.abs(np.hypot(*(spurious - [22.0, 20.0]).T) - 0.25) < 0.15
+        clutter.append(len(spurious))
+        person.append(at_person.sum())
+    np.testing.assert_allclose(seen[in_sight] / 2000, 0.7, atol=0.05)
+    assert seen.sum() == seen[in_sight].sum()
+    assert np.mean(person) == pytest.approx(0.4, abs=0.05)
+    assert np.mean(clutter) == pytest.approx(1.9, abs=0.12)
+    assert np.var(clutter) == pytest.approx(1.5 + 0.4 * 0.6, rel=0.15), "Poisson, and a coin"
+
+
+def test_clutter_lies_in_line_of_sight_and_spreads_evenly_over_the_area():
+    plan, rng = plan_with([], inner=[(20, 24, 24, 20)]), np.random.default_rng(8)
+    spec = SensorSpec(clutter=20.0, max_features=1000, field_of_view=np.pi, range=6.0)
+    sensor, index, pose = sensor_in(plan, spec), WallIndex(plan.walls), np.array([20.0, 20.0, 0.0])
+    person = np.array([[20.0, 17.0, 0.5]])
+    points = np.concatenate([sensor.scan(pose, rng, person)[0].points for _ in range(200)])
+    ranges, bearings = np.hypot(*points.T), np.arctan2(*points.T[::-1])
+    free = np.array([index.cast(pose[:2], angle[None], 6.0, person)[0] for angle in bearings[:, None][:, 0]])
+    assert np.all(ranges <= free + 0.2)  # the person's own measurements carry noise
+    assert np.abs(bearings).max() <= np.pi / 2 + 0.05
+    open_side = (bearings < -0.1) & (bearings > -1.2)
+    assert np.mean(ranges[open_side] ** 2 / 36) == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_spurious_size_is_that_of_some_feature():
+    plan, rng = plan_with([[10, 10], [30, 30]], sizes=[0.3, 2.0]), np.random.default_rng(9)
+    spec = SensorSpec(clutter=10.0, max_features=1000, size_sigma=0.02)
+    sizes = np.concatenate([sensor_in(plan, spec).scan(POSE, rng)[0].sizes for _ in range(100)])
+    assert np.all((np.abs(sizes - 0.3) < 0.1) | (np.abs(sizes - 2.0) < 0.1))
+    assert (sizes > 1).mean() == pytest.approx(0.5, abs=0.07)
+
+
+def test_only_the_nearest_are_kept_when_there_are_too_many():
+    plan, rng = scattered(count=100), np.random.default_rng(10)
+    for limit in (0, 1, 7, 20):
+        spec = SensorSpec(**{**vars(CLEAN), "max_features": limit, "range_sigma": 1e-9, "range_sigma_ratio": 0.0})
+        scan, truth = sensor_in(plan, spec).scan(POSE, rng)
+        nearest = np.argsort(np.hypot(*(plan.features.positions - POSE[:2]).T))[:limit]
+        np.testing.assert_array_equal(np.sort(truth.sources), np.sort(nearest))
+        assert len(scan) == len(truth) == limit
+        assert scan.points.shape == (limit, 2) and scan.covariances.shape == (limit, 2, 2)
+
+
+def test_pillars_are_measured_at_their_centre():
+    turn = np.linspace(0, 2 * np.pi, 9)
+    outline = np.array([23.0, 20.0]) + 0.3 * np.column_stack([np.cos(turn), np.sin(turn)])
+    plan = plan_with([[23, 20]], [0.6], [Kind.PILLAR], inner=[(*a, *b) for a, b in itertools.pairwise(outline)])
+    sensor, rng = sensor_in(plan), np.random.default_rng(11)
+    scans = [sensor.scan(np.array([20.0, 20.0, 0.0]), rng)[0] for _ in range(200)]
+    np.testing.assert_allclose(np.mean([scan.points[0] for scan in scans], axis=0), [3, 0], atol=0.02)
+    assert np.mean([scan.sizes[0] for scan in scans]) == pytest.approx(0.6, abs=0.02)
+    assert pull_back(plan.features)[0] > 0.3
+
+
+def test_the_same_generator_state_gives_the_same_scan_and_arrays_are_fresh():
+    sensor, people = sensor_in(scattered(), SensorSpec(clutter=2.0)), np.array([[21.0, 21.0, 0.25]])
+    (first, truth), (second, _) = (sensor.scan(POSE, np.random.default_rng(12), people) for _ in range(2))
+    np.testing.assert_array_equal(first.points, second.points)
+    assert not np.shares_memory(first.points, second.points)
+    assert not np.shares_memory(truth.pose, POSE)
+    one, other = (sensor.beams(POSE, np.random.default_rng(12), people) for _ in range(2))
+    np.testing.assert_array_equal(one.ranges, other.ranges)
+    assert not np.shares_memory(one.bearings, other.bearings)
+
+
+def test_beams_measure_what_comes_first():
+    plan, rng = plan_with([], inner=[(23, 10, 23, 30)]), np.random.default_rng(13)
+    person, box = np.array([[18.0, 20.0, 0.5]]), np.array([[19.0, 22.0, 21.0, 22.0]])
+    sensor = sensor_in(plan, beams=BeamSpec(count=36, range=6.0, sigma=0.05))
+    sweeps = [sensor.beams(POSE, rng, person, box) for _ in range(1500)]
+    ranges, bearings = np.array([beams.ranges for beams in sweeps]), sweeps[0].bearings
+    true = WallIndex(plan.walls).cast(POSE, POSE[2] + bearings, 6.0, person, box)
+    hit = true < 6.0
+    assert 10 < hit.sum() < 30
+    np.testing.assert_array_equal(ranges[:, ~hit], 6.0)
+    well_within = hit & (true < 5.7)
+    np.testing.assert_allclose(ranges[:, well_within].mean(axis=0), true[well_within], atol=0.007)
+    np.testing.assert_allclose(ranges[:, well_within].std(axis=0), 0.05, rtol=0.1)
+    assert ranges.min() >= 0 and ranges.max() <= 6.0 and sweeps[0].max_range == 6.0
