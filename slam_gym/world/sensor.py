@@ -168,9 +168,10 @@ class Sensor:
         noise = rng.random(3 * n), rng.standard_normal(3 * n)
         out = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
         m = measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
-        points, covariances, sizes, size_variances, sources = (part[:m] for part in out)
-        kinds = self._kinds(sources, rng) if self.spec.kinds else np.full(m, UNKNOWN_KIND)
-        return Scan(points, covariances, sizes, size_variances, kinds), Truth(pose.copy(), sources)
+        points, covariances, sizes, size_variances, sources = out
+        kinds = self._kinds(sources[:m], rng) if self.spec.kinds else np.full(m, UNKNOWN_KIND)
+        scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
+        return scan, Truth(pose.copy(), sources[:m])
 
     def in_sight(self, pose: Array, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS) -> IntArray:
         """The features (k,) of the plan in sight from `pose`, all of them, without noise."""
