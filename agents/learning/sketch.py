@@ -24,8 +24,7 @@ from slam_gym.simulation.driver import APART, ARRIVED, is_free, way_to
 from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.goals import SLOTS, WORTH_SEEING, Goals, Tried, clearances, frontiers_on_offer
 from slam_gym.types import Array, Beams, BoolArray, IntArray
-from slam_gym.world.ray_casting import WallIndex, cast, pull_back, sees
-from slam_gym.world.wall_grid import Grid, Packed
+from slam_gym.world.ray_casting import Grid, Packed, WallIndex, cast, pull_back, sees
 
 STRETCH, SPEED = 4, 0.095  # [ticks] between looks, and [m/tick] along a path
 TURN, FREE_TURN = 4.0, 0.3  # [ticks/rad] for what a path turns by at once, but for so much [rad]
