@@ -106,20 +106,6 @@ def test_points_are_carried_along(a: Array, b: Array) -> None:
     np.testing.assert_allclose(g.observe(a, g.transform(a, points)), points, rtol=0, atol=1e-12)
 
 
-def test_no_points_are_no_trouble() -> None:
-    none = np.empty((0, 2))
-    assert g.transform(POSES[0], none).shape == g.observe(POSES[0], none).shape == (0, 2)
-    assert g.rotate_covariances(0.3, np.empty((0, 2, 2))).shape == (0, 2, 2)
-
-
-def test_arguments_are_left_alone() -> None:
-    a, b, points = POSES[0].copy(), POSES[1].copy(), np.ones((2, 2))
-    for function in (g.compose, g.relative, g.compose_jacobians):
-        function(a, b)
-    g.inverse(a), g.transform(a, points), g.observe(a, points)
-    assert np.array_equal(a, POSES[0]) and np.array_equal(b, POSES[1]) and np.all(points == 1)
-
-
 # --- Jacobians --------------------------------------------------------------------------------------------------------
 
 

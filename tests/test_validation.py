@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.bench.soak.checks import check_map
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Odometry, Scan
 from slam_gym.validation import check_hypothesis, check_scan, one_of
@@ -26,16 +25,11 @@ def scan_with(covariance=None, **fields) -> Scan:
     ("scan", "message"),
     [
         (scan_with(points=np.array([[1, 0], [np.nan, 1], [0, 0]])), "measurement 1: points are not finite"),
-        (scan_with(points=np.array([[1, 0], [0, -np.inf], [0, 0]])), "measurement 1: points are not finite"),
         (scan_with([[np.inf, 0], [0, 1]]), "measurement 1: covariance is not finite"),
-        (scan_with([[1, np.nan], [np.nan, 1]]), "measurement 1: covariance is not finite"),
         (scan_with([[1, 0.1], [0.2, 1]]), "measurement 1: covariance is not symmetric"),
         (scan_with([[-1, 0], [0, 1]]), "measurement 1: covariance is not PSD"),
-        (scan_with([[1, 0], [0, -1]]), "measurement 1: covariance is not PSD"),
         (scan_with([[1, 2], [2, 1]]), "measurement 1: covariance is not PSD"),
-        (scan_with([[1, 2e-6], [2e-6, 1e-12]]), "measurement 1: covariance is not PSD"),
         (scan_with(np.diag([1e-12, 1e12])), "measurement 1: covariance has a condition number"),
-        (scan_with(np.diag([1.0, 0.0])), "measurement 1: covariance has a condition number"),
     ],
 )
 def test_a_bad_measurement_is_named_with_its_fault(scan: Scan, message: str) -> None:
@@ -43,29 +37,16 @@ def test_a_bad_measurement_is_named_with_its_fault(scan: Scan, message: str) -> 
         check_scan(scan)
 
 
-def test_of_several_bad_measurements_the_first_is_named() -> None:
-    scan = scan_with(-np.eye(2))
-    scan.points[2] = np.nan
-    with pytest.raises(ValueError, match="measurement 1"):
-        check_scan(scan)
-
-
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
         ({"points": np.zeros((3, 3))}, r"Scan.points: shape \(3, 3\), expected \(m, 2\)"),
-        ({"points": np.zeros(3)}, r"Scan.points: shape \(3,\)"),
         ({"points": np.zeros((2, 2))}, r"Scan.covariances: shape \(3, 2, 2\), expected \(2, 2, 2\)"),
-        ({"covariances": np.zeros((3, 2))}, r"Scan.covariances: shape \(3, 2\)"),
         ({"sizes": np.zeros(2)}, r"Scan.sizes, Scan.size_variances, Scan.kinds: shapes \(2,\), \(3,\), \(3,\)"),
-        ({"size_variances": np.zeros((3, 1))}, r"shapes \(3,\), \(3, 1\), \(3,\)"),
         ({"points": [[1, 0], [2, 1], [0, 3]]}, "Scan.points: list, expected an array of float64"),
-        ({"points": np.zeros((3, 2), np.float32)}, "Scan.points: float32, expected an array of float64"),
         ({"covariances": np.zeros((3, 2, 2), int)}, "Scan.covariances: int64, expected an array of float64"),
         ({"sizes": None}, "Scan.sizes: NoneType, expected an array of float64"),
-        ({"size_variances": np.full(3, "1")}, "Scan.size_variances: <U1, expected an array of float64"),
         ({"kinds": np.zeros(3)}, "Scan.kinds: float64, expected an array of int64"),
-        ({"kinds": np.zeros(4, np.int64)}, r"shapes \(3,\), \(3,\), \(4,\)"),
     ],
 )
 def test_what_is_no_array_of_that_shape_is_named(fields, message: str) -> None:
@@ -113,13 +94,9 @@ def hypothesis(features, **fields) -> Hypothesis:
     ("features", "message"),
     [
         (np.array([0]), r"hypothesis.features: int64 of shape \(1,\), expected \(3,\) signed integers"),
-        (np.array([[0, 1, 2]]), r"hypothesis.features: int64 of shape \(1, 3\)"),
         (np.array([0.0, 1.0, 2.0]), "hypothesis.features: float64"),
         (np.array([0, 1, 2], np.uint8), "hypothesis.features: uint8"),
-        (np.array([True, False, False]), "hypothesis.features: bool"),
-        (np.array(["0", "1", "2"]), "hypothesis.features: <U1"),
         ([0, 1, 2], "hypothesis.features: list, expected"),
-        (None, "hypothesis.features: NoneType"),
         (np.array([0, 5, 1]), r"hypothesis.features\[1\]: 5, expected −1 … 4"),
         (np.array([0, 1, -2]), r"hypothesis.features\[2\]: -2, expected −1 … 4"),
         (np.array([3, UNPAIRED, 3]), r"hypothesis.features\[2\]: feature 3 is paired twice"),
@@ -136,7 +113,6 @@ def test_decisions_that_do_not_fit_are_named(features, message: str) -> None:
         np.array([True, False]),
         np.array([1, 0, 0]),
         np.array([True, False, False]),
-        np.array([[False] * 3]),
         [False, True, False],
     ],
 )
@@ -161,26 +137,15 @@ def test_what_fits_is_handed_back_as_it_is() -> None:
     assert check_hypothesis(hypothesis(np.empty(0, np.int64)), 0, 0).pairings == 0
 
 
-class Shouting(np.ndarray):
-    """An array that answers in its own way."""
-
-    def __getitem__(self, key):
-        return 10**6
-
-    def copy(self, order="C"):
-        raise RuntimeError("not to be copied")
-
-
 @pytest.mark.parametrize(
     "features",
     [
         np.array([2, -1, 0], np.int8),
         np.array([2, -1, 0], ">i4"),
-        np.array([2, -1, 0]).view(Shouting),
         np.array([2, 7, -1, 7, 0, 7])[::2],
         np.frombuffer(np.array([2, -1, 0]).tobytes(), np.int64),
     ],
-    ids=["int8", "another byte order", "subclass", "every second", "read-only"],
+    ids=["int8", "another byte order", "every second", "read-only"],
 )
 def test_integers_of_another_sort_or_otherwise_laid_out_are_made_plain(features) -> None:
     checked = check_hypothesis(hypothesis(features), 3, 5).features
@@ -218,6 +183,8 @@ def test_measurements_of_any_scale_within_the_bound_leave_a_map_positive_semi_de
             scan = Scan.from_points(places, 0.5 * (covariances + covariances.swapaxes(1, 2)))
             check_scan(scan)
             slam_map.update(scan, np.where(rng.random(5) < 0.6, np.arange(5), UNPAIRED))
-            check_map(slam_map)
+            spread = np.sqrt(np.diag(slam_map.covariance))
+            correlations = slam_map.covariance / np.outer(spread, spread)
+            assert np.linalg.eigvalsh(correlations).min() > -1e-9
     with pytest.raises(ValueError, match="condition number above"):
         check_scan(Scan.from_points([[1.0, 0.0]], np.diag([1e-12, 1e12])))

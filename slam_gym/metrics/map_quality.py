@@ -91,8 +91,8 @@ def local_error(estimated: Array, true: Array, pairs: IntArray) -> float:
     if pairs.min() < 0 or pairs.max() >= len(true):
         raise ValueError(f"pairs: rows {pairs.min()} … {pairs.max()} of {len(true)} features")
     one, other = pairs.T
-    found, given = (np.hypot(*(points[one] - points[other]).T) for points in (estimated, true))
-    return float(np.abs(found - given).mean())
+    lengths, true_lengths = (np.hypot(*(points[one] - points[other]).T) for points in (estimated, true))
+    return float(np.abs(lengths - true_lengths).mean())
 
 
 def align_se2(source: Array, target: Array) -> Array:

@@ -73,8 +73,8 @@ class ExploredGrid:
         """
         self._sweep += 1
         grid.integrate(
-            self._layers, self._sweep, movable, self.origin, self.resolution, pose, beams.bearings, beams.ranges,
-            beams.max_range,
+            self._layers, self._sweep, movable, self.origin, self.resolution, pose,
+            (beams.bearings, beams.ranges, beams.max_range),
         )  # fmt: skip
 
     def move(self, before: Array, after: Array, beams: Beams) -> None:

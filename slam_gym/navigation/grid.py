@@ -138,14 +138,13 @@ def integrate(
     origin: Array,
     resolution: float,
     pose: Array,
-    bearings: Array,
-    ranges: Array,
-    max_range: float,
+    beams: tuple[Array, Array, float],
 ) -> None:
-    """Enter one sweep of beams: see `ExploredGrid.integrate`.
+    """Enter one sweep of beams (bearings, ranges, greatest range): see `ExploredGrid.integrate`.
 
-    A sweep that is `counted` can be told apart later in the cells that it is in.
+    A sweep that is `counted` can be moved later.
     """
+    bearings, ranges, max_range = beams
     if not math.isfinite(pose[0] + pose[1] + pose[2]):
         raise ValueError("pose: expected finite numbers")
     layers = Layers(*packed)

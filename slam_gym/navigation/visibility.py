@@ -7,8 +7,8 @@ position in R, σ_r along the line of sight and σ_t across it, and Φ the norma
     P(in the field) = Φ((α − β) / σ_β) − Φ((−α − β) / σ_β),  α half the field of view, σ_β = σ_t / r,
     P(in sight) = mean over rays of Π over the unknown cells crossed of τ^(length in it), and 0 through a wall.
 
-The rays of one feature end at the quantiles .1, .3, .5, .7, .9 of where it may lie across the line of sight, so that a
-feature at the end of a wall, seen along it, is neither surely hidden nor surely in sight.
+The rays of one feature end at the quantiles 0.1, 0.3, 0.5, 0.7, 0.9 of where it may lie across the line of sight, so
+that a feature at the end of a wall, seen along it, is neither surely hidden nor surely in sight.
 """
 
 from __future__ import annotations

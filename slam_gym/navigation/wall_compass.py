@@ -29,7 +29,7 @@ from slam_gym.types import Array, Beams, Odometry
 
 _FEWEST = 6  # echoes on a line
 _GATE = 9.0  # (3 σ)² by which an echo may miss the line of those before it
-_PAIRED = 9.21  # χ²₂ of .99: lines that differ by more are not one
+_PAIRED = 9.21  # χ²₂ of 0.99: lines that differ by more are not one
 _NEAREST = 0.3  # [m] of echoes that count
 _ROUGH = 0.01**2  # [m²] of a wall about its line, across it …
 _GRAZING = 1e-3  # … and along a beam at most by 1/√ of this more

@@ -9,7 +9,6 @@ Its stationary groups are relocation cases; S. Choi extracted them (Triangulatio
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -43,6 +42,8 @@ TERMS = "For educational use; cite the paper."
 ROBOTS = (1, 2, 3, 4, 5)
 _RANGE, _FIELD_OF_VIEW = 12.0, math.radians(65.0)  # [m], [rad] of the camera, with room to spare
 _LARGEST = 1e10  # of any number: seconds since 1970, metres, radians, barcodes
+_MISREAD = 1.0  # [m] from where the Vicon has it, a barcode was taken for another
+_TOGETHER = 0.05  # [s] measurements that are no farther apart make one scan
 _AT_REST = 1e-4  # [m], [rad] σ of a step without motion
 
 
@@ -66,8 +67,6 @@ class Noise:
     range: float = 0.15  # [m]
     range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
     bearing: float = 0.03  # [rad]
-    misread: float = 1.0  # [m] from where the Vicon has it, a barcode was taken for another
-    together: float = 0.05  # [s] measurements that are no farther apart make one scan
 
     def points(self, ranges: Array, bearings: Array) -> Points:
         """Barcodes at ranges (M,) [m] and bearings (M,) [rad]."""
@@ -88,14 +87,14 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
         return _recording(_read(folder, robot), noise or Noise(), f"mrclam/{folder.name}/robot{robot}")
 
 
-def _recording(told: _Tables, noise: Noise, name: str) -> Recording:
-    times, start = told.measured[:, 0], told.truth[0, 0]
-    measured = told.measured[(times >= start) & (times <= told.truth[-1, 0])]
+def _recording(tables: _Tables, noise: Noise, name: str) -> Recording:
+    times, start = tables.measured[:, 0], tables.truth[0, 0]
+    measured = tables.measured[(times >= start) & (times <= tables.truth[-1, 0])]
     if len(measured) == 0:
         raise RecordingError("nothing was measured while the Vicon saw the robot")
-    first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > noise.together)
+    first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
     times = measured[first, 0]
-    driven = told.odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
+    driven = tables.odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
     growth = (noise.forward, noise.lateral, noise.turn, noise.drift, noise.turn_drift)
     motions, covariances = _integrate(times, driven, growth)
     seen = noise.points(measured[:, 2], measured[:, 3])
@@ -109,11 +108,11 @@ def _recording(told: _Tables, noise: Noise, name: str) -> Recording:
         starts=np.append(first, len(measured)).astype(np.int64),
         points=seen.points,
         covariances=seen.covariances,
-        sources=_sources(told, measured, seen.points, noise.misread),
-        reference_times=told.truth[:, 0] - times[0],
-        reference_poses=told.truth[:, 1:].copy(),
-        landmark_ids=told.landmarks[:, 0].astype(np.int64),
-        landmarks=told.landmarks[:, 1:3].copy(),
+        sources=_sources(tables, measured, seen.points, _MISREAD),
+        reference_times=tables.truth[:, 0] - times[0],
+        reference_poses=tables.truth[:, 1:].copy(),
+        landmark_ids=tables.landmarks[:, 0].astype(np.int64),
+        landmarks=tables.landmarks[:, 1:3].copy(),
         range=_RANGE,
         field_of_view=_FIELD_OF_VIEW,
     )
@@ -130,31 +129,31 @@ class _Tables(NamedTuple):
 
 
 def _read(folder: Path, robot: int) -> _Tables:
-    told = _Tables(
+    tables = _Tables(
         _table(folder, f"Robot{robot}_Odometry.dat", 3, ascending=True),
         _table(folder, f"Robot{robot}_Measurement.dat", 4, ascending=True),
         _table(folder, f"Robot{robot}_Groundtruth.dat", 4, ascending=True),
         _table(folder, "Barcodes.dat", 2),
         _table(folder, "Landmark_Groundtruth.dat", 5),
     )
-    for name, numbers in (("Barcodes.dat", told.barcodes), ("Landmark_Groundtruth.dat", told.landmarks[:, :1])):
+    for name, numbers in (("Barcodes.dat", tables.barcodes), ("Landmark_Groundtruth.dat", tables.landmarks[:, :1])):
         if (numbers != np.round(numbers)).any() or (numbers < 0.0).any():
             raise RecordingError(f"{folder / name}: a subject or barcode is no whole number")
-    if len(np.unique(told.landmarks[:, 0])) < len(told.landmarks):
+    if len(np.unique(tables.landmarks[:, 0])) < len(tables.landmarks):
         raise RecordingError(f"{folder / 'Landmark_Groundtruth.dat'}: a subject is there twice")
-    return told
+    return tables
 
 
-def _sources(told: _Tables, measured: Array, points: Array, limit: float) -> IntArray:
+def _sources(tables: _Tables, measured: Array, points: Array, limit: float) -> IntArray:
     """(M,) landmark behind each barcode; SPURIOUS where it is none, or farther than `limit` [m] from where it stands.
 
     `points` (M, 2) in R are the measurements, looked at from the Vicon's poses.
     """
-    place = {int(row[0]): row[1:3] for row in told.landmarks}
-    worn_by = {int(code): int(subject) for subject, code in told.barcodes if int(subject) in place}
+    place = {int(row[0]): row[1:3] for row in tables.landmarks}
+    worn_by = {int(code): int(subject) for subject, code in tables.barcodes if int(subject) in place}
     sources = np.array([worn_by.get(int(code), SPURIOUS) for code in measured[:, 1]], dtype=np.int64)
     true = np.array([place.get(source, (math.nan, math.nan)) for source in sources.tolist()]).reshape(-1, 2)
-    poses = interpolate(told.truth[:, 0], told.truth[:, 1:], measured[:, 0])
+    poses = interpolate(tables.truth[:, 0], tables.truth[:, 1:], measured[:, 0])
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = poses[:, 0] + c * points[:, 0] - s * points[:, 1], poses[:, 1] + s * points[:, 0] + c * points[:, 1]
     sources[np.hypot(x - true[:, 0], y - true[:, 1]) > limit] = SPURIOUS  # never for NaN
@@ -168,40 +167,28 @@ def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) ->
         raise FileNotFoundError(f"{folder / name}: not there, gzipped or not. {SOURCE}")
     with naming(path):
         content = content_of(path)
-        lines = list(_rows(gunzipped(content) if path.suffix == ".gz" else content))
-        table = _numbers(lines, columns)
+        lines = list(lines_of(gunzipped(content) if path.suffix == ".gz" else content))
+        rows = [(number, text) for number, line in lines if (text := line.split("#", 1)[0].strip())]
+        table = np.array([_row(number, text, columns) for number, text in rows]).reshape(-1, columns)
+        if len(table) == 0:
+            raise RecordingError(f"no table of {columns} columns")
         bad = ~(np.abs(table) <= _LARGEST).all(axis=1)
         if ascending:
             bad |= np.diff(table[:, 0], prepend=-math.inf) < 0.0
         if bad.any():
-            number = lines[int(bad.argmax())][0]
+            number = rows[int(bad.argmax())][0]
             raise RecordingError(f"line {number} is not finite, above {_LARGEST:.0e}, or goes back in time")
     return table
 
 
-def _rows(content: bytes) -> Iterator[tuple[int, str]]:
-    """Number and text of each line that is more than a comment."""
-    return ((number, text) for number, line in lines_of(content) if (text := line.split("#", 1)[0].strip()))
-
-
-def _numbers(lines: list[tuple[int, str]], columns: int) -> Array:
-    """The lines as a table; RecordingError names the first that is no row of so many numbers."""
+def _row(number: int, text: str, columns: int) -> list[float]:
+    words = text.split()
+    if len(words) != columns:
+        raise RecordingError(f"line {number}: {len(words)} columns, expected {columns} columns")
     try:
-        table = np.loadtxt([text for _, text in lines], ndmin=2) if lines else np.empty((0, columns))
-        if table.shape[1] == columns and len(table) == len(lines) > 0:
-            return table
-    except ValueError:
-        pass
-    for number, text in lines:
-        words = text.split()
-        if len(words) != columns:
-            raise RecordingError(f"line {number}: {len(words)} columns, expected {columns} columns")
-        for word in words:
-            try:
-                float(word)
-            except ValueError:
-                raise RecordingError(f"line {number}: could not convert {word[:40]!r} to a number") from None
-    raise RecordingError(f"no table of {columns} columns")
+        return [float(word) for word in words]
+    except ValueError as error:
+        raise RecordingError(f"line {number}: {error}") from None
 
 
 @compiled

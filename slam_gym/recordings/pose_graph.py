@@ -15,9 +15,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,50 +27,26 @@ from slam_gym.types import Array
 
 _MAX_BYTES = 1 << 25
 _AT_START = 1e-12  # [m²], [rad²] of the first pose: it is where the log begins
+_G2O = {"VERTEX_SE2": 3, "VERTEX_XY": 2, "EDGE_SE2": 3, "EDGE_SE2_XY": 2}  # size of the mean, by tag
+_ISAM = {"ODOMETRY": 3, "LANDMARK": 2}
 
 
-class _Edge(NamedTuple):
-    """A motion or a measurement, as it stands in the file."""
+class _Entry(NamedTuple):
+    """A vertex, a motion or a measurement, as it stands in the file."""
 
     line: int  # number
+    key: tuple[int, ...]  # of a vertex its number, of an edge those of both ends
     mean: list[float]
-    weight: list[float]  # upper triangle, by rows, of the information matrix or of its root
+    weight: list[float]  # of an edge: upper triangle, by rows, of the information matrix or of its root
 
 
-@dataclass
-class _Graph:
-    """What was read so far, by the numbers of poses and landmarks."""
+class _Graph(NamedTuple):
+    """What a file holds."""
 
-    poses: dict[tuple[int], list[float]] = field(default_factory=dict)  # vertices x y θ
-    landmarks: dict[tuple[int], list[float]] = field(default_factory=dict)  # vertices x y
-    motions: dict[tuple[int, int], _Edge] = field(default_factory=dict)  # from pose to pose
-    measurements: list[tuple[tuple[int, int], _Edge]] = field(default_factory=list)  # from pose to landmark
-
-
-class _Line(NamedTuple):
-    """What follows a tag: one number of a vertex or two of an edge, the mean, and the weight of an edge."""
-
-    table: str  # field of `_Graph`
-    size: int  # of the mean
-    root: bool = False  # the weight is a square root information matrix
-
-    @property
-    def indices(self) -> int:
-        return 1 if self.table in ("poses", "landmarks") else 2
-
-    @property
-    def numbers(self) -> int:
-        """How many there are in all."""
-        return self.indices + self.size + (self.indices == 2) * self.size * (self.size + 1) // 2
-
-
-_G2O = {
-    "VERTEX_SE2": _Line("poses", 3),
-    "VERTEX_XY": _Line("landmarks", 2),
-    "EDGE_SE2": _Line("motions", 3),
-    "EDGE_SE2_XY": _Line("measurements", 2),
-}
-_ISAM = {"ODOMETRY": _Line("motions", 3, root=True), "LANDMARK": _Line("measurements", 2, root=True)}
+    poses: list[_Entry]
+    landmarks: list[_Entry]
+    motions: list[_Entry]
+    measurements: list[_Entry]
 
 
 def g2o(path: str | Path, *, reference: bool = False) -> Recording:
@@ -80,43 +55,46 @@ def g2o(path: str | Path, *, reference: bool = False) -> Recording:
     Raises FileNotFoundError, or RecordingError that names file and line.
     """
     with naming(path):
-        return _recording(Path(path), _read(Path(path), _G2O), root=False, reference=reference)
+        entries = _read(Path(path), _G2O)
+        poses, landmarks = (entries[tag] if reference else [] for tag in ("VERTEX_SE2", "VERTEX_XY"))
+        graph = _Graph(poses, landmarks, entries["EDGE_SE2"], entries["EDGE_SE2_XY"])
+        return _recording(Path(path), graph, root=False)
 
 
 def isam(path: str | Path) -> Recording:
     """A log from a file in iSAM's text format. Raises FileNotFoundError, or RecordingError that names file and line."""
     with naming(path):
-        return _recording(Path(path), _read(Path(path), _ISAM), root=True, reference=False)
+        entries = _read(Path(path), _ISAM)
+        return _recording(Path(path), _Graph([], [], entries["ODOMETRY"], entries["LANDMARK"]), root=True)
 
 
-def _read(path: Path, lines: dict[str, _Line]) -> _Graph:
-    graph = _Graph()
+def _read(path: Path, sizes: dict[str, int]) -> dict[str, list[_Entry]]:
+    """The entries of a file by their tags."""
+    entries: dict[str, list[_Entry]] = {tag: [] for tag in sizes}
     for number, text in lines_of(content_of(path, _MAX_BYTES)):
         tag, *words = text.split("#", 1)[0].split() or [""]
         try:
             if tag:
-                _enter(graph, number, tag, words, lines)
+                entries[_known(tag, sizes)].append(_entry(number, tag, words, sizes[tag]))
         except ValueError as error:
             raise RecordingError(f"line {number}: {error}") from None
-    return graph
+    return entries
 
 
-def _enter(graph: _Graph, number: int, tag: str, words: Sequence[str], lines: dict[str, _Line]) -> None:
-    if tag not in lines:
-        raise ValueError(f"{tag[:40]!r} is none of {', '.join(lines)}")
-    line = lines[tag]
-    rest = [float(word) for word in words[line.indices :]]
-    if len(words) != line.numbers or not all(map(math.isfinite, rest)):
-        raise ValueError(f"{tag} takes {line.numbers} finite numbers")
-    key = tuple(_index(word) for word in words[: line.indices])
-    value: Any = rest if line.indices == 1 else _Edge(number, rest[: line.size], rest[line.size :])
-    table = getattr(graph, line.table)
-    if line.table == "measurements":
-        table.append((key, value))
-    elif line.table == "motions" and key in table:
-        raise ValueError(f"the motion from {key[0]} to {key[1]} is there twice")
-    else:
-        table[key] = value
+def _known(tag: str, sizes: dict[str, int]) -> str:
+    if tag not in sizes:
+        raise ValueError(f"{tag[:40]!r} is none of {', '.join(sizes)}")
+    return tag
+
+
+def _entry(line: int, tag: str, words: Sequence[str], size: int) -> _Entry:
+    vertex = tag.startswith("VERTEX")
+    indices = 1 if vertex else 2
+    count = indices + size + (0 if vertex else size * (size + 1) // 2)
+    numbers = [float(word) for word in words[indices:]]
+    if len(words) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{tag} takes {count} finite numbers")
+    return _Entry(line, tuple(_index(word) for word in words[:indices]), numbers[:size], numbers[size:])
 
 
 def _index(word: str) -> int:
@@ -126,7 +104,7 @@ def _index(word: str) -> int:
     return int(word)
 
 
-def _covariances(edges: Sequence[_Edge], size: int, root: bool) -> Array:
+def _covariances(edges: Sequence[_Entry], size: int, root: bool) -> Array:
     """(k, size, size) from the upper triangles of the information matrices or of their roots."""
     upper = np.zeros((len(edges), size, size))
     rows, columns = np.triu_indices(size)
@@ -144,22 +122,29 @@ def _covariances(edges: Sequence[_Edge], size: int, root: bool) -> Array:
     return np.asarray(0.5 * (covariances + covariances.transpose(0, 2, 1)))
 
 
-def _recording(path: Path, graph: _Graph, root: bool, reference: bool) -> Recording:
-    poses = sorted({i for pair in graph.motions for i in pair} | {pair[0] for pair, _ in graph.measurements})
+def _recording(path: Path, graph: _Graph, root: bool) -> Recording:
+    by_pair: dict[tuple[int, ...], _Entry] = {}
+    for edge in graph.motions:
+        if edge.key in by_pair:
+            raise RecordingError(f"line {edge.line}: the motion from {edge.key[0]} to {edge.key[1]} is there twice")
+        by_pair[edge.key] = edge
+    poses = sorted({i for pair in by_pair for i in pair} | {edge.key[0] for edge in graph.measurements})
     if not poses or not graph.measurements:
         raise RecordingError("no pose, or no measurement of a landmark")
     pairs = list(itertools.pairwise(poses))
-    if further := sorted(set(graph.motions) - set(pairs)):
+    if further := sorted(set(by_pair) - set(pairs)):
         raise RecordingError(f"edge {further[0]} joins poses that do not follow each other")
-    if missing := [pair for pair in pairs if pair not in graph.motions]:
+    if missing := [pair for pair in pairs if pair not in by_pair]:
         raise RecordingError(f"pose {missing[0][1]} is not reached from pose {missing[0][0]}")
-    motions = [graph.motions[pair] for pair in pairs]
+    motions = [by_pair[pair] for pair in pairs]
     step = {pose: k for k, pose in enumerate(poses)}
-    measured = sorted(graph.measurements, key=lambda entry: step[entry[0][0]])  # stable: as in the file within a scan
-    points = np.array([edge.mean for _, edge in measured])
+    measured = sorted(graph.measurements, key=lambda edge: step[edge.key[0]])  # stable: as in the file within a scan
+    points = np.array([edge.mean for edge in measured])
     times = np.arange(len(poses), dtype=np.float64)
-    known = [pose for pose in poses if reference and (pose,) in graph.poses]
-    seen = sorted({landmark for (_, landmark), _ in measured if reference and (landmark,) in graph.landmarks})
+    known = {entry.key[0]: entry.mean for entry in graph.poses}
+    places = {entry.key[0]: entry.mean for entry in graph.landmarks}
+    reference = [pose for pose in poses if pose in known]
+    seen = sorted({edge.key[1] for edge in measured} & set(places))
     return Recording(
         name=path.stem,
         source=path.name,
@@ -167,14 +152,14 @@ def _recording(path: Path, graph: _Graph, root: bool, reference: bool) -> Record
         times=times,
         motions=np.array([[0.0, 0.0, 0.0], *(edge.mean for edge in motions)]),
         motion_covariances=np.concatenate([_AT_START * np.eye(3)[None], _covariances(motions, 3, root)]),
-        starts=starts_of(np.bincount([step[i] for (i, _), _ in measured], minlength=len(poses))),
+        starts=starts_of(np.bincount([step[edge.key[0]] for edge in measured], minlength=len(poses))),
         points=points,
-        covariances=_covariances([edge for _, edge in measured], 2, root),
-        sources=np.array([landmark for (_, landmark), _ in measured], dtype=np.int64),
-        reference_times=times[[step[pose] for pose in known]],
-        reference_poses=np.array([graph.poses[pose,] for pose in known]).reshape(-1, 3),
+        covariances=_covariances(measured, 2, root),
+        sources=np.array([edge.key[1] for edge in measured], dtype=np.int64),
+        reference_times=times[[step[pose] for pose in reference]],
+        reference_poses=np.array([known[pose] for pose in reference]).reshape(-1, 3),
         landmark_ids=np.array(seen, dtype=np.int64),
-        landmarks=np.array([graph.landmarks[landmark,] for landmark in seen]).reshape(-1, 2),
+        landmarks=np.array([places[landmark] for landmark in seen]).reshape(-1, 2),
         range=float(np.hypot(*points.T).max()) + 1e-9,
         field_of_view=2.0 * math.pi,
     )

@@ -27,8 +27,8 @@ def naming(path: str | Path) -> Iterator[None]:
         with np.errstate(all="ignore"):  # what overflows is refused by the checks of fields
             yield
     except (ValueError, ArithmeticError) as error:
-        told = str(error)
-        raise RecordingError(told if told.startswith(str(path)) else f"{path}: {told}") from None
+        message = str(error)
+        raise RecordingError(message if message.startswith(str(path)) else f"{path}: {message}") from None
 
 
 def refuse(name: str, bad: Any, what: str) -> None:

@@ -179,7 +179,7 @@ def _this_plan(plan: FloorPlan, _rng: np.random.Generator) -> FloorPlan:
 def floor_budget(plan: FloorPlan, like: Scenario) -> int:
     """Ticks in which `like`'s robot can explore a floor: reachable area · (2 + 20 m / range of the beams) per m².
 
-    On real floors a driver that never lost itself knew .95 of the area after 1.4 to 1.9 ticks per m² with beams of
+    On real floors a driver that never lost itself knew 0.95 of the area after 1.4 to 1.9 ticks per m² with beams of
     20 m, and after 3.9 with beams of 6 m, so that a third to a half of the budget is left for detours and revisits.
     """
     cells = free_cells(plan, like.robot.radius)

@@ -18,7 +18,7 @@ ARRIVED = 0.4  # [m] from the goal
 REPLAN = 10  # [ticks] at most between looks at whether the path still holds
 KEEP = 1.1  # a path is kept until a fresh one is shorter by more than this factor
 APART = 0.2  # [m] between the points at which a path is looked at
-AHEAD, AROUND = 15.0, 6.0  # [m] of a path that are planned anew, and of the space around them
+AHEAD, AROUND = 15.0, 6.0  # [m] of a path that are replanned at a time, and of the space around them
 NEAR_ENOUGH = 1.5  # [m] from a goal that cannot be reached any more, where a place that can be takes its stead
 STUCK_TICKS, STUCK_DISTANCE = 25, 0.15  # [ticks], [m] no nearer than this in so many ticks: lost
 
@@ -60,7 +60,7 @@ def _look_around(episode: Episode) -> Iterator[Command]:
 def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | None) -> Iterator[Command]:
     robot = episode.scenario.robot
     pursuit = PursuitSpec(max_speed=robot.max_speed, max_turn=robot.max_turn)
-    path, asked, seen = np.empty((0, 2)), goal, False
+    path, wanted, seen = np.empty((0, 2)), goal, False
     nearest, since = math.inf, 0
     ticks = 0
     while not episode.over:
@@ -80,7 +80,7 @@ def _drive(episode: Episode, goal: Array, frontier: bool, ways: DistanceField | 
         ticks += 1
     episode.path = np.empty((0, 2))
     if frontier and not seen and not episode.over:
-        episode.tried.add(asked)
+        episode.tried.add(wanted)
     if ticks == 0 and not episode.over:
         yield 0.0, 0.0  # a step always costs time, or a lost goal could be asked for for ever
 
@@ -95,7 +95,7 @@ def _plan(episode: Episode, pose: Array, goal: Array, path: Array, ways: Distanc
     grid = episode.grid
     if len(path) and is_free(grid, points_ahead(path, pose[:2], APART)):
         stretch, rest = next_stretch(path, pose[:2], AHEAD)
-        fresh = _stretch_anew(episode, pose, stretch)
+        fresh = _replanned(episode, pose, stretch)
         if fresh is stretch:
             return path
         if len(fresh):
@@ -119,7 +119,7 @@ def way_to(grid: ExploredGrid, radius: float, here: Array, goal: Array, ways: Di
     return np.empty((0, 2))
 
 
-def _stretch_anew(episode: Episode, pose: Array, stretch: Array) -> Array:
+def _replanned(episode: Episode, pose: Array, stretch: Array) -> Array:
     """The stretch itself where it holds, another way to its end where that is better, or (0, 2)."""
     within = np.concatenate([stretch.min(axis=0) - AROUND, stretch.max(axis=0) + AROUND])
     clearance = clearances(episode.scenario.robot.radius)[0]

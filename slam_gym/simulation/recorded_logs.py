@@ -77,8 +77,8 @@ def reference_poses(recording: Recording) -> Array:
     poses = np.full((len(times), 3), math.nan)
     if not len(known):
         return poses
-    told = (times >= known[0]) & (times <= known[-1])
-    poses[told] = interpolate(known, recording.reference_poses, times[told])
+    covered = (times >= known[0]) & (times <= known[-1])
+    poses[covered] = interpolate(known, recording.reference_poses, times[covered])
     return poses
 
 
