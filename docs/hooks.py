@@ -24,7 +24,6 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import slam_gym
-from slam_gym.bench.runner import BENCHMARKS
 from slam_gym.scenarios import SCENARIOS, Scenario, registry
 from slam_gym.scenarios.suite import EXPERIMENTS
 
@@ -57,7 +56,6 @@ ROOMS = {
     "slam_gym.simulation": "Episodes: world and estimate side by side",
     "slam_gym.rendering": "Pictures",
     "slam_gym.envs": "The Gymnasium environments",
-    "slam_gym.bench": "Benchmarks",
     "agents": "Commands: evaluate, train, play",
     "agents.drivers": "Drivers",
     "agents.learning": "Learned drivers and associators",
@@ -102,7 +100,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Fill in the table of the benchmarks."""
-    rows = [f"`python -m slam_gym.bench {name}` | {benchmark.about}" for name, benchmark in BENCHMARKS.items()]
+    scripts = [path for path in sorted((ROOT / "benchmarks").glob("*.py")) if path.stem != "common"]
+    abouts = [
+        (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").splitlines()[0] for path in scripts
+    ]
+    rows = [f"`python benchmarks/{path.name}` | {about}" for path, about in zip(scripts, abouts)]
     return markdown.replace("<!-- benchmarks -->", _table("Benchmark | What it measures", rows))
 
 

@@ -222,7 +222,7 @@ def draw_map(ax: Any, episode: Any) -> None:
 
 def locality() -> None:
     """Four localities of one feature in a map that was made in one pass."""
-    from slam_gym.bench.locality.fields import surveyed_field
+    from benchmarks.locality import surveyed_field
 
     area = surveyed_field(200, np.random.default_rng(5))
     first = int(np.argmin(np.hypot(*(area.landmarks.positions - [45.0, 50.0]).T)))

@@ -18,7 +18,6 @@ import pytest
 from click import UsageError
 from typer.main import get_command
 
-from slam_gym.bench.runner import BENCHMARKS, parser_for
 from slam_gym.commands.run import COMMANDS
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.world.floor_plan_file import load_floor_plan
@@ -94,8 +93,6 @@ def check_command(command: list[str], complete: bool = True) -> None:
     A command that is merely mentioned, not `complete`, may leave out all of its arguments.
     """
     match command:
-        case ["python", "-m", "slam_gym.bench", *arguments]:
-            check_benchmark(arguments)
         case ["python", "-m", "venv", _] | [".", _]:
             pass
         case ["python", "-m", name, *arguments]:
@@ -106,8 +103,9 @@ def check_command(command: list[str], complete: bool = True) -> None:
                 module.parser().parse_args(arguments)
         case ["python", "-c", code]:
             compile(code, "the command", "exec")
-        case ["python", file, *_]:
+        case ["python", file, *arguments]:
             assert (ROOT / file).is_file(), file
+            check_script((ROOT / file).read_text(encoding="utf-8"), arguments)
         case ["pip", "install", *arguments]:
             known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
             for extra in re.findall(r"(?:\.|slam_gym)\[([\w,]+)\]", " ".join(arguments)):
@@ -126,11 +124,10 @@ def check_command(command: list[str], complete: bool = True) -> None:
             raise AssertionError(f"a command that this test does not know: {command}")
 
 
-def check_benchmark(arguments: list[str]) -> None:
-    if arguments:
-        name = " ".join(arguments[:2]) if " ".join(arguments[:2]) in BENCHMARKS else arguments[0]
-        run = importlib.import_module(f"slam_gym.bench.{BENCHMARKS[name].module}").run
-        parser_for(run, name, "").parse_args(arguments[len(name.split()) :])
+def check_script(source: str, arguments: list[str]) -> None:
+    """Options of a benchmark are `--quick`, `--seed`, and what its source names."""
+    for option in (word[2:] for word in arguments if word.startswith("--")):
+        assert option in ("quick", "seed") or re.search(rf"\b{option}=|--{option}\b", source), option
 
 
 # -- the pages -------------------------------------------------------------------------------------------------------
@@ -282,8 +279,8 @@ def test_commands_are_found_in_scripts() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["python -m slam_gym.bench corridor --no-such-option", "python -m agents.evaluate --episodes many", "rm -r results",
-     "pip install -e .[nothing]", "pytest tests/no_such_test.py", "python -m slam_gym.bench nothing"],
+    ["python benchmarks/corridor.py --no-such-option", "python -m agents.evaluate --episodes many", "rm -r results",
+     "pip install -e .[nothing]", "pytest tests/no_such_test.py", "python benchmarks/nothing.py"],
 )  # fmt: skip
 def test_wrong_commands_are_refused(command: str) -> None:
     with pytest.raises((AssertionError, KeyError, SystemExit)):

@@ -37,7 +37,6 @@ COMMANDS: dict[str, Command] = {
     "report": Command("agents.report", "the report of a finished evaluation, once more"),
     "gallery": Command("agents.gallery", "films of the same worlds by scenario and associator, on one page"),
     "play": Command("agents.play", "drive with the keyboard"),
-    "bench": Command("slam_gym.bench.runner", "the benchmarks behind the published figures"),
     "doctor": Command("slam_gym.commands.doctor", "what is installed, compiled, cached, and where data are looked for"),
 }
 

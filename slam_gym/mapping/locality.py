@@ -96,6 +96,24 @@ def locality_sizes(locality: Locality | None, n: int) -> IntArray:
     return np.diff(locality.starts)
 
 
+def hypothesis_count(sizes: IntArray, m: int) -> float:
+    """Hypotheses of the unpruned tree of m measurements under localities of these sizes (n,), each at least 1.
+
+    N_h = 1 + Σ_j ((|L(j)| + 1)^m − 1) / |L(j)|: later pairings take their features from the locality of the first one,
+    which counts in it; a feature may serve two measurements.
+    """
+    c = np.asarray(sizes, dtype=np.float64)
+    return float(1.0 + (((c + 1.0) ** m - 1.0) / c).sum())
+
+
+def hypothesis_bound(n: int, m: int, c: float) -> float:
+    """Eq. 9.22 for n features, m measurements and localities of c ≥ 1 features: N_h ≤ n ((c + 1)^m − 1) / c + 1.
+
+    Exact where all localities are of one size, a bound with the largest one; with the mean size it lies below N_h.
+    """
+    return float(n * ((c + 1.0) ** m - 1.0) / c + 1.0)
+
+
 def _relation(n: int, pairs: IntArray) -> Any:
     """(n, n) the symmetric, reflexive relation of n features with these pairs (e, 2), i ≠ j, sparse."""
     every = np.arange(n)

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.locality import covisible, linked, locality_sizes, same_local_map, within
-from slam_gym.types import Array, BoolArray, IntArray, Locality
+from slam_gym.mapping.locality import (
+    covisible,
+    hypothesis_bound,
+    hypothesis_count,
+    linked,
+    locality_sizes,
+    same_local_map,
+    within,
+)
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Locality
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.ray_casting import WallIndex, pull_back
 from slam_gym.world.reachability import reachable
@@ -176,3 +186,29 @@ def test_what_makes_no_sense_is_refused() -> None:
 def test_an_empty_map_has_an_empty_locality() -> None:
     for locality in (covisible(CovisibilityGraph()), within(np.empty((0, 2)), 1.0), same_local_map([])):
         assert len(locality) == 0 and len(locality.members) == 0
+
+
+def enumerated(n: int, m: int, local: list[set[int]]) -> int:
+    """Hypotheses with all later pairings local to the first one: every m-tuple is written out and looked at."""
+    count = 0
+    for decisions in itertools.product([UNPAIRED, *range(n)], repeat=m):
+        paired = [j for j in decisions if j != UNPAIRED]
+        count += not paired or set(paired[1:]) <= local[paired[0]]
+    return count
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_equation_9_22_bounds_the_hypotheses_and_is_exact_for_localities_of_one_size(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, m, dense_pairs = int(rng.integers(1, 6)), int(rng.integers(1, 5)), rng.choice([0.0, 0.4, 1.0])
+    local = [{j} for j in range(n)]
+    for a, b in itertools.combinations(range(n), 2):
+        if rng.random() < dense_pairs:
+            local[a].add(b)
+            local[b].add(a)
+    counted, sizes = enumerated(n, m, local), np.array([len(members) for members in local])
+    largest = round(hypothesis_bound(n, m, int(sizes.max())))
+    assert round(hypothesis_count(sizes, m)) == counted <= largest <= (n + 1) ** m
+    assert (counted == largest) == (m == 1 or sizes.min() == sizes.max())
+    assert hypothesis_bound(n, m, float(sizes.mean())) <= counted * (1 + 1e-12)
+    assert hypothesis_bound(n, m, n) == pytest.approx((n + 1) ** m)

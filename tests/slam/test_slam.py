@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.corridor import run_corridor
 from slam_gym.association import jcbb, nearest_neighbour
-from slam_gym.bench.consistency.corridor import run_corridor
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import Slam, SlamSpec, send

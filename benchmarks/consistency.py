@@ -1,0 +1,153 @@
+"""Which estimator stays consistent on a long way: the EKF of the papers, the right-invariant one, local maps joined.
+
+The same logs for all, with JCBB and, but for local maps, with the true association: a square corridor driven round one
+and a quarter times, with much noise of the heading, and Victoria Park, against the least-squares optimum of its labels.
+ANEES of the pose is the mean over checkpoints per degree of freedom: 1 where consistent; the optimum was made of the
+same measurements, so that a consistent filter has less than 1 in the park. For local maps the pose is that in the map
+joined at the checkpoint. A loop counts as closed where fewer than five features are duplicates at the end.
+
+    python benchmarks/consistency.py       # fifteen minutes
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.common import Record, data_folder, features_in_view, options, proportion, table, timed
+from benchmarks.recordings import reference
+from slam_gym import LocalMapSlam, MapSpec, Odometry, Scan, Slam, SlamSpec
+from slam_gym.geometry import compose, observe, relative
+from slam_gym.metrics.consistency import pose_nees
+from slam_gym.recordings.victoria_park import victoria_park
+from slam_gym.scenarios.registry import slam_for
+from slam_gym.simulation.judged import JudgedSlam
+from slam_gym.types import Array, Truth
+
+METHODS = ("standard", "right-invariant", "local maps")
+CLOSED = 5  # duplicates
+SPEC = SlamSpec(MapSpec(unconfirmed_age=5), new_confidence=1.0 - 1e-6)
+AROUND = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # along the sides of a square
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenLog:
+    """Steps that do not depend on what is made of them, with the truth behind them."""
+
+    world: str
+    steps: Sequence[tuple[Odometry, Scan, Truth]]
+    landmarks: dict[int, Array]  # true place (2,) of each source, in the frame of the poses
+    slam: SlamSpec
+    features_per_map: int
+    checkpoints: int
+
+
+class LoopSpec(NamedTuple):
+    """The corridor driven round."""
+
+    heading: float = 2.0  # [deg] σ of the heading, per step of a metre
+    side: int = 50  # [m] of the square
+    width: float = 5.0  # [m] between the walls
+    spacing: float = 3.0  # [m] of wall per feature
+    reach: float = 8.0  # [m]
+    laps: float = 1.25
+    range_sigma: float = 0.02  # of the range
+    bearing_sigma: float = math.radians(0.5)
+    along: float = 0.05  # [m] σ of a step, forwards and sideways
+
+
+def loop(seed: int, spec: LoopSpec) -> DrivenLog:
+    """The robot drives anticlockwise, turning by 90° at each corner within a step."""
+    rng = np.random.default_rng(seed)
+    features = walls(spec, rng)
+    sigma = np.array([spec.along, spec.along, math.radians(spec.heading)])
+    pose, steps = np.zeros(3), []
+    for step in range(round(4 * spec.side * spec.laps) + 1):
+        odometry = Odometry.from_motion(np.zeros(3), 0.0)
+        if step:
+            moved = np.array([1.0, 0.0, math.pi / 2.0 if step % spec.side == 0 else 0.0])
+            pose = compose(pose, moved)
+            odometry = Odometry.from_motion(moved + sigma * rng.standard_normal(3), sigma)
+        seen = features_in_view(features, pose, spec.reach, math.pi)
+        local = observe(pose, features[seen])
+        ranges = np.hypot(*local.T) * (1.0 + spec.range_sigma * rng.standard_normal(len(seen)))
+        bearings = np.arctan2(local[:, 1], local[:, 0]) + spec.bearing_sigma * rng.standard_normal(len(seen))
+        scan = Scan.from_polar(ranges, bearings, spec.range_sigma * ranges, spec.bearing_sigma)
+        steps.append((odometry, scan, Truth(pose, seen)))
+    name = f"loop, {spec.heading:g}°" + (", sparse" if spec.spacing > 5.0 else "")
+    return DrivenLog(name, steps, dict(enumerate(features)), replace(SPEC, reach=spec.reach), 30, 20)
+
+
+def walls(spec: LoopSpec, rng: np.random.Generator) -> Array:
+    """Features (n, 2), spread evenly at random over the outer and the inner wall."""
+    features = []
+    for low in (-0.5 * spec.width, 0.5 * spec.width):  # of the outer and the inner square
+        length = spec.side - 2.0 * low
+        corners = low + length * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+        for along in rng.uniform(0.0, 4.0, round(4.0 * length / spec.spacing)).tolist():
+            features.append(corners[int(along)] + (along % 1.0) * length * AROUND[int(along)])
+    return np.array(features)
+
+
+def park(folder: Path, steps: int | None = None) -> DrivenLog:
+    """Victoria Park, or its first steps, with the least-squares optimum as the truth."""
+    log = victoria_park(folder).part(0, steps)
+    optimum = reference(log)
+    driven = [
+        (odometry, scan, Truth(pose, sources)) for (odometry, scan, sources), pose in zip(log.steps(), optimum.poses)
+    ]
+    return DrivenLog("park", driven, dict(zip(optimum.ids.tolist(), optimum.landmarks)), slam_for(log), 60, 60)
+
+
+def estimate(log: DrivenLog, method: str, associator: str) -> Record:
+    """Run one of METHODS over a log: errors in B, without alignment, and the time of steps and joins together."""
+    spec = log.slam
+    if method != "right-invariant":
+        spec = replace(spec, map=replace(spec.map, iterations=1, right_invariant=False, second_order=False))
+    slam = LocalMapSlam(spec, log.features_per_map) if method == "local maps" else Slam(spec)
+    judged, base = JudgedSlam(slam, associator), log.steps[0][2].pose
+    checked = set(np.linspace(0, len(log.steps) - 1, log.checkpoints + 1)[1:].round().astype(int).tolist())
+    spent, nees, off = 0.0, [], []
+    for step, (odometry, scan, truth) in enumerate(log.steps):
+        spent += timed(judged.step, odometry, scan, truth)[1]
+        if step in checked:
+            whole, joining = timed(slam.joined if isinstance(slam, LocalMapSlam) else lambda: slam.map)
+            spent += joining
+            true = relative(base, truth.pose)
+            nees.append(pose_nees(whole.pose, whole.pose_covariance, true))
+            off.append(math.dist(whole.pose[:2], true[:2]))
+    sources = judged.identities.source_of(whole.ids)
+    sources = sources[sources >= 0]
+    return {
+        **{"world": log.world, "method": method, "associator": associator},
+        **{"ANEES": float(np.mean(nees)) / 3.0, "error [m]": math.sqrt(np.mean(np.square(off))), "final [m]": off[-1]},
+        **{"duplicates": len(sources) - len(np.unique(sources)), "features": whole.n, "seconds": 1e-6 * spent},
+    }
+
+
+def main() -> None:
+    a = options(__doc__, seeds=40)
+    seeds = 1 if a.quick else a.seeds
+    specs = (LoopSpec(side=10),) if a.quick else (LoopSpec(0.5), LoopSpec(), LoopSpec(5.0), LoopSpec(spacing=8.0))
+    logs = [loop(seed, spec) for spec in specs for seed in range(seeds)]
+    folder = data_folder()
+    if folder is not None:
+        logs.append(park(folder / "victoria_park", 300 if a.quick else None))
+    runs = [(log, method, name) for log in logs for name in ("jcbb", "true_association") for method in METHODS]
+    found = pd.DataFrame(estimate(*run) for run in runs if run[1:] != ("local maps", "true_association"))
+    keys = ["world", "associator", "method"]
+    rows = []
+    for key, group in found.groupby(keys, sort=False):
+        row = dict(zip(keys, key)) | {"runs": len(group)} | group.median(numeric_only=True).to_dict()
+        rows.append(row | {"closed": proportion(int((group["duplicates"] < CLOSED).sum()), len(group))})
+    table("Medians over the runs", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""Reference experiment: a robot loops once through a square corridor and comes back with a drifted heading.
+
+World, robot and sensor are those of `slam_gym.world.corridor`, driven directly on the SLAM core with the filter of the
+papers: one pass, an ordinary error, predictions to first order. `Q` scales the *covariance* that the filter is told;
+the noise drawn is always the same.
+
+    python benchmarks/corridor.py        # 40 seeds, half a minute
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.common import Record, options, table
+from slam_gym import MapSpec, Slam, SlamSpec
+from slam_gym.geometry import wrap_angle
+from slam_gym.metrics.association import Tally
+from slam_gym.metrics.consistency import pose_nees
+from slam_gym.simulation.judged import JudgedSlam
+from slam_gym.types import Array
+from slam_gym.world.corridor import RANGE, walk_round
+
+ASSOCIATORS = ("nearest_neighbour", "singles", "jcbb", "true_association")
+SETTINGS = ((1.0, 0.95), (1.0, 0.99), (2.0, 0.99))  # Q, confidence of the gates
+
+
+class CorridorRun(NamedTuple):
+    """What one run of the corridor came to."""
+
+    slam: Slam
+    tally: Tally
+    nees: Array  # (45,) pose NEES over 3 degrees of freedom; the first, of a pose known exactly, is 0
+    poses: Array  # (45, 3) [m, m, rad] true
+    estimates: Array  # (45, 3)
+
+    @property
+    def pose_errors(self) -> Array:
+        """(45, 3) [m, m, rad] estimate minus truth."""
+        errors: Array = self.estimates - self.poses
+        errors[:, 2] = [wrap_angle(turn) for turn in errors[:, 2].tolist()]
+        return errors
+
+
+def run_corridor(
+    associator: str, seed: int, q: float = 1.0, confidence: float = 0.99, locality: bool = True
+) -> CorridorRun:
+    """One loop through the corridor."""
+    spec = MapSpec(confidence=confidence, iterations=1, right_invariant=False, second_order=False)
+    slam = Slam(SlamSpec(spec, reach=RANGE, locality=locality))
+    judged = JudgedSlam(slam, associator)
+    poses: list[Array] = []
+    estimates: list[Array] = []
+    nees: list[float] = []
+    for odometry, scan, truth in walk_round(np.random.default_rng(seed), q):
+        judged.step(odometry, scan, truth)
+        nees.append(pose_nees(slam.map.pose, slam.map.pose_covariance, truth.pose) if poses else 0.0)
+        poses.append(truth.pose)
+        estimates.append(slam.map.pose)
+    return CorridorRun(slam, judged.tally, np.array(nees), np.array(poses), np.array(estimates))
+
+
+def summary(associator: str, seeds: int, q: float, confidence: float) -> Record:
+    """Means over the seeds, and the median over seeds of the run's ANEES."""
+    runs = [run_corridor(associator, seed, q, confidence) for seed in range(seeds)]
+    total = sum((run.tally for run in runs), Tally())
+    return {
+        **{"Q": q, "confidence": confidence, "associator": associator},
+        "features": float(np.mean([run.slam.map.n for run in runs])),
+        **{"TP": total.tp / len(runs), "FP": total.fp / len(runs), "FN": total.fn / len(runs)},
+        "precision": total.precision,
+        "ANEES": float(np.median([run.nees[1:].mean() / 3.0 for run in runs])),
+    }
+
+
+def main() -> None:
+    a = options(__doc__, seeds=40)
+    seeds = 2 if a.quick else a.seeds
+    rows = [summary(name, seeds, q, confidence) for q, confidence in SETTINGS for name in ASSOCIATORS]
+    table(f"The corridor; means over {seeds} seeds", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""Relocation by the feature index: finding and refusing in maps of 1 000, 10 000 and 100 000 features.
+
+Maps of point features at 1/16 per m² with independent errors of 0.05 m; the robot sees the k features nearest to it, or
+a random half of the 2k nearest, each with an error of 0.05 m, and spurious measurements over the same disc. Sizes are
+not used. Times are of the processor, medians over scans of the least of three calls; right and wrong count accepted
+answers only, within 0.3 m and 3°. In small maps igraph's maximum clique of the graph of pairings consistent in their
+distances (.99) sees the same scans; the building of that graph is not timed.
+
+    python benchmarks/feature_index.py       # four minutes
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.common import Record, Tolerance, clutter, fastest, options, table, timed
+from slam_gym import Landmarks, Scan
+from slam_gym.association.triangles.index import FeatureIndex
+from slam_gym.geometry import observe
+from slam_gym.types import Array
+
+SIGMA = 0.05  # [m] of features in the map, and of measurements
+DENSITY = 1.0 / 16.0  # [1/m²]
+NEAR = Tolerance(0.3, math.radians(3.0))  # of a pose that is right
+
+
+class Kind(NamedTuple):
+    """How scans are drawn."""
+
+    m: int
+    spurious: float  # fraction of the measurements
+    half: bool  # a random half of the features around is seen, not all
+    inside: bool = True  # otherwise of features that the map does not hold
+
+
+KINDS = (
+    *(Kind(m, s, half) for m, s in ((10, 0.0), (10, 0.3), (20, 0.3), (20, 0.5)) for half in (False, True)),
+    *(Kind(m, s, half, inside=False) for m, s, half in ((10, 0.3, False), (20, 0.5, False), (20, 0.5, True))),
+)
+
+
+def point_map(n: int, rng: np.random.Generator) -> tuple[Array, Landmarks]:
+    """Features (n, 2) anywhere in a square, and a map of them."""
+    truth = rng.uniform(0.0, math.sqrt(n / DENSITY), (n, 2))
+    return truth, Landmarks.from_points(truth + SIGMA * rng.standard_normal((n, 2)), sigma=SIGMA)
+
+
+def query(truth: Array, kind: Kind, rng: np.random.Generator) -> tuple[Scan, Array]:
+    """A scan from a random place among true features (n, 2), and its pose (3,); NaN outside the map."""
+    side, seen = math.sqrt(len(truth) / DENSITY), kind.m - round(kind.spurious * kind.m)
+    pose = np.array([*rng.uniform(0.15 * side, 0.85 * side, 2), rng.uniform(-math.pi, math.pi)])
+    features = truth if kind.inside else rng.uniform(0.0, side, truth.shape)
+    distances = np.hypot(*(features - pose[:2]).T)
+    near = np.argpartition(distances, 2 * seen)[: 2 * seen]
+    near = near[np.argsort(distances[near])][: 2 * seen if kind.half else seen]
+    strays = clutter(kind.m - seen, float(distances[near[-1]]), math.tau, rng)
+    points = np.concatenate([observe(pose, features[rng.permutation(near)[:seen]]), strays])[rng.permutation(kind.m)]
+    scan = Scan.from_points(points + SIGMA * rng.standard_normal((kind.m, 2)), sigma=SIGMA)
+    return scan, pose if kind.inside else np.full(3, math.nan)
+
+
+def relocations(index: FeatureIndex, asked: list[tuple[Scan, Array]]) -> Record:
+    """Times [ms] and outcomes of the index."""
+    rows = []
+    for scan, pose in asked:
+        answer, right = index.relocate(scan), False
+        right = NEAR.holds(answer.pose, pose)
+        verdict = {"right": answer.accepted and right, "wrong": answer.accepted and not right}
+        verdict |= {"limit hit": answer.effort.limit_hit, "ambiguous": answer.ambiguous}
+        rows.append({"ms": 1e-3 * fastest(index.relocate, scan, repeats=3), **verdict})
+    found = pd.DataFrame(rows)
+    times = {"ms": found["ms"].median(), "95 %": found["ms"].quantile(0.95), "longest": found["ms"].max()}
+    return times | found.drop(columns="ms").mean().to_dict()
+
+
+def main() -> None:
+    a = options(__doc__, sizes=(1_000, 10_000, 100_000), scans=40)
+    rng, scans = np.random.default_rng(a.seed), 2 if a.quick else a.scans
+    sizes = (300,) if a.quick else a.sizes
+    FeatureIndex(point_map(100, rng)[1])  # compiles
+    rows, built = [], []
+    for n in sizes:
+        truth, landmarks = point_map(n, rng)
+        index, microseconds = timed(FeatureIndex, landmarks)
+        built.append({"n": n, "µs a feature": microseconds / n})
+        for kind in KINDS:
+            asked = [query(truth, kind, rng) for _ in range(scans)]
+            rows.append({"n": n, **kind._asdict(), **relocations(index, asked)})
+    table("Building", built)
+    table("Relocation by the index", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,218 @@
+"""Searches with a prior at loop closure: JCBB beside scipy's linear assignment, and what every associator gets right.
+
+A robot maps a square field of point features (0.6 per m²) in lanes, with known association. It is then carried
+elsewhere with a wide odometry (σ 0.45 m, 0.45 m, 2°), so that each measurement has four to five candidates, and looks
+once: 20 measurements, 30 % of them spurious, against all features of the map. `tracking` is a scan with a good pose.
+
+JCBB is timed from the call in Python to its answer: gating, joint covariance of the candidates, search. The assignment
+is timed with gating and the filling of its matrix of D²_ij, one column per feature and one per measurement that leaves
+it unpaired at the price of the gate. It answers an easier question: each pairing is weighed alone.
+
+All searches are then compared in sparser fields (0.25 per m²), with a pose known to σ 0.6 m, 0.6 m, 4° and a view of
+180°, in three difficulties; scans are pooled over n = 20, 100, 300, 1 000 and m = 5, 10, 20. A scan is `exact` if every
+measurement is decided as its source says; `recall` counts measurements of mapped features that are paired rightly,
+`precision` pairings that are right; `× JCBB` is the median ratio of times on the same scan.
+
+    python benchmarks/jcbb.py       # two minutes
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+
+from benchmarks.common import Record, clutter, fastest, features_in_view, lanes, options, table
+from slam_gym import ASSOCIATORS, UNPAIRED, MapSpec, Odometry, Prediction, Scan, StochasticMap, jcbb
+from slam_gym.association.compatibility import chi2_gate, individual
+from slam_gym.geometry import compose, observe, relative
+from slam_gym.types import Array, IntArray
+
+DENSITY = 0.6  # [1/m²]
+RANGE = 6.0  # [m]
+SIGMA = 0.03  # [m] of a measurement, in x and in y
+DETECTION = 0.9  # fraction of the features in range that is reported
+CARRIED = np.array([0.45, 0.45, math.radians(2.0)])  # σ of the odometry before the loop closes
+TRACKED = np.array([0.02, 0.02, math.radians(0.5)])  # σ of the odometry where there is no loop to close
+STEP = np.diag([0.02, 0.02, math.radians(0.3)]) ** 2  # covariance of the odometry of the mapping drive
+PAIRED = 15  # mapped features, at most, that a scan of the mapping drive updates
+CLOSING = np.array([0.6, 0.6, math.radians(4.0)])  # σ of the pose where all searches are compared …
+SPARSE = 0.25  # [1/m²] … and the density there
+FORBIDDEN = 1e6  # price of an incompatible pairing
+
+
+@dataclass(frozen=True)
+class MappedField:
+    """Where the features are, what the map knows, and which map feature each of them is."""
+
+    features: Array  # (n, 2) [m]
+    map: StochasticMap
+    index: IntArray  # (n,) map feature, UNPAIRED where it has none
+    pose: Array  # (3,) [m, m, rad] true pose at the end of the mapping drive
+
+
+class Difficulty(NamedTuple):
+    """One table of all searches."""
+
+    name: str
+    spurious: float  # fraction of the measurements
+    widening: float = 1.0  # of the pose's σ
+    unmapped: float = 0.0  # fraction of the features
+
+
+DIFFICULTIES = (
+    Difficulty("no spurious", 0.0),
+    Difficulty("30 % spurious", 0.3),
+    Difficulty("50 % spurious, σ × 1.5, 20 % unmapped", 0.5, 1.5, 0.2),
+)
+
+
+@dataclass(frozen=True)
+class ClosureScan:
+    """One scan to associate."""
+
+    scan: Scan
+    prediction: Prediction
+    truth: IntArray  # (m,) map feature behind each measurement, UNPAIRED where there is none
+
+
+def mapped_field(n: int, rng: np.random.Generator, density: float = DENSITY) -> MappedField:
+    """A field of n features mapped in one drive over its lanes with known association."""
+    side = math.sqrt(n / density)
+    features, waypoints = rng.uniform(0.0, side, (n, 2)), lanes(side, 8.0, 1.0)
+    pose = waypoints[0]
+    slam_map, index = StochasticMap(MapSpec(), pose, capacity=n), np.full(n, UNPAIRED)
+    for waypoint in waypoints:
+        motion = relative(pose, waypoint)
+        pose = compose(pose, motion)
+        slam_map.predict(Odometry(motion + rng.multivariate_normal(np.zeros(3), STEP), STEP))
+        seen = features_in_view(features, pose, 2.0 * RANGE)
+        new, known = (np.flatnonzero((index[seen] == UNPAIRED) == flag) for flag in (True, False))
+        known = rng.permutation(known)[:PAIRED]
+        decisions = np.full(len(seen), UNPAIRED)
+        decisions[known] = index[seen[known]]
+        scan = noisy(observe(pose, features[seen]), rng)
+        slam_map.update(scan, decisions)
+        index[seen[new]] = slam_map.add(scan, new)
+    return MappedField(features, slam_map, index, pose)
+
+
+def closure_scan(field: MappedField, m: int, sigma: Array, spurious: float, rng: np.random.Generator) -> ClosureScan:
+    """The robot is carried to a random place, with an odometry of σ `sigma` (3,), and sees m points there.
+
+    A fraction `spurious` of them is clutter; the others are those detected within as far as holds them.
+    """
+    strays = round(spurious * m)
+    reach = math.sqrt((m - strays) / DETECTION / (math.pi * DENSITY))
+    carried, side, covariance = field.map.copy(), float(field.features.max()), np.diag(sigma**2)
+    target = np.array([*rng.uniform(0.2 * side, 0.8 * side, 2), rng.uniform(-math.pi, math.pi)])
+    motion = relative(field.pose, target) + rng.multivariate_normal(np.zeros(3), covariance)
+    carried.predict(Odometry(motion, covariance))
+    seen = rng.permutation(features_in_view(field.features, target, reach))[: m - strays]
+    strays = m - len(seen)
+    points = np.concatenate([observe(target, field.features[seen]), clutter(strays, reach, math.tau, rng)])
+    truth = np.concatenate([field.index[seen], np.full(strays, UNPAIRED)])
+    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
+    return ClosureScan(noisy(points[order], rng), carried.prediction(np.inf), truth[order])
+
+
+def difficult_scan(field: MappedField, m: int, difficulty: Difficulty, rng: np.random.Generator) -> ClosureScan:
+    """The robot is moved to a random place of the field and sees about m measurements there, over 180°."""
+    partial, index = field.map.copy(), np.full(len(field.index), UNPAIRED)
+    kept = partial.remove(rng.permutation(partial.n)[: round(difficulty.unmapped * partial.n)])
+    for row, feature in enumerate(kept.tolist()):
+        index[field.index == feature] = row
+    side, sigma = float(field.features.max()), difficulty.widening * CLOSING
+    target = np.array([*rng.uniform(0.2 * side, 0.8 * side, 2), rng.uniform(-math.pi, math.pi)])
+    partial.predict(Odometry(relative(field.pose, target) + sigma * rng.standard_normal(3), np.diag(sigma**2)))
+    strays = round(difficulty.spurious * m)
+    reach = math.sqrt(2.0 * (m - strays) / DETECTION / (math.pi * SPARSE))
+    seen = features_in_view(field.features, target, reach, math.pi)
+    seen = seen[rng.random(len(seen)) < DETECTION]
+    points = np.concatenate([observe(target, field.features[seen]), clutter(strays, reach, math.pi, rng)])
+    truth = np.concatenate([index[seen], np.full(strays, UNPAIRED)])
+    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
+    return ClosureScan(noisy(points[order], rng, 0.05), partial.prediction(reach), truth[order])
+
+
+def noisy(points: Array, rng: np.random.Generator, sigma: float = SIGMA) -> Scan:
+    return Scan.from_points(points + sigma * rng.standard_normal(points.shape), sigma=sigma)
+
+
+def assign(scan: Scan, prediction: Prediction) -> None:
+    """Gating and linear assignment."""
+    gated, m, n = individual(scan, prediction), len(scan), len(prediction)
+    matrix = np.full((m, n + m), FORBIDDEN)
+    matrix[gated.measured, gated.rows[gated.slots]] = gated.distances
+    matrix[np.arange(m), n + np.arange(m)] = chi2_gate(2, prediction.confidence)
+    linear_sum_assignment(matrix)
+
+
+def measure(one: ClosureScan) -> Record:
+    """Figures and times [µs] of JCBB and the assignment on one scan."""
+    scan, prediction = one.scan, one.prediction
+    answer = jcbb(scan, prediction)
+    wider = jcbb(scan, replace(prediction, confidence=0.999))
+    return {
+        "candidates each": len(individual(scan, prediction).slots) / len(scan),
+        "nodes": answer.effort.nodes,
+        "exact": np.array_equal(answer.features, one.truth),
+        "exact at 0.999": np.array_equal(wider.features, one.truth),
+        "JCBB": fastest(jcbb, scan, prediction),
+        "assignment": fastest(assign, scan, prediction),
+    }
+
+
+def beside_assignment(field: MappedField, scans: int, rng: np.random.Generator) -> list[Record]:
+    """JCBB and the assignment, at loop closure and while tracking: means of what is right, medians of the rest."""
+    rows = []
+    for workload, m, sigma, spurious in (("loop closure", 20, CARRIED, 0.3), ("tracking", 12, TRACKED, 0.2)):
+        found = pd.DataFrame(measure(closure_scan(field, m, sigma, spurious, rng)) for _ in range(scans))
+        row = {"workload": workload, "n": len(field.features), "m": m}
+        row |= found[["candidates each", "exact", "exact at 0.999"]].mean().to_dict()
+        row |= found[["nodes", "JCBB"]].median().to_dict() | {"95 %": found["JCBB"].quantile(0.95)}
+        rows.append(row | {"assignment": found["assignment"].median()})
+    return rows
+
+
+def all_searches(scans: list[ClosureScan]) -> list[Record]:
+    """Every associator on the same scans."""
+    rows, of_jcbb = [], np.array([fastest(jcbb, one.scan, one.prediction) for one in scans])
+    for name, search in ASSOCIATORS.items():
+        if name == "true_association":
+            continue
+        answers = [search(one.scan, one.prediction).features for one in scans]
+        found, truth = np.concatenate(answers), np.concatenate([one.truth for one in scans])
+        right = int(((found == truth) & (truth != UNPAIRED)).sum())
+        times = np.array([fastest(search, one.scan, one.prediction) for one in scans])
+        rows.append({
+            "search": name,
+            "exact": np.mean([np.array_equal(answer, one.truth) for answer, one in zip(answers, scans)]),
+            "recall": right / max(int((truth != UNPAIRED).sum()), 1),
+            "precision": right / max(int((found != UNPAIRED).sum()), 1),
+            "median µs": np.median(times),
+            "× JCBB": np.median(times / of_jcbb),
+            "longest": times.max(),
+        })  # fmt: skip
+    return sorted(rows, key=lambda row: row["median µs"])
+
+
+def main() -> None:
+    a = options(__doc__, features=(100, 300, 1000), scans=100)
+    rng, scans = np.random.default_rng(a.seed), 3 if a.quick else a.scans
+    fields = [mapped_field(n, rng) for n in ((30,) if a.quick else a.features)]
+    rows = [row for field in fields for row in beside_assignment(field, scans, rng)]
+    table("JCBB beside linear assignment [µs]", rows)
+    sparse = [mapped_field(n, rng, SPARSE) for n in ((30,) if a.quick else (20, 100, 300, 1000))]
+    for difficulty in DIFFICULTIES:
+        kinds = [(field, m) for _ in range(min(scans, 30)) for field in sparse for m in (5, 10, 20)]
+        drawn = [difficult_scan(field, m, difficulty, rng) for field, m in kinds]
+        table(f"Every associator at loop closure, {difficulty.name}", all_searches(drawn))
+
+
+if __name__ == "__main__":
+    main()

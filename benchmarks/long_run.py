@@ -1,0 +1,143 @@
+"""A million ticks through everything, with settings that no robot should have: does anything break, does memory grow?
+
+Episodes of Explore, Associate and Relocate go round all scenarios and eight kinds of settings (as they are; noise × 20;
+much clutter; a blind detector; a crowd; a floor of 200 m; no noise; all at once), with associators, relocation, rewards
+and localities drawn at random. At every step the observation must be in its space, the reward finite and some action
+legal; maps stay finite and positive semi-definite; the rewards of an exploration sum to the fall of its error; and
+memory in the last fifth of the episodes is within a tenth of that in the second. Episode N follows from the seed and
+N alone: `--first N --ticks 1` plays it again. Ends in 1 if anything broke.
+
+    python benchmarks/long_run.py --ticks 1000000       # an hour and a half
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from benchmarks.common import options, resident
+from slam_gym import ASSOCIATORS, RELOCATORS, SCENARIOS, Scenario
+from slam_gym.scenarios import overridden
+from slam_gym.world.generators import OfficeGenerator
+
+NOISY = {f"odometry.{name}": 0.5 for name in ("forward", "lateral", "turn_per_radian", "turn_per_metre")}
+NOISY |= {"sensor.range_sigma": 0.6, "sensor.bearing_sigma": 0.2}
+QUIET = {f"odometry.{name}": 0.0 for name in ("forward", "lateral", "turn_per_radian", "turn_per_metre")}
+QUIET |= {"odometry.floor": 1e-7, "sensor.range_sigma_ratio": 0.0, "sensor.detection": 1.0, "sensor.clutter": 0.0}
+QUIET |= {f"sensor.{name}": 1e-6 for name in ("range_sigma", "bearing_sigma", "size_sigma")}
+BUSY = {"sensor.clutter": 10.0, "sensor.detection": 0.1, "dynamics.people": 30}
+EXTREMES: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "noise × 20": NOISY,
+    "clutter": {"sensor.clutter": 10.0},
+    "blind": {"sensor.detection": 0.1},
+    "crowd": {"dynamics.people": 30},
+    "200 m": {},
+    "no noise": QUIET,
+    "all at once": NOISY | BUSY,
+}
+SHORTER = {"noise × 20": 0.1, "clutter": 0.2, "all at once": 0.1}  # a lost robot takes ten times as long for a tick
+KINDS = ("Explore",) * 7 + ("Associate",) * 2 + ("Relocate",)
+MIN_EPISODES = 100  # in which memory is judged: before, code is still being loaded
+GROWTH = 0.1  # of memory from the second to the last fifth of the episodes; more is a leak
+
+
+def episode(number: int, seed: int, ticks: int) -> tuple[str, gym.Env[Any, Any]]:
+    """The `number`-th episode in words, and its environment; scenarios and extremes go round, the rest is drawn."""
+    rng = np.random.default_rng((seed, number))
+    kind, name = KINDS[number % len(KINDS)], list(SCENARIOS)[number % len(SCENARIOS)]
+    extreme = list(EXTREMES)[(number // len(KINDS) + number) % len(EXTREMES)]
+    budget = max(int(ticks * SHORTER.get(extreme, 1.0)), 20)
+    scenario: Scenario = overridden(SCENARIOS[name], EXTREMES[extreme])
+    if extreme == "200 m":
+        scenario = replace(scenario, generator=OfficeGenerator(rooms=80))
+
+    def any_of(*values: Any) -> Any:
+        return values[int(rng.integers(len(values)))]
+
+    if kind == "Explore":
+        arguments = {
+            "action": any_of("goal", "twist"),
+            "associator": any_of(*ASSOCIATORS),
+            "reward": any_of("map_error", "a_opt", "d_opt", "entropy"),
+            "locality": any_of(None, "covisibility"),
+            "relocation": any_of(*RELOCATORS),
+            "atlas": any_of(True, False),
+        }
+    elif kind == "Associate":
+        arguments = {"reward": any_of("truth", "map_error"), "compatibility": any_of("joint", "individual")}
+        budget //= 4
+    else:
+        arguments = {"locality": any_of(None, "covisibility", "distance"), "outside": any_of(0.0, 0.5, 1.0)}
+        budget = min(budget, 150)
+    scenario = replace(scenario, budget=max(budget, 20))
+    env = gym.make(f"slam_gym/{kind}-v0", disable_env_checker=True, scenario=scenario, **arguments).unwrapped
+    return f"episode {number}: {kind}, {name}, {extreme}, {arguments}", env
+
+
+def checked(env: Any, seed: int) -> Iterator[int]:
+    """Play an episode at random: the ticks of each step. Raises AssertionError where something does not hold."""
+    rng, total = np.random.default_rng(seed), 0.0
+    observation, info = env.reset(seed=seed)
+    first, over = info.get("map_error"), False
+    while not over:
+        if "action_mask" in info:
+            assert info["action_mask"].any(), "no action is legal"
+            action = int(rng.choice(np.flatnonzero(info["action_mask"])))
+        else:
+            action = np.clip(rng.normal([0.5, 0.0], [0.6, 0.5]), -1.0, 1.0).astype(np.float32)
+        observation, reward, over, _, info = env.step(action)
+        assert env.observation_space.contains(observation), "an observation is outside of its space"
+        assert math.isfinite(reward), f"the reward is {reward}"
+        total += reward
+        yield int(info.get("ticks", 1))
+    explored = getattr(env, "episode", None)
+    if explored is not None:
+        check_covariance(explored.slam.map.covariance)
+    if explored is not None and env._arguments["reward"] == "map_error":
+        assert abs(total - (first - info["map_error"])) < 1e-6, "rewards do not sum to the fall of the error"
+
+
+def check_covariance(covariance: np.ndarray) -> None:
+    """Raise AssertionError unless it is finite, symmetric, and positive semi-definite as correlations to 1e-9."""
+    assert np.isfinite(covariance).all(), "the covariance is not finite"
+    assert np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0), "the covariance is not symmetric"
+    assert (np.diag(covariance) >= 0.0).all(), "a variance is negative"
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    correlations = covariance / np.outer(scale, scale)
+    assert np.linalg.eigvalsh(correlations)[0] > -1e-9 * len(correlations), "the covariance is not positive"
+
+
+def main() -> None:
+    a = options(__doc__, ticks=1_000_000, length=1500, first=0)
+    ticks, length = (200, 20) if a.quick else (a.ticks, a.length)
+    total, number, broken = 0, a.first, 0
+    megabytes: list[float] = []
+    while total < ticks:
+        words, env = episode(number, a.seed, length)
+        try:
+            total += sum(checked(env, number))
+        except Exception as error:
+            broken += 1
+            print(f"BROKEN {words}: {type(error).__name__}: {error}", flush=True)
+        del env
+        gc.collect()
+        megabytes.append(resident())
+        number += 1
+        if number % 20 == 0:
+            print(f"{len(megabytes)} episodes, {total} ticks, {megabytes[-1]:.0f} MB; --first {number}", flush=True)
+    fifth = max(len(megabytes) // 5, 1)
+    growth = np.median(megabytes[-fifth:]) / np.median(megabytes[fifth : 2 * fifth] or megabytes) - 1.0
+    print(f"{len(megabytes)} episodes, {total} ticks, {broken} broken, memory {100.0 * growth:+.1f} %")
+    raise SystemExit(broken > 0 or (len(megabytes) >= MIN_EPISODES and growth > GROWTH))
+
+
+if __name__ == "__main__":
+    main()

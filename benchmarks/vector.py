@@ -1,0 +1,83 @@
+"""Explore-v0, many worlds at once: ticks per second beside one world, and beside Gymnasium's own vectors.
+
+All take turns in one run, block by block, by the clock: medians over the blocks. Twists are drawn blindly, goals among
+the legal ones; a goal takes many ticks, hence ticks are counted.
+
+    python benchmarks/vector.py [--worlds 8 --workers 2 --blocks 16]      # three minutes
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import slam_gym  # noqa: F401 (registers the environments)
+from benchmarks.common import Record, options, table
+
+ID = "slam_gym:slam_gym/Explore-v0"  # imports the package in a fresh process, too
+
+
+def actions(envs: Any, infos: dict[str, Any], rng: np.random.Generator) -> Any:
+    """Legal goals, or twists that lean forward."""
+    if isinstance(envs.single_action_space, gym.spaces.Discrete):
+        return np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
+    return np.clip(rng.normal([0.5, 0.0], [0.6, 0.5], (envs.num_envs, 2)), -1.0, 1.0).astype(np.float32)
+
+
+class Run:
+    """Worlds that are stepped block by block."""
+
+    def __init__(self, envs: Any, seed: int) -> None:
+        self.envs, self.rng = envs, np.random.default_rng(seed)
+        _, self.infos = envs.reset(seed=seed)
+
+    def block(self, ticks: int) -> float:
+        """Ticks per second of all worlds together, over so many ticks at least."""
+        done, start = 0, time.perf_counter()
+        while done < ticks:
+            *_, self.infos = self.envs.step(actions(self.envs, self.infos, self.rng))
+            done += int(np.asarray(self.infos["ticks"]).sum())
+        return done / (time.perf_counter() - start)
+
+
+def throughput(
+    scenario: str, action: str, worlds: int, workers: int, blocks: int, ticks: int, seed: int
+) -> list[Record]:
+    """One world beside many, in this process and in others; the first block, which compiles, does not count."""
+    arguments = {"scenario": scenario, "action": action, "associator": "jcbb"}
+    native = {"vectorization_mode": "vector_entry_point", **arguments}
+    kinds = {
+        "1 world": gym.make_vec(ID, 1, workers=0, **native),
+        f"{worlds} worlds, this process": gym.make_vec(ID, worlds, workers=0, **native),
+        f"{worlds} worlds, {workers} workers": gym.make_vec(ID, worlds, workers=workers, **native),
+        f"{worlds} worlds, Gymnasium's sync": gym.make_vec(ID, worlds, vectorization_mode="sync", **arguments),
+        f"{worlds} worlds, Gymnasium's async": gym.make_vec(ID, worlds, vectorization_mode="async", **arguments),
+    }
+    runs = {name: Run(envs, seed) for name, envs in kinds.items()}
+    rates = {name: [] for name in kinds}
+    for _ in range(blocks + 1):
+        for name, run in runs.items():
+            rates[name].append(run.block(ticks * run.envs.num_envs))
+    medians = {name: float(np.median(found[1:])) for name, found in rates.items()}
+    for envs in kinds.values():
+        envs.close()
+    return [
+        {"action": action, "": name, "ticks/s": rate, "of one world": rate / medians["1 world"]}
+        for name, rate in medians.items()
+    ]
+
+
+def main() -> None:
+    a = options(__doc__, worlds=8, workers=2, scenario="office", blocks=7)
+    worlds, blocks = (2, 1) if a.quick else (a.worlds, a.blocks)
+    rows: list[Record] = []
+    for action, ticks in (("twist", 100), ("goal", 200)):
+        rows += throughput(a.scenario, action, worlds, a.workers, blocks, 5 if a.quick else ticks, a.seed)
+    table("Ticks per second", rows)
+
+
+if __name__ == "__main__":
+    main()
