@@ -21,6 +21,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 _NUMBA: Any = config
 _LANES = 8  # doubles in a cache line
 _CAPSULE = type(np.from_dlpack(np.zeros(1)).base)
+ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 _SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this fraction of its trace
 
 
@@ -115,18 +116,26 @@ _fma: Any = _rounded_twice if _NUMBA.DISABLE_JIT else intrinsic(_fused)
 
 
 @compiled
-def subtract_product(P: Array, W: Array) -> None:
+def subtract_squares(P: Array, W: Array) -> None:
     """Upper triangle of P −= Wᵀ W for W (2k, padded d): four rows of P and one pairing at a time, by whole cache lines.
 
-    This is where the time of an update goes; so blocked it is as fast as BLAS's dsyrk, and faster in small maps.
+    This is where the time of an update goes; so blocked it is as fast as BLAS's dsyrk, and faster in small maps. What
+    rounding may have taken too much is given back to the diagonal.
     """
     rows, d = W.shape
+    lost = np.zeros(d)
+    for k in range(rows):
+        row = W[k]
+        for j in range(d):
+            lost[j] += row[j] * row[j]
     for i in range(0, d, 4):
         left = i - i % _LANES
         length = (d - left) // _LANES * _LANES
         block = P[i, left:], P[i + 1, left:], P[i + 2, left:], P[i + 3, left:]
         for k in range(0, rows, 2):
             _subtract_from(*block, W[k, left:], W[k + 1, left:], W[k, i : i + 4], W[k + 1, i : i + 4], length)
+    for j in range(d):
+        P[j, j] += ROUNDING * lost[j]
 
 
 @apart

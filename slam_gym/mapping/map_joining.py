@@ -18,15 +18,13 @@ import numpy as np
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.ekf import symmetric
-from slam_gym.mapping.linear_algebra import aligned_zeros, cholesky, padded, subtract_product, whiten
+from slam_gym.mapping.linear_algebra import ROUNDING, aligned_zeros, cholesky, padded, subtract_squares, whiten
 from slam_gym.mapping.map_state import MapState, map_of_state, state_of
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray
 
 UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
 """[m², m², rad²] Covariance of a pose, or of the relation of two maps, before it is found: it says nothing."""
-
-_ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
 def join(a: StochasticMap, b: StochasticMap, *, renumber: bool = False) -> StochasticMap:
@@ -120,13 +118,12 @@ def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Arra
     W, left = np.zeros((len(first), side)), aligned_zeros(side, side)
     W[:, :d], left[:d, :d] = P[first] - P[second], P
     S = np.ascontiguousarray(W[:, first] - W[:, second])
-    S[np.diag_indices(len(S))] += _ROUNDING * (P[first, first] + P[second, second])
+    S[np.diag_indices(len(S))] += ROUNDING * (P[first, first] + P[second, second])
     if not cholesky(S):
         raise ValueError("pairs: the covariance of what is to be equal is singular")
     nu = mean[second] - mean[first]
     whiten(S, W, nu)
     out = mean + (W[:, :d] * nu[:, None]).sum(axis=0)
     out[2] = wrap_angle(out[2])
-    subtract_product(left, W)
-    left[np.diag_indices(d)] += _ROUNDING * (W[:, :d] ** 2).sum(axis=0)
+    subtract_squares(left, W)
     return out, symmetric(left, d)

@@ -65,31 +65,20 @@ def features_in_reach(
         largest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
         if beyond > 0.0 and beyond * beyond > 9.0 * largest:
             continue
-        features[k] = j
-        positions[k, 0], positions[k, 1] = c * dx + s * dy, -s * dx + c * dy
-        covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1] = turned(c, -s, xx, xy, yy)
-        covariances[k, 1, 0] = covariances[k, 0, 1]
-        u = P[2, f] - P[0, 2] + dy * P[2, 2]
-        v = P[2, f + 1] - P[1, 2] - dx * P[2, 2]
-        across[k, 0], across[k, 1] = c * u + s * v, c * v - s * u
+        ux, uy = c * dx + s * dy, -s * dx + c * dy
+        xx, xy, yy = turned(c, -s, xx, xy, yy)
+        u, v = P[2, f] - P[0, 2] + dy * P[2, 2], P[2, f + 1] - P[1, 2] - dx * P[2, 2]
+        tx, ty = c * u + s * v, c * v - s * u
         if second_order:
-            _bend(positions[k], covariances[k], across[k], P[2, 2])
+            ux, uy = ux + 0.5 * ty, uy - 0.5 * tx
+            bxx, bxy, byy = P[2, 2] * xx + tx * tx, P[2, 2] * xy + tx * ty, P[2, 2] * yy + ty * ty
+            xx, xy, yy = xx + 0.25 * byy, xy - 0.25 * bxy, yy + 0.25 * bxx
+        features[k] = j
+        positions[k, 0], positions[k, 1], across[k, 0], across[k, 1] = ux, uy, tx, ty
+        covariances[k, 0, 0], covariances[k, 0, 1] = xx, xy
+        covariances[k, 1, 0], covariances[k, 1, 1] = xy, yy
         k += 1
     return k
-
-
-@compiled
-def _bend(position: Array, covariance: Array, across: Array, variance: float) -> None:
-    """The mean and covariance of one feature to second order, in place."""
-    position[0] += 0.5 * across[1]
-    position[1] -= 0.5 * across[0]
-    xx = 0.25 * (variance * covariance[0, 0] + across[0] * across[0])
-    xy = 0.25 * (variance * covariance[0, 1] + across[0] * across[1])
-    yy = 0.25 * (variance * covariance[1, 1] + across[1] * across[1])
-    covariance[0, 0] += yy
-    covariance[1, 1] += xx
-    covariance[0, 1] -= xy
-    covariance[1, 0] -= xy
 
 
 @compiled

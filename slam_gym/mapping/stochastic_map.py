@@ -153,7 +153,7 @@ class StochasticMap:
     @property
     def confirmed(self) -> Array:
         """(e, 2) [m] positions in B of the features that are not provisional."""
-        return ekf.confirmed(self._x, self._counted[ekf.SEEN], self.n, self.spec.confirmations)
+        return self.positions[~self.provisional]
 
     @property
     def provisional(self) -> BoolArray:

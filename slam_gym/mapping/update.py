@@ -25,12 +25,11 @@ import numpy as np
 from slam_gym._compile import apart, compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.ekf import turned
-from slam_gym.mapping.linear_algebra import cholesky, is_covariance, padded, subtract_product, whiten
+from slam_gym.mapping.linear_algebra import ROUNDING, cholesky, is_covariance, padded, subtract_squares, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray
 
 ACCEPTED = -1  # what `update` returns
 NO_SUCH_FEATURE = -2
-_ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
 
 
 @compiled
@@ -69,15 +68,15 @@ def update(
         if not cholesky(S):
             return len(features)
         whiten(S, W, nu)
-        before, change, left = change, _correction(W, nu), left - 1
-        then = _corrected(x, change, d, invariant)
+        before, left = change, left - 1
+        change, then = _corrected(x, W, nu, d, invariant)
         if left <= 0 or _left_over(here, then, where, change - before, R, paired) <= settled * settled:
             break
         here, where = then, then
         if invariant:
             where = x.copy()
             where[2] = then[2]
-    _subtract_squares(P, W, d)
+    subtract_squares(P, W)
     if invariant:
         _express_at(P, d, x, then)
     for j in range(d):
@@ -138,8 +137,8 @@ def _innovation(
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
         dx, dy = where[f] - where[0], where[f + 1] - where[1]
-        S[a, a] += _ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
-        S[b, b] += _ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
+        S[a, a] += ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
+        S[b, b] += ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
         for row in range(a, 2 * k):
             S[row, a] += HP[row, f] - HP[row, 0] + dy * HP[row, 2]
             S[row, b] += HP[row, f + 1] - HP[row, 1] - dx * HP[row, 2]
@@ -163,20 +162,14 @@ def _rows_of_HP(where: Array, P: Array, d: int, f: int, robot: Array, out_x: Arr
 
 
 @compiled
-def _correction(W: Array, nu: Array) -> Array:
-    """K ν = Wᵀ L⁻¹ ν, from W and ν as `whiten` leaves them."""
-    change = np.zeros(W.shape[1])
+def _corrected(x: Array, W: Array, nu: Array, d: int, invariant: bool) -> tuple[Array, Array]:
+    """The correction K ν = Wᵀ L⁻¹ ν, from W and ν as `whiten` leaves them; and x + K ν, or x + V(δθ) K ν."""
+    change, out = np.zeros(W.shape[1]), x.copy()
     for i in range(len(nu)):
         row = W[i]
         for j in range(len(change)):
             change[j] += row[j] * nu[i]
-    return change
-
-
-@compiled
-def _corrected(x: Array, change: Array, d: int, invariant: bool) -> Array:
-    """x + `change`, or x + V(δθ) `change` along the group."""
-    out, turn = x.copy(), change[2]
+    turn = change[2]
     a, b = 1.0, 0.0  # V(φ) = [a −b; b a]
     if invariant:
         a, b = 1.0 - turn * turn / 6.0, 0.5 * turn
@@ -188,7 +181,7 @@ def _corrected(x: Array, change: Array, d: int, invariant: bool) -> Array:
     for f in range(3, d, 2):
         out[f] += a * change[f] - b * change[f + 1]
         out[f + 1] += b * change[f] + a * change[f + 1]
-    return out
+    return change, out
 
 
 @compiled
@@ -216,19 +209,6 @@ def _left_over(here: Array, then: Array, where: Array, change: Array, covariance
         if squared > 0.0:
             total += squared / determinant if determinant > 0.0 else math.inf
     return total
-
-
-@compiled
-def _subtract_squares(P: Array, W: Array, d: int) -> None:
-    """P ← P − Wᵀ W, rounding given back."""
-    lost = np.zeros(W.shape[1])  # variance that the update takes away
-    for i in range(len(W)):
-        row = W[i]
-        for j in range(len(lost)):
-            lost[j] += row[j] * row[j]
-    subtract_product(P, W)
-    for j in range(d):
-        P[j, j] += _ROUNDING * lost[j]
 
 
 @compiled

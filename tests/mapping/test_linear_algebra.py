@@ -9,7 +9,7 @@ from slam_gym.mapping.linear_algebra import (
     is_covariance,
     padded,
     read_only,
-    subtract_product,
+    subtract_squares,
     whiten,
 )
 from slam_gym.types import Array
@@ -81,7 +81,7 @@ def test_the_product_is_subtracted_from_the_upper_triangle(pairings: int, d: int
     P = aligned_zeros(side, side)
     P[:d, :d] = definite(rng, d)
     before = P.copy()
-    subtract_product(P, W)
+    subtract_squares(P, W)
     np.testing.assert_allclose(np.triu(P), np.triu(before - W.T @ W), rtol=0, atol=1e-11)
 
 
