@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     )
     from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
     from slam_gym.recordings.catalogue import open_recordings
-    from slam_gym.recordings.recording import write_tum
-    from slam_gym.scenarios import SCENARIOS, Scenario, register
+    from slam_gym.recordings.recording import Recording, write_tum
+    from slam_gym.scenarios import SCENARIOS, Scenario, from_floor_plan, get_scenario, register
     from slam_gym.slam.atlas import AtlasSpec
     from slam_gym.slam.local_maps import LocalMapSlam
     from slam_gym.slam.relocate import relocate_by
@@ -64,8 +64,8 @@ _WHERE = {
     ),
     "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
     "recordings.catalogue": ("open_recordings",),
-    "recordings.recording": ("write_tum",),
-    "scenarios": ("SCENARIOS", "Scenario", "register"),
+    "recordings.recording": ("Recording", "write_tum"),
+    "scenarios": ("SCENARIOS", "Scenario", "from_floor_plan", "get_scenario", "register"),
     "slam.atlas": ("AtlasSpec",),
     "slam.local_maps": ("LocalMapSlam",),
     "slam.relocate": ("relocate_by",),
@@ -93,14 +93,17 @@ __all__ = [
     "MapSpec",
     "Odometry",
     "Prediction",
+    "Recording",
     "Relocation",
     "Scan",
     "Scenario",
     "Slam",
     "SlamSpec",
     "StochasticMap",
+    "from_floor_plan",
     "from_policy",
     "gcbb",
+    "get_scenario",
     "global_nearest_neighbour",
     "indexed",
     "ipjc",

@@ -94,13 +94,8 @@ class Identities:
         self._in_map: dict[int, list[int]] = {}  # source -> ids of the features the map has of it, oldest first
 
     @property
-    def counts(self) -> IntArray:
-        """(12,) fields of the tally of all steps so far."""
-        return self._counts.copy()
-
-    @property
     def decided(self) -> list[int]:
-        """The first five of them: right pairings, wrong ones of three kinds, and missed ones."""
+        """The first five counts of the tally so far: right pairings, wrong ones of three kinds, and missed ones."""
         decided: list[int] = self._counts[:5].tolist()
         return decided
 

@@ -33,21 +33,16 @@ def expected_reduction(
     return _expected_reduction(mean, covariance, explored, places, reach, sigma**2, variances)
 
 
-def features_in_sight(
-    mean: Array, grid: ExploredGrid, places: Array, reach: float, most: int | None = None
-) -> IntArray:
+def features_in_sight(mean: Array, grid: ExploredGrid, places: Array, reach: float) -> IntArray:
     """(q,) features of the state `mean` (3 + 2n,) within `reach` [m] and in line of sight of each of `places` (q, 2).
 
-    As far as walls are known: the unknown hides nothing. Counted up to `most`.
+    As far as walls are known: the unknown hides nothing.
     """
-    explored = grid.cells, grid.origin, grid.resolution
-    return _features_in_sight(mean, explored, places, reach, len(mean) if most is None else most)
+    return _features_in_sight(mean, (grid.cells, grid.origin, grid.resolution), places, reach)
 
 
 @compiled
-def _features_in_sight(
-    x: Array, packed: tuple[Cells, Array, float], places: Array, reach: float, most: int
-) -> IntArray:
+def _features_in_sight(x: Array, packed: tuple[Cells, Array, float], places: Array, reach: float) -> IntArray:
     """See `features_in_sight`."""
     explored, out = ExploredCells(*packed), np.zeros(places.shape[0], np.int64)
     for q in range(places.shape[0]):
@@ -57,8 +52,6 @@ def _features_in_sight(
                 continue
             if math.hypot(dx, dy) <= reach and _in_sight(explored, places[q], x[3 + 2 * j : 5 + 2 * j]):
                 out[q] += 1
-                if out[q] == most:
-                    break
     return out
 
 

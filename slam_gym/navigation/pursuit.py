@@ -44,7 +44,6 @@ def length_left(path: Array, position: Array) -> float:
     return at.gap + left - at.covered
 
 
-@compiled
 def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Array]:
     """The next `ahead` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`; the waypoints then."""
     at, total = on_path(path, position), 0.0
@@ -59,33 +58,17 @@ def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Arr
     return path[at.segment :].copy(), path[:0].copy()
 
 
-@compiled
 def points_ahead(path: Array, position: Array, spacing: float) -> Array:
     """Points (q, 2) along the path (p, 2), p ≥ 1, from the waypoint nearest to `position` on, some `spacing` [m] apart.
 
     The last waypoint alone is itself.
     """
-    first, least = 0, math.inf
-    for i in range(path.shape[0]):
-        squared = (path[i, 0] - position[0]) ** 2 + (path[i, 1] - position[1]) ** 2
-        if squared < least:
-            first, least = i, squared
-    if first == path.shape[0] - 1:
-        return path[first:].copy()
-    starts = np.zeros(path.shape[0] - first)  # [m] of the waypoints, along the path from the first of them
-    for i in range(first, path.shape[0] - 1):
-        length = math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1])
-        starts[i + 1 - first] = starts[i - first] + length
-    count = math.ceil(starts[-1] / spacing)
-    points, k = np.empty((count, 2)), 0
-    for q in range(count):
-        while k < len(starts) - 2 and starts[k + 1] <= q * spacing:
-            k += 1
-        length = max(starts[k + 1] - starts[k], 1e-12)
-        for axis in range(2):
-            before, after = path[first + k, axis], path[first + k + 1, axis]
-            points[q, axis] = before + (after - before) / length * (q * spacing - starts[k])
-    return points
+    rest = path[np.argmin(((path - position) ** 2).sum(axis=1)) :]
+    if len(rest) == 1:
+        return rest.copy()
+    starts = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rest, axis=0).T))])  # [m] of the waypoints
+    along = spacing * np.arange(math.ceil(starts[-1] / spacing))
+    return np.column_stack([np.interp(along, starts, rest[:, axis]) for axis in range(2)])
 
 
 class PursuitSpec(NamedTuple):
@@ -120,39 +103,24 @@ def follow(pose: Array, path: Array, spec: PursuitSpec = _STANDARD) -> Twist:
     return Twist(*_pursue(pose, path, tuple(spec)))
 
 
-class _Ahead(NamedTuple):
-    """The point to chase, and the length of the path that is left from the point nearest to the robot on."""
-
-    x: float
-    y: float
-    left: float
-
-
 @compiled
-def _ahead(pose: Array, path: Array, lookahead: float) -> _Ahead:
-    """The point of a path (p, 2), p ≥ 1, `lookahead` [m] beyond the one nearest to the robot."""
-    at = on_path(path, pose[:2])
-    x, y, left, found = path[-1, 0], path[-1, 1], -at.covered, False
+def _pursue(pose: Array, path: Array, packed: tuple[float, ...]) -> tuple[float, float]:
+    """Forward and turning speed, as fractions, towards the point `lookahead` beyond the nearest one of the path."""
+    if path.shape[0] == 0:
+        return 0.0, 0.0
+    spec, at = PursuitSpec(*packed), on_path(path, pose[:2])
+    x, y, left, passed = path[-1, 0], path[-1, 1], -at.covered, False
     for i in range(at.segment, path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
         length = math.hypot(dx, dy)
-        if not found and left + length >= lookahead:
-            t = (lookahead - left) / length if length > 0.0 else 0.0
-            x, y, found = path[i, 0] + t * dx, path[i, 1] + t * dy, True
+        if not passed and left + length >= spec.lookahead:
+            t = (spec.lookahead - left) / length if length > 0.0 else 0.0
+            x, y, passed = path[i, 0] + t * dx, path[i, 1] + t * dy, True
         left += length
-    return _Ahead(x, y, left)
-
-
-@compiled
-def _pursue(pose: Array, path: Array, packed: tuple[float, ...]) -> tuple[float, float]:
-    if path.shape[0] == 0:
-        return 0.0, 0.0
-    spec = PursuitSpec(*packed)
-    ahead = _ahead(pose, path, spec.lookahead)
-    left = max(ahead.left, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
+    left = max(left, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
     if left < spec.tolerance:
         return 0.0, 0.0
-    error = wrap_angle(math.atan2(ahead.y - pose[1], ahead.x - pose[0]) - pose[2])
+    error = wrap_angle(math.atan2(y - pose[1], x - pose[0]) - pose[2])
     slower = max(0.0, 1.0 - abs(error) / spec.stop_angle)
     speed = min(spec.max_speed, math.sqrt(2.0 * spec.deceleration * left)) * slower
     turn = min(spec.max_turn, max(-spec.max_turn, spec.turn_gain * error))

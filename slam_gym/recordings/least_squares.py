@@ -6,13 +6,14 @@ m by Gauss–Newton with Levenberg's damping; every step is one sparse least-squ
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csc_array, identity
 from scipy.sparse.linalg import splu
 
-from slam_gym.geometry import compose, wrap_angle
+from slam_gym.geometry import compose
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array, IntArray
 
@@ -144,7 +145,8 @@ def _roots(covariances: Array) -> Array:
 
 
 def _wrapped(angles: Array) -> Array:
-    return np.array([wrap_angle(angle) for angle in angles.tolist()])
+    wrapped: Array = np.remainder(angles + math.pi, 2.0 * math.pi) - math.pi
+    return wrapped
 
 
 def _turned(headings: Array, vectors: Array) -> Array:

@@ -9,7 +9,7 @@ about the same scans.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -80,141 +80,129 @@ _OFFICE = Scenario(
 _FAIR = (0.08, math.radians(1.0))
 
 
-def _sweep(
-    name: str, knobs: Sequence[float], scenarios: Sequence[Scenario], blind: Sequence[tuple[float, float]]
-) -> tuple[Level, ...]:
-    return tuple(
-        Level(name, i, knob, replace(scenario, name=f"{name}/{i}"), at)
-        for i, (knob, scenario, at) in enumerate(zip(knobs, scenarios, blind, strict=True))
-    )
+def _experiment(
+    name: str,
+    question: str,
+    why: str,
+    axis: str,
+    knobs: Sequence[float],
+    scenario: Callable[[float], Scenario],
+    blind: Callable[[float], tuple[float, float]],
+) -> Experiment:
+    """A sweep over `knobs`: the scenario of each, and what the robot knows of its pose there."""
+    levels = []
+    for number, knob in enumerate(knobs):
+        setting = scenario(knob)
+        spacing = min(1.5, setting.sensor.range / 4.0)
+        levels.append(Level(name, number, knob, replace(setting, name=f"{name}/{number}"), blind(knob), spacing))
+    return Experiment(name, question, why, axis, tuple(levels))
 
 
-def _with_sensor(knobs: Sequence[float], field: str, **fixed: float) -> list[Scenario]:
-    settings: list[dict[str, Any]] = [{**fixed, field: knob} for knob in knobs]
-    sensors = [replace(_SENSOR, **setting) for setting in settings]
-    return [replace(_OFFICE, sensor=sensor) for sensor in sensors]
+def _with_sensor(**changes: Any) -> Scenario:
+    return replace(_OFFICE, sensor=replace(_SENSOR, **changes))
 
 
-def _closure() -> Experiment:
-    knobs = (0.02, 0.1, 0.3, 0.6, 1.0)
-    blind = [(sigma, math.radians(12.0 * sigma)) for sigma in knobs]
-    return Experiment(
-        "closure",
-        "How lost may the robot be and still recognise what it sees?",
-        "The gates grow with the uncertainty of the pose, so that each measurement has more compatible features; but "
-        "all errors share one cause, the pose, and so the innovations of a right hypothesis agree with each other.",
-        "σ of position before the look [m]; heading 12° per metre",
-        _sweep("closure", knobs, [_OFFICE] * len(knobs), blind),
-    )
+def _rooms_at_pitch(pitch: float) -> Scenario:
+    width = (pitch - 0.2, pitch - 0.2)
+    generator = AliasedGenerator(rooms=12, room_width=width, room_depth=(4.4, 4.8), door_width=(0.8, 0.9))
+    return replace(_OFFICE, generator=generator)
 
 
-def _drift() -> Experiment:
-    knobs = (1.0, 3.0, 5.0, 8.0, 12.0)
-    office = replace(_OFFICE, sensor=replace(_SENSOR, detection=0.9, clutter=1.0))
-    return Experiment(
-        "drift",
-        "How far may one tick turn the robot away from where it believes to look?",
-        "At six metres a degree is ten centimetres. All measurements are turned together, further than the linearised "
-        "gates of each foresee: 3°, 5° and 8° are what the wheels of `drift-1` to `drift-3` lose in a tick's turn.",
-        "σ of heading before the look [°]; position 0.1 m",
-        _sweep("drift", knobs, [office] * len(knobs), [(0.1, math.radians(knob)) for knob in knobs]),
-    )
+def _posts(density: float) -> Scenario:
+    reach = math.sqrt(_IN_SIGHT / (0.5 * _SENSOR.field_of_view * density))
+    return replace(_OFFICE, generator=PostsGenerator(density), sensor=replace(_SENSOR, range=reach))
 
 
-def _aliasing() -> Experiment:
-    knobs = (6.0, 4.5, 3.5, 2.8, 2.2)
-    scenarios = []
-    for pitch in knobs:
-        width = pitch - 0.2
-        generator = AliasedGenerator(rooms=12, room_width=(width, width), room_depth=(4.4, 4.8), door_width=(0.8, 0.9))
-        scenarios.append(replace(_OFFICE, generator=generator))
-    return Experiment(
-        "aliasing",
-        "Are identical rooms told apart, when the pose does not quite say which one it is?",
-        "Rooms repeat at the pitch. A hypothesis that is off by a room pairs as many measurements as the right one "
-        "and is consistent in itself: only the prior on the pose, and what is at the ends of the corridor, speak "
-        "against it.",
-        "pitch of identical rooms [m]; σ of position 0.8 m",
-        _sweep("aliasing", knobs, scenarios, [(0.8, math.radians(3.0))] * len(knobs)),
-    )
-
-
-def _clutter() -> Experiment:
-    knobs = (0.0, 3.0, 6.0, 12.0, 24.0)
-    return Experiment(
-        "clutter",
-        "How much that is not there may the detector report?",
-        "Spurious measurements fall among the gates. An associator that pairs whatever is compatible pairs them too.",
-        "spurious measurements a scan",
-        _sweep("clutter", knobs, _with_sensor(knobs, "clutter"), [_FAIR] * len(knobs)),
-    )
-
-
-def _detection() -> Experiment:
-    knobs = (1.0, 0.85, 0.7, 0.5, 0.35)
-    return Experiment(
-        "detection",
-        "How much of what is there may the detector miss?",
-        "Fewer measurements of one scan support each other, while the features that were missed still offer themselves "
-        "to those that are there, spurious ones among them.",
-        "probability of detection; 3 spurious measurements a scan",
-        _sweep("detection", knobs, _with_sensor(knobs, "detection", clutter=3.0), [_FAIR] * len(knobs)),
-    )
-
-
-def _density() -> Experiment:
-    knobs = (0.3, 1.0, 3.0, 8.0, 16.0)
-    scenarios = []
-    for density in knobs:
-        seen = math.sqrt(_IN_SIGHT / (0.5 * _SENSOR.field_of_view * density))
-        scenarios.append(replace(_OFFICE, generator=PostsGenerator(density), sensor=replace(_SENSOR, range=seen)))
-    levels = _sweep("density", knobs, scenarios, [(0.1, math.radians(1.0))] * len(knobs))
-    return Experiment(
-        "density",
-        "How close together may features stand?",
-        "Posts at random in a bare room, ever closer, and a sensor that reaches a dozen of them: what the pose and the "
-        "sensor are off by stays the same, and more and more neighbours fall into one gate.",
-        "features per m²",
-        tuple(replace(level, spacing=min(level.spacing, level.scenario.sensor.range / 4.0)) for level in levels),
-    )
-
-
-def _dynamics() -> Experiment:
-    knobs = (0.0, 6.0, 12.0, 24.0, 40.0)
-    sensor = replace(_SENSOR, person_detection=0.9)
-    scenarios = [replace(_OFFICE, sensor=sensor, dynamics=DynamicsSpec(people=int(k))) for k in knobs]
-    return Experiment(
-        "dynamics",
-        "How many people may walk about?",
-        "People hide features and are taken for some, in other places each time.",
-        "people in the building",
-        _sweep("dynamics", knobs, scenarios, [_FAIR] * len(knobs)),
-    )
-
-
-def _kidnapped() -> Experiment:
-    knobs = (0.0, 2.0, 4.0, 8.0, 16.0)
-    return Experiment(
-        "kidnapped",
-        "Does a search without any prior find the robot in its map, and does it notice when it is in another building?",
-        "Without a pose only what features are to each other can be compared. Spurious measurements thin out what a "
-        "scan says, and let a hypothesis arise by chance.",
-        "spurious measurements a scan",
-        _sweep("kidnapped", knobs, _with_sensor(knobs, "clutter"), [(0.0, 0.0)] * len(knobs)),
-    )
+def _crowded(people: float) -> Scenario:
+    return replace(_with_sensor(person_detection=0.9), dynamics=DynamicsSpec(people=int(people)))
 
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment
     for experiment in (
-        _closure(),
-        _drift(),
-        _aliasing(),
-        _clutter(),
-        _detection(),
-        _density(),
-        _dynamics(),
-        _kidnapped(),
+        _experiment(
+            "closure",
+            "How lost may the robot be and still recognise what it sees?",
+            "The gates grow with the uncertainty of the pose, so that each measurement has more compatible features; "
+            "but all errors share one cause, the pose, and so the innovations of a right hypothesis agree with each "
+            "other.",
+            "σ of position before the look [m]; heading 12° per metre",
+            (0.02, 0.1, 0.3, 0.6, 1.0),
+            lambda sigma: _OFFICE,
+            lambda sigma: (sigma, math.radians(12.0 * sigma)),
+        ),
+        _experiment(
+            "drift",
+            "How far may one tick turn the robot away from where it believes to look?",
+            "At six metres a degree is ten centimetres. All measurements are turned together, further than the "
+            "linearised gates of each foresee: 3°, 5° and 8° are what the wheels of `drift-1` to `drift-3` lose in a "
+            "tick's turn.",
+            "σ of heading before the look [°]; position 0.1 m",
+            (1.0, 3.0, 5.0, 8.0, 12.0),
+            lambda sigma: _with_sensor(detection=0.9, clutter=1.0),
+            lambda sigma: (0.1, math.radians(sigma)),
+        ),
+        _experiment(
+            "aliasing",
+            "Are identical rooms told apart, when the pose does not quite say which one it is?",
+            "Rooms repeat at the pitch. A hypothesis that is off by a room pairs as many measurements as the right "
+            "one and is consistent in itself: only the prior on the pose, and what is at the ends of the corridor, "
+            "speak against it.",
+            "pitch of identical rooms [m]; σ of position 0.8 m",
+            (6.0, 4.5, 3.5, 2.8, 2.2),
+            _rooms_at_pitch,
+            lambda pitch: (0.8, math.radians(3.0)),
+        ),
+        _experiment(
+            "clutter",
+            "How much that is not there may the detector report?",
+            "Spurious measurements fall among the gates. An associator that pairs whatever is compatible pairs them "
+            "too.",
+            "spurious measurements a scan",
+            (0.0, 3.0, 6.0, 12.0, 24.0),
+            lambda clutter: _with_sensor(clutter=clutter),
+            lambda clutter: _FAIR,
+        ),
+        _experiment(
+            "detection",
+            "How much of what is there may the detector miss?",
+            "Fewer measurements of one scan support each other, while the features that were missed still offer "
+            "themselves to those that are there, spurious ones among them.",
+            "probability of detection; 3 spurious measurements a scan",
+            (1.0, 0.85, 0.7, 0.5, 0.35),
+            lambda detection: _with_sensor(clutter=3.0, detection=detection),
+            lambda detection: _FAIR,
+        ),
+        _experiment(
+            "density",
+            "How close together may features stand?",
+            "Posts at random in a bare room, ever closer, and a sensor that reaches a dozen of them: what the pose "
+            "and the sensor are off by stays the same, and more and more neighbours fall into one gate.",
+            "features per m²",
+            (0.3, 1.0, 3.0, 8.0, 16.0),
+            _posts,
+            lambda density: (0.1, math.radians(1.0)),
+        ),
+        _experiment(
+            "dynamics",
+            "How many people may walk about?",
+            "People hide features and are taken for some, in other places each time.",
+            "people in the building",
+            (0.0, 6.0, 12.0, 24.0, 40.0),
+            _crowded,
+            lambda people: _FAIR,
+        ),
+        _experiment(
+            "kidnapped",
+            "Does a search without any prior find the robot in its map, and does it notice when it is in another "
+            "building?",
+            "Without a pose only what features are to each other can be compared. Spurious measurements thin out what "
+            "a scan says, and let a hypothesis arise by chance.",
+            "spurious measurements a scan",
+            (0.0, 2.0, 4.0, 8.0, 16.0),
+            lambda clutter: _with_sensor(clutter=clutter),
+            lambda clutter: (0.0, 0.0),
+        ),
     )
 }
 RELOCATION = "kidnapped"

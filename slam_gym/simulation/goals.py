@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,19 +128,24 @@ def propose(
     seen = seen[np.isfinite(reached.lengths_to(seen))]
     spots = np.concatenate([here[None], ends, seen])
     lengths = np.concatenate([[0.0], reached.lengths_to(spots[1:])])
-    blind = _blind(scenario, slam_map, grid, _looks(reached, spots))
+    blind, in_view = _views(scenario, slam_map, grid, reached, spots)
     reductions = _reductions(scenario, slam_map, grid, spots, lengths * blind)
-    back = 1 + len(ends) + _best_revisits(seen, reductions[1 + len(ends) :], lengths[1 + len(ends) :])
-    rows = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), back]).astype(np.int64)
-    slots = np.concatenate([[LOOK], np.arange(1, 1 + len(ends)), 1 + FRONTIERS + np.arange(len(back))])
-    areas = grid.expected_area(spots[rows], scenario.beams.range)
+    back = _best_revisits(seen, reductions[1 + len(ends) :], lengths[1 + len(ends) :])
+    rows = np.concatenate([np.arange(1 + len(ends)), 1 + len(ends) + back])
+    slots = np.concatenate([np.arange(1 + len(ends)), 1 + FRONTIERS + np.arange(len(back))])
+
+    def by_slot(values: NDArray[Any]) -> NDArray[Any]:
+        out = np.zeros((SLOTS, *values.shape[1:]), values.dtype)
+        out[slots] = values
+        return out
+
     return Goals(
-        positions=_scatter(slots, spots[rows]),
-        lengths=_scatter(slots, lengths[rows]),
-        areas=_scatter(slots, areas),
-        reductions=_scatter(slots, reductions[rows]),
-        legal=_scatter(slots, np.ones(len(slots), np.bool_)),
-        in_view=_scatter(slots, _in_view(scenario, slam_map, grid, _looks(reached, spots[rows]))),
+        positions=by_slot(spots[rows]),
+        lengths=by_slot(lengths[rows]),
+        areas=by_slot(grid.expected_area(spots[rows], scenario.beams.range)),
+        reductions=by_slot(reductions[rows]),
+        legal=by_slot(np.ones(len(rows), np.bool_)),
+        in_view=by_slot(in_view[rows]),
         ways=ways,
     )
 
@@ -171,34 +176,19 @@ def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, t
     return ends
 
 
-class _Looks(NamedTuple):
-    """From where the robot looks around on the ways to some places."""
-
-    points: Array  # (p, 2) [m] in B, one way after the other
-    starts: IntArray  # (q,) where each way begins in them
-    counts: IntArray  # (q,) looks on each way
-
-
-def _looks(reached: DistanceField, spots: Array) -> _Looks:
-    """Every `_LOOKOUT` metres of the ways to `spots` (q, 2), the first of which is where the robot is."""
+def _views(
+    scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, reached: DistanceField, spots: Array
+) -> tuple[Array, Array]:
+    """Of the ways to `spots` (q, 2), the first of which is where the robot is, with a look every `_LOOKOUT` metres:
+    the fraction with fewer than `ENOUGH` features in view (q,), and how many are in view on average (q,)."""
     points, counts = reached.along_each(spots[1:], _LOOKOUT)
     counts = np.append(1, counts)
-    return _Looks(np.concatenate([spots[:1], points]), np.cumsum(counts) - counts, counts)
-
-
-def _blind(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, looks: _Looks) -> Array:
-    """(q,) fraction of each way with fewer than `ENOUGH` features in view."""
-    seen = features_in_sight(slam_map.mean, grid, looks.points, scenario.sensor.range, most=ENOUGH)
-    blind: Array = np.add.reduceat(seen < ENOUGH, looks.starts, dtype=np.int64) / looks.counts
-    return blind
-
-
-def _in_view(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, looks: _Looks) -> Array:
-    """(q,) features in view on each way, on average."""
-    seen = features_in_sight(slam_map.mean, grid, looks.points, scenario.sensor.range)
+    looks = np.concatenate([spots[:1], points])
+    seen = features_in_sight(slam_map.mean, grid, looks, scenario.sensor.range)
+    starts = np.cumsum(counts) - counts
+    blind = np.add.reduceat(seen < ENOUGH, starts, dtype=np.int64) / counts
     turned_to = scenario.sensor.field_of_view / (2.0 * math.pi)
-    in_view: Array = turned_to * np.add.reduceat(seen, looks.starts) / looks.counts
-    return in_view
+    return blind, turned_to * np.add.reduceat(seen, starts) / counts
 
 
 def _reductions(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, spots: Array, blind: Array) -> Array:
@@ -224,10 +214,3 @@ def _best_revisits(places: Array, reductions: Array, lengths: Array) -> NDArray[
         if len(chosen) == REVISITS:
             break
     return np.array(chosen, np.int64)
-
-
-def _scatter(slots: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:
-    """`values` (q, …) at their slots, zeros elsewhere, (SLOTS, …)."""
-    out: NDArray[Any] = np.zeros((SLOTS, *values.shape[1:]), values.dtype)
-    out[slots] = values
-    return out

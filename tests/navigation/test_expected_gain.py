@@ -114,4 +114,3 @@ def test_features_in_sight_are_near_and_behind_no_wall() -> None:
     grid._layers[0][(np.abs(x - 1.5) < 0.2) & (np.abs(y) < 1.0)] = WALL
     places = np.array([[0.0, 0.0], [2.5, 0.0], [0.0, -9.0]])
     assert features_in_sight(m.mean, grid, places, 5.0).tolist() == [2, 1, 0]
-    assert features_in_sight(m.mean, grid, places, 5.0, most=1).tolist() == [1, 1, 0]
