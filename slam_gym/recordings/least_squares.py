@@ -145,7 +145,7 @@ def _roots(covariances: Array) -> Array:
 
 
 def _wrapped(angles: Array) -> Array:
-    wrapped: Array = np.remainder(angles + math.pi, 2.0 * math.pi) - math.pi
+    wrapped: Array = math.pi - np.remainder(math.pi - angles, 2.0 * math.pi)
     return wrapped
 
 
