@@ -111,7 +111,7 @@ class Screen:
     """The environment's picture, and lines of text below it, in a window of any size."""
 
     def __init__(self, fps: float) -> None:
-        from slam_gym.rendering.window import Window  # extra `render`
+        from slam_gym.rendering.canvas import Window  # extra `render`
 
         self.window = Window("slam_gym", fps, resizable=True)
 

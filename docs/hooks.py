@@ -8,6 +8,7 @@ an entry of `GENERATED`: where it stands in the navigation, and what writes it.
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
 import json
 import re
@@ -178,8 +179,7 @@ def _environment(spec: Any) -> str:
     """One page: picture, docstring, spaces and the arguments with their defaults."""
     class_ = _class_of(spec)
     made = gym.make(spec.id).unwrapped
-    arguments = inspect.signature(class_.__init__).parameters
-    rows = [f"`{name}` | `{p.default!r}`" for name, p in arguments.items() if p.default is not p.empty]
+    rows = [f"`{field.name}` | `{field.default!r}`" for field in dataclasses.fields(class_.settings)]
     spaces = [f"`{name}` | `{space}`" for name, space in made.observation_space.items()]
     return _page(
         f"# {spec.id}",

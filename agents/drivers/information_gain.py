@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
-from slam_gym.envs.goal_observation import unsquash_goals
+from slam_gym.envs.observation import unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
 from slam_gym.types import Array

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from agents.drivers.information_gain import GainSpec, InformationGain, rates
-from slam_gym.envs.goal_observation import unsquash_goals
-from slam_gym.envs.observation import METRES, PIXELS
+from slam_gym.envs.observation import METRES, PIXELS, unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
 from slam_gym.types import Array, BoolArray, IntArray

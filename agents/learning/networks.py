@@ -15,7 +15,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 from torch import Tensor, nn
 
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
-from slam_gym.envs.goal_observation import GOAL_FIELDS
+from slam_gym.envs.observation import GOAL_FIELDS
 
 FIELDS = {"goals": GOAL_FIELDS, "candidates": CANDIDATE_FIELDS}
 """What stands in a row of each part of an observation that lists choices."""

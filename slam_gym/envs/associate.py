@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -12,9 +11,8 @@ from numpy.typing import NDArray
 
 from slam_gym.association.tracking.observation import lengths, nothing
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, scenario_on_floor
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
 from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
-from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.association_runs import (
     DRIVERS,
     LOGS,
@@ -28,6 +26,27 @@ from slam_gym.simulation.recorded_logs import PREFIX, recorded_log
 from slam_gym.simulation.right_answers import NOT_OFFERED, RightAnswers
 from slam_gym.types import UNPAIRED, Hypothesis
 from slam_gym.validation import one_of
+
+
+@dataclass(frozen=True)
+class AssociateSettings(Settings):
+    """The arguments of `AssociateEnv`, which says what they are."""
+
+    driver: str | Driver = "nearest_frontier"
+    reward: Literal["truth", "map_error"] = "truth"
+    candidates: int = 5
+    order: Order = "as_scanned"
+    compatibility: Compatibility = "joint"
+    wrong_cost: float = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_arguments(self.candidates, self.order, self.compatibility)
+        one_of("reward", self.reward, ("truth", "map_error"))
+        if not callable(self.driver):
+            one_of("driver", self.driver, DRIVERS)
+        if not 0.0 <= self.wrong_cost < np.inf:
+            raise ValueError(f"wrong_cost={self.wrong_cost}: expected a finite number ≥ 0")
 
 
 class AssociateEnv(BaseEnv):
@@ -84,41 +103,26 @@ class AssociateEnv(BaseEnv):
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
 
-    def __init__(
-        self,
-        scenario: str | Scenario | ScanLog | None = None,
-        split: Split = "train",
-        driver: str | Driver = "nearest_frontier",
-        reward: Literal["truth", "map_error"] = "truth",
-        candidates: int = 5,
-        order: Order = "as_scanned",
-        compatibility: Compatibility = "joint",
-        wrong_cost: float = 10.0,
-        floor_plan: str | Path | None = None,
-        resolution: float | None = None,
-        overrides: Mapping[str, Plain] | None = None,
-        render_mode: RenderMode | None = None,
-    ) -> None:
-        super().__init__(split, render_mode, arguments=locals())
-        check_arguments(candidates, order, compatibility)
-        one_of("reward", reward, ("truth", "map_error"))
-        if not 0.0 <= wrong_cost < np.inf:
-            raise ValueError(f"wrong_cost={wrong_cost}: expected a finite number ≥ 0")
-        log = _chosen_log(scenario, split)
-        if log is not None and (overrides or floor_plan is not None or resolution is not None):
-            raise ValueError(f"overrides and floor plans are for simulated scenarios, and {log.name!r} is a log")
-        scenario = log or _simulated(scenario, floor_plan, resolution, overrides)
-        if not callable(driver):
-            one_of("driver", driver, DRIVERS)
-            driver = DRIVERS[driver]
+    settings = AssociateSettings
+
+    def __init__(self, scenario: str | Scenario | ScanLog | None = None, **arguments: Any) -> None:
+        settings = AssociateSettings(scenario, **arguments)
+        super().__init__(settings)
+        scenario = _chosen_log(scenario, settings.split)
+        if scenario is None:
+            scenario = _simulated(settings)
+        elif settings.overrides or settings.floor_plan is not None or settings.resolution is not None:
+            raise ValueError(f"overrides and floor plans are for simulated scenarios, and {scenario.name!r} is a log")
+        driver, reward, candidates = settings.driver, settings.reward, settings.candidates
         self.places_known = not isinstance(scenario, ScanLog) or len(scenario.targets) > 0
         if reward == "map_error" and not self.places_known:
             raise ValueError(
                 f"reward={reward!r}: nobody knows where the features of {scenario.name!r} are; known: truth"
             )
         self.scenario = scenario
-        self._driver, self._of_truth, self._wrong_cost = driver, reward == "truth", wrong_cost
-        self.K, self.order, self.compatibility = candidates, order, compatibility
+        self._driver = driver if callable(driver) else DRIVERS[driver]
+        self._of_truth, self._wrong_cost = reward == "truth", settings.wrong_cost
+        self.K, self.order, self.compatibility = candidates, settings.order, settings.compatibility
         parts: dict[str, spaces.Space[Any]] = {
             name: spaces.Box(-1.0, 1.0, (length,), np.float32) for name, length in lengths(candidates).items()
         }
@@ -270,11 +274,9 @@ def _chosen_log(scenario: str | Scenario | ScanLog | None, split: str) -> ScanLo
     return scenario if isinstance(scenario, ScanLog) else None
 
 
-def _simulated(
-    scenario: Any, floor_plan: str | Path | None, resolution: float | None, overrides: Mapping[str, Plain] | None
-) -> Scenario:
+def _simulated(settings: AssociateSettings) -> Scenario:
     """`scenario_on_floor`; the names that it lists in an error are those of logs as well."""
-    if isinstance(scenario, str) and "/" not in scenario:
+    if isinstance(settings.scenario, str) and "/" not in settings.scenario:
         names = (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1")
-        one_of("scenario", scenario, names)
-    return scenario_on_floor(scenario, floor_plan, resolution, overrides)
+        one_of("scenario", settings.scenario, names)
+    return settings.scenario_on_floor

@@ -6,6 +6,7 @@ import copy
 import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, cast
 
@@ -17,7 +18,6 @@ from slam_gym.envs.warm_up import warm_up
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, overridden, world_generator, world_seed
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.episode import Site, survey
-from slam_gym.types import Associator
 from slam_gym.validation import one_of
 
 Observation = dict[str, Any]
@@ -45,22 +45,33 @@ def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | N
     return overridden(found, overrides) if overrides else found
 
 
-def scenario_on_floor(
-    scenario: str | Scenario | None,
-    floor_plan: str | Path | None,
-    resolution: float | None,
-    overrides: Mapping[str, Plain] | None = None,
-) -> Scenario:
-    """`chosen_scenario`; with a `floor_plan` its robot on that floor. By default `"office"`, on a floor `"building"`.
+@dataclass(frozen=True)
+class Settings:
+    """The arguments of an environment. Those here are taken by all."""
 
-    Raises ValueError for a resolution without a floor plan, and for faults of the file as `load_floor_plan` does.
-    """
-    if floor_plan is None:
-        if resolution is not None:
-            raise ValueError(f"resolution={resolution} goes with a floor_plan, and there is none")
-        return chosen_scenario("office" if scenario is None else scenario, overrides)
-    like = chosen_scenario("building" if scenario is None else scenario)
-    return chosen_scenario(from_floor_plan(floor_plan, resolution, like), overrides)
+    scenario: Any = None
+    split: Split = "train"
+    floor_plan: str | Path | None = None
+    resolution: float | None = None
+    overrides: Mapping[str, Plain] | None = None
+    render_mode: RenderMode | None = None
+
+    def __post_init__(self) -> None:
+        one_of("split", self.split, SPLITS)
+        one_of("render_mode", self.render_mode, (None, "rgb_array", "rgb_array_list", "human"))
+
+    @property
+    def scenario_on_floor(self) -> Scenario:
+        """The scenario with its overrides, on the floor plan if there is one; by default `"office"`, or `"building"`.
+
+        Raises ValueError for a resolution without a floor plan, and for faults of the file as `load_floor_plan` does.
+        """
+        if self.floor_plan is None:
+            if self.resolution is not None:
+                raise ValueError(f"resolution={self.resolution} goes with a floor_plan, and there is none")
+            return chosen_scenario("office" if self.scenario is None else self.scenario, self.overrides)
+        like = chosen_scenario("building" if self.scenario is None else self.scenario)
+        return chosen_scenario(from_floor_plan(self.floor_plan, self.resolution, like), self.overrides)
 
 
 class BaseEnv(gym.Env[Observation, Any], ABC):
@@ -78,14 +89,11 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     behind. Where an argument does not pickle (a lambda as associator), pickling raises TypeError.
     """
 
-    associator: str | Associator = "jcbb"  # of the robot's own steps
+    settings: type[Settings] = Settings  # names and defaults of the arguments
 
-    def __init__(self, split: Split, render_mode: RenderMode | None, arguments: Mapping[str, Any]) -> None:
-        """`arguments` are the `locals()` of the subclass' constructor before anything else is in them."""
-        one_of("split", split, SPLITS)
-        one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        self.split, self.render_mode = split, render_mode
-        self._arguments = {name: value for name, value in arguments.items() if name not in ("self", "__class__")}
+    def __init__(self, settings: Settings) -> None:
+        self.split, self.render_mode = settings.split, settings.render_mode
+        self._arguments = dict(vars(settings))
         self._snapshot: Snapshot | None = None
         self._episode_generator: np.random.Generator | None = None
         self._series: tuple[int, ...] = ()
@@ -148,7 +156,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
             frames, self._frames = self._frames, []
             return frames
         # pygame is an extra, and runs without pictures never need it
-        from slam_gym.rendering.window import Window, pixels
+        from slam_gym.rendering.canvas import Window, pixels
 
         picture = self._picture()
         if self.render_mode == "rgb_array":
@@ -255,7 +263,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         if self.render_mode == "human":
             self.render()
         elif self.render_mode == "rgb_array_list":
-            from slam_gym.rendering.window import pixels
+            from slam_gym.rendering.canvas import pixels
 
             self._frames.append(pixels(self._picture()))
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -11,13 +10,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve_associator
-from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, scenario_on_floor
-from slam_gym.envs.goal_observation import GOAL_FIELDS, encode_goals
-from slam_gym.envs.observation import observation_space, observe
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
+from slam_gym.envs.observation import GOAL_FIELDS, encode_goals, observation_space, observe
 from slam_gym.envs.rewards import get_reward
 from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import Scenario
-from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation import goals as goals_module
 from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode
@@ -27,6 +24,29 @@ from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import SEARCH, LocalityName, relocate_by
 from slam_gym.types import SPURIOUS, Associator, Relocator
 from slam_gym.validation import one_of
+
+
+@dataclass(frozen=True)
+class ExploreSettings(Settings):
+    """The arguments of `ExploreEnv`, which says what they are."""
+
+    associator: str | Associator | None = None
+    action: Literal["goal", "twist"] = "goal"
+    reward: Literal["map_error", "a_opt", "d_opt", "entropy"] = "map_error"
+    locality: Literal["covisibility"] | None = "covisibility"
+    relocation: str | Relocator | None = SEARCH
+    relocation_locality: LocalityName | None = "covisibility"
+    atlas: bool | AtlasSpec = True
+    render_covisibility: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        one_of("action", self.action, ("goal", "twist"))
+        one_of("locality", self.locality, ("covisibility", None))
+        if not isinstance(self.atlas, bool | AtlasSpec):
+            raise ValueError(f"atlas: expected True, False or an AtlasSpec, got {self.atlas!r}")
+        if self.relocation is None and self.relocation_locality not in ("covisibility", None):
+            raise ValueError(f"relocation_locality={self.relocation_locality!r}: no relocation would search it")
 
 
 class ExploreEnv(BaseEnv):
@@ -50,7 +70,7 @@ class ExploreEnv(BaseEnv):
     `scan` and `features` (what the map expected to see in it), nearest first, `observation.POINT_FIELDS` per row;
     `uncertainty` (σ of x, y, θ), `budget` (fraction left), `image` (3, 48, 48) uint8: free, wall, feature density, the
     robot in the middle heading up; and, in goal mode, `goals` (`GOAL_FIELDS` per slot;
-    `goal_observation.unsquash_goals` gives the numbers back in their units).
+    `observation.unsquash_goals` gives the numbers back in their units).
 
     ## Rewards
     The decrease, since the last step, of `map_error` (uses the truth) or of `a_opt`, `d_opt`, `entropy` of a virtual
@@ -83,40 +103,25 @@ class ExploreEnv(BaseEnv):
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
 
-    def __init__(
-        self,
-        scenario: str | Scenario | None = None,
-        split: Split = "train",
-        associator: str | Associator | None = None,
-        action: Literal["goal", "twist"] = "goal",
-        reward: Literal["map_error", "a_opt", "d_opt", "entropy"] = "map_error",
-        floor_plan: str | Path | None = None,
-        resolution: float | None = None,
-        locality: Literal["covisibility"] | None = "covisibility",
-        relocation: str | Relocator | None = SEARCH,
-        relocation_locality: LocalityName | None = "covisibility",
-        atlas: bool | AtlasSpec = True,
-        overrides: Mapping[str, Plain] | None = None,
-        render_mode: RenderMode | None = None,
-        render_covisibility: bool = False,
-    ) -> None:
-        super().__init__(split, render_mode, arguments=locals())
-        one_of("action", action, ("goal", "twist"))
-        one_of("locality", locality, ("covisibility", None))
-        if not isinstance(atlas, bool | AtlasSpec):
-            raise ValueError(f"atlas: expected True, False or an AtlasSpec, got {atlas!r}")
-        if relocation is None and relocation_locality not in ("covisibility", None):
-            raise ValueError(f"relocation_locality={relocation_locality!r}: no relocation would search it")
-        self.scenario = scenario_on_floor(scenario, floor_plan, resolution, overrides)
-        self.locality = locality
-        self.render_covisibility = render_covisibility
-        self.goal_mode = action == "goal"
-        self.associator = self.scenario.associator if associator is None else associator
+    settings = ExploreSettings
+
+    def __init__(self, scenario: str | Scenario | None = None, **arguments: Any) -> None:
+        settings = ExploreSettings(scenario, **arguments)
+        super().__init__(settings)
+        self.scenario = settings.scenario_on_floor
+        self.locality = settings.locality
+        self.render_covisibility = settings.render_covisibility
+        self.goal_mode = settings.action == "goal"
+        self.associator = settings.associator or self.scenario.associator
         resolve_associator(self.associator)  # refuses an unknown one now
-        self.relocate = None if relocation is None else relocate_by(relocation, relocation_locality)
-        self.atlas = (AtlasSpec() if atlas is True else atlas or None) if self.relocate else None
-        self._error = get_reward(reward)
-        self._virtual = reward != "map_error"
+        self.relocate = None
+        if settings.relocation is not None:
+            self.relocate = relocate_by(settings.relocation, settings.relocation_locality)
+        self.atlas = None
+        if self.relocate and settings.atlas:
+            self.atlas = AtlasSpec() if settings.atlas is True else settings.atlas
+        self._error = get_reward(settings.reward)
+        self._virtual = settings.reward != "map_error"
         self.measurements = self.scenario.sensor.max_features
         goal_shape = (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
         self.observation_space = observation_space(self.measurements, goal_shape)

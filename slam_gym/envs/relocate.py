@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 from slam_gym.association import resolve_associator
 from slam_gym.association.relocation.observation import observe_walk, walk_shapes
 from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
-from slam_gym.envs.base import BaseEnv, Info, Observation, RenderMode, Split, chosen_scenario, scenario_on_floor
+from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, chosen_scenario
 from slam_gym.geometry import relative
 from slam_gym.scenarios import SPLITS, Scenario
-from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
 from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.slam.relocate import LocalityName
@@ -25,6 +23,35 @@ from slam_gym.types import UNPAIRED, Associator, IntArray
 from slam_gym.validation import one_of
 
 _MAPS = 4  # maps that are kept
+
+
+@dataclass(frozen=True)
+class RelocateSettings(Settings):
+    """The arguments of `RelocateEnv`, which says what they are."""
+
+    locality: LocalityName | None = "covisibility"
+    candidates: int = 8
+    order: RelocationOrder = "fewest_candidates"
+    node_limit: int = 300
+    sizes: bool = True
+    outside: float = 0.25
+    kidnappings_per_map: int = 20
+    associator: str | Associator = "jcbb"
+    node_cost: float = 0.001
+    wrong_cost: float = 1.0
+    position_tolerance: float = 0.3
+    heading_tolerance: float = math.radians(3.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        one_of("locality", self.locality, ("covisibility", "two-hop covisibility", "distance", None))
+        if not 0.0 <= self.outside <= 1.0:
+            raise ValueError(f"outside={self.outside} is no probability")
+        if not (isinstance(self.kidnappings_per_map, int) and self.kidnappings_per_map >= 1):
+            raise ValueError(f"kidnappings_per_map={self.kidnappings_per_map}: expected a whole number >= 1")
+        for name in ("node_cost", "wrong_cost", "position_tolerance", "heading_tolerance"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}={getattr(self, name)}: expected a finite number >= 0")
 
 
 class RelocateEnv(BaseEnv):
@@ -84,50 +111,28 @@ class RelocateEnv(BaseEnv):
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
 
-    def __init__(
-        self,
-        scenario: str | Scenario | None = None,
-        split: Split = "train",
-        locality: LocalityName | None = "covisibility",
-        candidates: int = 8,
-        order: RelocationOrder = "fewest_candidates",
-        node_limit: int = 300,
-        sizes: bool = True,
-        outside: float = 0.25,
-        kidnappings_per_map: int = 20,
-        associator: str | Associator = "jcbb",
-        node_cost: float = 0.001,
-        wrong_cost: float = 1.0,
-        position_tolerance: float = 0.3,
-        heading_tolerance: float = math.radians(3.0),
-        floor_plan: str | Path | None = None,
-        resolution: float | None = None,
-        overrides: Mapping[str, Plain] | None = None,
-        render_mode: RenderMode | None = None,
-    ) -> None:
-        super().__init__(split, render_mode, arguments=locals())
-        one_of("locality", locality, ("covisibility", "two-hop covisibility", "distance", None))
-        if not 0.0 <= outside <= 1.0:
-            raise ValueError(f"outside={outside} is no probability")
-        if not (isinstance(kidnappings_per_map, int) and kidnappings_per_map >= 1):
-            raise ValueError(f"kidnappings_per_map={kidnappings_per_map}: expected a whole number >= 1")
-        costs = {"node_cost": node_cost, "wrong_cost": wrong_cost}
-        tolerances = {"position_tolerance": position_tolerance, "heading_tolerance": heading_tolerance}
-        for name, value in (costs | tolerances).items():
-            if not 0.0 <= value < math.inf:
-                raise ValueError(f"{name}={value}: expected a finite number >= 0")
-        self.scenario = scenario_on_floor(scenario, floor_plan, resolution, overrides)
+    settings = RelocateSettings
+
+    def __init__(self, scenario: str | Scenario | None = None, **arguments: Any) -> None:
+        settings = RelocateSettings(scenario, **arguments)
+        super().__init__(settings)
+        self.scenario = settings.scenario_on_floor
         # a floor has no other worlds: scans from outside it are from those of the scenario
-        self._elsewhere = None if floor_plan is None else chosen_scenario(scenario or "building")
-        self.walk_spec = WalkSpec(candidates, order, node_limit, sizes, self.scenario.slam.map.confidence)
-        self.locality, self.outside = locality, outside
-        self.kidnappings_per_map = kidnappings_per_map
-        resolve_associator(associator)  # refuses an unknown one now
-        self.associator = associator
-        self._node_cost, self._wrong_cost = node_cost, wrong_cost
-        self._tolerances = position_tolerance, heading_tolerance
+        self._elsewhere = None if settings.floor_plan is None else chosen_scenario(scenario or "building")
+        self.walk_spec = WalkSpec(
+            settings.candidates,
+            settings.order,
+            settings.node_limit,
+            settings.sizes,
+            self.scenario.slam.map.confidence,
+        )
+        self.locality, self.outside = settings.locality, settings.outside
+        self.kidnappings_per_map, self.associator = settings.kidnappings_per_map, settings.associator
+        resolve_associator(self.associator)  # refuses an unknown one now
+        self._node_cost, self._wrong_cost = settings.node_cost, settings.wrong_cost
+        self._tolerances = settings.position_tolerance, settings.heading_tolerance
         self.measurements = self.scenario.sensor.max_features
-        shapes = walk_shapes(candidates, self.measurements)
+        shapes = walk_shapes(settings.candidates, self.measurements)
         self.observation_space = spaces.Dict(
             {name: spaces.Box(-1.0, 1.0, (rows * columns,), np.float32) for name, (rows, columns) in shapes.items()}
         )

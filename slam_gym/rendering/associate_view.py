@@ -12,9 +12,8 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame
-from slam_gym.rendering.panels import Choice, Figures, KeyEntry, badges
+from slam_gym.rendering.panels import PANEL, STAR, Choice, Figures, KeyEntry, Level, TreePanel, badges, draw_panel
 from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
-from slam_gym.rendering.tree_panel import PANEL, STAR, Level, TreePanel, draw_panel
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun, LoggedRun
 from slam_gym.simulation.right_answers import UNDECIDED, RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray

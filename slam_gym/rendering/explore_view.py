@@ -11,9 +11,8 @@ import numpy as np
 from slam_gym.geometry import compose, transform
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame, text
-from slam_gym.rendering.legend import legend, shown_in
 from slam_gym.rendering.panels import Box, Figures, figures
-from slam_gym.rendering.scene import Scene, draw_scene, paired_positions, scene_of_episode
+from slam_gym.rendering.scene import Scene, draw_scene, legend, paired_positions, scene_of_episode, shown_in
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import Array
 

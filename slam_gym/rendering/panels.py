@@ -1,4 +1,5 @@
-"""Parts of a panel: figures, a table of the actions to choose from, the key to the colours; and badges on the map."""
+"""Panels beside a map: figures, an interpretation tree, a table of what may be chosen next, the key to the colours; and
+the badges that tie choices to the map."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, Colour, pygame, text
+from slam_gym.types import Array
 
 Figures = tuple[tuple[str, str], ...]
 """What, and how much."""
@@ -22,6 +24,16 @@ _FIGURE, _GAP = 20, 22  # [pixels] between two rows of figures, and between two 
 _KEY_ROW, _KEY_COLUMNS = 19, 3
 _BADGE, _APART = 9, 19  # [pixels] radius of a badge; between the centres of two
 _AROUND = ((0.7, -0.7), (-0.7, -0.7), (0.7, 0.7), (-0.7, 0.7), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
+
+
+PANEL = 420  # [pixels] width
+STAR = -1  # the branch `*`, which pairs the measurement with nothing
+_MARGIN = 18  # [pixels]
+_CLOSEST, _WIDEST = 21, 36  # [pixels] between two levels
+_BRANCHES = 9  # at most so many of a level are drawn, besides `*`
+_STAR, _SPACING = 70, 28  # [pixels] column of `*`; between branches
+_CHOICES = 12  # at most so many rows of the table
+_MIN_TREE = 66  # [pixels] high, at the cost of the table
 
 
 def figures(picture: Any, shown: Figures, corner: tuple[int, int], width: int, columns: int) -> None:
@@ -112,3 +124,144 @@ def _bar(picture: Any, corner: tuple[int, int], fraction: float) -> None:
     length = max(3, round(60 * min(max(fraction, 0.0), 1.0)))
     pygame.draw.rect(picture, symbols.LINE, (*corner, 60, 6), border_radius=3)
     pygame.draw.rect(picture, symbols.PLAN, (*corner, length, 6), border_radius=3)
+
+
+class Level(NamedTuple):
+    """One level. Branches are numbered from 0, `*` is `STAR`."""
+
+    name: str
+    branches: int  # besides `*`
+    on_offer: frozenset[int] = frozenset()  # at the level at hand
+    taken: int | None = None  # None: not decided
+    colour: Colour = symbols.LINE  # of what was decided
+    right: int | None = None  # the branch that the truth would take; None: there is none, or nobody knows
+
+
+class TreePanel(NamedTuple):
+    """What a panel shows."""
+
+    figures: Figures
+    levels: Sequence[Level]
+    at: int  # the level to decide; their number at a leaf
+    key: Sequence[KeyEntry]
+    columns: Sequence[tuple[int, str]] = ()  # of the table: offset [pixels] and heading
+    choices: Sequence[Choice] = ()  # its rows, `*` last
+    note: str = ""  # below the table
+    remarks: Sequence[str] = ()  # in place of a table, where there is nothing to choose
+
+
+def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
+    """Title, figures, tree, table or remarks, and the key, from top to bottom."""
+    left, top, width, height = box
+    pygame.draw.line(picture, symbols.LINE, (left, top), (left, top + height))
+    x, y, room = left + _MARGIN, top + 13, width - 2 * _MARGIN
+    picture.blit(text("Interpretation tree", 15, symbols.INK, bold=True), (x, y))
+    figures(picture, shown.figures, (x, y + 27), room, 2)
+    tree_top = y + 44 + math.ceil(len(shown.figures) / 2) * 20
+    bottom = key(picture, (x, top, room, height), shown.key)
+    if shown.remarks:
+        tree_bottom = bottom - (len(shown.remarks) + 1) * ROW
+        _remarks(picture, (x, tree_bottom), room, shown.remarks)
+    else:
+        choices, note = _fitting(shown, (bottom - tree_top - _MIN_TREE - 30) // ROW - 2)
+        tree_bottom = bottom - (len(choices) + 1 + bool(note)) * ROW - 8
+        table(picture, (x, tree_bottom, room, 0), shown.columns, choices, note)
+    draw_levels(picture, (x, tree_top, room, tree_bottom - tree_top - 22), shown.levels, shown.at)
+
+
+def _fitting(shown: TreePanel, room: int) -> tuple[Sequence[Choice], str]:
+    """As many choices as there is `room` for, `*` among them, and the note."""
+    room = max(min(room, _CHOICES), 2)
+    left_out = len(shown.choices) - room
+    if left_out <= 0:
+        return shown.choices, shown.note
+    return [*shown.choices[: room - 1], shown.choices[-1]], shown.note or f"and {left_out} more"
+
+
+def _remarks(picture: Any, corner: tuple[int, int], width: int, lines: Sequence[str]) -> None:
+    left, top = corner
+    pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
+    for row, line in enumerate(lines):
+        picture.blit(text(line, 12, symbols.INK, bold=row == 0), (left, top + row * ROW))
+
+
+def draw_levels(picture: Any, box: Box, levels: Sequence[Level], at: int) -> None:
+    """As many levels as there is room for, level `at` among them; it is at a leaf where `at` is their number."""
+    left, top, width, height = box
+    view = _View(box, len(levels), at)
+    canvas = Canvas((width, height), (0.0, 0.0), 1.0, symbols.PAPER)
+    if at < len(levels):
+        y = view.position(at, STAR)[1]
+        canvas.polygons(np.array([[[0.0, y - 11], [width, y - 11], [width, y + 11], [0.0, y + 11]]]), symbols.BAND)
+    for k in range(max(view.first, 1), min(view.last, at + 1)):
+        _edges(canvas, view, levels, k, at)
+    for k in range(view.first, view.last):
+        _nodes(canvas, view, levels[k], k, at)
+    picture.blit(canvas.picture(), (left, top))
+    for k in range(view.first, view.last):
+        _labels(picture, view, levels[k], k, at)
+    for count, y, words in ((view.first, top - 16, "earlier"), (len(levels) - view.last, top + height, "more")):
+        if count:
+            label = text(f"{count} {words}", 11, symbols.MUTED)
+            picture.blit(label, (left + width - label.get_width(), y))
+
+
+class _View:
+    """Which levels are drawn, and where their nodes are."""
+
+    def __init__(self, box: Box, levels: int, at: int) -> None:
+        self.left, self.top, _, self.height = box
+        room = max(3, self.height // _CLOSEST)
+        self.first = int(np.clip(at - room // 2, 0, max(levels - room, 0)))
+        self.last = min(self.first + room, levels)
+        self.step = min(_WIDEST, self.height / max(self.last - self.first, 1))
+
+    def position(self, level: int, branch: int) -> tuple[float, float]:
+        """On the canvas, y up."""
+        column = 0 if branch == STAR else 1 + min(branch, _BRANCHES - 1)
+        return _STAR + column * _SPACING, self.height - 12.0 - (level - self.first) * self.step
+
+    def pixels(self, level: int, branch: int) -> tuple[float, float]:
+        """In the picture, y down."""
+        x, y = self.position(level, branch)
+        return self.left + x, self.top + self.height - y
+
+
+def _branches(level: Level) -> tuple[int, ...]:
+    return *range(min(level.branches, _BRANCHES)), STAR
+
+
+def _edges(canvas: Canvas, view: _View, levels: Sequence[Level], k: int, at: int) -> None:
+    """From the node before to the branches of a level; the path is drawn broad."""
+    before, level = levels[k - 1].taken, levels[k]
+    start = view.position(k - 1, STAR if before is None else before)
+    if level.taken is not None:
+        canvas.segments(np.array([[*start, *view.position(k, level.taken)]]), level.colour, 3.0)
+    elif k == at:
+        for branch in _branches(level):
+            colour = symbols.PLAN if branch == STAR or branch in level.on_offer else symbols.LINE
+            canvas.segments(np.array([[*start, *view.position(k, branch)]]), colour, 1.2)
+
+
+def _nodes(canvas: Canvas, view: _View, level: Level, k: int, at: int) -> None:
+    for branch in _branches(level):
+        centre: Array = np.array([view.position(k, branch)])
+        if branch == level.taken:
+            canvas.discs(centre, 6.0, level.colour, symbols.PAPER, 1.0)
+        elif k == at and (branch == STAR or branch in level.on_offer):
+            canvas.discs(centre, 6.0, symbols.PAPER, symbols.PLAN, 1.6)
+        else:
+            canvas.discs(centre, 6.0 if branch == STAR else 4.0, symbols.PAPER, symbols.LINE, 1.2)
+        if branch == level.right:
+            canvas.discs(centre, 8.4, None, symbols.TRUTH, 1.6)
+
+
+def _labels(picture: Any, view: _View, level: Level, k: int, at: int) -> None:
+    """The name of a level, its `*`, and how many branches are not drawn."""
+    x, y = view.pixels(k, STAR)
+    name = text(level.name, 12, symbols.INK if k == at else symbols.MUTED, bold=k == at)
+    picture.blit(name, (view.left + 8, round(y - name.get_height() / 2)))
+    star(picture, (x, y), symbols.PAPER if level.taken == STAR else symbols.MUTED)
+    if level.taken is None and level.branches > _BRANCHES:
+        more = text(f"+ {level.branches - _BRANCHES}", 11, symbols.MUTED)
+        picture.blit(more, (round(view.pixels(k, _BRANCHES - 1)[0] + 14), round(y - more.get_height() / 2)))

@@ -13,8 +13,7 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame, text
-from slam_gym.rendering.panels import Choice, Figures, KeyEntry, badges
-from slam_gym.rendering.tree_panel import PANEL, STAR, Level, TreePanel, draw_panel
+from slam_gym.rendering.panels import PANEL, STAR, Choice, Figures, KeyEntry, Level, TreePanel, badges, draw_panel
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
 from slam_gym.simulation.right_answers import UNDECIDED
 from slam_gym.types import UNPAIRED, Array, IntArray

@@ -81,67 +81,57 @@ def _parse(path: Path) -> FloorPlan:
         document = json_of(content_of(path, _MAX_JSON))
     except (ValueError, OSError) as error:
         raise FloorPlanError("file", f"is not JSON ({error})") from None
-    known = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
-    format_, version, name, walls, features, rooms, doors, furniture = _fields("file", document, *known)
-    if format_ != FORMAT or version != VERSION:
+    keys = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
+    format_, version, name, walls, *parts = _values("file", document, keys)
+    if (format_, version) != (FORMAT, VERSION):
         raise FloorPlanError("format, version", f"{_short(format_)}, {_short(version)}: expected {FORMAT!r}, {VERSION}")
-    _text("name", name)
+    features = list(_rows("features", parts[0], ("position", "kind", "size")))
+    names = [kind.name.lower() for kind in Kind]
+    if unknown := [f"features[{i}].kind" for i, (_, kind, _) in enumerate(features) if kind not in names]:
+        raise FloorPlanError(unknown[0], f"known are {', '.join(names)}")
+    furniture = _rows("furniture", parts[3], ("position", "length", "width", "heading"))
     return FloorPlan(
-        name,
+        _text("name", name),
         walls,
-        _parse_features(features),
-        tuple(
-            Room(_text(f"{at}.name", name), outline) for at, name, outline in _rows("rooms", rooms, "name", "polygon")
+        Features(
+            checked_array("features.positions", [position for position, _, _ in features], 2),
+            np.array([names.index(kind) for _, kind, _ in features], dtype=np.int64),
+            checked_array("features.sizes", [size for _, _, size in features]),
         ),
+        tuple(Room(_text("room: name", name), ring) for name, ring in _rows("rooms", parts[1], ("name", "polygon"))),
         tuple(
-            Door(position, width, _pair(f"{at}.rooms", names))
-            for at, position, width, names in _rows("doors", doors, "position", "width", "rooms")
+            Door(position, width, _pair(rooms))
+            for position, width, rooms in _rows("doors", parts[2], ("position", "width", "rooms"))
         ),
         np.array(
             [
-                [*checked_array(f"{at}.position", [position], 2)[0], *checked_array(at, sizes)]
-                for at, position, *sizes in _rows("furniture", furniture, "position", "length", "width", "heading")
+                [*checked_array("furniture: position", [position], 2)[0], *checked_array("furniture: sizes", sizes)]
+                for position, *sizes in furniture
             ]
         ),
     )
 
 
-def _parse_features(value: Any) -> Features:
-    rows = list(_rows("features", value, "position", "kind", "size"))
-    names = [kind.name.lower() for kind in Kind]
-    for at, _, kind, _ in rows:
-        if kind not in names:
-            raise FloorPlanError(f"{at}.kind", f"{_short(kind)}: known are {', '.join(names)}")
-    return Features(
-        checked_array("features.positions", [position for _, position, _, _ in rows], 2),
-        np.array([names.index(kind) for _, _, kind, _ in rows], dtype=np.int64),
-        checked_array("features.sizes", [size for _, _, _, size in rows]),
-    )
-
-
-def _fields(where: str, value: Any, *known: str) -> list[Any]:
-    """The values of a JSON object that has exactly the `known` keys, in that order."""
-    if not isinstance(value, dict):
+def _values(where: str, record: Any, keys: tuple[str, ...]) -> list[Any]:
+    """The values of a JSON object that has exactly these keys."""
+    if not isinstance(record, dict):
         raise FloorPlanError(where, "is not an object")
-    if unknown := sorted(set(value) - set(known)):
-        raise FloorPlanError(where, f"unknown key {_short(unknown[0])}; known are {', '.join(known)}")
-    if missing := [key for key in known if key not in value]:
-        raise FloorPlanError(where, f"{missing[0]!r} is missing")
-    return [value[key] for key in known]
+    if odd := sorted(set(record) ^ set(keys)):
+        raise FloorPlanError(where, f"the key {_short(odd[0])} is missing or unknown; known are {', '.join(keys)}")
+    return [record[key] for key in keys]
 
 
-def _rows(where: str, value: Any, *known: str) -> Iterator[list[Any]]:
-    """For each object of a JSON list: its place in the file, then the values of its `known` keys."""
-    if not isinstance(value, list):
+def _rows(where: str, records: Any, keys: tuple[str, ...]) -> Iterator[list[Any]]:
+    """The values of each object of a JSON list."""
+    if not isinstance(records, list):
         raise FloorPlanError(where, "is not a list")
-    for i, row in enumerate(value):
-        yield [f"{where}[{i}]", *_fields(f"{where}[{i}]", row, *known)]
+    return (_values(f"{where}[{i}]", record, keys) for i, record in enumerate(records))
 
 
-def _pair(where: str, value: Any) -> tuple[str, str]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise FloorPlanError(where, "is not a pair of room names")
-    return _text(where, value[0]), _text(where, value[1])
+def _pair(rooms: Any) -> tuple[str, str]:
+    if not isinstance(rooms, list) or len(rooms) != 2:
+        raise FloorPlanError("door: rooms", "is not a pair of room names")
+    return _text("door: rooms", rooms[0]), _text("door: rooms", rooms[1])
 
 
 def _text(where: str, value: Any) -> str:

@@ -18,7 +18,7 @@ from slam_gym.world.corridor import walk_round
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.oracles import association as oracles
-from tests.rollouts import differences, explore, short
+from tests.rollouts import differences, short
 
 INFO = ["look", "hidden", "score", "map_error", "action_mask", "truth"]
 ID = "slam_gym/Associate-v0"
@@ -102,15 +102,6 @@ def test_bad_arguments_are_refused_by_name(options, message):
         AssociateEnv(**options)
 
 
-def test_a_log_that_is_shorter_than_it_says_is_refused_by_name():
-    env = associate(replace(CORRIDOR, name="cut", length=50))
-    with pytest.raises(ValueError, match="'cut': ends after 45 scans, not 50"):
-        for _ in episode(env, refuse):
-            pass
-    with pytest.raises(ValueError, match="length: 0"):
-        replace(CORRIDOR, length=0)
-
-
 # -- rewards -------------------------------------------------------------------------------------------------------
 
 
@@ -182,15 +173,6 @@ def test_the_right_actions_are_right_and_earn_the_most():
     assert steps[-1][4]["score"] == pytest.approx(tally.recall)
 
 
-def test_map_error_is_paid_as_explore_pays_it():
-    env = associate(short(60), reward="map_error")
-    steps = list(episode(env, lambda env, info: greedy({}, info["action_mask"]), seed=4))
-    first, last = steps[0][4]["map_error"], steps[-1][4]["map_error"]
-    assert total(steps) == pytest.approx(first - last)
-    assert first - last > 0.05
-    assert last == env.run.map_error()
-
-
 # -- other ways to the same hypotheses -----------------------------------------------------------------------------
 
 
@@ -233,15 +215,6 @@ def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
     np.testing.assert_array_equal(slam.map.mean, env.run.slam.map.mean)
 
 
-def test_a_policy_drives_along_in_explore():
-    env = explore(short(60), associator=from_policy(greedy), action="goal")
-    over, info = False, env.reset(seed=0)[1]
-    while not over:
-        _, _, over, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
-    assert env.tally.tp > 50
-    assert env.tally.precision > 0.8
-
-
 # -- what is handed out --------------------------------------------------------------------------------------------
 
 
@@ -266,13 +239,6 @@ def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
     assert hid > 0 or scenario != "corridor"
 
 
-def test_an_illegal_action_is_taken_for_a_refusal():
-    env, other = associate("corridor"), associate("corridor")
-    clumsy = episode(env, lambda env, info: int(np.flatnonzero(np.append(~info["action_mask"], True))[0]), seed=0)
-    for _, step in zip(range(100), zip(clumsy, episode(other, refuse, seed=0))):
-        assert not differences(*step)
-
-
 def test_an_episode_without_any_choice_ends_with_its_first_step():
     env = associate(replace(CORRIDOR, length=1))
     observation, info = env.reset(seed=0)
@@ -282,23 +248,7 @@ def test_an_episode_without_any_choice_ends_with_its_first_step():
     assert (reward, terminated) == (0.0, True)
 
 
-# -- pictures ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scenario", ["corridor", short(30), short(30, "crowd")])
-def test_pictures_of_every_stage_of_an_episode_leave_it_as_it_was(scenario):
-    env, other = associate(scenario, render_mode="rgb_array"), associate(scenario)
-    pictures = []
-    choose, same = at_random(0), at_random(0)
-    for number, (step, twin) in enumerate(zip(episode(env, choose, seed=3), episode(other, same, seed=3))):
-        assert not differences(step, twin)
-        if number % 25 == 0 or step[2]:
-            pictures.append(env.render())
-            assert pictures[-1].shape == (720, 1140, 3)
-            assert pictures[-1].dtype == np.uint8
-    assert len({picture.tobytes() for picture in pictures}) == len(pictures) > 3
-    env.close()
-    env.close()
+# -- floor plans ---------------------------------------------------------------------------------------------------
 
 
 def test_it_is_driven_on_a_floor_plan(tmp_path):

@@ -3,14 +3,12 @@
 import copy
 import pickle
 import warnings
-from functools import partial
 from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.utils.save_video import save_video
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb, nearest_neighbour
@@ -19,7 +17,7 @@ from slam_gym.scenarios import SPLITS, get_scenario, overridden
 from slam_gym.simulation.association_runs import CORRIDOR, nearest_frontier
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
-from tests.rollouts import bare, differences, episode, in_any_process, random_action, short, vector_rollout
+from tests.rollouts import bare, differences, episode, random_action, short
 
 SMALL = short(120)  # a map for Relocate-v0 that is made soon
 CASES = {  # every environment, in every way that differs inside
@@ -170,11 +168,6 @@ def test_overrides_change_the_scenario_and_survive_json(name) -> None:
         assert not differences(one, other)
 
 
-@every_environment
-def test_a_level_of_the_suite_is_a_scenario(name) -> None:
-    assert bare(name, scenario="closure/1").scenario == get_scenario("closure/1")
-
-
 # -- same seed, same episode, bit for bit --------------------------------------------------------------------------
 
 
@@ -283,17 +276,6 @@ def test_a_snapshot_replays_bit_for_bit_in_the_same_and_in_another_env(case) -> 
     assert not differences(env.restore(snapshot), (last[0], last[-1]))
 
 
-@every_environment
-def test_a_snapshot_is_a_copy(name) -> None:
-    env = small(name)
-    _, info = env.reset(seed=0)
-    before = env.snapshot()
-    env.step(random_action(env, info, np.random.default_rng(0)))
-    assert len(before.actions) == 0 and len(env.snapshot().actions) == 1
-    before.generator["state"]["state"] = 0
-    assert env.snapshot().generator["state"]["state"] != 0
-
-
 @pytest.mark.parametrize(
     "duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"]
 )
@@ -309,16 +291,6 @@ def test_environments_pickle_and_copy_while_they_run(case, duplicate) -> None:
     goes_on_alike(env, twin)
 
 
-@every_case
-def test_environments_pickle_and_copy_before_their_first_reset(case) -> None:
-    for duplicate in (copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))):
-        env = made(case)
-        twin = duplicate(env)
-        with pytest.raises(RuntimeError, match="call reset"):
-            twin.snapshot()
-        assert not differences(env.reset(seed=3), twin.reset(seed=3))
-
-
 @pytest.mark.parametrize(
     ("name", "argument"), [("Explore-v0", "associator"), ("Associate-v0", "driver"), ("Relocate-v0", "associator")]
 )
@@ -330,25 +302,6 @@ def test_where_an_argument_does_not_pickle_the_error_names_the_way_round_and_cop
     with pytest.raises(TypeError, match=r"does not pickle.*snapshot\(\)"):
         pickle.dumps(env)
     assert not differences(copy.deepcopy(env).step(action), env.step(action))
-
-
-# -- vectors -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("case", "steps"), [("explore, goals", 24), ("associate", 80), ("relocate", 60)])
-def test_vectorised_in_other_processes_and_over_autoresets(case, steps) -> None:
-    name, options = CASES[case]
-    maker = partial(in_any_process, name, **options)
-    here = vector_rollout(gym.vector.SyncVectorEnv([maker] * 2), steps)
-    there = vector_rollout(gym.vector.AsyncVectorEnv([maker] * 2, context="spawn"), steps)
-    assert sum(step[2].any() for step in here[1:]) >= 2, "no autoreset was tried"
-    assert not differences(here[1:], there[1:])
-    alone, over = maker(), False
-    alone.reset(seed=11)
-    for observations, rewards, *_, actions in here[1:]:
-        observation, reward, over, *_ = (alone.reset()[0], 0.0, False) if over else alone.step(actions[1])
-        assert reward == rewards[1]
-        assert not differences(dict(sorted(observation.items())), {k: part[1] for k, part in observations.items()})
 
 
 # -- pictures ------------------------------------------------------------------------------------------------------
@@ -369,26 +322,10 @@ def test_pictures_show_what_happens_and_change_nothing(case) -> None:
     env.close()
 
 
-def test_the_list_of_pictures_has_one_a_tick_however_long_a_goal_takes(tmp_path) -> None:
-    pytest.importorskip("moviepy")
-    env = gym.make("slam_gym/Explore-v0", scenario=short(40), render_mode="rgb_array_list")
-    _, info = env.reset(seed=0)
-    pictures, over = env.render(), False
-    while not over:
-        *_, over, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
-        new = env.render()
-        assert len(new) == info["ticks"]
-        pictures += new
-    assert len(pictures) == 41 and env.render() == []
-    assert all(not np.array_equal(a, b) for a, b in pairwise(pictures))
-    save_video(pictures, str(tmp_path), fps=env.metadata["render_fps"], episode_trigger=lambda k: True)
-    assert len(list(tmp_path.glob("*.mp4"))) == 1
-
-
 @every_environment
 def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None:
     pytest.importorskip("pygame")
-    from slam_gym.rendering.window import Window
+    from slam_gym.rendering.canvas import Window
 
     shown, show = [], Window.show
     monkeypatch.setattr(Window, "show", lambda self, picture: (shown.append(picture), show(self, picture)))
@@ -404,14 +341,6 @@ def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None
     count = len(shown)
     copy.deepcopy(env)
     assert len(shown) == count, "a replay shows nothing"
-
-
-@every_environment
-def test_render_without_a_mode_warns(name) -> None:
-    env = small(name)
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="render_mode"):
-        assert env.render() is None
 
 
 @every_environment

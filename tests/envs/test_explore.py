@@ -6,8 +6,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from slam_gym.envs.explore import ExploreEnv
-from slam_gym.envs.observation import POINT_FIELDS
 from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import get_scenario, world_generator
 from slam_gym.simulation.goals import LOOK, SLOTS
@@ -29,17 +27,6 @@ INFO += ["lost", "truth"]
 
 
 # -- same seed, same episode, bit for bit --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("action", ["goal", "twist"])
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_twins_are_equal_bit_for_bit_whatever_one_did_before(scenario, action) -> None:
-    fresh, used = (explore(scenario, action=action, reward="d_opt") for _ in range(2))
-    steps = 6 if action == "goal" else 60
-    for _ in episode(used, steps, seed=3):
-        pass
-    for one, other in zip(episode(fresh, steps, seed=8), episode(used, steps, seed=8), strict=True):
-        assert not differences(one, other)
 
 
 def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
@@ -72,26 +59,6 @@ def test_observations_are_finite_and_inside_their_space_and_info_has_fixed_keys(
         numbers = [info[name] for name in INFO[:-1]]
         assert all(np.isfinite(number).all() for number in numbers) and 0.0 <= info["coverage"] <= 1.0
         assert action == "goal" or info["ticks"] <= 1
-
-
-def test_the_scan_is_shown_nearest_first_and_the_features_are_those_of_the_map() -> None:
-    env = explore("office", action="twist")
-    *_, (observation, *_) = episode(env, 40)
-    scan, rows = env.episode.scan, observation["scan"].reshape(-1, len(POINT_FIELDS))
-    order = np.argsort(np.hypot(*scan.points.T))
-    assert rows[:, 0].sum() == len(scan)
-    x, y = rows[: len(scan), 1:3].T.astype(float)
-    np.testing.assert_allclose(6.0 * x / (1 - abs(x)), scan.points[order, 0], rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(6.0 * y / (1 - abs(y)), scan.points[order, 1], rtol=1e-5, atol=1e-5)
-    sigma = rows[: len(scan), 3].astype(float)
-    np.testing.assert_allclose(0.1 * sigma / (1 - sigma), np.sqrt(scan.covariances[order, 0, 0]), rtol=1e-4)
-    near = env.episode.last_step.prediction
-    features = observation["features"].reshape(-1, len(POINT_FIELDS))
-    assert features[:, 0].sum() == min(len(near), len(features))
-    order = np.argsort(np.hypot(*near.positions.T))[: len(features)]
-    x, size = features[: len(order), 1].astype(float), features[: len(order), 6].astype(float)
-    np.testing.assert_allclose(6.0 * x / (1 - abs(x)), near.positions[order, 0], rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(size / (1 - abs(size)), near.sizes[order], rtol=1e-5, atol=1e-5)
 
 
 def test_info_sums_up_to_the_tally_and_the_ticks() -> None:
@@ -165,13 +132,6 @@ def test_where_the_building_stands_in_the_world_is_nowhere_to_be_seen(action, st
         np.testing.assert_allclose(apart, [64.0, -32.0, 0.0], atol=1e-9)
 
 
-def test_only_the_true_associator_is_handed_the_truth() -> None:
-    env = explore("aliased", action="twist", associator="true_association")
-    for _ in episode(env, 150):
-        pass
-    assert env.tally.fp == env.tally.fn == 0 and env.tally.tp > 100
-
-
 # -- ends ----------------------------------------------------------------------------------------------------------
 
 
@@ -188,13 +148,6 @@ def test_spending_the_budget_terminates_and_is_seen_coming(action) -> None:
         env.step(env.action_space.sample())
     env.reset(seed=0)
     env.step(env.action_space.sample())
-
-
-def test_time_limit_truncates_and_does_not_terminate() -> None:
-    env = gym.make("slam_gym/Explore-v0", scenario="office-small", action="twist", max_episode_steps=3)
-    env.reset(seed=0)
-    ends = [env.step(env.action_space.sample())[2:4] for _ in range(3)]
-    assert ends == [(False, False), (False, False), (False, True)]
 
 
 # -- masked goals --------------------------------------------------------------------------------------------------
@@ -243,22 +196,3 @@ def test_a_given_floor_plan_is_surveyed_once(tmp_path) -> None:
     env.reset(seed=1)
     assert env.episode.site is site and env.scenario.name == plan.name
     np.testing.assert_array_equal(site.plan.walls, plan.walls)
-
-
-def test_on_a_floor_plan_the_robot_is_that_of_the_building_elsewhere_that_of_the_office(
-    tmp_path,
-) -> None:
-    path = str(tmp_path / "two.json")
-    save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(1)), path)
-    assert ExploreEnv().scenario is get_scenario("office")
-    assert ExploreEnv(floor_plan=path).scenario.beams == get_scenario("building").beams
-    assert ExploreEnv("short-sighted", floor_plan=path).scenario.beams == get_scenario("short-sighted").beams
-
-
-def test_the_measurement_limit_shapes_the_space() -> None:
-    scenario = get_scenario("hall")
-    scenario = replace(scenario, sensor=replace(scenario.sensor, max_features=5))
-    env = explore(scenario, action="twist")
-    assert env.observation_space["scan"].shape == (5 * len(POINT_FIELDS),)
-    for observation, *_ in episode(env, 20):
-        assert env.observation_space.contains(observation)

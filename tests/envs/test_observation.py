@@ -1,18 +1,23 @@
 """What an agent sees: squashed values come back, unknown is zero, the nearest come first."""
 
+import math
+
 import numpy as np
 import pytest
 
 from slam_gym.envs.observation import (
-    FEATURES,
+    GOAL_FIELDS,
     POINT_FIELDS,
-    observation_space,
+    encode_goals,
     observe,
     squash,
     unsquash,
+    unsquash_goals,
 )
+from slam_gym.geometry import transform
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.simulation.goals import FRONTIERS, SLOTS, Goals
 from slam_gym.types import Prediction, Scan
 
 NOTHING = Scan.from_points(np.empty((0, 2)), sigma=0.1)
@@ -51,20 +56,46 @@ def test_a_scan_is_shown_nearest_first_and_unknown_sizes_are_zero() -> None:
     assert len(rows(observed(scan, 2)["scan"])) == 2
 
 
-def test_of_many_features_the_nearest_are_shown() -> None:
-    points = np.random.default_rng(0).uniform(-9.0, 9.0, (FEATURES + 8, 2))
-    prediction = Prediction.from_gaussian(points, 0.01 * np.eye(2 * len(points)))
-    shown = rows(observed(NOTHING, 5, prediction)["features"])
-    nearest = points[np.argsort(np.hypot(*points.T))[:FEATURES]]
-    np.testing.assert_allclose(unsquash(shown[:, 1:3], 6.0), nearest, rtol=1e-4, atol=1e-5)
-
-
 def test_uncertainty_is_in_standard_deviations() -> None:
     shown = observed(NOTHING, 5, pose_covariance=np.diag([0.04, 0.0, 0.0025]))["uncertainty"].astype(float)
     np.testing.assert_allclose(shown, [0.2 / 0.3, 0.0, 0.05 / 0.1], rtol=1e-6)
 
 
-def test_goals_are_part_of_the_space_in_goal_mode_only() -> None:
-    assert set(observation_space(9, None)) | {"goals"} == set(observation_space(9, (16, 8)))
-    assert observation_space(9, (16, 8))["goals"].shape == (128,)
-    assert observation_space(9, None)["scan"].shape == (9 * len(POINT_FIELDS),)
+def some_goals(rng: np.random.Generator) -> Goals:
+    legal = rng.random(SLOTS) < 0.6
+    legal[0] = True
+    masked = legal.astype(float)
+    return Goals(
+        positions=rng.uniform(-20.0, 20.0, (SLOTS, 2)) * masked[:, None],
+        lengths=rng.uniform(0.0, 30.0, SLOTS) * masked,
+        areas=rng.uniform(0.0, 20.0, SLOTS) * masked,
+        reductions=rng.uniform(0.0, 0.3, SLOTS) * masked,
+        legal=legal,
+        in_view=rng.uniform(0.0, 15.0, SLOTS) * masked,
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_goals_come_back_in_their_units_and_in_the_frame_of_the_robot(seed) -> None:
+    rng = np.random.default_rng(seed)
+    goals, pose = some_goals(rng), np.array([1.0, -2.0, rng.uniform(-math.pi, math.pi)])
+    shown = encode_goals(goals, pose)
+    assert shown.shape == (SLOTS * len(GOAL_FIELDS),) and shown.dtype == np.float32
+    assert (np.abs(shown) <= 1.0).all()
+    told = unsquash_goals(shown)
+    assert tuple(told) == GOAL_FIELDS
+    legal = goals.legal
+    np.testing.assert_array_equal(told["legal"] == 1.0, legal)
+    positions = transform(pose, np.stack([told["x"], told["y"]], axis=1))
+    np.testing.assert_allclose(positions[legal], goals.positions[legal], rtol=1e-4, atol=1e-4)
+    numbers = {"path": goals.lengths, "area": goals.areas, "reduction": goals.reductions, "in_view": goals.in_view}
+    for name, values in numbers.items():
+        np.testing.assert_allclose(told[name], values, rtol=1e-4, atol=1e-6)
+    assert all(not told[name][~legal].any() for name in GOAL_FIELDS)
+    assert (told["frontier"][1 : 1 + FRONTIERS] == legal[1 : 1 + FRONTIERS]).all() and not told["frontier"][0]
+    assert (told["revisit"][1 + FRONTIERS :] == legal[1 + FRONTIERS :]).all()
+
+
+def test_a_vector_of_another_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="13 numbers do not divide into rows of 9"):
+        unsquash_goals(np.zeros(13, np.float32))

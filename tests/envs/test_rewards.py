@@ -32,14 +32,6 @@ def test_the_first_look_confirms_nothing_so_the_error_starts_at_one(scenario) ->
         assert env.episode.slam.map.provisional.all()
 
 
-def test_info_reports_the_map_error_whatever_is_paid_for() -> None:
-    env, other = explore(action="twist", reward="map_error"), explore(action="twist", reward="entropy")
-    before = 1.0
-    for one, two in zip(episode(env, 60), episode(other, 60), strict=True):
-        assert one[4]["map_error"] == two[4]["map_error"] == pytest.approx(before - one[1], abs=1e-12)
-        before = one[4]["map_error"]
-
-
 def scan_of(points: np.ndarray) -> Scan:
     unknown = np.full(len(points), np.nan)
     return Scan(points, np.tile(np.eye(2) * 1e-6, (len(points), 1, 1)), unknown, unknown)
@@ -106,17 +98,3 @@ def test_uncertainty_of_an_unseen_world_is_the_unit(reward) -> None:
     ep.virtual_map = VirtualMap(np.array([-5.0, -5.0, 5.0, 5.0]), 1.0, env.scenario.prior_sigma)
     assert error(ep) == pytest.approx(0.0 if reward == "entropy" else 1.0, abs=1e-12)
     assert started < error(ep)  # the first look already showed something
-
-
-def test_uncertainty_rewards_pay_for_seeing_more_of_the_world() -> None:
-    """What was seen stays seen: the virtual map only ever gets better, so no step is punished."""
-    for reward in ("a_opt", "d_opt", "entropy"):
-        env = explore("office", reward=reward)
-        paid = [step[1] for step in episode(env, 8, seed=2)]
-        assert min(paid) >= -1e-12 and max(paid) > 0.0
-
-
-def test_the_virtual_map_is_kept_only_where_it_is_paid_for() -> None:
-    env = explore(reward="map_error")
-    env.reset(seed=0)
-    assert env.episode.virtual_map is None

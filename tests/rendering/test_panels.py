@@ -1,16 +1,13 @@
 """Parts of a panel: figures in columns, tables with bars, keys, and badges that keep apart."""
 
-import math
-
 import numpy as np
 import pytest
 
-pytest.importorskip("pygame")
-
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import pygame
-from slam_gym.rendering.panels import Choice, badges, figures, key, table
-from slam_gym.rendering.window import pixels
+from slam_gym.rendering.canvas import pixels, pygame
+from slam_gym.rendering.panels import PANEL, STAR, Choice, Level, TreePanel, draw_panel, figures, table
+
+pytest.importorskip("pygame")
 
 
 def sheet(size=(420, 300)):
@@ -46,22 +43,44 @@ def test_bars_are_as_long_as_their_fraction() -> None:
     assert (pixels(surface) == symbols.TRUTH).all(axis=2).any()
 
 
-def test_a_key_stands_at_the_foot_of_its_box() -> None:
-    surface = sheet()
-    top = key(surface, (10, 0, 400, 300), [(symbols.MAPPED, symbols.INK, f"thing {k}") for k in range(7)])
-    drawn = ink(surface)
-    assert not drawn[:top].any() and drawn[top].any() and drawn[top + 40 :].any()
+pytest.importorskip("pygame")
 
 
-def test_badges_keep_apart_and_close_to_what_they_name(monkeypatch) -> None:
-    from slam_gym.rendering import panels
+RED = (200, 30, 50)
+KEY = ((symbols.MAPPED, symbols.MAPPED, "mapped feature"),) * 9
 
-    put = []
-    monkeypatch.setattr(panels, "badge", lambda picture, centre, words: put.append((centre, words)))
-    points = [(100.0 + 3.0 * k, 100.0) for k in range(6)]
-    badges(sheet(), points)
-    assert [words for _, words in put] == list("012345")
-    centres = [centre for centre, _ in put]
-    for k, one in enumerate(centres):
-        assert math.dist(one, points[k]) < 60.0
-        assert all(math.dist(one, other) > 19.0 for other in centres[:k])
+
+def drawn(levels, at, height=720, **shown) -> np.ndarray:
+    surface = pygame.Surface((PANEL, height), depth=32)
+    surface.fill(symbols.PAPER)
+    figures = (("look", "3 of 9"), ("score", "0.5"), ("paired right", "7"))
+    shown = {"columns": ((0, "z is"), (64, "feature")), "choices": [Choice("*", False, ("none",))]} | shown
+    draw_panel(surface, (0, 0, PANEL, height), TreePanel(figures, levels, at, KEY, **shown))
+    return pixels(surface)
+
+
+def has(picture, colour) -> bool:
+    return bool((picture == colour).all(axis=2).any())
+
+
+def test_the_path_the_offer_and_the_truth_show() -> None:
+    path = [Level("z0", 2, taken=0, colour=RED), Level("z1", 0, taken=STAR, colour=RED)]
+    here = Level("z2", 12, on_offer=frozenset({0, 1}), right=1)
+    picture = drawn([*path, here, Level("z3", 1)], 2)
+    assert has(picture, RED) and has(picture, symbols.PLAN) and has(picture, symbols.TRUTH)
+    assert has(picture, symbols.BAND)
+    leaf = drawn(path, 2, remarks=("A leaf of 1 pairing", "D² = 3"))
+    assert has(leaf, RED) and not has(leaf, symbols.BAND)
+
+
+@pytest.mark.parametrize("levels", [0, 1, 3, 60])
+@pytest.mark.parametrize("height", [480, 720])
+def test_any_number_of_levels_and_choices_fits(levels, height) -> None:
+    tree = [Level(f"z{k}", k % 12, right=0) for k in range(levels)]
+    choices = [Choice(str(k), k == 3, (str(k),)) for k in range(200)] + [Choice("*", False, ("none",))]
+    for at in {0, levels // 2, levels}:
+        picture = drawn(tree, at, height, choices=choices)
+        assert picture.shape == (height, PANEL, 3)
+        rows = (picture[:, 18:29] == symbols.PLAN).all(axis=2).any(axis=1)
+        badges = int((rows[1:] & ~rows[:-1]).sum())
+        assert 2 <= badges <= 12

@@ -1,20 +1,30 @@
 """Scenes: what an episode and a log come to, and that it is drawn in its colours, where it stands."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-pytest.importorskip("pygame")
-
 from slam_gym.geometry import compose, observe
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas
-from slam_gym.rendering.scene import Scene, draw_scene, paired_positions, scene_of_episode, scene_of_log
-from slam_gym.rendering.window import pixels
+from slam_gym.rendering.canvas import Canvas, pixels
+from slam_gym.rendering.scene import (
+    Grid,
+    Scene,
+    draw_scene,
+    legend,
+    paired_positions,
+    scene_of_episode,
+    scene_of_log,
+    shown_in,
+)
 from slam_gym.types import NO_ID
 from tests.rollouts import associate, episode, explore, short
+
+pytest.importorskip("pygame")
+
 
 SIZE, SCALE = (1000, 800), 100.0
 
@@ -32,10 +42,6 @@ def pixel(picture, x, y) -> tuple[int, ...]:
 
 def count(picture, colour) -> int:
     return int((picture == colour).all(axis=2).sum())
-
-
-def test_an_empty_scene_is_a_blank_picture() -> None:
-    assert (drawn() == symbols.PAPER).all()
 
 
 def test_the_true_robot_and_its_estimate_stand_where_they_are() -> None:
@@ -69,16 +75,6 @@ def test_the_plan_is_drawn_from_where_the_robot_is_by_now() -> None:
     assert count(drawn(path=path[:1]), symbols.PLAN) > 0  # a goal that is reached has no way left
 
 
-def test_marks_shrink_where_they_would_crowd() -> None:
-    features = np.stack(np.meshgrid(np.arange(1.0, 60.0, 2.0), np.arange(1.0, 40.0, 2.0)), axis=-1).reshape(-1, 2)
-    covered = []
-    for size in (None, 1.0):
-        canvas = Canvas((360, 240), (0.0, 0.0), 6.0, symbols.PAPER)
-        draw_scene(canvas, Scene(features=features, kinds=np.zeros(len(features), np.int64)), size)
-        covered.append((pixels(canvas.picture()) != symbols.PAPER).any(axis=2).mean())
-    assert covered[0] < 0.7 * covered[1]
-
-
 def test_the_scene_of_an_episode_is_in_the_world_and_that_of_a_log_in_the_frame_of_its_start() -> None:
     env = explore(short(60), action="twist")
     for _ in episode(env, 40):
@@ -110,3 +106,62 @@ def test_measurements_are_paired_with_the_landmarks_that_they_updated() -> None:
     for number in np.flatnonzero(updated):
         index = list(slam_map.ids).index(step.ids[number])
         np.testing.assert_array_equal(positions[number], slam_map.positions[index])
+
+
+pytest.importorskip("pygame")
+
+
+ALL = frozenset({"furniture", "people", "covisibility", "grid", "goals"})
+
+
+def test_what_is_not_in_the_scene_is_not_in_the_legend() -> None:
+    assert shown_in(Scene()) == frozenset()
+    grid = Grid(np.zeros((2, 2), np.uint8), np.zeros(3), 0.2)
+    scene = Scene(
+        people=np.ones((1, 3)),
+        furniture=np.ones((1, 5)),
+        goals=np.ones((1, 2)),
+        covisibility=np.zeros((1, 2), int),
+        grid=grid,
+    )
+    assert shown_in(scene) == ALL
+    for colour, name in ((symbols.PERSON[0], "people"), (symbols.FURNITURE[0], "furniture"), (symbols.PLAN, "goals")):
+        for shown in (ALL, ALL - {name}):
+            assert (pixels(legend(shown, True)) == colour).all(axis=2).any() == (name in shown)
+
+
+def test_every_entry_has_a_symbol() -> None:
+    surface = legend(ALL, True)
+    picture = pixels(surface)
+    symbols_column = (picture[:, :40] != symbols.PAPER).any(axis=(1, 2))
+    words_column = (picture[:, 48:] != symbols.PAPER).any(axis=(1, 2))
+    for top in np.flatnonzero(words_column[1:] & ~words_column[:-1]):
+        assert symbols_column[top : top + 18].any(), f"words at row {top} without a symbol"
+
+
+pytest.importorskip("pygame")
+
+
+def test_colours_that_stand_side_by_side_differ_clearly() -> None:
+    colours = [symbols.DECISIONS[code] for code in list(Decision)[:5]] + [symbols.PLAN, symbols.MAPPED, symbols.INK]
+    for one, other in itertools.combinations(colours, 2):
+        assert np.abs(np.subtract(one, other)).sum() > 25, (one, other)
+    for other in (symbols.PLAN, symbols.DECISIONS[Decision.RIGHT], symbols.MAPPED):
+        assert np.abs(np.subtract(symbols.TRUTH, other)).sum() > 100, other
+
+
+def test_every_decision_has_a_colour_and_every_kind_of_feature_a_shape() -> None:
+    assert set(symbols.DECISIONS) == set(Decision)
+    shapes = []
+    for kind in range(3):
+        canvas = Canvas((40, 40), (0.0, 0.0), 1.0, symbols.PAPER)
+        symbols.true_features(canvas, np.array([[20.0, 20.0]]), np.array([kind]), 8.0)
+        shapes.append(pixels(canvas.picture()).tobytes())
+    assert len(set(shapes)) == 3
+
+
+def test_provisional_landmarks_are_hollow() -> None:
+    canvas = Canvas((40, 20), (0.0, 0.0), 1.0, symbols.PAPER)
+    symbols.landmarks(canvas, np.array([[10.0, 10.0], [30.0, 10.0]]), np.array([False, True]), 5.0)
+    picture = pixels(canvas.picture())
+    assert tuple(picture[10, 10]) == symbols.MAPPED and tuple(picture[10, 30]) == symbols.PAPER

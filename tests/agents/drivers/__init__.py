@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slam_gym.envs.goal_observation import encode_goals
+from slam_gym.envs.observation import encode_goals
 from slam_gym.simulation.goals import FRONTIERS, SLOTS, Goals
 
 

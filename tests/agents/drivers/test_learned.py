@@ -20,8 +20,7 @@ from agents.drivers.learned import (
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
-from slam_gym.envs.goal_observation import encode_goals
-from slam_gym.envs.observation import observe
+from slam_gym.envs.observation import encode_goals, observe
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.simulation.goals import Goals

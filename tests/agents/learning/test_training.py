@@ -20,7 +20,7 @@ from agents.evaluation.episodes import AssociateArguments, ExploreArguments, ass
 from agents.learning.models import load_associator, load_policy, read_about
 from agents.learning.ppo import HYPERPARAMETERS, load_hyperparameters
 from agents.learning.training import HELD_OUT, TrainingPlan, train
-from slam_gym.envs.goal_observation import GOAL_FIELDS
+from slam_gym.envs.observation import GOAL_FIELDS
 from slam_gym.scenarios import SPLITS
 
 DRIVE = ExploreArguments("office-small", split="train", overrides=(("budget", 60),))

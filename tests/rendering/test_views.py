@@ -1,18 +1,19 @@
 """The view of an exploration: the whole floor at any size, and a panel that covers none of it."""
 
 import dataclasses
-import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-pytest.importorskip("pygame")
-
-from slam_gym.rendering import explore_view, symbols
+from slam_gym.rendering import associate_view, explore_view, relocate_view, symbols
+from slam_gym.rendering.canvas import pixels
 from slam_gym.rendering.explore_view import arrange, draw_floor
 from slam_gym.rendering.scene import Grid, Scene
-from slam_gym.rendering.window import pixels
-from tests.rollouts import episode, explore, short
+from tests.rollouts import associate, episode, explore, relocate, short
+
+pytest.importorskip("pygame")
+
 
 BOUNDS = np.array([0.0, 0.0, 10.0, 8.0])
 FIGURES = (("map error", "0.5"), ("explored", "40 %"), ("features mapped", "49 of 138"), ("precision", "0.98"))
@@ -68,28 +69,6 @@ def test_the_plan_fits_into_the_map_and_the_panel_covers_none_of_it(bounds, size
     assert pixels(draw_floor(Scene(), np.array(bounds, float), size=size)).shape == (size[1], size[0], 3)
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("rows", [0, 5, 8])
-def test_figures_and_legend_do_not_overlap(size, rows) -> None:
-    layout = arrange(size, BOUNDS, rows, frozenset({"furniture", "people", "covisibility", "grid", "goals"}))
-    _, _, width, height = layout.panel
-    if layout.legend is None:
-        return
-    figures_below = 43 + 20 * math.ceil(rows / layout.columns)
-    if layout.beside:
-        assert layout.legend.get_width() <= width and figures_below + layout.legend.get_height() + 16 <= height
-    else:
-        assert layout.legend.get_height() <= height and layout.legend.get_width() + 150 <= width
-        assert figures_below <= height
-
-
-def test_the_legend_is_left_out_only_where_there_is_no_room_for_it() -> None:
-    for size in ((960, 720), (500, 900), (1600, 500)):
-        assert arrange(size, BOUNDS, 5).legend is not None, size
-    for size in ((320, 240), (480, 360), (400, 1200)):
-        assert arrange(size, BOUNDS, 5).legend is None, size
-
-
 def test_the_legend_explains_what_the_map_shows() -> None:
     scene, width = full_scene(np.random.default_rng(3)), arrange((960, 720), BOUNDS, 4).map_size[0]
     for people in (scene.people, np.empty((0, 3))):
@@ -116,3 +95,51 @@ def test_an_episode_is_drawn_with_its_goals_and_what_became_of_the_robot() -> No
     assert [what for what, _ in explore_view._figures(env.episode)][:5] == [
         "map error", "explored", "features mapped", "pairings right", "pose error",
     ]  # fmt: skip
+
+
+pytest.importorskip("pygame")
+
+
+@pytest.mark.parametrize("scenario", ["corridor", short(20)])
+def test_every_stage_has_its_picture(scenario) -> None:
+    env, pictures = associate(scenario, render_mode="rgb_array", candidates=3), set()
+    for number, _ in enumerate(episode(env, seed=3)):
+        over = env.walk is None
+        if number % 20 == 0 or over:
+            picture = env.render()
+            assert picture.shape == (720, 1140, 3) and picture.std() > 10.0
+            assert (picture == symbols.CHOICE).all(axis=2).any()  # its entry of the key
+            candidates = (picture[:, :700] == symbols.PLAN).all(axis=2)
+            assert over or candidates.any(), "no gate of what is on offer"
+            pictures.add(picture.tobytes())
+    assert over and len(pictures) > 3
+    np.testing.assert_array_equal(env.render(), env.render())
+
+
+def test_a_picture_may_be_small() -> None:
+    env = associate(short(20))
+    env.reset(seed=1)
+    surface = associate_view.draw(env.run, env.walk, env._answers, (("look", "1 of 9"),), (700, 480))
+    assert pixels(surface).shape == (480, 700, 3)
+
+
+pytest.importorskip("pygame")
+
+
+@pytest.mark.parametrize("outside", [0.0, 1.0])
+@pytest.mark.parametrize("name", ["office-small", "hall"])
+def test_pictures_of_every_state_differ(name, outside) -> None:
+    env = relocate(short(150, name), outside=outside, node_limit=30, render_mode="rgb_array")
+    pictures = []
+    for _ in episode(env, seed=1):
+        pictures.append(env.render())
+        assert pictures[-1].dtype == np.uint8 and pictures[-1].shape == (720, 1140, 3)
+        assert len(np.unique(pictures[-1][::3, ::3].astype(np.int32) @ [65536, 256, 1])) > 50
+    assert all(not np.array_equal(a, b) for a, b in pairwise(pictures[:-1]))
+
+
+def test_a_picture_may_be_small_and_the_offer_large() -> None:
+    env = relocate(candidates=200, locality=None)
+    env.reset(seed=0)
+    surface = relocate_view.draw(env.walk, env.mapped, env.kidnapped, env._figures(), (800, 560))
+    assert pixels(surface).shape == (560, 800, 3)
