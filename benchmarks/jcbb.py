@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,12 +35,9 @@ DENSITY = 0.6  # [1/m²]
 RANGE = 6.0  # [m]
 SIGMA = 0.03  # [m] of a measurement, in x and in y
 DETECTION = 0.9  # fraction of the features in range that is reported
-CARRIED = np.array([0.45, 0.45, math.radians(2.0)])  # σ of the odometry before the loop closes
-TRACKED = np.array([0.02, 0.02, math.radians(0.5)])  # σ of the odometry where there is no loop to close
 STEP = np.diag([0.02, 0.02, math.radians(0.3)]) ** 2  # covariance of the odometry of the mapping drive
 PAIRED = 15  # mapped features, at most, that a scan of the mapping drive updates
-CLOSING = np.array([0.6, 0.6, math.radians(4.0)])  # σ of the pose where all searches are compared …
-SPARSE = 0.25  # [1/m²] … and the density there
+SPARSE = 0.25  # [1/m²] where all searches are compared
 FORBIDDEN = 1e6  # price of an incompatible pairing
 
 
@@ -49,25 +45,32 @@ FORBIDDEN = 1e6  # price of an incompatible pairing
 class MappedField:
     """Where the features are, what the map knows, and which map feature each of them is."""
 
+    density: float  # [1/m²]
     features: Array  # (n, 2) [m]
     map: StochasticMap
     index: IntArray  # (n,) map feature, UNPAIRED where it has none
     pose: Array  # (3,) [m, m, rad] true pose at the end of the mapping drive
 
 
-class Difficulty(NamedTuple):
-    """One table of all searches."""
+@dataclass(frozen=True)
+class Workload:
+    """How hard a scan is to associate."""
 
     name: str
+    sigma: Array  # (3,) [m, m, rad] of the odometry before the scan
     spurious: float  # fraction of the measurements
-    widening: float = 1.0  # of the pose's σ
+    view: float = math.tau  # [rad]
+    noise: float = SIGMA  # [m] of a measurement, in x and in y
     unmapped: float = 0.0  # fraction of the features
 
 
+CLOSING = np.array([0.6, 0.6, math.radians(4.0)])
+LOOP = Workload("loop closure", np.array([0.45, 0.45, math.radians(2.0)]), 0.3)
+TRACKING = Workload("tracking", np.array([0.02, 0.02, math.radians(0.5)]), 0.2)
 DIFFICULTIES = (
-    Difficulty("no spurious", 0.0),
-    Difficulty("30 % spurious", 0.3),
-    Difficulty("50 % spurious, σ × 1.5, 20 % unmapped", 0.5, 1.5, 0.2),
+    Workload("no spurious", CLOSING, 0.0, math.pi, 0.05),
+    Workload("30 % spurious", CLOSING, 0.3, math.pi, 0.05),
+    Workload("50 % spurious, σ × 1.5, 20 % unmapped", 1.5 * CLOSING, 0.5, math.pi, 0.05, 0.2),
 )
 
 
@@ -80,7 +83,7 @@ class ClosureScan:
     truth: IntArray  # (m,) map feature behind each measurement, UNPAIRED where there is none
 
 
-def mapped_field(n: int, rng: np.random.Generator, density: float = DENSITY) -> MappedField:
+def mapped_field(n: int, density: float, rng: np.random.Generator) -> MappedField:
     """A field of n features mapped in one drive over its lanes with known association."""
     side = math.sqrt(n / density)
     features, waypoints = rng.uniform(0.0, side, (n, 2)), lanes(side, 8.0, 1.0)
@@ -95,51 +98,35 @@ def mapped_field(n: int, rng: np.random.Generator, density: float = DENSITY) -> 
         known = rng.permutation(known)[:PAIRED]
         decisions = np.full(len(seen), UNPAIRED)
         decisions[known] = index[seen[known]]
-        scan = noisy(observe(pose, features[seen]), rng)
+        scan = noisy(observe(pose, features[seen]), SIGMA, rng)
         slam_map.update(scan, decisions)
         index[seen[new]] = slam_map.add(scan, new)
-    return MappedField(features, slam_map, index, pose)
+    return MappedField(density, features, slam_map, index, pose)
 
 
-def closure_scan(field: MappedField, m: int, sigma: Array, spurious: float, rng: np.random.Generator) -> ClosureScan:
-    """The robot is carried to a random place, with an odometry of σ `sigma` (3,), and sees m points there.
-
-    A fraction `spurious` of them is clutter; the others are those detected within as far as holds them.
-    """
-    strays = round(spurious * m)
-    reach = math.sqrt((m - strays) / DETECTION / (math.pi * DENSITY))
-    carried, side, covariance = field.map.copy(), float(field.features.max()), np.diag(sigma**2)
+def closure_scan(field: MappedField, m: int, w: Workload, rng: np.random.Generator) -> ClosureScan:
+    """The robot is carried to a random place, and sees there the nearest features that it detects, and clutter."""
+    carried, index, side = field.map.copy(), field.index, float(field.features.max())
+    if w.unmapped:
+        kept = carried.remove(rng.permutation(carried.n)[: round(w.unmapped * carried.n)])
+        renumbered = np.full(field.map.n, UNPAIRED)
+        renumbered[kept] = np.arange(len(kept))
+        index = np.where(index == UNPAIRED, UNPAIRED, renumbered[index])
     target = np.array([*rng.uniform(0.2 * side, 0.8 * side, 2), rng.uniform(-math.pi, math.pi)])
-    motion = relative(field.pose, target) + rng.multivariate_normal(np.zeros(3), covariance)
-    carried.predict(Odometry(motion, covariance))
-    seen = rng.permutation(features_in_view(field.features, target, reach))[: m - strays]
-    strays = m - len(seen)
-    points = np.concatenate([observe(target, field.features[seen]), clutter(strays, reach, math.tau, rng)])
-    truth = np.concatenate([field.index[seen], np.full(strays, UNPAIRED)])
-    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
-    return ClosureScan(noisy(points[order], rng), carried.prediction(np.inf), truth[order])
-
-
-def difficult_scan(field: MappedField, m: int, difficulty: Difficulty, rng: np.random.Generator) -> ClosureScan:
-    """The robot is moved to a random place of the field and sees about m measurements there, over 180°."""
-    partial, index = field.map.copy(), np.full(len(field.index), UNPAIRED)
-    kept = partial.remove(rng.permutation(partial.n)[: round(difficulty.unmapped * partial.n)])
-    for row, feature in enumerate(kept.tolist()):
-        index[field.index == feature] = row
-    side, sigma = float(field.features.max()), difficulty.widening * CLOSING
-    target = np.array([*rng.uniform(0.2 * side, 0.8 * side, 2), rng.uniform(-math.pi, math.pi)])
-    partial.predict(Odometry(relative(field.pose, target) + sigma * rng.standard_normal(3), np.diag(sigma**2)))
-    strays = round(difficulty.spurious * m)
-    reach = math.sqrt(2.0 * (m - strays) / DETECTION / (math.pi * SPARSE))
-    seen = features_in_view(field.features, target, reach, math.pi)
+    motion = relative(field.pose, target) + w.sigma * rng.standard_normal(3)
+    carried.predict(Odometry(motion, np.diag(w.sigma**2)))
+    strays = round(w.spurious * m)
+    reach = math.sqrt(2.0 * (m - strays) / DETECTION / (w.view * field.density))
+    seen = features_in_view(field.features, target, 1.5 * reach, w.view)
     seen = seen[rng.random(len(seen)) < DETECTION]
-    points = np.concatenate([observe(target, field.features[seen]), clutter(strays, reach, math.pi, rng)])
+    seen = seen[np.argsort(np.hypot(*(field.features[seen] - target[:2]).T))][: m - strays]
+    points = np.concatenate([observe(target, field.features[seen]), clutter(strays, reach, w.view, rng)])
     truth = np.concatenate([index[seen], np.full(strays, UNPAIRED)])
     order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
-    return ClosureScan(noisy(points[order], rng, 0.05), partial.prediction(reach), truth[order])
+    return ClosureScan(noisy(points[order], w.noise, rng), carried.prediction(np.inf), truth[order])
 
 
-def noisy(points: Array, rng: np.random.Generator, sigma: float = SIGMA) -> Scan:
+def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:
     return Scan.from_points(points + sigma * rng.standard_normal(points.shape), sigma=sigma)
 
 
@@ -170,9 +157,9 @@ def measure(one: ClosureScan) -> Record:
 def beside_assignment(field: MappedField, scans: int, rng: np.random.Generator) -> list[Record]:
     """JCBB and the assignment, at loop closure and while tracking: means of what is right, medians of the rest."""
     rows = []
-    for workload, m, sigma, spurious in (("loop closure", 20, CARRIED, 0.3), ("tracking", 12, TRACKED, 0.2)):
-        found = pd.DataFrame(measure(closure_scan(field, m, sigma, spurious, rng)) for _ in range(scans))
-        row = {"workload": workload, "n": len(field.features), "m": m}
+    for workload, m in ((LOOP, 20), (TRACKING, 12)):
+        found = pd.DataFrame(measure(closure_scan(field, m, workload, rng)) for _ in range(scans))
+        row: Record = {"workload": workload.name, "n": len(field.features), "m": m}
         row |= found[["candidates each", "exact", "exact at 0.999"]].mean().to_dict()
         row |= found[["nodes", "JCBB"]].median().to_dict() | {"95 %": found["JCBB"].quantile(0.95)}
         rows.append(row | {"assignment": found["assignment"].median()})
@@ -204,13 +191,13 @@ def all_searches(scans: list[ClosureScan]) -> list[Record]:
 def main() -> None:
     a = options(__doc__, features=(100, 300, 1000), scans=100)
     rng, scans = np.random.default_rng(a.seed), 3 if a.quick else a.scans
-    fields = [mapped_field(n, rng) for n in ((30,) if a.quick else a.features)]
+    fields = [mapped_field(n, DENSITY, rng) for n in ((30,) if a.quick else a.features)]
     rows = [row for field in fields for row in beside_assignment(field, scans, rng)]
     table("JCBB beside linear assignment [µs]", rows)
-    sparse = [mapped_field(n, rng, SPARSE) for n in ((30,) if a.quick else (20, 100, 300, 1000))]
+    sparse = [mapped_field(n, SPARSE, rng) for n in ((30,) if a.quick else (20, 100, 300, 1000))]
     for difficulty in DIFFICULTIES:
         kinds = [(field, m) for _ in range(min(scans, 30)) for field in sparse for m in (5, 10, 20)]
-        drawn = [difficult_scan(field, m, difficulty, rng) for field, m in kinds]
+        drawn = [closure_scan(field, m, difficulty, rng) for field, m in kinds]
         table(f"Every associator at loop closure, {difficulty.name}", all_searches(drawn))
 
 
