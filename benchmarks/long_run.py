@@ -43,6 +43,19 @@ EXTREMES: dict[str, dict[str, Any]] = {
     "all at once": NOISY | BUSY,
 }
 SHORTER = {"noise × 20": 0.1, "clutter": 0.2, "all at once": 0.1}  # a lost robot takes ten times as long for a tick
+ARGUMENTS: dict[str, dict[str, tuple[Any, ...]]] = {
+    "Explore": {
+        "action": ("goal", "twist"),
+        "associator": tuple(ASSOCIATORS),
+        "reward": ("map_error", "a_opt", "d_opt", "entropy"),
+        "locality": (None, "covisibility"),
+        "relocation": tuple(RELOCATORS),
+        "atlas": (True, False),
+    },
+    "Associate": {"reward": ("truth", "map_error"), "compatibility": ("joint", "individual")},
+    "Relocate": {"locality": (None, "covisibility", "distance"), "outside": (0.0, 0.5, 1.0)},
+}
+LONGEST = {"Explore": math.inf, "Associate": 300, "Relocate": 150}  # [ticks]
 KINDS = ("Explore",) * 7 + ("Associate",) * 2 + ("Relocate",)
 MIN_EPISODES = 100  # in which memory is judged: before, code is still being loaded
 GROWTH = 0.1  # of memory from the second to the last fifth of the episodes; more is a leak
@@ -53,30 +66,11 @@ def episode(number: int, seed: int, ticks: int) -> tuple[str, gym.Env[Any, Any]]
     rng = np.random.default_rng((seed, number))
     kind, name = KINDS[number % len(KINDS)], list(SCENARIOS)[number % len(SCENARIOS)]
     extreme = list(EXTREMES)[(number // len(KINDS) + number) % len(EXTREMES)]
-    budget = max(int(ticks * SHORTER.get(extreme, 1.0)), 20)
-    scenario: Scenario = overridden(SCENARIOS[name], EXTREMES[extreme])
+    budget = min(max(int(ticks * SHORTER.get(extreme, 1.0)), 20), LONGEST[kind])
+    scenario: Scenario = overridden(SCENARIOS[name], EXTREMES[extreme] | {"budget": budget})
     if extreme == "200 m":
         scenario = replace(scenario, generator=OfficeGenerator(rooms=80))
-
-    def any_of(*values: Any) -> Any:
-        return values[int(rng.integers(len(values)))]
-
-    if kind == "Explore":
-        arguments = {
-            "action": any_of("goal", "twist"),
-            "associator": any_of(*ASSOCIATORS),
-            "reward": any_of("map_error", "a_opt", "d_opt", "entropy"),
-            "locality": any_of(None, "covisibility"),
-            "relocation": any_of(*RELOCATORS),
-            "atlas": any_of(True, False),
-        }
-    elif kind == "Associate":
-        arguments = {"reward": any_of("truth", "map_error"), "compatibility": any_of("joint", "individual")}
-        budget //= 4
-    else:
-        arguments = {"locality": any_of(None, "covisibility", "distance"), "outside": any_of(0.0, 0.5, 1.0)}
-        budget = min(budget, 150)
-    scenario = replace(scenario, budget=max(budget, 20))
+    arguments = {name: values[int(rng.integers(len(values)))] for name, values in ARGUMENTS[kind].items()}
     env = gym.make(f"slam_gym/{kind}-v0", disable_env_checker=True, scenario=scenario, **arguments).unwrapped
     return f"episode {number}: {kind}, {name}, {extreme}, {arguments}", env
 

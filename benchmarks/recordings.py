@@ -10,9 +10,9 @@ the scan, none of its trunks is in the map, and no feature of the map lies withi
 and the groups of the remaining poses are searched for. Groups of another set, whose landmarks stand elsewhere, are
 *outside*.
 
-GCBB, random sampling and the feature index search each scan, with the trunk diameters that the laser measured and
-without. A pose is right within 1 m and 3° (room: 15°). Intervals are 95 %; scans of one log are not independent, so
-that they are narrower than they should be.
+GCBB, random sampling and the feature index (built for each scan) search, with the trunk diameters that the laser
+measured and without. A pose is right within 1 m and 3° (room: 15°). Intervals are 95 %; scans of one log are not
+independent, so that they are narrower than they should be.
 
     SLAM_GYM_DATA=... python benchmarks/recordings.py       # eight minutes
 """
@@ -32,8 +32,7 @@ import pandas as pd
 
 from benchmarks.common import Tolerance, attempt, count_answers, data_folder, features_in_view, options, table
 from slam_gym import Landmarks, Locality, Scan, Slam, gcbb, indexed, random_sampling
-from slam_gym.geometry import compose
-from slam_gym.geometry import transform as transformed
+from slam_gym.geometry import compose, transform
 from slam_gym.mapping.locality import covisible, linked, within
 from slam_gym.metrics.map_quality import align_se2
 from slam_gym.recordings.least_squares import Optimum, least_squares
@@ -131,7 +130,7 @@ def into_map(optimum: Optimum, mapped: MappedLog, pose: Array, reach: float) -> 
     there = np.array([place[source] for source in mapped.sources[known].tolist()])
     here, kept = mapped.slam.map.positions[known], np.ones(len(known), bool)
     for _ in range(5):
-        away = np.hypot(*(transformed(align_se2(there[kept], here[kept]), there) - here).T)
+        away = np.hypot(*(transform(align_se2(there[kept], here[kept]), there) - here).T)
         kept = away < max(MISLABELLED, 2.0 * float(np.median(away)))
     near = kept & (np.hypot(*(there - pose[:2]).T) < reach)
     chosen = near if near.sum() >= 3 else kept
