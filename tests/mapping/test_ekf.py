@@ -45,16 +45,6 @@ def test_joint_update_with_one_feature_paired_twice() -> None:
     np.testing.assert_allclose(m.covariance, textbook.P, rtol=0, atol=1e-11)
 
 
-def test_one_measurement_by_hand() -> None:
-    """Robot known exactly at the origin, feature at (2, 0) ± .3: the scalar Kalman formulae in x and y."""
-    m = StochasticMap()
-    m.add(make_scan(np.array([[2.0, 0.0]]), np.array([np.eye(2) * 0.09])), np.array([0]))
-    m.update(make_scan(np.array([[2.2, -0.1]]), np.array([np.diag([0.01, 0.09])])), np.array([0]))
-    np.testing.assert_allclose(m.positions, [[2.0 + 0.9 * 0.2, -0.05]], atol=1e-12)
-    np.testing.assert_allclose(m.covariances, [np.diag([0.009, 0.045])], atol=1e-12)
-    np.testing.assert_array_equal(m.pose, np.zeros(3))
-
-
 # --- Jacobians against finite differences -----------------------------------------------------------------------------
 
 
@@ -142,14 +132,6 @@ def test_stays_psd_when_a_loop_closure_collapses_a_huge_uncertainty(lost: float)
         assert smallest_over_largest(m) >= -1e-9
         m.predict(Odometry(np.zeros(3), np.diag([1e-4, 1e-4, 1e-6])))
     assert m.covariance[0, 0] < 1e-5 * before
-
-
-def test_update_never_raises_uncertainty() -> None:
-    m, _, _ = mapped()
-    before = m.covariance
-    scan = make_scan(h(m.mean, np.arange(3)).reshape(-1, 2), np.tile(1e-2 * np.eye(2), (3, 1, 1)))
-    m.update(scan, np.arange(3))
-    assert np.linalg.eigvalsh(before - m.covariance)[0] > -1e-12
 
 
 def test_order_of_features_does_not_matter() -> None:

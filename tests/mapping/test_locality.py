@@ -57,16 +57,6 @@ def test_covisibility_equals_powers_of_the_relation() -> None:
         np.testing.assert_array_equal(dense(covisible(graph, at_least, hops)), expected)
 
 
-def test_links_equal_powers_of_the_relation() -> None:
-    rng = np.random.default_rng(10)
-    for _ in range(100):
-        n = int(rng.integers(1, 20))
-        related = np.triu(rng.random((n, n)) < 0.1, 1)
-        hops = int(rng.integers(1, 4))
-        expected = np.linalg.matrix_power((related | related.T | np.eye(n, dtype=np.bool_)).astype(np.int64), hops)
-        np.testing.assert_array_equal(dense(linked(n, np.argwhere(related), hops)), expected > 0)
-
-
 def test_distance_equals_all_pairs() -> None:
     rng = np.random.default_rng(1)
     for _ in range(100):
