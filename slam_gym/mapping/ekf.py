@@ -153,6 +153,17 @@ def begin(
 
 
 @compiled
+def confirmed(x: Array, counted: IntArray, n: int, confirmations: int) -> Array:
+    """Positions (e, 2) of the features seen in at least `confirmations` steps."""
+    out, e = np.empty((n, 2)), 0
+    for j in range(n):
+        if counted[SEEN, j] >= confirmations:
+            out[e, 0], out[e, 1] = x[3 + 2 * j], x[4 + 2 * j]
+            e += 1
+    return out[:e]
+
+
+@compiled
 def record(
     features: IntArray, step: int, measured: tuple[Array, Array, IntArray], counted: IntArray, sized: Array
 ) -> None:

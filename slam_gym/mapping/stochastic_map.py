@@ -153,7 +153,7 @@ class StochasticMap:
     @property
     def confirmed(self) -> Array:
         """(e, 2) [m] positions in B of the features that are not provisional."""
-        return self.positions[~self.provisional]
+        return ekf.confirmed(self._x, self._counted, self.n, self.spec.confirmations)
 
     @property
     def provisional(self) -> BoolArray:
