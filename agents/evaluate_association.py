@@ -1,33 +1,28 @@
 """Evaluate associators: `python -m agents.evaluate_association` puts each into the loop on the same test worlds;
 `--suite` asks all of them about the same scans, one number per capability; `--recording` runs them over a real log.
 
-Writes into OUT: records.jsonl (--resume goes on from it), records.csv, results.json and report.html.
+Writes into OUT: results.csv (one row per episode), results.json (what it depends on) and report.html.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
+
+from typer import Option
 
 from agents.cli import (
     ON_A_FLOOR,
-    add_episode_options,
-    add_execution_options,
-    add_floor_options,
-    add_override_option,
-    add_rerun_option,
-    command_line,
-    episodes_of,
-    execution,
-    program,
-    require_positive,
+    Episodes,
+    Execute,
+    Floor,
+    Overrides,
+    RerunFile,
+    command,
+    parsed_overrides,
     require_rerun,
-    results_folder,
-    run_main,
-    say_where,
     search_or_none,
 )
 from agents.drivers.base import AGENTS, make_agent
@@ -37,11 +32,11 @@ from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Results, carry_out
 from agents.evaluation.recordings import Log, logs_of, recording_evaluation
 from agents.evaluation.tables import Table, print_table
-from agents.suite import numbers as suite
+from agents.suite import numbers as suite_numbers
 from agents.suite.worlds import SuiteSize, suite_evaluation
 from slam_gym.association import RELOCATORS
 from slam_gym.recordings.catalogue import PUBLISHED
-from slam_gym.scenarios import SCENARIOS, SPLITS
+from slam_gym.scenarios import SCENARIOS
 from slam_gym.scenarios.suite import EXPERIMENTS
 from slam_gym.slam.relocate import SEARCH
 
@@ -50,62 +45,58 @@ EPISODES = 30
 SIZE, QUICK = SuiteSize(), SuiteSize(worlds=4, problems=8, quick=True)
 
 
-def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog=program("agents.evaluate_association"), description="Evaluate associators on the same test worlds."
+@dataclass(frozen=True)
+class Loop(Floor, Episodes):
+    """Drives through scenarios."""
+
+    scenarios: Annotated[
+        list[str] | None,
+        Option(
+            metavar="NAME",
+            help=f"Of {', '.join(SCENARIOS)}, levels of the suite such as clutter/2, or module:name; "
+            f"by default {' '.join(LOOPS)}.",
+        ),
+    ] = None
+    overrides: Overrides = None
+    driver: Annotated[
+        str, Option(metavar="AGENT", help=f"Of {', '.join(AGENTS)} but learned ones, or module:Class.")
+    ] = "information_gain"
+    rerun: RerunFile = None
+
+
+@dataclass(frozen=True)
+class Suite:
+    """The association suite."""
+
+    quick: Annotated[bool, Option("--quick", help="Suite: every second level, few worlds.")] = False
+    experiments: Annotated[
+        list[str] | None, Option(metavar="NAME", help=f"Suite: of {', '.join(EXPERIMENTS)}; by default all.")
+    ] = None
+    relocators: Annotated[
+        list[str] | None, Option(metavar="NAME", help="Suite: whom kidnapped asks; by default all that ship.")
+    ] = None
+    worlds: Annotated[int | None, Option(min=1, metavar="W", help=f"Suite: a level; by default {SIZE.worlds}.")] = None
+    problems: Annotated[int | None, Option(min=1, metavar="P", help=f"Suite: a world; by default {SIZE.problems}.")] = (
+        None
     )
-    p.add_argument("--associators", nargs="+", metavar="NAME", help=f"of {', '.join(SIMPLEST_FIRST)}, "
-                   "true_association, module:function, or the file of a learned one (default: all that "
-                   "ship)")  # fmt: skip
-    add_execution_options(p, "results/association-TIME, suite-TIME or recording-TIME")
-    p.add_argument("--split", default="test", choices=SPLITS, help="worlds; tune on train (default: %(default)s)")
-    _add_loop_options(p)
-    _add_suite_options(p)
-    _add_recording_options(p)
-    return p
 
 
-def _add_loop_options(p: argparse.ArgumentParser) -> None:
-    loop = p.add_argument_group("in the loop")
-    loop.add_argument("--scenarios", nargs="+", metavar="NAME", help=f"of {', '.join(SCENARIOS)}, or levels of the "
-                      f"suite such as clutter/2, or module:name (default {' '.join(LOOPS)}; on a floor plan "
-                      f"{ON_A_FLOOR})")  # fmt: skip
-    add_floor_options(loop)
-    add_rerun_option(loop)
-    add_override_option(loop)
-    add_episode_options(loop, EPISODES, "a scenario")
-    loop.add_argument("--driver", default="information_gain", metavar="AGENT", help=f"of {', '.join(AGENTS)} but "
-                      "learned ones, or module:Class (default: %(default)s)")  # fmt: skip
-    loop.add_argument("--relocation", nargs="+", type=search_or_none, metavar="SEARCH",
-                      help=f"how a lost robot is found: {', '.join(RELOCATORS)}, module:function, or none; several are "
-                      f"compared (default: none {SEARCH}; over a recording: {SEARCH})")  # fmt: skip
+@dataclass(frozen=True)
+class Recorded:
+    """What is done to a recording before it is mapped."""
 
-
-def _add_suite_options(p: argparse.ArgumentParser) -> None:
-    suite = p.add_argument_group("suite")
-    suite.add_argument("--suite", action="store_true", help="one number per capability instead of drives")
-    suite.add_argument("--quick", action="store_true", help="every second level, few worlds")
-    suite.add_argument("--experiments", nargs="+", default=list(EXPERIMENTS), metavar="NAME",
-                       help="default: %(default)s")  # fmt: skip
-    suite.add_argument("--relocators", nargs="+", metavar="NAME", help="for kidnapped (default: all that ship)")
-    suite.add_argument("--worlds", type=int, metavar="W", help=f"a level (default: {SIZE.worlds}; quick: "
-                       f"{QUICK.worlds})")  # fmt: skip
-    suite.add_argument("--problems", type=int, metavar="P", help=f"a world (default: {SIZE.problems}; quick: "
-                       f"{QUICK.problems})")  # fmt: skip
-
-
-def _add_recording_options(p: argparse.ArgumentParser) -> None:
-    group = p.add_argument_group("recording")
-    group.add_argument("--recording", metavar="LOG", help=f"EKF-SLAM over a real log: {', '.join(PUBLISHED)}, "
-                       "or a file .npz, .g2o, .txt (iSAM)")  # fmt: skip
-    group.add_argument("--data", type=Path, metavar="DIR", help="folder of the published files (default: the one of "
-                       "that name in SLAM_GYM_DATA)")  # fmt: skip
-    group.add_argument("--robots", type=int, nargs="+", metavar="N", help="of mrclam (default: all)")
-    group.add_argument("--every", type=int, default=1, metavar="K", help="only each K-th scan (default: %(default)s)")
-    group.add_argument("--merge", type=float, default=0.0, metavar="M", help="landmarks no farther apart are one [m]")
-    group.add_argument("--clean", action="store_true", help="leave out spurious measurements, such as the barcodes "
-                       "that the robots of mrclam wear themselves")  # fmt: skip
-    group.add_argument("--reference", action="store_true", help="the vertices of a .g2o file are the truth")
+    data: Annotated[
+        Path | None, Option(metavar="DIR", help="Recording: its files, by default under SLAM_GYM_DATA.")
+    ] = None
+    robots: Annotated[list[int] | None, Option(metavar="N", help="Recording: of mrclam, by default all.")] = None
+    every: Annotated[int, Option(min=1, metavar="K", help="Recording: only each K-th scan.")] = 1
+    merge: Annotated[float, Option(min=0.0, metavar="M", help="Recording: landmarks no farther apart [m] are one.")] = (
+        0.0
+    )
+    clean: Annotated[bool, Option("--clean", help="Recording: leave out spurious measurements.")] = False
+    reference: Annotated[bool, Option("--reference", help="Recording: the vertices of a .g2o file are the truth.")] = (
+        False
+    )
 
 
 class Plan(NamedTuple):
@@ -113,103 +104,140 @@ class Plan(NamedTuple):
 
     evaluation: Evaluation
     tables: Callable[[Results], list[Table]]
-    log: Callable[[str], list[str]] | None = None  # writes drives for Rerun's viewer; the files
 
 
-def loop_plan(a: argparse.Namespace, out: Path) -> Plan:
+@dataclass(frozen=True)
+class Asked:
+    """Who is evaluated: associators, and the searches that find a lost robot; by default all that ship."""
+
+    associators: Annotated[
+        list[str] | None,
+        Option(
+            metavar="NAME",
+            help=f"Of {', '.join(SIMPLEST_FIRST)}, true_association, module:function, or a learned one's file; "
+            "by default all that ship.",
+        ),
+    ] = None
+    relocation: Annotated[
+        list[str] | None,
+        Option(
+            metavar="SEARCH",
+            help=f"How a lost robot is found: {', '.join(RELOCATORS)}, module:function, or none; several are compared. "
+            f"By default none {SEARCH}; over a recording {SEARCH}.",
+        ),
+    ] = None
+    split: Annotated[Literal["train", "test"], Option(help="Worlds; tune on train.")] = "test"
+
+    @property
+    def names(self) -> list[str]:
+        """Of the associators."""
+        return self.associators or shipped()
+
+    def searches(self, default: list[str]) -> list[str | None]:
+        """Each search once."""
+        return [search_or_none(name) for name in dict.fromkeys(self.relocation or default)]
+
+
+def main(
+    asked: Asked,
+    execute: Execute,
+    loop: Loop,
+    suite_options: Suite,
+    recorded: Recorded,
+    suite: Annotated[bool, Option("--suite", help="One number per capability instead of drives.")] = False,
+    recording: Annotated[
+        str | None,
+        Option(metavar="LOG", help=f"A real log instead: {', '.join(PUBLISHED)}, or a file .npz, .g2o, .txt (iSAM)."),
+    ] = None,
+) -> None:
+    """Evaluate associators on the same drives, over the suite, or on a recording."""
+    if suite and recording:
+        raise ValueError("--suite and --recording are two evaluations: give one of them")
+    require_rerun(loop.rerun)
+    kind = "suite" if suite else "recording" if recording else "association"
+    _refuse_what_does_not_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
+    if suite and asked.relocation:
+        raise ValueError("--relocation is not for --suite, whose searches --relocators names")
+    out, how = execute.folder(kind), execute.execution()
+    with execute.told_how_to_resume(out):
+        if suite:
+            plan = suite_plan(asked, suite_options)
+        elif recording:
+            plan = recording_plan(asked, recorded, recording, out)
+        else:
+            plan = loop_plan(asked, loop)
+        results = carry_out(plan.evaluation, out, how)
+        if loop.rerun:
+            _log_first_episodes(asked, loop, loop.rerun)
+    for table in plan.tables(results):
+        print_table(table, how.console)
+    from agents.reports.page import write_report  # matplotlib takes a second to import
+
+    how.console.print(f"report: {write_report(out)}", soft_wrap=True)
+
+
+def loop_plan(asked: Asked, loop: Loop) -> Plan:
     """Drives through scenarios. ValueError for whatever nobody knows."""
-    plan = str(Path(a.floor_plan).resolve()) if a.floor_plan else None
-    scenarios = a.scenarios or ([ON_A_FLOOR] if plan else LOOPS)
-    world = {"split": a.split, "floor_plan": plan, "resolution": a.resolution}
-    loops = [ExploreArguments(name, tuple(a.overrides), **world) for name in dict.fromkeys(scenarios)]
-    names, searches = a.associators or shipped(), list(dict.fromkeys(a.relocation or [None, SEARCH]))
+    evaluation = associator_evaluation(
+        asked.names, _loops(asked, loop), loop.driver, loop.range(EPISODES), asked.searches(["none", SEARCH])
+    )
+    return Plan(evaluation, associators.tables)
 
-    def log(target: str) -> list[str]:
-        """The first scenario, with the last of the searches."""
-        from agents.reports.rerun_log import Drive, log_drives
 
-        first = replace(loops[0], relocation=searches[-1])
-        return log_drives(
-            target, a.first, [Drive(name, first, make_agent(a.driver), metered(name)[1]) for name in names]
+def _loops(asked: Asked, loop: Loop) -> list[ExploreArguments]:
+    return [
+        ExploreArguments(
+            name, parsed_overrides(loop.overrides), asked.split, floor_plan=loop.file, resolution=loop.resolution
         )
+        for name in dict.fromkeys(loop.scenarios or ([ON_A_FLOOR] if loop.file else LOOPS))
+    ]
 
-    return Plan(associator_evaluation(names, loops, a.driver, episodes_of(a), searches), associators.tables, log)
+
+def _log_first_episodes(asked: Asked, loop: Loop, target: str) -> None:
+    """The first scenario, with the last of the searches."""
+    from agents.reports.rerun_log import Drive, log_drives
+
+    first = replace(_loops(asked, loop)[0], relocation=asked.searches(["none", SEARCH])[-1])
+    drives = [Drive(name, first, make_agent(loop.driver), metered(name)[1]) for name in asked.names]
+    log_drives(target, loop.first, drives)
 
 
-def suite_plan(a: argparse.Namespace, out: Path) -> Plan:
+def suite_plan(asked: Asked, options: Suite) -> Plan:
     """The suite. ValueError for whatever nobody knows."""
-    default = QUICK if a.quick else SIZE
-    size = SuiteSize(a.worlds or default.worlds, a.problems or default.problems, a.quick, a.split)
-    names, searches = a.associators or shipped(), a.relocators or list(RELOCATORS)
-    return Plan(suite_evaluation(names, searches, list(dict.fromkeys(a.experiments)), size), suite.tables)
+    default = QUICK if options.quick else SIZE
+    size = SuiteSize(options.worlds or default.worlds, options.problems or default.problems, options.quick, asked.split)
+    experiments = list(dict.fromkeys(options.experiments or EXPERIMENTS))
+    relocators = options.relocators or list(RELOCATORS)
+    return Plan(suite_evaluation(asked.names, relocators, experiments, size), suite_numbers.tables)
 
 
-def recording_plan(a: argparse.Namespace, out: Path) -> Plan:
+def recording_plan(asked: Asked, options: Recorded, recording: str, out: Path) -> Plan:
     """Logs. Raises as `open_recordings`, and ValueError for an associator that nobody knows."""
-    data = None if a.data is None else str(a.data)
-    template = Log(a.recording, data, reference=a.reference, every=a.every, merge=a.merge, clean=a.clean)
-    logs = logs_of(template, a.robots)
+    template = Log(
+        recording,
+        str(options.data) if options.data else None,
+        reference=options.reference,
+        every=options.every,
+        merge=options.merge,
+        clean=options.clean,
+    )
+    logs = logs_of(template, options.robots)
     for name, log in logs.items():
         print(f"{name}: {log.open().source} {log.open().terms}")
-    searches = list(dict.fromkeys(a.relocation or [SEARCH]))
-    return Plan(recording_evaluation(a.associators or shipped(), logs, out, searches), recordings.tables)
+    return Plan(recording_evaluation(asked.names, logs, out, asked.searches([SEARCH])), recordings.tables)
 
 
-OPTIONS: dict[str, tuple[str, ...]] = {
-    "association": (
-        "scenarios",
-        "floor_plan",
-        "resolution",
-        "overrides",
-        "episodes",
-        "first",
-        "driver",
-        "relocation",
-        "rerun",
-    ),
-    "suite": ("quick", "experiments", "relocators", "worlds", "problems"),
-    "recording": ("data", "robots", "every", "merge", "clean", "reference", "relocation"),
-}
-"""The options that only some evaluations know what to do with."""
-
-
-def _refuse_what_does_not_apply(a: argparse.Namespace, kind: str) -> None:
+def _refuse_what_does_not_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:
     """ValueError for an option that would be ignored, as `--experiments` without `--suite`."""
-    for other, names in OPTIONS.items():
-        for name in set(names) - set(OPTIONS[kind]):
-            if getattr(a, name) != parser().get_default(name):
-                option = {"overrides": "set"}.get(name, name).replace("_", "-")
-                meant = f"belongs to --{other}" if other != "association" else "is about drives through scenarios"
-                instead = f", not to --{kind}" if kind != "association" else ", which was not asked for"
+    for other, options in groups.items():
+        for field in fields(options) if other != kind else ():
+            if getattr(options, field.name) != field.default:
+                option = {"overrides": "set"}.get(field.name, field.name).replace("_", "-")
+                meant = "is about drives through scenarios" if other == "association" else f"belongs to --{other}"
+                instead = ", which was not asked for" if kind == "association" else f", not to --{kind}"
                 raise ValueError(f"--{option} {meant}{instead}")
 
 
-def main(argv: list[str]) -> int:
-    a = parser().parse_args(argv)
-    require_positive(a, "jobs", "worlds", "problems", "every")
-    if a.suite and a.recording:
-        raise ValueError("--suite and --recording are two evaluations: give one of them")
-    require_rerun(a)
-    kind, planned = ("suite", suite_plan) if a.suite else ("association", loop_plan)
-    if a.recording:
-        kind, planned = "recording", recording_plan
-    _refuse_what_does_not_apply(a, kind)
-    out, how = a.out or results_folder(kind, a.resume), execution(a, command_line("agents.evaluate_association", argv))
-    try:
-        plan = planned(a, out)
-        results = carry_out(plan.evaluation, out, how)
-        if a.rerun and plan.log:
-            say_where(plan.log(a.rerun), how)
-    except KeyboardInterrupt:
-        how.console.print(f"interrupted; go on with the same command and --resume --out {out}", soft_wrap=True)
-        raise
-    for table in plan.tables(results):
-        print_table(table, how.console)
-    from agents.report import write_report  # matplotlib takes a second to import
-
-    how.console.print(f"report: {write_report(out)}", soft_wrap=True)
-    return 0
-
-
+app = command(main)
 if __name__ == "__main__":
-    raise SystemExit(run_main(main))
+    app()

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from rich.console import Console
 from typer import Option
 
-from agents.cli import Execute, command, typed
+from agents.cli import Execute, command, command_line
 from agents.drivers.base import AGENTS
 from agents.evaluation.pipeline import Execution, carry_out
 from agents.evaluation.records import write_whole
@@ -67,12 +67,13 @@ def _evaluate(entry: str, role: Role | None, quick: bool, board: Path, execute: 
     stem = f"{found}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
     out = execute.out or board / "runs" / stem
     resumed = execute.resume or (out / "results.json").exists()
-    how = Execution(execute.jobs, execute.backend, typed(), resumed, Console())
+    how = Execution(execute.jobs, execute.backend, command_line(), resumed, Console())
     results = carry_out(leaderboard_evaluation(entry, chosen), out, how)
-    failed = [record["failed"] for record in results.records if record.get("failed")]
+    records = results.frame.to_dict("records")
+    failed = [record["failed"] for record in records if isinstance(record.get("failed"), str)]
     if failed:
-        how.console.print(f"{len(failed)} of {len(results.records)} episodes are lost: {failed[0]}", soft_wrap=True)
-    path = write_entry(board, ranked(entry, chosen, results.records, typed()))
+        how.console.print(f"{len(failed)} of {len(records)} episodes are lost: {failed[0]}", soft_wrap=True)
+    path = write_entry(board, ranked(entry, chosen, records, command_line()))
     how.console.print(f"entry: {path}", soft_wrap=True)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import gymnasium as gym
+from typer import Option
 
-from agents.cli import add_explore_options, add_rerun_option, explore_arguments, program, require_rerun, run_main
+from agents.cli import RerunFile, World, command, require_rerun
 from agents.drivers.base import AGENTS, Agent, Info, make_agent, visible
 from agents.evaluation.associators import SIMPLEST_FIRST
 from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
@@ -112,42 +113,40 @@ def _verdict(game: Game, world: int, info: Info) -> str:
     )
 
 
-def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(prog=program("agents.play"), description="Drive the robot, or watch an agent drive.")
-    p.add_argument("--agent", metavar="NAME", help=f"watch one of {', '.join(AGENTS)}, or module:Class")
-    p.add_argument("--model", metavar="FILE", help="model of a learned agent")
-    p.add_argument("--world", type=int, default=0, metavar="K", help="of the training worlds (default: %(default)s)")
-    p.add_argument("--steps", type=int, metavar="N", help="stop after so many steps")
-    add_rerun_option(p)
-    add_explore_options(p, "office")
-    return p
-
-
-def main(argv: list[str]) -> int:
-    a = parser().parse_args(argv)
-    require_rerun(a)
-    watched = make_agent(a.agent, a.model) if a.agent else None
-    arguments, controls = explore_arguments(a, split="train"), Controls()
+def main(
+    world_options: World,
+    agent: Annotated[
+        str | None, Option(metavar="NAME", help=f"Watch one of {', '.join(AGENTS)}, or module:Class.")
+    ] = None,
+    model: Annotated[Path | None, Option(metavar="FILE", help="Model of a learned agent.")] = None,
+    world: Annotated[int, Option(metavar="K", help="Of the training worlds.")] = 0,
+    steps: Annotated[int | None, Option(metavar="N", help="Stop after so many steps.")] = None,
+    rerun: RerunFile = None,
+) -> None:
+    """Drive the robot, or watch an agent drive."""
+    require_rerun(rerun)
+    watched = make_agent(agent, model) if agent else None
+    arguments, controls = world_options.arguments("office", split="train"), Controls()
     probe: Any = arguments.make("twist").unwrapped  # refuses what nobody knows; has the scenario's associator
     first = [] if probe.associator == CEILING else [probe.associator]
     switch = Switch([*first, *SIMPLEST_FIRST])
     game = Game(arguments, watched or controls, controls, switch, SearchSwitch(arguments.relocation))
     env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))
     print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
-    if a.rerun:
+    if rerun:
         from agents.reports.rerun_log import RerunLog
 
-        env.unwrapped.watch(RerunLog(a.rerun, game.agent.name))  # type: ignore[attr-defined]
-    world, wish = a.world, "again"
+        env.unwrapped.watch(RerunLog(rerun, game.agent.name))  # type: ignore[attr-defined]
+    wish = "again"
     try:
         while wish != "quit":
             world += wish == "next"
-            wish = play(game, env, screen, world, a.steps)
+            wish = play(game, env, screen, world, steps)
     finally:
         env.close()
         screen.window.close()
-    return 0
 
 
+app = command(main)
 if __name__ == "__main__":
-    raise SystemExit(run_main(main))
+    app()

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from typer import Option
 
-from agents.cli import World, command, typed
+from agents.cli import World, command, command_line
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.learning.ppo import HYPERPARAMETERS, Decision, load_hyperparameters
 from agents.learning.training import TrainingPlan, train
@@ -37,7 +37,7 @@ class Training:
         hyper = load_hyperparameters(decision, self.hyperparameters)
         plan = TrainingPlan(
             decision, arguments, replace(hyper, envs=self.envs or hyper.envs), self.seed, self.timesteps,
-            self.eval_every, self.eval_episodes, typed(), self.processes,
+            self.eval_every, self.eval_episodes, command_line(), self.processes,
         )  # fmt: skip
         return train(self.out or Path(folder), plan, self.resume)
 

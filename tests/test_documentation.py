@@ -15,7 +15,7 @@ from typing import NamedTuple
 import gymnasium as gym
 import nbformat
 import pytest
-from click import UsageError
+import typer
 from typer.main import get_command
 
 from slam_gym.commands.run import COMMANDS
@@ -33,6 +33,7 @@ LARGEST_PICTURE = 150_000  # [bytes]
 NEEDS_DATA = "# with SLAM_GYM_DATA"  # first line of blocks that read public logs
 NEEDS_PACKAGE = re.compile(r"# with ([a-z]\w+)\n")  # likewise of blocks that need what no extra installs
 ENVIRONMENT = re.compile(r"\w+=")
+UsageError = typer.BadParameter.__base__  # of typer, which does not export it
 INLINE_COMMAND = re.compile(r"(time )?(python -[mc]|pip|pytest|mkdocs) ")
 
 
@@ -95,12 +96,12 @@ def check_command(command: list[str], complete: bool = True) -> None:
     match command:
         case ["python", "-m", "venv", _] | [".", _]:
             pass
+        case ["python", "-m", name, *_] if name.startswith("tests."):
+            importlib.import_module(name)
         case ["python", "-m", name, *arguments]:
             module = importlib.import_module(name)
-            if hasattr(module, "app") and (arguments or complete):
+            if arguments or complete:
                 get_command(module.app).make_context(name, list(arguments))
-            elif hasattr(module, "parser") and (arguments or complete):
-                module.parser().parse_args(arguments)
         case ["python", "-c", code]:
             compile(code, "the command", "exec")
         case ["python", file, *arguments]:
@@ -115,7 +116,7 @@ def check_command(command: list[str], complete: bool = True) -> None:
         case ["jupyter", "nbconvert", *arguments]:
             assert all((ROOT / path).is_file() for path in arguments if path.endswith(".ipynb")), arguments
         case ["slam-gym", name, *_]:
-            assert name in COMMANDS, name
+            assert name in (*COMMANDS, "doctor"), name
         case ["evo_ape" | "evo_rpe" | "evo_traj", "tum", first, *rest]:
             assert all(path.endswith(".tum") for path in (first, *rest) if "/" in path), rest
         case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:
@@ -283,5 +284,5 @@ def test_commands_are_found_in_scripts() -> None:
      "pip install -e .[nothing]", "pytest tests/no_such_test.py", "python benchmarks/nothing.py"],
 )  # fmt: skip
 def test_wrong_commands_are_refused(command: str) -> None:
-    with pytest.raises((AssertionError, KeyError, SystemExit)):
+    with pytest.raises((AssertionError, KeyError, SystemExit, UsageError)):
         check_command(shlex.split(command))

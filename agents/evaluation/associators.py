@@ -11,15 +11,27 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 
 from agents.drivers.base import Agent, make_agent
-from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.evaluation.headline import headline, subject
-from agents.evaluation.pipeline import ASSOCIATORS as KIND
+from agents.evaluation.drivers import LOST
+from agents.evaluation.episodes import LOST_MEANS, ExploreArguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Results
 from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Rows, Table, by_name, by_setting, counted, estimates
+from agents.evaluation.tables import (
+    Column,
+    Rows,
+    Table,
+    Value,
+    by_name,
+    by_setting,
+    counted,
+    difference,
+    estimate_of,
+    estimates,
+)
 from slam_gym.association import ASSOCIATORS, resolve_associator
+from slam_gym.metrics.statistics import mean
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import Associator, Hypothesis, Prediction, Scan
 
@@ -46,6 +58,8 @@ SIMPLEST_FIRST = (
     "nearest_neighbour", "global_nearest_neighbour", "singles", "one_point_ransac", "jcbb", "ipjc", "map_hypothesis",
     "marginal", "learned",
 )  # fmt: skip
+JOIN = " + "
+"""Between an associator and the search that finds a lost robot for it, in the name of what was evaluated."""
 
 
 def shipped() -> list[str]:
@@ -126,8 +140,8 @@ class AssociatorTask:
         driven = run_episode(env, _driver(self.driver), self.episode)
         driven.pop("curve")
         tally: Any = env.unwrapped.tally  # type: ignore[attr-defined]
-        record = {"associator": self.name, "setting": self.arguments.scenario} | driven
-        return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
+        numbers = driven | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()
+        return [key._asdict() | numbers for key in wanted]
 
 
 class _Loop(NamedTuple):
@@ -146,69 +160,88 @@ def _driver(name: str) -> Agent:
     return make_agent(name)
 
 
+def with_relocation(associator: str, relocation: str | None) -> str:
+    """What an associator is called beside itself with another relocation."""
+    return associator if relocation is None else f"{associator}{JOIN}{relocation}"
+
+
 def associator_evaluation(
     associators: Sequence[str],
     loops: Sequence[ExploreArguments],
     driver: str,
     episodes: Sequence[int],
-    relocations: Sequence[str | None] | None = None,
+    relocations: Sequence[str | None],
 ) -> Evaluation:
-    """Every associator in every loop, with each of the `relocations` (default: that of each loop), checked.
+    """Every associator in every loop, with each of the `relocations`, checked.
 
     ValueError for an associator, scenario, driver or relocator that nobody knows.
     """
-    compared = relocations is not None and len(relocations) > 1
     tasks = []
     for arguments in loops:
-        kinds = [arguments] if relocations is None else [replace(arguments, relocation=r) for r in relocations]
+        kinds = [replace(arguments, relocation=relocation) for relocation in relocations]
         for associator in associators:
             for kind in kinds:
                 _loop(associator, kind, driver)
         tasks += [
-            AssociatorTask(name, kind, driver, k, subject(name, kind.relocation) if compared else name)
+            AssociatorTask(name, kind, driver, k, with_relocation(name, kind.relocation) if len(kinds) > 1 else name)
             for k in episodes for name in associators for kind in kinds
         ]  # fmt: skip
-    plain = loops[0].plain
-    found = {"relocation": plain["relocation"] if relocations is None else list(relocations)}
-    conditions = (
-        {"driver": driver} | found | {name: plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
-    )
-    return Evaluation(KIND, tasks, conditions, lambda records: {"table": numbers(records)})
-
-
-def columns_for(records: Sequence[Record]) -> tuple[Column, ...]:
-    """The columns of the table; where a robot was carried away, some are about relocation."""
-    carried = any(record.get("kidnapped") for record in records)
-    return BEFORE_RELOCATION + RELOCATION_COLUMNS if carried else COLUMNS
-
-
-def rows(records: Sequence[Record]) -> Rows:
-    """Associator → column → estimate."""
-    columns = columns_for(records)
-    return {name: estimates(own, columns) for name, own in by_name(records, "associator").items()}
-
-
-def numbers(records: Sequence[Record]) -> dict[str, Rows]:
-    """Scenario → associator → column → estimate; `all` pools the scenarios, resampling within each."""
-    found = {setting: rows(own) for setting, own in by_setting(records).items()}
-    return found | {"all": rows(records)} if len(found) > 1 else found
+    shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
+    return Evaluation("associators", tasks, {"driver": driver, "relocation": list(relocations)} | shared)
 
 
 def tables(results: Results) -> list[Table]:
     """One table a scenario, with the associators in the order in which they were asked for; then the headline."""
-    return [*scenario_tables(results), *headline(results.records)]
+    return [*scenario_tables(results), *headline(results.frame)]
 
 
 def scenario_tables(results: Results) -> list[Table]:
-    """One table a scenario."""
-    conditions, episodes = results.content["conditions"], results.content["asked"]["episodes"]
+    """One table a scenario; where a robot was carried away, some columns are about relocation."""
+    conditions = results.conditions
     floor = f" on {Path(conditions['floor_plan']).name}" if conditions.get("floor_plan") else ""
-    return [
-        Table(
-            f"{setting}{floor}, {counted(episodes, 'episode')}, driven by {conditions['driver']}",
-            "associator",
-            columns_for(own),
-            rows(own),
-        )
-        for setting, own in by_setting(results.records).items()
-    ]
+    found = []
+    for setting, own in by_setting(results.frame).items():
+        columns = BEFORE_RELOCATION + RELOCATION_COLUMNS if own["kidnapped"].any() else COLUMNS
+        rows = {name: estimates(episodes, columns) for name, episodes in by_name(own).items()}
+        count = counted(own["episode"].nunique(), "episode")
+        found.append(Table(f"{setting}{floor}, {count}, driven by {conditions['driver']}", "associator", columns, rows))
+    return found
+
+
+# -- whose map survives ----------------------------------------------------------------------------------------------
+
+
+def headline(frame: pd.DataFrame) -> list[Table]:
+    """Two tables: mean map errors and lost maps, and paired differences to the truth with the same relocation."""
+    columns = [Column(setting, setting, 3, "lower") for setting in by_setting(frame)]
+    overall = Column("mean", "mean", 3, "lower")
+    groups = by_name(frame)
+    rows: Rows = {name: _errors(own) for name, own in groups.items()}
+    caption = f"mean map error, 95 % bootstrap interval; {LOST_MEANS}"
+    all_columns = [*columns, overall, Column("median", "median", 3, "lower"), LOST]
+    found = [Table("Map error", "associator", all_columns, rows, caption)]
+    gaps = {name: _gaps(own, groups[truth]) for name, own in groups.items() if (truth := _truth_for(name)) in groups}
+    if gaps:
+        caption = "mean over the same episodes, 95 % bootstrap interval"
+        title = "Map error above that of true association with the same relocation"
+        found.append(Table(title, "associator", [*columns, overall], gaps, caption, differences=True))
+    return found
+
+
+def _errors(frame: pd.DataFrame) -> dict[str, Value]:
+    """Scenario → mean map error; and of all scenarios the mean, the median and the fraction of lost maps."""
+    by_scenario = {name: estimate_of(own, "map_error", mean) for name, own in by_setting(frame).items()}
+    errors, lost = estimate_of(frame, "map_error", mean), estimate_of(frame, "map_lost", mean)
+    return {**by_scenario, "mean": errors, "median": float(frame["map_error"].median()), "map_lost": lost}
+
+
+def _truth_for(name: str) -> str:
+    """The truth that a name is held against: that with the same relocation; none for the truth itself."""
+    associator, join, relocation = name.partition(JOIN)
+    return f"{CEILING}{join}{relocation}" if associator != CEILING else ""
+
+
+def _gaps(frame: pd.DataFrame, truth: pd.DataFrame) -> dict[str, Value]:
+    of_truth = by_setting(truth)
+    found = {name: difference(own, of_truth[name], "map_error", mean) for name, own in by_setting(frame).items()}
+    return {**found, "mean": difference(frame, truth, "map_error", mean)}

@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 from agents.drivers.base import Agent, is_learned, make_agent
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
-from agents.evaluation.headline import LOST
-from agents.evaluation.pipeline import DRIVERS, Evaluation, Results
+from agents.evaluation.pipeline import Evaluation, Results
 from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Rows, Table, by_name, counted, display_name, estimates
+from agents.evaluation.tables import Column, Table, by_name, counted, display_name, estimates
 
+LOST = Column("map_lost", "lost", 3, "lower", rare=True)
 COLUMNS = (
     Column("map_error", "map error", 3, "lower"),
     Column("local_error", "local error", 3, "lower"),
@@ -38,11 +37,11 @@ class Driver:
     """An agent, and the model file behind it if it is learned."""
 
     agent: str
-    model: str | None = None
+    model: str = ""
     trust: bool = False
 
     def make(self) -> Agent:
-        return make_agent(self.agent, self.model, trust=self.trust)
+        return make_agent(self.agent, self.model or None, trust=self.trust)
 
 
 def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list[Driver]:
@@ -50,9 +49,8 @@ def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list
     names = list(dict.fromkeys(names))
     if models and not any(is_learned(name) for name in names):
         names.append("ppo")
-    files: list[str | None] = [str(Path(model).resolve()) for model in models]
-    none: list[str | None] = [None]
-    return [Driver(name, file, trust) for name in names for file in (is_learned(name) and files) or none]
+    files = [str(Path(model).resolve()) for model in models]
+    return [Driver(name, file, trust) for name in names for file in (is_learned(name) and files) or [""]]
 
 
 @dataclass(frozen=True)
@@ -65,12 +63,12 @@ class DriverTask:
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        return (Key(self.driver.agent, None, self.episode, self.driver.model),)
+        return (Key(self.driver.agent, world_of(self.arguments.plain), self.episode, self.driver.model),)
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         agent = _agent(self.driver)
         record = run_episode(_env(self.arguments, agent.action), agent, self.episode)
-        return [{"agent": self.driver.agent, "model": self.driver.model} | record]
+        return [key._asdict() | record for key in wanted]
 
 
 # Agent and environment are kept for the next task of the same process.
@@ -88,12 +86,9 @@ def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, ep
     """Every driver in every episode, checked. ValueError for whatever nobody knows; models are loaded for that."""
     for action in sorted({driver.make().action for driver in drivers}):
         _warm_up(arguments.make(action), episodes[0])
-    about = {
-        "models": {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model},
-        "seeds": [reset_arguments(k) for k in episodes],
-    }
+    models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
     tasks = [DriverTask(driver, arguments, k) for k in episodes for driver in drivers]
-    return Evaluation(DRIVERS, tasks, arguments.plain, lambda records: {"table": rows(records)}, about)
+    return Evaluation("drivers", tasks, arguments.plain, {"models": models})
 
 
 def _warm_up(env: gym.Env[Any, Any], episode: int) -> None:
@@ -115,11 +110,6 @@ def _describe(model: Path) -> dict[str, Any]:
     return known | {"training": about.training | {"timesteps": about.timesteps}}
 
 
-def rows(records: Sequence[Record]) -> Rows:
-    """Agent → column → estimate; models of one agent are pooled."""
-    return {agent: estimates(own, COLUMNS) for agent, own in by_name(records, "agent").items()}
-
-
 def world_of(conditions: Mapping[str, Any]) -> str:
     """What to call the world of an evaluation in a title: the name of the floor plan's file, or of the scenario."""
     floor: str | None = conditions["floor_plan"]
@@ -127,10 +117,11 @@ def world_of(conditions: Mapping[str, Any]) -> str:
 
 
 def tables(results: Results) -> list[Table]:
-    """The table, of the agents in the order in which they were asked for."""
-    title = f"{world_of(results.content['conditions'])}, {counted(results.content['asked']['episodes'], 'episode')}"
-    table = Table(title, "agent", COLUMNS, rows(results.records))
-    if Clairvoyant.name not in table.rows:
+    """The table, of the agents in the order in which they were asked for; models of one agent are pooled."""
+    title = f"{world_of(results.conditions)}, {counted(results.frame['episode'].nunique(), 'episode')}"
+    rows = {agent: estimates(own, COLUMNS) for agent, own in by_name(results.frame).items()}
+    table = Table(title, "agent", COLUMNS, rows)
+    if Clairvoyant.name not in rows:
         return [table]
     return [replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")]
 
@@ -138,11 +129,13 @@ def tables(results: Results) -> list[Table]:
 def kidnappings(results: Results) -> list[str]:
     """What became of the robots that were carried away, a line an agent; nothing of agents whose robot was not."""
     lines = []
-    for agent, records in by_name(results.records, "agent").items():
-        if not (own := [record for record in records if record.get("kidnapped")]):
+    for agent, episodes in by_name(results.frame).items():
+        own = episodes[episodes["kidnapped"] > 0.0]
+        if own.empty:
             continue
-        found = [record["ticks_astray"] for record in own if record["recovered"]]
+        found = own[own["recovered"] > 0.0]
         line = f"{display_name(agent)}: carried away {len(own)}, recovered {len(found)}, never {len(own) - len(found)}"
-        line += f", wrong relocations {sum(record['relocations_wrong'] for record in own):.0f}"
-        lines.append(line + (f"; ticks astray {np.median(found):.0f} (median of the recovered)" if found else ""))
+        line += f", wrong relocations {own['relocations_wrong'].sum():.0f}"
+        astray = f"; ticks astray {found['ticks_astray'].median():.0f} (median of the recovered)"
+        lines.append(line + (astray if len(found) else ""))
     return lines

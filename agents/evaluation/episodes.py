@@ -82,10 +82,10 @@ class AssociateArguments(_Arguments):
 LOST_ERROR, LOST_DUPLICATES = 0.8, 10.0
 """A map with a greater error, or with more features mapped twice, is lost: the building was drawn again beside it."""
 
-
-def map_lost(map_error: float, duplicates: float) -> float:
-    """1 where such a map is lost, else 0."""
-    return float(map_error > LOST_ERROR or duplicates > LOST_DUPLICATES)
+LOST_MEANS = (
+    f"lost: fraction of episodes with a map error above {LOST_ERROR:g} "
+    f"or more than {LOST_DUPLICATES:g} features mapped twice"
+)
 
 
 def reset_arguments(episode: int) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def run_episode(
     seconds = time.perf_counter() - start
     quality = {key: float(np.asarray(value)) for key, value in info["map_quality"].items()}
     record = {"episode": episode, "return": total, "decisions": decisions, "seconds": seconds} | quality
-    lost = map_lost(record["map_error"], record["duplicates"])
+    lost = float(record["map_error"] > LOST_ERROR or record["duplicates"] > LOST_DUPLICATES)
     return record | {"map_lost": lost, "ticks": ticks, "ticks_per_second": ticks / seconds, "curve": curve}
 
 

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import functools
-import os
+import multiprocessing
 import signal
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import joblib
 from threadpoolctl import threadpool_limits
-
-BACKENDS = ("loky", "multiprocessing", "ray", "dask")
-"""Of joblib, which stays in this process for one job."""
 
 Result = TypeVar("Result")
 
@@ -47,8 +42,7 @@ def run_all(calls: Sequence[Callable[[], Result]], jobs: int, backend: str = "lo
 
     `ray` and `multiprocessing` do not hand on single results: these come in batches.
     """
-    parent = os.getpid() if backend in ("loky", "multiprocessing") else None  # workers elsewhere have their own keepers
-    tasks = [joblib.delayed(_on_one_thread)(call, parent) for call in calls]
+    tasks = [joblib.delayed(_on_one_thread)(call) for call in calls]
     # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     with joblib.parallel_config(backend=backend, n_jobs=jobs):
@@ -59,28 +53,12 @@ def run_all(calls: Sequence[Callable[[], Result]], jobs: int, backend: str = "lo
             yield from joblib.Parallel(return_as="generator_unordered", batch_size=1)(tasks)
 
 
-def _on_one_thread(call: Callable[[], Any], parent: int | None) -> Any:
-    """Threads of BLAS and torch on top of the processes would only get in the way."""
-    if parent is not None and os.getpid() != parent:
-        _belong_to(parent)
+def _on_one_thread(call: Callable[[], Any]) -> Any:
+    """Threads of BLAS and torch on top of the processes would only get in the way. Ctrl-C is for the parent."""
+    own_process = multiprocessing.parent_process() is not None
+    if own_process and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
     with threadpool_limits(1):
         return call()
-
-
-@functools.cache
-def _belong_to(parent: int) -> None:
-    """End this process as soon as it has lost its parent, even one that was killed and could not say so.
-
-    Ctrl-C is for the parent: where it meets a worker in the middle of loading compiled code, that complains.
-    """
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

@@ -1,7 +1,7 @@
-"""The one way in which everything is evaluated: tasks, a journal to resume from, processes, files in a folder.
+"""The one way in which everything is evaluated: tasks, shared out over processes, and the folder of their results.
 
-What is evaluated (drivers, associators in the loop, the suite, recordings) differs in its tasks and in the numbers that
-are made of their records. Whatever is shown afterwards, on the terminal or in the report, is made from the folder.
+The folder holds `results.csv`, one row per episode (`pandas.read_csv`), and `results.json`: the commands, conditions,
+seeds and versions behind it. Tables and reports are made from these two files.
 """
 
 from __future__ import annotations
@@ -15,12 +15,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from filelock import FileLock, Timeout
+import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+import slam_gym
 from agents.evaluation.parallel import connect, run_all
-from agents.evaluation.records import Journal, Key, Record, plain, setting_of, versions, write_csv, write_json
+from agents.evaluation.records import Key, Record, plain, versions, write_json, written_whole
+
+KINDS = ("drivers", "associators", "suite", "recordings", "leaderboard")
 
 
 class Task(Protocol):
@@ -33,30 +36,13 @@ class Task(Protocol):
         """The records of some of its keys, in whatever process this is."""
 
 
-class Kind(NamedTuple):
-    """A kind of evaluation, and what its files are like."""
-
-    name: str  # of the module in agents.reports that shows it
-    subject: str  # the field of a record that says who was evaluated
-    stem: str  # name of the files of records
-
-
-DRIVERS = Kind("drivers", "agent", "episodes")
-ASSOCIATORS = Kind("associators", "associator", "records")
-SUITE = Kind("suite", "associator", "records")
-RECORDINGS = Kind("recordings", "associator", "records")
-LEADERBOARD = Kind("leaderboard", "entry", "records")
-KINDS = {kind.name: kind for kind in (DRIVERS, ASSOCIATORS, SUITE, RECORDINGS, LEADERBOARD)}
-
-
 @dataclass(frozen=True)
 class Evaluation:
-    """What is to be done, and what is made of it."""
+    """What is to be done."""
 
-    kind: Kind
+    kind: str  # of KINDS
     tasks: Sequence[Task]
     conditions: dict[str, Any]  # what may not change when the evaluation is resumed
-    numbers: Callable[[list[Record]], dict[str, Any]]  # for results.json
     about: dict[str, Any] = field(default_factory=dict)  # for results.json as well, and may change
 
 
@@ -74,63 +60,82 @@ class Execution:
 class Results(NamedTuple):
     """What the folder of an evaluation holds."""
 
-    kind: Kind
-    content: dict[str, Any]  # of results.json
-    records: list[Record]  # those that were asked for last
+    metadata: dict[str, Any]  # results.json
+    frame: pd.DataFrame  # of the episodes that were asked for last, in the order in which they were asked for
+
+    @property
+    def kind(self) -> str:
+        """One of KINDS."""
+        return str(self.metadata["kind"])
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """What all episodes share."""
+        return dict(self.metadata["conditions"])
 
     @property
     def names(self) -> list[str]:
-        """Who was evaluated, of those with records, in the order in which they were asked for."""
-        found = {record[self.kind.subject] for record in self.records}
-        return [name for name in self.content["asked"]["names"] if name in found]
+        """Who was evaluated."""
+        return list(self.frame["name"].unique())
 
 
 def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Results:
-    """Run what the journal in `out` does not have yet; write CSV and JSON of all that was asked for, and return it.
+    """Run the tasks whose records `out` does not hold yet, and return the results.
 
-    An interruption writes what there is and is passed on. Raises ValueError where `out` holds another evaluation, or
-    another process is writing to it.
+    What is finished is written at once, so that an interrupted evaluation can be resumed. Raises ValueError where `out`
+    holds anything but an evaluation to resume with the same conditions.
     """
-    _history(out, evaluation, execution.resume)  # refuses what is another's before a folder is made
-    out.mkdir(parents=True, exist_ok=True)
-    try:
-        with FileLock(out / ".lock", blocking=False):
-            return _carry_out(evaluation, out, execution)
-    except Timeout:
-        raise ValueError(f"another evaluation is being written to {out}: wait for it, or give another --out") from None
-
-
-def _carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Results:
-    started = {"command": execution.command, "started": datetime.now().isoformat("T", "seconds")}
-    commands: list[dict[str, Any]] = [*_history(out, evaluation, execution.resume), started]
+    commands, records = _to_go_on_from(out, evaluation, execution.resume)
+    done = {_key(record) for record in records}
+    commands = [*commands, {"command": execution.command, "started": datetime.now().isoformat("T", "seconds")}]
     connect(execution.backend, execution.jobs)
-    setting = setting_of(evaluation.kind.name, evaluation.conditions)
-    journal, subject = Journal(out / f"{evaluation.kind.stem}.jsonl", setting), evaluation.kind.subject
-    done = {Key.of_record(record, subject) for record in journal.read()}
-    _write(out, evaluation, commands, [])
+    out.mkdir(parents=True, exist_ok=True)
+    _write_metadata(out, evaluation, commands, done)
     start = time.perf_counter()
     try:
-        for records in _progress(list(_left(evaluation.tasks, done)), execution):
-            for record in records:
-                journal.append(record)
+        for finished in _progress(list(_left(evaluation.tasks, done)), execution):
+            records += finished
+            _write_records(out, records)
     finally:
         commands[-1]["seconds"] = round(time.perf_counter() - start, 1)
-        _write(out, evaluation, commands, journal.read())
+        _write_metadata(out, evaluation, commands, {_key(record) for record in records})
     return read_results(out)
 
 
 def read_results(folder: Path) -> Results:
     """What the folder of an evaluation holds. ValueError where there is none, or nothing finished yet."""
     path = folder / "results.json"
-    content = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    if content.get("kind") not in KINDS:
+    metadata = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    if metadata.get("kind") not in KINDS:
         raise ValueError(f"{folder} holds no results.json of an evaluation")
-    kind = KINDS[content["kind"]]
-    setting = setting_of(kind.name, content["conditions"])
-    records = _asked_for(Journal(folder / f"{kind.stem}.jsonl", setting).read(), kind.subject, content["asked"])
-    if not records:
+    asked = metadata["asked"]
+    frame = _read_records(folder)
+    orders = {column: {value: k for k, value in enumerate(asked[f"{column}s"])} for column in Key._fields}
+    for column, order in orders.items():
+        frame = frame[frame[column].isin(list(order))]
+    if frame.empty:
         raise ValueError(f"{folder} holds no finished episode yet")
-    return Results(kind, content, records)
+    columns = ["name", "setting", "model", "episode"]
+    frame = frame.sort_values(columns, key=lambda own: own.map(orders[str(own.name)]), ignore_index=True)
+    return Results(metadata, frame)
+
+
+def _read_records(folder: Path) -> pd.DataFrame:
+    path = folder / "results.csv"
+    if not path.exists():
+        return pd.DataFrame(columns=Key._fields)
+    return pd.read_csv(path, dtype={"name": str, "setting": str, "model": str}).fillna({"model": ""})
+
+
+def _write_records(out: Path, records: Sequence[Record]) -> None:
+    cells = [{key: json.dumps(v) if isinstance(v, list | dict) else v for key, v in r.items()} for r in records]
+    columns = dict.fromkeys([*Key._fields, *(key for record in records for key in record)])
+    with written_whole(out / "results.csv") as partial:
+        pd.DataFrame(cells, columns=list(columns)).to_csv(partial, index=False)
+
+
+def _key(record: Record) -> Key:
+    return Key(record["name"], record["setting"], record["episode"], record.get("model", ""))
 
 
 def _left(tasks: Sequence[Task], done: set[Key]) -> Iterator[Callable[[], list[Record]]]:
@@ -151,50 +156,37 @@ def _progress(calls: Sequence[Callable[[], list[Record]]], execution: Execution)
             progress.advance(bar)
 
 
-def _write(out: Path, evaluation: Evaluation, commands: list[dict[str, Any]], journal: Sequence[Record]) -> None:
-    """CSV and JSON of the records that the evaluation asks for."""
+def _write_metadata(out: Path, evaluation: Evaluation, commands: Sequence[dict[str, Any]], done: set[Key]) -> None:
     keys = [key for task in evaluation.tasks for key in task.keys]
-    asked: dict[str, Any] = {
-        f"{name}s": list(dict.fromkeys(getattr(key, name) for key in keys)) for name in ("name", "setting", "model")
-    }
-    episodes = [key.episode for key in keys] or [0]
-    asked |= {"first": min(episodes), "episodes": max(episodes) + 1 - min(episodes)}
-    records = _asked_for(journal, evaluation.kind.subject, asked)
-    head = {"kind": evaluation.kind.name, "commands": commands, "complete": len(records) == len(keys)}
-    about = {"conditions": evaluation.conditions, "asked": asked, **evaluation.about}
-    numbers = evaluation.numbers(records) if records else {}
-    write_json(out / "results.json", head | about | numbers | {"versions": versions()})
-    if records:
-        write_csv(out / f"{evaluation.kind.stem}.csv", records)
+    asked = {f"{column}s": list(dict.fromkeys(getattr(key, column) for key in keys)) for column in Key._fields}
+    head = {"kind": evaluation.kind, "commands": commands, "complete": done.issuperset(keys)}
+    about = {"conditions": _conditions(evaluation), "asked": asked, **evaluation.about, "versions": versions()}
+    write_json(out / "results.json", head | about)
 
 
-def _asked_for(records: Sequence[Record], subject: str, asked: dict[str, Any]) -> list[Record]:
-    """Those that were asked for, one of each key, in an order that does not depend on who finished first."""
-    found = {Key.of_record(record, subject): record for record in records}
-    names, settings, models = (asked[name] for name in ("names", "settings", "models"))
-    episodes = range(first := asked.get("first", 0), first + asked["episodes"])
-    own = [
-        key
-        for key in found
-        if key.name in names and key.setting in settings and key.model in models and key.episode in episodes
-    ]
-    own.sort(key=lambda k: (names.index(k.name), settings.index(k.setting), models.index(k.model), k.episode))
-    return [found[key] for key in own]
+def _conditions(evaluation: Evaluation) -> dict[str, Any]:
+    return evaluation.conditions | {"slam_gym": slam_gym.__version__}
 
 
-def _history(out: Path, evaluation: Evaluation, resume: bool) -> list[dict[str, Any]]:
-    """Earlier commands of a resumed evaluation."""
+def _to_go_on_from(
+    out: Path, evaluation: Evaluation, resume: bool
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Commands and records of the evaluation that is resumed; none of a new one. ValueError where the folder belongs to
+    something else."""
     path = out / "results.json"
     if not path.exists():
         if resume:
             raise ValueError(f"{out} holds no evaluation to resume")
-        return []
+        if out.is_dir() and any(out.iterdir()):
+            raise ValueError(f"{out} is not empty: give another --out")
+        return [], []
+    before = json.loads(path.read_text(encoding="utf-8"))
+    was, now = before.get("conditions", {}), plain(_conditions(evaluation))
+    other = [f"{name} {was.get(name)!r}, not {now[name]!r}" for name in now if was.get(name) != now[name]]
+    if before.get("kind") != evaluation.kind:
+        other = [f"an evaluation of {before.get('kind')}, not of {evaluation.kind}"]
+    if other:
+        raise ValueError(f"{out} holds the results of another command ({'; '.join(other)}): give another --out")
     if not resume:
         raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --out")
-    before = json.loads(path.read_text(encoding="utf-8"))
-    if before.get("kind") != evaluation.kind.name:
-        raise ValueError(f"{out} holds an evaluation of {before.get('kind')}, not of {evaluation.kind.name}")
-    for name, value in evaluation.conditions.items():
-        if (was := before["conditions"].get(name)) != plain(value):
-            raise ValueError(f"{out} was evaluated with {name} {was!r}, not {value!r}")
-    return list(before["commands"])
+    return list(before["commands"]), _read_records(out).to_dict("records")

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-import numpy as np
+import pandas as pd
 
-from agents.evaluation.associators import find_associator
-from agents.evaluation.headline import subject
-from agents.evaluation.log_files import write_mapped_log
-from agents.evaluation.log_measures import measure
-from agents.evaluation.mapped_log import map_log
-from agents.evaluation.pipeline import RECORDINGS, Evaluation, Results
+from agents.evaluation.associators import find_associator, with_relocation
+from agents.evaluation.mapped_log import map_log, measure, write_mapped_log
+from agents.evaluation.pipeline import Evaluation, Results
 from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Rows, Table, by_setting
+from agents.evaluation.tables import Column, Table, by_setting
 from slam_gym.association import resolve_relocator
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.registry import slam_for
-from slam_gym.slam.relocate import SEARCH
 
 COLUMNS = (
     Column("precision", "prec.", 3, "higher"),
@@ -92,7 +87,7 @@ def logs_of(template: Log, robots: Sequence[int] | None = None) -> dict[str, Log
         wanted = None if robot is None else [robot]
         opened = open_recordings(template.recording, template.data, wanted, reference=template.reference)
         for position, recording in enumerate(opened):
-            found[recording.name] = Log(**(asdict(template) | {"robot": robot, "position": position}))
+            found[recording.name] = replace(template, robot=robot, position=position)
     return found
 
 
@@ -105,7 +100,7 @@ class LogTask:
     setting: str  # name of the log
     relocation: str | None  # the search that finds a lost robot
     name: str  # of the associator, with its relocation where there are several
-    folder: Path | None = None  # for trajectory and map
+    folder: Path  # for trajectory and map
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -114,17 +109,12 @@ class LogTask:
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         log = self.log.open()
         mapped = map_log(log, self.associator, slam_for(log), self.relocation)
-        if self.folder is not None:
-            write_mapped_log(self.folder, log, self.name, mapped)
-        record = {"associator": self.name, "setting": self.setting, "episode": 0}
-        return [record | {"source": log.source, "landmarks": log.landmarks.tolist()} | measure(log, mapped)]
+        write_mapped_log(self.folder, self.name, mapped)
+        return [key._asdict() | {"source": log.source} | measure(mapped) for key in wanted]
 
 
 def recording_evaluation(
-    associators: Sequence[str],
-    logs: dict[str, Log],
-    out: Path,
-    relocations: Sequence[str | None] = (SEARCH,),
+    associators: Sequence[str], logs: dict[str, Log], out: Path, relocations: Sequence[str | None]
 ) -> Evaluation:
     """Every associator with every relocation on every log, checked; files go into a folder of `out`.
 
@@ -132,46 +122,41 @@ def recording_evaluation(
     """
     for name in associators:
         find_associator(name)
-    for name in filter(None, relocations):
-        resolve_relocator(name)
+    for relocation in filter(None, relocations):
+        resolve_relocator(relocation)
     several = len(relocations) > 1
     tasks = [
-        LogTask(name, log, setting, relocation, subject(name, relocation) if several else name, out / FOLDER)
-        for setting, log in logs.items() for name in associators for relocation in relocations
+        LogTask(name, log, setting, search, with_relocation(name, search) if several else name, out / FOLDER)
+        for setting, log in logs.items() for name in associators for search in relocations
     ]  # fmt: skip
     first = asdict(next(iter(logs.values())))
     conditions = {name: first[name] for name in ("recording", "every", "merge", "clean", "reference")}
     conditions["relocation"] = list(relocations)
-    conditions["settings"] = {setting: asdict(slam_for(log.open())) for setting, log in logs.items()}
-    return Evaluation(RECORDINGS, tasks, conditions, lambda records: {"table": numbers(records)})
+    settings = {setting: asdict(slam_for(log.open())) for setting, log in logs.items()}
+    return Evaluation("recordings", tasks, conditions, {"settings": settings})
 
 
-def numbers(records: Sequence[Record]) -> dict[str, Rows]:
-    """Log → associator → column → number; `mean` over the logs where there are several."""
-    columns = (*COLUMNS, *FURTHER_COLUMNS)
-    found: dict[str, Rows] = {
-        setting: {r["associator"]: {c.key: float(r[c.key]) for c in columns} for r in own}
-        for setting, own in by_setting(records).items()
-    }
-    if len(found) > 1:
-        everywhere = [name for name in next(iter(found.values())) if all(name in rows for rows in found.values())]
-        found["mean"] = {
-            name: {c.key: float(np.mean([rows[name][c.key] for rows in found.values()])) for c in columns}
-            for name in everywhere
-        }
-    return found
+def means(frame: pd.DataFrame) -> pd.DataFrame:
+    """Of each associator that was run over all logs, in the order of the frame; one row each."""
+    numbers = [column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]
+    groups = frame.groupby("name", sort=False)
+    found = groups[numbers].mean()[groups["setting"].nunique() == frame["setting"].nunique()]
+    return found.reset_index()
 
 
-def columns_with_numbers(rows: Rows, columns: Sequence[Column] = COLUMNS) -> list[Column]:
-    """Those in which there is anything."""
-    return [c for c in columns if any(not math.isnan(float(row[c.key])) for row in rows.values())]  # type: ignore[arg-type]
+def table(frame: pd.DataFrame, columns: Sequence[Column], title: str = "", caption: str = "") -> Table:
+    """Of one log, or of the means, with the columns in which there is anything."""
+    rows = {str(row["name"]): {c.key: float(row[c.key]) for c in columns} for row in frame.to_dict("records")}
+    return Table(title, "associator", [c for c in columns if frame[c.key].notna().any()], rows, caption)
 
 
 def tables(results: Results) -> list[Table]:
-    """One table a log, and that of their means."""
-    about = {r["setting"]: f", {r['steps']} scans, {r['true_features']} labelled features" for r in results.records}
-    found = [
-        Table(f"{setting}{about.get(setting, '')}", "associator", columns_with_numbers(rows), rows, "")
-        for setting, rows in numbers(results.records).items()
-    ]
+    """One table a log, and that of their means where there are several."""
+    logs = by_setting(results.frame)
+    found = []
+    for setting, own in logs.items():
+        about = f"{setting}, {own['steps'].iloc[0]} scans, {own['true_features'].iloc[0]} labelled features"
+        found.append(table(own, COLUMNS, about))
+    if len(logs) > 1:
+        found.append(table(means(results.frame), COLUMNS, "mean"))
     return [*found[:-1], replace(found[-1], caption=CAPTION)]

@@ -17,7 +17,7 @@ import gymnasium as gym
 
 from agents.drivers.base import Agent, make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.evaluation.pipeline import LEADERBOARD, Evaluation
+from agents.evaluation.pipeline import Evaluation
 from agents.evaluation.records import Key, Record
 from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
 from agents.suite.worlds import WorldTask
@@ -97,7 +97,7 @@ class EntryTask:
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         """The record of the world: its loss, and how the entry failed if it did."""
-        record: Record = {"entry": self.entry, "setting": self.setting, "episode": self.world}
+        record: Record = self.keys[0]._asdict()
         try:
             loss = self._suite() if "/" in self.setting else self._drive()
         except EntryError as error:
@@ -144,4 +144,4 @@ def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:
     """An entry through the protocol."""
     worlds = [(setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)]
     tasks = [EntryTask(name, chosen.role, *world) for world in worlds]
-    return Evaluation(LEADERBOARD, tasks, {"entry": name} | chosen.about, lambda records: {})
+    return Evaluation("leaderboard", tasks, {"entry": name} | chosen.about)

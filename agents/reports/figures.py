@@ -1,22 +1,23 @@
-"""Figures that several reports share, as PNG: one style, one colour a name."""
+"""The figures of the reports: one style, one colour a name."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter, PercentFormatter
 
-from agents.evaluation.records import Record
-from agents.evaluation.tables import Sample, display_name, estimate, sample
+from agents.evaluation.tables import Rows, display_name, estimate, estimate_of
 from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
-from slam_gym.types import Array
+from slam_gym.types import SPURIOUS, Array
 
 PALETTE = ("#8a97a6", "#e08e45", "#3f9b7b", "#2f6db5", "#b04a8b", "#c6a02c", "#6554a4", "#a4503e", "#4fb3bf")
 INK = "#1c2733"
@@ -31,99 +32,88 @@ matplotlib.rcParams.update({
 })  # fmt: skip
 
 
-def colours(names: Sequence[str]) -> dict[str, str]:
+Colours = Mapping[str, str]
+"""Of names, see `colours`."""
+
+
+def colours(names: Sequence[str]) -> Colours:
     """The colour of each name throughout a report; the ceiling is drawn in ink."""
     others = [name for name in names if name != CEILING]
     return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(others)} | {CEILING: INK}
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
+def _figure(height: float, width: float = WIDTH) -> Figure:
     """An empty figure of so many inches."""
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
-def as_png(figure: Figure) -> bytes:
-    """A figure as the bytes of a PNG file."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+def _name_rows(axis: Axes, names: Sequence[str]) -> None:
+    """One row a name, the first on top."""
+    axis.set_yticks(range(len(names)), [display_name(name) for name in names])
+    axis.set_ylim(len(names) - 0.5, -0.5)
+
+
+def _line(axis: Axes, x: Array, found: Iterable[Interval], name: str, colour: str, marker: str = "") -> None:
+    """Estimates with the band of their intervals; the ceiling is dashed."""
+    middle, low, high = np.array([(value.estimate, value.low, value.high) for value in found]).T
+    style, marker = ("--", "") if name == CEILING else ("-", marker)
+    axis.plot(x, middle, style, marker=marker, markersize=5, color=colour, linewidth=1.9, label=display_name(name))
+    axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+
+
+# -- episodes ----------------------------------------------------------------------------------------------------------
 
 
 class Panel(NamedTuple):
     """A number over episodes, and how its axis is scaled."""
 
-    key: str  # in a record
+    key: str  # in the results
     label: str
     scale: str = "linear"  # or "percent" or "log"
 
 
-def dot_chart(groups: Mapping[str, Sequence[Record]], panels: Sequence[Panel]) -> bytes:
-    """Every episode as a dot, with mean and interval of each name; `groups` are the records of each."""
-    figure = new_figure(1.3 + 0.42 * len(groups))
+def dot_chart(groups: Mapping[str, pd.DataFrame], panels: Sequence[Panel], colour: Colours) -> Figure:
+    """Every episode as a dot, with mean and interval of each name; `groups` are the episodes of each."""
+    figure = _figure(1.3 + 0.42 * len(groups))
     axes = figure.subplots(1, len(panels), sharey=True)
-    rng, colour = np.random.default_rng(0), colours(list(groups))
+    rng = np.random.default_rng(0)
     for axis, panel in zip(axes, panels):
-        samples = {name: sample(records, panel.key) for name, records in groups.items()}
-        for row, (name, found) in enumerate(samples.items()):
-            _dots_with_interval(axis, row, found, colour[name], rng)
-        _scale(axis, panel, np.concatenate([found.values for found in samples.values()]))
-    name_rows(axes[0], list(groups))
-    return as_png(figure)
+        for row, (name, own) in enumerate(groups.items()):
+            jitter = rng.uniform(-0.17, 0.17, len(own))
+            axis.scatter(own[panel.key], row + jitter, s=16, color=colour[name], alpha=0.5, linewidths=0)
+            middle = estimate_of(own, panel.key)
+            axis.plot([middle.low, middle.high], [row, row], color=colour[name], lw=3, solid_capstyle="round")
+            axis.plot(middle.estimate, row, "o", color="white", markeredgecolor=colour[name], ms=4.5, zorder=4)
+        _scale(axis, panel, pd.concat(own[panel.key] for own in groups.values()))
+    _name_rows(axes[0], list(groups))
+    return figure
 
 
-def _dots_with_interval(axis: Axes, row: int, found: Sample, colour: str, rng: np.random.Generator) -> None:
-    jitter = rng.uniform(-0.17, 0.17, len(found.values))
-    if not np.isfinite(found.values).any():
-        return
-    middle = found.estimate
-    axis.scatter(found.values, row + jitter, s=16, color=colour, alpha=0.5, linewidths=0)
-    axis.plot([middle.low, middle.high], [row, row], color=colour, linewidth=3, solid_capstyle="round")
-    axis.plot(middle.estimate, row, "o", color="white", markeredgecolor=colour, markersize=4.5, zorder=4)
-
-
-def _scale(axis: Axes, panel: Panel, values: Array) -> None:
+def _scale(axis: Axes, panel: Panel, values: pd.Series) -> None:
     axis.set_xlabel(panel.label)
     axis.grid(visible=False, axis="y")
     axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     if panel.scale == "percent":
         axis.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         axis.set_xlim(right=min(axis.get_xlim()[1], 1.02))
-    elif panel.scale == "log" and np.isfinite(values).any():
+    elif panel.scale == "log" and values.notna().any():
         axis.set_xscale("log")
-        decades = np.log10([np.nanmin(values), np.nanmax(values)])
-        axis.set_xlim(10.0 ** np.floor(decades[0]), 10.0 ** np.ceil(decades[1] + 1e-9))
+        axis.set_xlim(10.0 ** np.floor(np.log10(values.min())), 10.0 ** np.ceil(np.log10(values.max()) + 1e-9))
         axis.xaxis.set_minor_formatter(NullFormatter())
 
 
-def name_rows(axis: Axes, names: Sequence[str]) -> None:
-    """One row a name, the first on top."""
-    axis.set_yticks(range(len(names)), [display_name(name) for name in names])
-    axis.set_ylim(len(names) - 0.5, -0.5)
-
-
-def band(axis: Axes, x: Array, found: Sequence[Interval], name: str, names: Sequence[str], *, marked: bool) -> None:
-    """A line of estimates with the band of their intervals; the ceiling is dashed."""
-    colour, dashed = colours(names)[name], name == CEILING
-    marker = MARKERS[list(names).index(name) % len(MARKERS)] if marked and not dashed else ""
-    axis.plot(
-        x, [value.estimate for value in found], "--" if dashed else "-", marker=marker, markersize=5, color=colour,
-        linewidth=1.9, label=display_name(name),
-    )  # fmt: skip
-    low, high = [value.low for value in found], [value.high for value in found]
-    axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
-
-
-def curve_chart(groups: Mapping[str, Sequence[Record]], panels: Sequence[Panel]) -> bytes:
+def curve_chart(groups: Mapping[str, pd.DataFrame], panels: Sequence[Panel], colour: Colours) -> Figure:
     """Numbers against ticks, from the curves of the episodes, with interval bands."""
-    figure = new_figure(3.9)
+    figure = _figure(3.9)
     axes = figure.subplots(1, len(panels))
-    end = max(record["ticks"] for records in groups.values() for record in records)
+    end = max(own["ticks"].max() for own in groups.values())
     grid = np.linspace(0.0, end, CURVE_POINTS)
+    curves = {name: [json.loads(cell) for cell in own["curve"]] for name, own in groups.items()}
     for axis, panel in zip(axes, panels):
-        for name, records in groups.items():
-            at_grid = _resampled(records, panel.key, grid)
-            found = [estimate(column, resamples=1000) for column in at_grid.T]
-            band(axis, grid, found, name, list(groups), marked=False)
+        for name, own in curves.items():
+            # after the end of an episode its curve stays where it was
+            at_grid = np.array([np.interp(grid, curve["ticks"], curve[panel.key]) for curve in own])
+            _line(axis, grid, [estimate(column, resamples=1000) for column in at_grid.T], name, colour[name])
         axis.set_xlabel("ticks")
         axis.set_ylabel(panel.label)
         axis.set_xlim(0.0, end)
@@ -132,9 +122,185 @@ def curve_chart(groups: Mapping[str, Sequence[Record]], panels: Sequence[Panel])
             axis.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6), frameon=False)
-    return as_png(figure)
+    return figure
 
 
-def _resampled(records: Sequence[Record], key: str, grid: Array) -> Array:
-    """(episodes, points): each episode's curve at the same ticks; it stays where it was once the episode is over."""
-    return np.array([np.interp(grid, record["curve"]["ticks"], record["curve"][key]) for record in records])
+# -- the suite ---------------------------------------------------------------------------------------------------------
+
+_OUTCOMES = {"correct": "#3f9b7b", "silent": "#d5dbe2", "wrong": "#b0413e", "refused": "#3f9b7b", "invented": "#b0413e"}
+
+
+def capability_bars(scores: Rows, colour: Colours) -> Figure:
+    """One group of bars per capability, one bar per name with its interval; the ceiling, near 1, is left out."""
+    names = [name for name in scores if name != CEILING] or list(scores)
+    groups = list(scores[names[0]])
+    figure = _figure(4.2)
+    axis, width = figure.subplots(), 0.84 / len(names)
+    for i, name in enumerate(names):
+        x = np.arange(len(groups)) - 0.42 + (i + 0.5) * width
+        found = [scores[name][group] for group in groups]
+        axis.bar(x, [v.estimate for v in found], 0.92 * width, color=colour[name], label=display_name(name))
+        axis.vlines(x, [v.low for v in found], [v.high for v in found], color=INK, lw=0.9, alpha=0.8)
+    axis.set_xticks(range(len(groups)), groups)
+    axis.tick_params(axis="x", length=0)
+    axis.grid(visible=False, axis="x")
+    axis.set_ylim(0.0, 1.02)
+    axis.set_ylabel("score (1 = no mistake)")
+    figure.legend(loc="outside upper left", ncols=4, frameon=False)
+    return figure
+
+
+def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colour: Colours) -> Figure:
+    """Score against the knob, level by level at equal distances, with interval bands: name → knob → score."""
+    figure = _figure(3.5)
+    axis = figure.subplots()
+    for i, (name, curve) in enumerate(curves.items()):
+        x = np.arange(len(curve))
+        _line(axis, x, curve.values(), name, colour[name], MARKERS[i % len(MARKERS)])
+        axis.set_xticks(x, [f"{knob:g}" for knob in curve])
+    axis.set_ylim(-0.02, 1.04)
+    axis.set_xlabel(label)
+    axis.set_ylabel("score")
+    figure.legend(loc="outside right upper", frameon=False)
+    return figure
+
+
+def reliability_chart(found: Mapping[str, Mapping[str, Array]], colour: Colours) -> Figure:
+    """The rate at which decisions are right against what was predicted, on a scale of log-odds, one line per name."""
+    figure = _figure(4.2, width=6.4)
+    axis = figure.subplots()
+    ticks = np.array([0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999])
+    axis.plot(_log_odds(ticks), _log_odds(ticks), "--", color=INK, linewidth=0.9)
+    for i, (name, bins) in enumerate(found.items()):
+        some = bins["decisions"] > 0
+        x, y = _log_odds(bins["predicted"][some]), _log_odds(bins["right"][some])
+        axis.plot(x, y, marker=MARKERS[i % len(MARKERS)], color=colour[name], label=display_name(name))
+    for set_ticks in (axis.set_xticks, axis.set_yticks):
+        set_ticks(_log_odds(ticks), [f"{tick:g}" for tick in ticks])
+    axis.set_xlabel("mean probability of the decisions")
+    axis.set_ylabel("rate right")
+    figure.legend(loc="outside right upper", frameon=False)
+    return figure
+
+
+def _log_odds(p: Array) -> Array:
+    kept = np.clip(p, 1e-4, 1.0 - 1e-4)
+    return np.log(kept / (1.0 - kept))
+
+
+def outcome_bars(rows: Rows) -> Figure:
+    """What became of kidnappings inside and outside the map, as fractions."""
+    figure = _figure(1.5 + 0.4 * len(rows))
+    axes = figure.subplots(1, 2, sharey=True)
+    sides = (("inside the map", ("correct", "silent", "wrong")), ("in another building", ("refused", "invented")))
+    for axis, (title, outcomes) in zip(axes, sides):
+        counts = np.array([[row[outcome] for outcome in outcomes] for row in rows.values()], dtype=float)
+        fractions = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
+        left = np.zeros(len(rows))
+        for outcome, fraction in zip(outcomes, fractions.T):
+            bars = axis.barh(range(len(rows)), fraction, left=left, height=0.62, color=_OUTCOMES[outcome])
+            texts = [f"{outcome} {f:.0%}" if f > 0.12 else "" for f in fraction]
+            axis.bar_label(bars, texts, label_type="center", color=INK if outcome == "silent" else "white", fontsize=8)
+            left += fraction
+        axis.set_title(title, fontsize=10, loc="left")
+        axis.set_xlim(0.0, 1.0)
+        axis.grid(visible=False)
+        axis.set_xticks([])
+        axis.spines[["left", "bottom"]].set_visible(False)
+        axis.tick_params(axis="y", length=0)
+    _name_rows(axes[0], list(rows))
+    return figure
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------
+
+_REFERENCE, _LANDMARK, _DUPLICATE, _CLUTTER, _UNLABELLED = "#aeb8c2", "#2f6db5", "#b0413e", "#e0a35c", "#8a97a6"
+
+
+def maps(
+    errors: Mapping[str, pd.DataFrame], features: Mapping[str, pd.DataFrame], landmarks: Array, colour: Colours
+) -> Figure:
+    """One panel per associator: its path over the reference, and its features by what they are.
+
+    `errors` and `features` are the files of each associator, see `agents.evaluation.mapped_log`; `landmarks` (L, 2) are
+    the true places, if known.
+    """
+    names = list(errors)
+    drawn = [own[["x", "y"]] for own in errors.values()] + [
+        own[["aligned_x", "aligned_y"]] for own in features.values()
+    ]
+    drawn += [own[["reference_x", "reference_y"]] for own in errors.values()]
+    low, high = _bounds(np.concatenate(drawn), landmarks)
+    axes = _panels(names, float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.8)))
+    handles: dict[str, Any] = {}
+    for axis, name in zip(axes, names):
+        error = errors[name]
+        axis.plot(error["reference_x"], error["reference_y"], color=_REFERENCE, linewidth=2.2, label="reference")
+        axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9)
+        _draw_features(axis, features[name], landmarks)
+        axis.set_title(display_name(name), fontsize=10, loc="left", color=colour[name])
+        axis.set_aspect("equal")
+        axis.set_xlim(low[0], high[0])
+        axis.set_ylim(low[1], high[1])
+        for handle, label in zip(*axis.get_legend_handles_labels()):
+            handles.setdefault(label, handle)
+    figure = axes[0].get_figure(root=True)
+    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=6, frameon=False)
+    return figure
+
+
+def _panels(names: Sequence[str], shape: float) -> list[Axes]:
+    """One of height / width `shape` a name, in rows."""
+    across = min(len(names), 2 if len(names) <= 4 and shape < 1.2 else 3 if shape < 1.2 else 4)
+    down = math.ceil(len(names) / across)
+    figure = _figure(0.9 + down * (0.3 + (WIDTH / across - 0.35) * shape))
+    axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
+    return list(axes[: len(names)])
+
+
+def _bounds(points: Array, landmarks: Array) -> tuple[Array, Array]:
+    """Corners of what is drawn: the landmarks, and all but the outermost of the rest, since a GPS jumps."""
+    low, high = np.quantile(points, [0.003, 0.997], axis=0)
+    if len(landmarks):
+        low, high = np.minimum(low, landmarks.min(axis=0)), np.maximum(high, landmarks.max(axis=0))
+    room = 0.05 * (high - low).max() + 1e-9
+    return low - room, high + room
+
+
+def _draw_features(axis: Axes, features: pd.DataFrame, landmarks: Array) -> None:
+    """Dots: the first of each landmark, further ones of the same, and what no landmark is behind."""
+    shown = features[features["confirmed"] > 0]
+    identity, first = shown["identity"], ~shown["identity"].duplicated()
+    if len(landmarks):
+        axis.plot(*landmarks.T, "+", color=INK, markersize=8, markeredgewidth=1.0, label="true landmark")
+    kinds = (
+        ("landmark", first & (identity >= 0), _LANDMARK),
+        ("duplicate", ~first & (identity >= 0), _DUPLICATE),
+        ("from clutter", identity == SPURIOUS, _CLUTTER),
+        ("unlabelled", identity < SPURIOUS, _UNLABELLED),
+    )
+    for label, rows, colour in kinds:
+        if rows.any():
+            own = shown[rows]
+            axis.plot(own["aligned_x"], own["aligned_y"], ".", color=colour, markersize=4.5, label=label)
+
+
+def errors_over_time(errors: Mapping[str, pd.DataFrame], colour: Colours) -> Figure:
+    """Distance to the reference, aligned, over the time of the log."""
+    figure = _figure(3.6)
+    axis = figure.subplots()
+    for name, error in errors.items():
+        axis.plot(error["time"], error["error"], color=colour[name], linewidth=1.1, label=display_name(name))
+    every = np.concatenate([error["error"] for error in errors.values()])
+    if every.max() > 4.0 * np.quantile(every, 0.95):  # a reference that jumps, or an associator that got lost
+        axis.set_yscale("log")
+        axis.set_ylim(bottom=0.5 * np.quantile(every, 0.05) + 1e-9)
+        axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    else:
+        axis.set_ylim(0.0, None)
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel("position error [m]")
+    figure.legend(loc="outside upper left", ncols=4, frameon=False)
+    return figure

@@ -1,118 +1,88 @@
-"""The pieces that every report is made of: tables, pictures, and how it was made. All of them are HTML."""
+"""The report of an evaluation: one page of HTML, made from its folder by the template of its kind.
+
+Pictures are inside the page; only films lie beside it.
+"""
 
 from __future__ import annotations
 
 import base64
-import html
-from collections.abc import Iterator, Sequence
+import io
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from string import Template
-from typing import Any, NamedTuple
+from typing import Any
 
-from agents.evaluation.tables import Column, Table, Value, best_names, cell, display_name
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.figure import Figure
+
+from agents.evaluation.pipeline import read_results
+from agents.evaluation.records import write_whole
+from agents.evaluation.tables import cell, display_name
+from agents.reports.contents import CONTENTS
 from agents.reports.figures import colours
-from slam_gym.metrics.statistics import Interval
 
-TEMPLATE = Path(__file__).with_name("template.html")
-
-
-class Report(NamedTuple):
-    """What the kind of evaluation supplies."""
-
-    title: str
-    subtitle: str
-    sections: list[str]  # HTML
+_PAGES = Environment(
+    loader=FileSystemLoader(Path(__file__).with_name("templates")),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
 
 
-def page(report: Report, content: dict[str, Any]) -> str:
-    """The whole page, with everything inside it; `content` is that of results.json."""
-    unfinished = "" if content["complete"] else " — unfinished"
-    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
-        title=html.escape(report.title),
-        subtitle=html.escape(report.subtitle + unfinished),
-        sections="\n".join(report.sections),
-        provenance=html.escape(provenance(content)),
+def write_report(folder: Path) -> Path:
+    """Write report.html into the folder of an evaluation, from the files there, and return its path.
+
+    Raises ValueError where it holds none, or nothing finished yet.
+    """
+    results = read_results(folder)
+    if results.kind not in CONTENTS:
+        raise ValueError(f"{folder} belongs to the {results.kind}, which makes its own page")
+    content = CONTENTS[results.kind](results, folder)
+    page = _PAGES.get_template(f"{results.kind}.html").render(
+        content,
+        colours=colours(results.names),
+        complete=results.metadata["complete"],
+        provenance=provenance(results.metadata),
     )
+    write_whole(folder / "report.html", page)
+    return folder / "report.html"
 
 
-def heading(text: str) -> str:
-    return f"<h2>{html.escape(text)}</h2>"
-
-
-def note(markup: str) -> str:
-    """A paragraph of small print."""
-    return f'<p class="soft">{markup}</p>'
-
-
-def card(markup: str) -> str:
-    return f'<div class="card">{markup}</div>'
-
-
-def image(png: bytes, alt: str, small: bool = False) -> str:
-    """An image that is part of the page."""
-    data, style = base64.b64encode(png).decode("ascii"), ' class="small"' if small else ""
-    return f'<img{style} alt="{html.escape(alt)}" src="data:image/png;base64,{data}">'
-
-
-def label(name: str, names: Sequence[str]) -> str:
-    """A name with the dot of the colour that it has among all names of the report."""
-    dot = f'<span class="dot" style="background:{colours(names)[name]}"></span>'
-    return f"{dot}{html.escape(display_name(name))}"
-
-
-def table(shown: Table, names: Sequence[str]) -> str:
-    """A card with the table; bold are the best of each column, or the differences that are told apart from 0."""
-    titles = [shown.corner, *(column.title for column in shown.columns)]
-    lines = ["<tr>" + "".join(f"<th>{html.escape(title)}</th>" for title in titles) + "</tr>"]
-    bold = {column.key: _bold_names(shown, column) for column in shown.columns}
-    for name, row in shown.rows.items():
-        cells = [_cell(row.get(c.key), c.digits, name in bold[c.key], shown.differences) for c in shown.columns]
-        lines.append(f"<tr><td>{label(name, names)}</td>{''.join(cells)}</tr>")
-    return card(f"<table>{''.join(lines)}</table>")
-
-
-def _bold_names(shown: Table, column: Column) -> set[str]:
-    values = {name: row[column.key] for name, row in shown.rows.items() if column.key in row}
-    if not shown.differences:
-        return best_names(values, column)
-    return {name for name, v in values.items() if isinstance(v, Interval) and (v.low > 0.0 or v.high < 0.0)}
-
-
-def _cell(value: Value | None, digits: int, bold: bool, signed: bool) -> str:
-    if value is None:
-        return "<td></td>"
-    middle, interval = cell(value, digits, signed)
-    below = f"<small>[{interval}]&nbsp;</small>" if interval else ""
-    return f"<td{' class=best' if bold else ''}>{middle}{below}</td>"
-
-
-def provenance(content: dict[str, Any]) -> str:
+def provenance(metadata: Mapping[str, Any]) -> str:
     """Commands, conditions, models and versions, as text."""
-    commands = [f"{c['command']}    # {c['started']}, {c.get('seconds', '?')} s" for c in content["commands"]]
-    first, split = content["asked"].get("first", 0), content["conditions"].get("split")
-    episodes = f"{first} … {first + content['asked']['episodes'] - 1}"
-    seeds = f"episode k = {episodes}: reset(seed=k, options={{'world': k}}) of the {split} split" if split else ""
-    models = [f"{Path(path).name}: sha256 {about['sha256']}, {_training(about)}"
-              for path, about in content.get("models", {}).items()]  # fmt: skip
-    facts = [_facts(content["conditions"]), seeds, *models, _facts(content["versions"])]
+    commands = [f"{c['command']}    # {c['started']}, {c.get('seconds', '?')} s" for c in metadata["commands"]]
+    episodes, split = metadata["asked"]["episodes"], metadata["conditions"].get("split")
+    seeds = f"episode k: reset(seed=k, options={{'world': k}}) of the {split} split, k = {episodes[0]} … {episodes[-1]}"
+    models = [
+        f"{Path(path).name}: sha256 {about['sha256']}, {_facts(about.get('training', {}))}"
+        for path, about in metadata.get("models", {}).items()
+    ]
+    facts = [_facts(metadata["conditions"]), seeds if split else "", *models, _facts(metadata["versions"])]
     return "\n\n".join(filter(None, ["\n".join(commands), *facts]))
 
 
-def _facts(facts: dict[str, Any]) -> str:
+def _facts(facts: Mapping[str, Any]) -> str:
     """Whatever was left at its default, None or empty, is not worth a word."""
     return ", ".join(f"{name} {value}" for name, value in _flat(facts, "") if value not in (None, [], False))
 
 
-def _flat(facts: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _flat(facts: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     """Names and values; those of fields within fields are dotted."""
     for name, value in facts.items():
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 
 
-def _training(model: dict[str, Any]) -> str:
-    training = model.get("training", {})
-    said = (training.get(key, "?") for key in ("timesteps", "scenario", "seed"))
-    return "{} decisions on {}, seed {}".format(*said)
+def data_url(picture: Figure | Path) -> str:
+    """A figure, or a file .png, as the address of a picture inside the page."""
+    buffer = io.BytesIO()
+    if isinstance(picture, Figure):
+        picture.savefig(buffer, format="png")
+    png = buffer.getvalue() if isinstance(picture, Figure) else picture.read_bytes()
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+
+
+_PAGES.filters |= {"display_name": display_name, "data_url": data_url}
+_PAGES.globals |= {"cell": cell}

@@ -1,149 +1,102 @@
-"""The one number per capability that the association suite is about, made from records of worlds."""
+"""The one number per capability that the association suite is about, made from the results of worlds."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
-
-import numpy as np
+import pandas as pd
 
 from agents.evaluation.pipeline import Results
-from agents.evaluation.records import Record
-from agents.evaluation.tables import Column, Rows, Table, Value, by_name, estimate
-from agents.suite import reliability
-from agents.suite.relocation_problems import OUTCOMES
+from agents.evaluation.tables import Column, Rows, Table, estimate
+from agents.suite.problems import OUTCOMES
+from agents.suite.reliability import promise_tables, reliability_tables
 from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
-from slam_gym.types import Array
-
-ByWorld = dict[int, float]
-"""World → a number."""
-
-
-@dataclass(frozen=True)
-class SuiteRecords:
-    """The records of associators, or of relocators, and what they come to."""
-
-    records: Sequence[Record]
-
-    @property
-    def experiments(self) -> list[str]:
-        """Those among the records, in the order of the suite."""
-        found = {record["experiment"] for record in self.records}
-        return [name for name in EXPERIMENTS if name in found]
-
-    @property
-    def names(self) -> list[str]:
-        """Who was asked, in the order of the records."""
-        return list(by_name(self.records, "associator"))
-
-    @property
-    def ranked(self) -> list[str]:
-        """Who was asked, by their mean over all experiments, best first."""
-        scores = {name: interval(self.overall(name)).estimate for name in self.names}
-        return sorted(scores, key=lambda name: -scores[name] if math.isfinite(scores[name]) else math.inf)
-
-    def select(self, name: str, experiment: str) -> list[Record]:
-        """The records of one who was asked in one experiment."""
-        return [r for r in self.records if r["associator"] == name and r["experiment"] == experiment]
-
-    def by_world(self, name: str, experiment: str, key: str = "score") -> ByWorld:
-        """Mean over the levels of an experiment, for the worlds that have been through all of its levels."""
-        found: dict[int, dict[str, float]] = {}
-        for record in self.select(name, experiment):
-            if math.isfinite(record[key]):
-                found.setdefault(record["episode"], {})[record["setting"]] = record[key]
-        levels = {record["setting"] for record in self.records if record["experiment"] == experiment}
-        return {w: float(np.mean(list(own.values()))) for w, own in found.items() if len(own) == len(levels)}
-
-    def overall(self, name: str, key: str = "score") -> ByWorld:
-        """Mean over all experiments."""
-        each = [self.by_world(name, experiment, key) for experiment in self.experiments]
-        common = set.intersection(*map(set, each)) if each else set()
-        return {world: float(np.mean([found[world] for found in each])) for world in sorted(common)}
-
-    def level_curve(self, name: str, experiment: str, key: str = "score") -> LevelCurve:
-        """A number level by level."""
-        own = self.select(name, experiment)
-        knobs = list(dict.fromkeys(record["knob"] for record in own))
-        found = [estimate(np.array([r[key] for r in own if r["knob"] == knob], dtype=float)) for knob in knobs]
-        return LevelCurve(np.array(knobs, dtype=float), found)
-
-    def scores(self) -> Rows:
-        """Name → experiment → score; `all` is their mean."""
-        return {
-            name: {
-                **{experiment: interval(self.by_world(name, experiment)) for experiment in self.experiments},
-                "all": interval(self.overall(name)),
-            }
-            for name in self.names
-        }
-
-
-class LevelCurve(NamedTuple):
-    """A number against the knob of an experiment."""
-
-    knobs: Array  # (l,)
-    estimates: list[Interval]
-
-
-def split_records(records: Sequence[Record]) -> tuple[SuiteRecords, SuiteRecords]:
-    """Those of associators, and those of relocators."""
-    kidnapped = [record for record in records if record["experiment"] == RELOCATION]
-    return SuiteRecords([r for r in records if r["experiment"] != RELOCATION]), SuiteRecords(kidnapped)
-
-
-def interval(by_world: ByWorld) -> Interval:
-    """Interquartile mean over worlds, with its interval."""
-    return estimate(np.array([by_world[world] for world in sorted(by_world)], dtype=float))
-
-
-def paired_difference(first: ByWorld, second: ByWorld) -> Interval:
-    """First − second over the worlds that both have."""
-    common = sorted(first.keys() & second.keys())
-    return estimate(np.array([first[world] - second[world] for world in common], dtype=float))
-
-
-def relocation_rows(relocation: SuiteRecords) -> Rows:
-    """Search → `kidnapped`, its score, and the number of each outcome; the best score first."""
-    found: dict[str, dict[str, Value]] = {}
-    for name in relocation.ranked:
-        own = relocation.select(name, RELOCATION)
-        found[name] = {RELOCATION: interval(relocation.by_world(name, RELOCATION))}
-        found[name] |= {outcome: sum(record[outcome] for record in own) for outcome in OUTCOMES}
-    return found
-
-
-def numbers(records: Sequence[Record]) -> dict[str, Any]:
-    """For results.json."""
-    association, relocation = split_records(records)
-    return {"numbers": association.scores(), "relocation": relocation_rows(relocation)}
-
-
-def score_columns(association: SuiteRecords) -> list[Column]:
-    """One an experiment, and their mean."""
-    return [Column(name, name, 3, "higher") for name in (*association.experiments, "all")]
-
 
 RELOCATION_COLUMNS = (
     Column(RELOCATION, "score", 3, "higher"), *(Column(outcome, outcome, 0) for outcome in OUTCOMES),
 )  # fmt: skip
 
 
+def of_associators(frame: pd.DataFrame) -> pd.DataFrame:
+    """The results of all experiments but that of relocators."""
+    return frame[frame["experiment"] != RELOCATION]
+
+
+def of_relocators(frame: pd.DataFrame) -> pd.DataFrame:
+    """The results of the experiment that asks relocators."""
+    return frame[frame["experiment"] == RELOCATION]
+
+
+def experiments(frame: pd.DataFrame) -> list[str]:
+    """Those among the results, in the order of the suite."""
+    found = set(frame["experiment"])
+    return [name for name in EXPERIMENTS if name in found]
+
+
+def by_world(frame: pd.DataFrame, key: str = "score") -> pd.Series:
+    """(experiment, name, world) → mean of a number over the levels, for the worlds that have it in all of them."""
+    groups = frame.groupby(["experiment", "name", "episode"])[key]
+    levels = frame.groupby("experiment")["setting"].nunique()
+    means, counts = groups.mean(), groups.count()
+    return means[counts == counts.index.get_level_values("experiment").map(levels)]
+
+
+def overall(frame: pd.DataFrame, key: str = "score") -> pd.Series:
+    """(name, world) → mean of a number over all experiments, for the worlds that have it in all of them."""
+    return by_world(frame, key).unstack("experiment").dropna().mean(axis=1)
+
+
+def ranked(frame: pd.DataFrame) -> list[str]:
+    """Who was asked, by their score over all experiments, best first."""
+    worlds = overall(frame)
+    means = {name: _interval(worlds, name).estimate for name in frame["name"].unique()}
+    return sorted(means, key=lambda name: (pd.isna(means[name]), -means[name]))
+
+
+def scores(frame: pd.DataFrame, key: str = "score") -> Rows:
+    """Name → experiment → interquartile mean over worlds; `all` is that of their means. The best name first."""
+    worlds, everywhere = by_world(frame, key), overall(frame, key)
+    found: Rows = {}
+    for name in ranked(frame):
+        each = {experiment: _interval(worlds, experiment, name) for experiment in experiments(frame)}
+        found[name] = {**each, "all": _interval(everywhere, name)}
+    return found
+
+
+def _interval(numbers: pd.Series, *labels: str) -> Interval:
+    """Of the worlds under some labels of the index."""
+    known = labels if len(labels) > 1 else labels[0]
+    return estimate(numbers.loc[known] if known in numbers.index.droplevel("episode") else [])
+
+
+def paired_difference(first: pd.Series, second: pd.Series) -> Interval:
+    """First − second over the worlds that both have."""
+    return estimate((first - second).dropna())
+
+
+def relocation_rows(frame: pd.DataFrame) -> Rows:
+    """Search → `kidnapped`, its score, and the number of each outcome; the best score first."""
+    found: Rows = {}
+    for name, score in scores(frame).items():
+        counts = frame[frame["name"] == name][list(OUTCOMES)].sum()
+        found[name] = {RELOCATION: score["all"], **{outcome: int(counts[outcome]) for outcome in OUTCOMES}}
+    return found
+
+
+def score_columns(frame: pd.DataFrame) -> list[Column]:
+    """One an experiment, and their mean."""
+    return [Column(name, name, 3, "higher") for name in (*experiments(frame), "all")]
+
+
 def tables(results: Results) -> list[Table]:
     """The numbers of associators, best first, and those of searches without a prior."""
-    association, relocation = split_records(results.records)
-    size, found = results.content["conditions"], []
+    association, relocation = of_associators(results.frame), of_relocators(results.frame)
+    size, found = results.conditions, []
     about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
-    if association.records:
-        scores = association.scores()
-        rows = {name: scores[name] for name in association.ranked}
-        found.append(Table(f"association suite, {about}", "associator", score_columns(association), rows))
-        found += reliability.promise_tables(association.records)
-        found += reliability.tables(association.records)
-    if relocation.records:
+    if len(association):
+        columns = score_columns(association)
+        found.append(Table(f"association suite, {about}", "associator", columns, scores(association)))
+        found += promise_tables(association) + reliability_tables(association)
+    if len(relocation):
         title = f"kidnapped: searches without a prior, {about}"
         found.append(Table(title, "search", RELOCATION_COLUMNS, relocation_rows(relocation)))
     return found

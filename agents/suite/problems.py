@@ -1,4 +1,4 @@
-"""The association problems of a level: real SLAM maps, and scans about which every associator is asked the same.
+"""The problems of a level: real SLAM maps, and scans about which every associator, or every relocator, is asked.
 
 A robot goes round a floor twice, place by place, and maps it with true associations. On the second lap some stops
 become problems: the map as it was before, whose robot has driven on without a look and so knows its pose as poorly as
@@ -9,22 +9,37 @@ problems.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slam_gym.association import true_association
-from slam_gym.geometry import relative
+from slam_gym.geometry import relative, wrap_angle
+from slam_gym.mapping.locality import covisible
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.visibility import FieldOfView
-from slam_gym.scenarios import world_generator, world_seed
+from slam_gym.scenarios import SPLITS, world_generator, world_seed
 from slam_gym.scenarios.suite import Level
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.simulation.right_answers import RightAnswers
 from slam_gym.slam.slam import Slam
-from slam_gym.types import UNPAIRED, Array, Associator, Hypothesis, IntArray, Odometry, Prediction, Scan, Truth
+from slam_gym.types import (
+    UNPAIRED,
+    Array,
+    Associator,
+    Hypothesis,
+    IntArray,
+    Landmarks,
+    Locality,
+    Odometry,
+    Prediction,
+    Relocation,
+    Scan,
+    Truth,
+)
 from slam_gym.world.physics import Motion
 from slam_gym.world.ray_casting import NO_DISCS
 from slam_gym.world.reachability import free_start
@@ -32,6 +47,11 @@ from slam_gym.world.sensor import Sensor
 
 MIN_MAPPED = 4  # measurements of mapped features in a problem: fewer decide nothing
 WRONG_COST = 10.0  # of a wrong pairing, in right ones: as the reward of Associate-v0
+
+OUTCOMES = ("correct", "silent", "wrong", "refused", "invented")
+MAX_DISTANCE = 0.3  # [m] a found pose is right within this distance …
+MAX_TURN = math.radians(3.0)  # [rad] … and this angle
+OTHER_BUILDING = 5_000  # it is the world of this many numbers further on
 
 
 @dataclass(frozen=True)
@@ -167,3 +187,44 @@ def judge(features: IntArray, right: IntArray) -> Judgement:
     paired, mapped = features != UNPAIRED, right != UNPAIRED
     agreed = int((paired & (features == right)).sum())
     return Judgement(agreed, int(paired.sum()) - agreed, int((mapped & ~paired).sum()), int(mapped.sum()))
+
+
+# -- without a prior -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RelocationProblem:
+    """A scan, the map that it may be of, and where it was taken."""
+
+    scan: Scan
+    landmarks: Landmarks
+    locality: Locality
+    pose: Array | None  # (3,) of the robot in B, as true associations put it; None: in another building
+
+
+def relocation_problems(level: Level, world: int, count: int, split: str = "test") -> Iterator[RelocationProblem]:
+    """Up to `count`: half inside the map, over the second lap; then as many from another building."""
+    inside = 0
+    for stop in TwoLaps(level, world, split).sampled((count + 1) // 2):
+        inside += 1
+        landmarks, locality = stop.slam.map.landmarks(), covisible(stop.slam.covisibility)
+        known = stop.slam.map.copy()
+        known.predict(stop.odometry)
+        known.update(stop.scan, stop.truth.right)
+        yield RelocationProblem(stop.scan, landmarks, locality, known.pose)
+    other = TwoLaps(level, (world + OTHER_BUILDING) % SPLITS["test"][1], split)
+    for pose in other.rng.permutation(other.poses):
+        scan, truth = other.look(pose)
+        if inside and np.count_nonzero(truth.sources >= 0) >= MIN_MAPPED:
+            inside -= 1
+            yield RelocationProblem(scan, landmarks, locality, None)
+
+
+def judge_relocation(found: Relocation, truth: Array | None) -> str:
+    """`correct`, `wrong` or `silent` inside the map; `refused` or `invented` outside of it."""
+    if truth is None:
+        return "invented" if found.accepted else "refused"
+    if not found.accepted:
+        return "silent"
+    off = math.hypot(found.pose[0] - truth[0], found.pose[1] - truth[1])
+    return "correct" if off <= MAX_DISTANCE and abs(wrap_angle(found.pose[2] - truth[2])) <= MAX_TURN else "wrong"

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 
-from agents.evaluation.records import Record
-from agents.evaluation.tables import Column, Table, Value, by_name, estimate
+from agents.evaluation.tables import Column, Rows, Table, by_name, by_setting, estimate
 from slam_gym.metrics.statistics import mean
 from slam_gym.types import Array, Hypothesis, IntArray
 
@@ -19,10 +20,8 @@ EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 0.99, 0.999, 1.0)
 COLUMNS = (
     Column("decisions", "decisions", 0), Column("predicted", "mean probability", 3), Column("right", "rate right", 3),
 )  # fmt: skip
-
-_PROMISE = ("promised", "kept")
 PROMISE_COLUMNS = (Column("promised", "probability", 3), Column("kept", "right", 3))
-_CEILING = "mean probability of the best hypothesis of a scan, and how often it is right"
+_PROMISE = "mean probability of the best hypothesis of a scan, and how often it is right"
 
 
 def binned(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> dict[str, list[float]]:
@@ -49,47 +48,44 @@ def promised(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> dict[s
             best = h.features if own else h.posterior.runner_up
             p.append(max(h.posterior.probability, h.posterior.runner_up_probability))
             hit.append(bool((best == r).all()))
-    return {"promised": float(np.mean(p)), "kept": float(np.mean(hit))} if p else dict.fromkeys(_PROMISE, math.nan)
+    return (
+        {"promised": float(np.mean(p)), "kept": float(np.mean(hit))} if p else {"promised": math.nan, "kept": math.nan}
+    )
 
 
-def promise_tables(records: Sequence[Record]) -> list[Table]:
+def promise_tables(frame: pd.DataFrame) -> list[Table]:
     """One an associator that says how probable its hypotheses are: a row an experiment, and each level of drift."""
     found = []
-    for name, own in by_name(records, "associator").items():
-        told = [r for r in own if math.isfinite(r.get("promised") or math.nan)]
-        groups = {e: [r for r in told if r["experiment"] == e] for e in dict.fromkeys(r["experiment"] for r in told)}
-        drifts = dict.fromkeys(r["setting"] for r in told if r["experiment"] == "drift")
-        groups |= {level: [r for r in told if r["setting"] == level] for level in drifts}
-        rows: dict[str, dict[str, Value]] = {
-            group: {key: estimate(np.array([r[key] for r in some], dtype=float), statistic=mean) for key in _PROMISE}
+    for name, own in by_name(frame[frame["promised"].notna()]).items():
+        groups = dict(iter(own.groupby("experiment", sort=False))) | by_setting(own[own["experiment"] == "drift"])
+        rows: Rows = {
+            group: {c.key: estimate(some[c.key], statistic=mean) for c in PROMISE_COLUMNS}
             for group, some in groups.items()
         }
-        if rows:
-            found.append(Table(f"ceiling by the word of {name}", "scans", PROMISE_COLUMNS, rows, _CEILING))
+        found.append(Table(f"ceiling by the word of {name}", "scans", PROMISE_COLUMNS, rows, _PROMISE))
     return found
 
 
-def together(records: Sequence[Record]) -> dict[str, Array]:
-    """The bins (8,) of all records: number of decisions, mean probability and rate right, NaN in an empty bin."""
-    sums = {key: np.zeros(len(EDGES) - 1) for key in ("decisions", "predicted", "right")}
-    for record in records:
-        for key, values in (record.get("reliability") or {}).items():
-            sums[key] += np.array(values)
-    count = np.where(sums["decisions"] > 0, sums["decisions"], math.nan)
-    return {"decisions": sums["decisions"], "predicted": sums["predicted"] / count, "right": sums["right"] / count}
+def reliability(frame: pd.DataFrame) -> dict[str, dict[str, Array]]:
+    """Associator → the bins (8,) of all its decisions: number, mean probability and rate right, NaN in an empty bin.
+
+    Without those that do not say how probable their decisions are.
+    """
+    found = {}
+    for name, own in by_name(frame).items():
+        records = [json.loads(cell) for cell in own["reliability"]]
+        decisions, predicted, right = (np.sum([r[c.key] for r in records], axis=0) for c in COLUMNS)
+        if decisions.any():
+            count = np.where(decisions > 0, decisions, math.nan)
+            found[name] = {"decisions": decisions, "predicted": predicted / count, "right": right / count}
+    return found
 
 
-def by_associator(records: Sequence[Record]) -> dict[str, dict[str, Array]]:
-    """`together` of each associator that says how probable its decisions are."""
-    found = {name: together(own) for name, own in by_name(records, "associator").items()}
-    return {name: bins for name, bins in found.items() if bins["decisions"].any()}
-
-
-def tables(records: Sequence[Record]) -> list[Table]:
+def reliability_tables(frame: pd.DataFrame) -> list[Table]:
     """One an associator: a row a bin."""
     found = []
-    for name, bins in by_associator(records).items():
-        rows: dict[str, dict[str, Value]] = {
+    for name, bins in reliability(frame).items():
+        rows: Rows = {
             f"{low:g} to {high:g}": {key: float(values[k]) for key, values in bins.items()}
             for k, (low, high) in enumerate(pairwise(EDGES))
             if bins["decisions"][k]

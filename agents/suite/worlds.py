@@ -12,16 +12,33 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.evaluation.associators import find_associator
-from agents.evaluation.pipeline import SUITE, Evaluation
+from agents.evaluation.pipeline import Evaluation
 from agents.evaluation.records import Key, Record
-from agents.suite.numbers import numbers
-from agents.suite.problems import Judgement, TwoLaps, ask, judge, problems
+from agents.suite.problems import (
+    OUTCOMES,
+    Judgement,
+    TwoLaps,
+    ask,
+    judge,
+    judge_relocation,
+    problems,
+    relocation_problems,
+)
 from agents.suite.reliability import binned, promised
-from agents.suite.relocation_problems import OUTCOMES, judge_relocation, relocation_problems
 from slam_gym.association import resolve_relocator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.types import Associator, Effort, Hypothesis, IntArray, Relocator
 from slam_gym.validation import one_of
+
+
+@dataclass(frozen=True)
+class SuiteSize:
+    """How much of the suite is run."""
+
+    worlds: int = 24  # a level
+    problems: int = 12  # a world, at most
+    quick: bool = False  # every second level is left out
+    split: str = "test"
 
 
 @dataclass(frozen=True)
@@ -40,49 +57,46 @@ class WorldTask:
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         level, names = get_level(self.setting), [key.name for key in wanted]
-        about = {"setting": self.setting, "episode": self.episode, "experiment": level.experiment, "knob": level.knob}
         if level.experiment == RELOCATION:
             found = self.relocate({name: resolve_relocator(name) for name in names})
         else:
             found = self.associate({name: find_associator(name) for name in names})
-        return [{"associator": name} | about | record for name, record in found.items()]
+        about = {"experiment": level.experiment, "knob": level.knob}
+        return [key._asdict() | about | found[key.name] for key in wanted]
 
     def associate(self, asked: Mapping[str, Associator]) -> dict[str, Record]:
         """What associators make of the problems of the world, by their names."""
-        judged: dict[str, list[Judgement]] = {name: [] for name in asked}
-        answers: dict[str, list[Hypothesis]] = {name: [] for name in asked}
+        answers: dict[str, list[_Answer]] = {name: [] for name in asked}
         right: list[IntArray] = []
-        efforts: dict[str, list[_Spent]] = {name: [] for name in asked}
         for problem in problems(TwoLaps(get_level(self.setting), self.episode, self.split), self.problems):
             right.append(problem.truth.right)
             for name, associate in asked.items():
                 start = time.perf_counter()
                 hypothesis = ask(name, associate, problem)
-                efforts[name].append(_Spent(hypothesis.effort, time.perf_counter() - start))
-                answers[name].append(hypothesis)
-                judged[name].append(judge(hypothesis.features, problem.truth.right))
-        return {
-            name: association_record(judged[name])
-            | _effort_record(efforts[name])
-            | {"reliability": binned(answers[name], right)}
-            | promised(answers[name], right)
-            for name in asked
-        }
+                answers[name].append(_Answer(hypothesis, hypothesis.effort, time.perf_counter() - start))
+        found = {}
+        for name, own in answers.items():
+            hypotheses = [answer.hypothesis for answer in own]
+            judged = [judge(h.features, r) for h, r in zip(hypotheses, right)]
+            reliability = {"reliability": binned(hypotheses, right)} | promised(hypotheses, right)
+            found[name] = association_record(judged) | _effort(own) | reliability
+        return found
 
     def relocate(self, asked: Mapping[str, Relocator]) -> dict[str, Record]:
         """What relocators make of the problems of the world, by their names."""
         outcomes: dict[str, Counter[str]] = {name: Counter() for name in asked}
-        efforts: dict[str, list[_Spent]] = {name: [] for name in asked}
+        answers: dict[str, list[_Answer]] = {name: [] for name in asked}
         for problem in relocation_problems(get_level(self.setting), self.episode, self.problems, self.split):
             for name, search in asked.items():
                 start = time.perf_counter()
                 found = search(problem.scan, problem.landmarks, problem.locality)
-                efforts[name].append(_Spent(found.effort, time.perf_counter() - start))
+                answers[name].append(_Answer(None, found.effort, time.perf_counter() - start))
                 outcomes[name][judge_relocation(found, problem.pose)] += 1
-        return {name: relocation_record(outcomes[name]) | _effort_record(efforts[name]) for name in asked}
+        return {name: relocation_record(outcomes[name]) | _effort(answers[name]) for name in asked}
 
 
-class _Spent(NamedTuple):
+class _Answer(NamedTuple):
+    hypothesis: Hypothesis | None  # of an associator
     effort: Effort
     seconds: float
 
@@ -113,27 +127,17 @@ def relocation_record(counts: Counter[str]) -> Record:
     return {"problems": inside + outside, "score": score, **{name: counts[name] for name in OUTCOMES}}
 
 
-def _effort_record(efforts: Sequence[_Spent]) -> Record:
+def _effort(answers: Sequence[_Answer]) -> Record:
     return {
-        "nodes": _mean(spent.effort.nodes for spent in efforts),
-        "microseconds": 1e6 * float(np.median([spent.seconds for spent in efforts])) if efforts else math.nan,
-        "limits": sum(spent.effort.limit_hit for spent in efforts),
+        "nodes": _mean(answer.effort.nodes for answer in answers),
+        "microseconds": 1e6 * float(np.median([answer.seconds for answer in answers])) if answers else math.nan,
+        "limits": sum(answer.effort.limit_hit for answer in answers),
     }
 
 
 def _mean(values: Iterable[float]) -> float:
     found = list(values)
     return float(np.mean(found)) if found else math.nan
-
-
-@dataclass(frozen=True)
-class SuiteSize:
-    """How much of the suite is run."""
-
-    worlds: int = 24  # a level
-    problems: int = 12  # a world, at most
-    quick: bool = False  # every second level is left out
-    split: str = "test"
 
 
 def suite_evaluation(
@@ -152,4 +156,4 @@ def suite_evaluation(
         for level in experiment.levels[:: 2 if size.quick else 1]:
             worlds = range(size.worlds if asked else 0)
             tasks += [WorldTask(level.id, k, asked, size.problems, size.split) for k in worlds]
-    return Evaluation(SUITE, tasks, vars(size), numbers)
+    return Evaluation("suite", tasks, vars(size))

@@ -15,14 +15,6 @@ from slam_gym.recordings.catalogue import DATA, PUBLISHED
 _MUCH = 500  # [MB] of compiled loops, more than one version of the package leaves
 
 
-def main(argv: list[str]) -> int:
-    """Print it. Raises ValueError for arguments, of which there are none."""
-    if argv and argv[0] not in ("-h", "--help"):
-        raise ValueError(f"doctor takes no arguments, got {' '.join(argv)}")
-    print("\n".join(report()))
-    return 0
-
-
 def report() -> Iterator[str]:
     """Its lines."""
     yield f"slam_gym {slam_gym.__version__} in {Path(slam_gym.__file__).parent}"

@@ -9,105 +9,91 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import NamedTuple
+from typing import NoReturn, TypeVar
+
+import typer
 
 import slam_gym
 
 _INSTALLED = Path(__file__).parent / "shipped"  # where a wheel has the folder `agents`
 _CHECKOUT = Path(__file__).parents[2]  # … and where a checkout has it
 
-
-class Command(NamedTuple):
-    """A command, by the module whose `main` it is."""
-
-    module: str
-    about: str
-
-
-COMMANDS: dict[str, Command] = {
-    "evaluate": Command("agents.evaluate", "drivers on the same test worlds: table, report, films"),
-    "evaluate-association": Command("agents.evaluate_association", "associators in the loop, over the suite, on logs"),
-    "train": Command("agents.train", "a driver by reinforcement learning"),
-    "train-associate": Command("agents.train_associate", "an associator by reinforcement learning"),
-    "leaderboard": Command("agents.leaderboard", "an entry through the frozen protocol, ranked among all"),
-    "reproduce": Command("agents.reproduce", "train from nothing what ships"),
-    "report": Command("agents.report", "the report of a finished evaluation, once more"),
-    "gallery": Command("agents.gallery", "films of the same worlds by scenario and associator, on one page"),
-    "play": Command("agents.play", "drive with the keyboard"),
-    "doctor": Command("slam_gym.commands.doctor", "what is installed, compiled, cached, and where data are looked for"),
+COMMANDS: dict[str, str] = {
+    "evaluate": "Drivers on the same test worlds: table, report, films.",
+    "evaluate-association": "Associators in the loop, over the suite, on logs.",
+    "train": "A driver by reinforcement learning.",
+    "train-associate": "An associator by reinforcement learning.",
+    "leaderboard": "An entry through the frozen protocol, ranked among all.",
+    "reproduce": "Train from nothing what ships.",
+    "report": "The report of a finished evaluation, once more.",
+    "play": "Drive with the keyboard.",
 }
+"""Those of `agents`, each the `app` of the module of its name, and what it is about."""
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code; 2 for one that does not exist or misses a package, said in one line."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    name, *rest = arguments or ["--help"]
-    if name in ("-h", "--help"):
-        print(usage())
-        return 0
-    if name in ("-V", "--version"):
+@app.callback(invoke_without_command=True, no_args_is_help=True)
+def about(version: bool = typer.Option(False, "--version", "-V", help="Show the version and exit.")) -> None:
+    """Data association in SLAM: evaluate, train, play. slam-gym COMMAND --help tells its options."""
+    if version:
         print(f"slam_gym {slam_gym.__version__}")
-        return 0
-    name = name.replace("_", "-")  # as the module of a command has it
-    if name not in COMMANDS:
-        from slam_gym.validation import known_names  # which imports numba
-
-        _say(f"unknown command {name!r}; {known_names(name, COMMANDS)}")
-        return 2
-    return _run(name, rest)
+        raise typer.Exit()
 
 
-def usage() -> str:
-    """What `--help` prints."""
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:{width}}  {command.about}" for name, command in COMMANDS.items()]
-    return "\n".join(["usage: slam-gym COMMAND … (slam-gym COMMAND --help tells its options)", "", *lines])
+def _add(name: str, summary: str) -> None:
+    passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
+
+    @app.command(name, help=summary, add_help_option=False, context_settings=passed_on)
+    def run(context: typer.Context) -> None:
+        _find_agents()
+        if "" not in sys.path:
+            sys.path.append("")  # as `python -m` has it: "mymodule:MyDriver" is looked for where the command is given
+        module = f"agents.{name.replace('-', '_')}"
+        command = ended(lambda: importlib.import_module(module).app)
+        command(context.args, prog_name=f"slam-gym {name}")
 
 
-def _run(name: str, argv: list[str]) -> int:
-    """Run a command that is known."""
-    _find_agents()
-    if "" not in sys.path:
-        sys.path.append("")  # as `python -m` has it: "mymodule:MyDriver" is looked for where the command is given
-
-    def command() -> int:
-        module = importlib.import_module(COMMANDS[name].module)
-        if not hasattr(module, "app"):
-            return int(module.main(argv))
-        try:
-            module.app(argv, prog_name=f"slam-gym {name}")
-        except SystemExit as end:
-            return int(end.code or 0)
-        return 0
-
-    return ended(command)
+for _name, _summary in COMMANDS.items():
+    _add(_name, _summary)
 
 
-def ended(command: Callable[[], int]) -> int:
-    """The exit code of a command: bad input, a package that is missing, a full disk or a worker that was killed end in
-    one line on stderr and 2, Ctrl-C in 130."""
+@app.command()
+def doctor() -> None:
+    """What is installed, compiled and cached, and where data are looked for."""
+    from slam_gym.commands.doctor import report  # which imports numba
+
+    print("\n".join(report()))
+
+
+Result = TypeVar("Result")
+
+
+def ended(command: Callable[[], Result]) -> Result:
+    """The result of a command. Bad input, a package that is missing, a full disk or a worker that was killed end the
+    process with one line on stderr and exit code 2, Ctrl-C with 130."""
     try:
         return command()
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing in ("", "slam_gym", "agents"):
             raise
-        _say(f"{missing} is missing: pip install 'slam_gym[agents]'")
+        _end(f"{missing} is missing: pip install 'slam_gym[agents]'")
     except BrokenProcessPool:
-        _say("a worker process was killed, perhaps for want of memory: --resume goes on with what is left")
+        _end("a worker process was killed, perhaps for want of memory: --resume goes on with what is left")
     except (ValueError, ImportError, OSError) as error:
-        _say(str(error))
+        _end(str(error))
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130
-    return 2
+        raise typer.Exit(130) from None
 
 
-def _say(error: str) -> None:
+def _end(error: str) -> NoReturn:
     print(f"error: {error}", file=sys.stderr)
+    raise typer.Exit(2)
 
 
 def _find_agents() -> None:

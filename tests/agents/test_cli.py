@@ -1,58 +1,66 @@
 """What the commands share: options that become arguments, folders of results, errors in one line."""
 
-import argparse
 import subprocess
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+import typer
 
-from agents.cli import (
-    add_associate_options,
-    add_explore_options,
-    associate_arguments,
-    command_line,
-    explore_arguments,
-    require_positive,
-    results_folder,
-    run_main,
-)
+from agents.cli import AssociateWorld, Episodes, Execute, World, command, results_folder
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from tests.agents import typed
 
 
-def parsed(add, *line):
-    parser = argparse.ArgumentParser()
-    add(parser)
-    return parser.parse_args(line)
+def parsed(*words, group=World):
+    """The group of options that a command is given."""
+    found = []
+
+    def main(options: group, names: Annotated[list[str] | None, typer.Option()] = None, quick: bool = False) -> None:
+        found.append((options, names, quick))
+
+    result = typed(command(main), *words)
+    assert result.exit_code == 0, result.output
+    return found[0]
 
 
 def test_without_options_the_arguments_are_the_defaults():
-    explore = parsed(lambda p: add_explore_options(p, "office"))
-    assert explore_arguments(explore, split="test") == ExploreArguments()
-    assert associate_arguments(parsed(add_associate_options), "train") == AssociateArguments()
+    assert parsed()[0].arguments("office", "test") == ExploreArguments()
+    assert parsed(group=AssociateWorld)[0].arguments("train") == AssociateArguments()
+    assert parsed(group=Episodes)[0].range(7) == range(7)
+    assert parsed("--first", 3, "--episodes", 2, group=Episodes)[0].range(7) == range(3, 5)
 
 
 def test_options_change_the_arguments():
-    line = ["--scenario", "hall", "--set", "sensor.range=4", "--set", "dynamics.people=3", "--relocation", "gcbb"]
-    found = explore_arguments(parsed(lambda p: add_explore_options(p, "office"), *line, "--floor-plan", "a.json"))
-    assert found.overrides == (("sensor.range", 4), ("dynamics.people", 3)) and found.relocation == "gcbb"
-    assert found.floor_plan == str(Path("a.json").resolve()) and found.scenario == "hall"
-    on_a_floor = parsed(lambda p: add_explore_options(p, "office"), "--floor-plan", "a.json")
-    assert explore_arguments(on_a_floor).scenario == "building"
-    own = associate_arguments(parsed(add_associate_options, "--candidates", "3", "--set", "budget=5"), "test")
+    line = ["--scenario", "hall", "--set", "sensor.range=4", "--set", "dynamics.people=3", "--relocation", "none"]
+    found = parsed(*line, "--floor-plan", "a.json")[0].arguments("office", "train")
+    assert found.overrides == (("sensor.range", 4), ("dynamics.people", 3)) and found.relocation is None
+    assert found.floor_plan == str(Path("a.json").resolve()) and found.scenario == "hall" and found.split == "train"
+    assert parsed("--floor-plan", "a.json")[0].arguments("office", "test").scenario == "building"
+    own = parsed("--candidates", 3, "--set", "budget=5", group=AssociateWorld)[0].arguments("test")
     assert own == AssociateArguments(candidates=3, split="test", overrides=(("budget", 5),))
 
 
-def test_an_override_without_value_is_refused(capsys):
-    with pytest.raises(SystemExit):
-        parsed(add_associate_options, "--set", "sensor.range")
-    assert "NAME=VALUE" in capsys.readouterr().err
+def test_an_option_takes_several_values_in_a_row():
+    assert parsed("--names", "a", "b", "--quick", "--names", "c")[1:] == (["a", "b", "c"], True)
 
 
-def test_numbers_must_be_positive_where_they_are_given():
-    require_positive(argparse.Namespace(episodes=1, eval_every=None), "episodes", "eval_every")
-    with pytest.raises(ValueError, match="--eval-every must be at least 1, not 0"):
-        require_positive(argparse.Namespace(eval_every=0), "eval_every")
+@pytest.mark.parametrize(
+    ("raised", "code", "said"),
+    [
+        (ValueError("what is it?"), 2, "error: what is it?\n"),
+        (OSError(28, "No space left on device", "report.html"), 2, "error: [Errno 28] No space left on device"),
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (ZeroDivisionError(), 1, ""),  # a fault of the package keeps its traceback
+    ],
+)
+def test_what_ends_a_command_is_told_in_one_line(raised, code, said):
+    def main(execute: Execute) -> None:
+        raise raised
+
+    result = typed(command(main))
+    assert result.exit_code == code and result.stderr.startswith(said) and result.stderr.count("\n") <= 1
 
 
 def test_resume_without_folder_means_the_latest_of_this_name(tmp_path, monkeypatch):
@@ -63,21 +71,6 @@ def test_resume_without_folder_means_the_latest_of_this_name(tmp_path, monkeypat
     assert results_folder("floor", resume=False).name.startswith("floor-2")
     with pytest.raises(ValueError, match="hall"):
         results_folder("hall", resume=True)
-
-
-def test_errors_are_told_in_one_line(capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["command", "word"])
-
-    def refuse(argv):
-        raise ValueError(f"what is {argv[0]}?")
-
-    def interrupted(argv):
-        raise KeyboardInterrupt
-
-    assert run_main(lambda argv: 7) == 7
-    assert run_main(refuse) == 2 and capsys.readouterr().err == "error: what is word?\n"
-    assert run_main(interrupted) == 130
-    assert command_line("agents.train", ["--out", "a b"]) == "python -m agents.train --out 'a b'"
 
 
 def test_help_needs_no_learning_library():

@@ -1,15 +1,18 @@
-"""The command that evaluates associators: in the loop, over the suite; bad input in one line."""
+"""The command that evaluates associators: in the loop, over the suite, on a log; bad input in one line."""
 
 import json
-import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from agents.evaluate_association import main
+from agents.evaluate_association import app
 from slam_gym.association import nearest_neighbour
+from slam_gym.recordings import save
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
+from tests.agents import typed
+from tests.agents.evaluation import posts_log
 from tests.agents.reports import PNG, Page
 
 
@@ -18,77 +21,87 @@ def mine(scan, prediction):
     return nearest_neighbour(scan, prediction)
 
 
-def test_the_command_in_the_loop(tmp_path, capsys):
-    own = f"{__name__}:mine"
+def test_the_command_in_the_loop(tmp_path):
+    own, out = f"{__name__}:mine", tmp_path / "out"
     line = ["--associators", own, "true_association", "--scenarios", "office-small", "clutter/1", "--episodes", "2"]
-    assert main([*line, "--set", "budget=60", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
-    page = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    result = typed(app, *line, "--set", "budget=60", "--jobs", 1, "--out", out)
+    assert result.exit_code == 0, result.output
+    page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
     assert len(page.pictures) == 2
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    told = results["table"]["office-small"][own]
-    for expected in ("mine", "true association", "Against mine", f"{told['recall']['estimate']:.3f}", "--episodes 2"):
+    for expected in ("mine", "true association", "Against mine", "relocation none and gcbb"):
         assert expected in page.text
-    assert told["precision"]["estimate"] > 0.5 and list(results["table"]) == ["office-small", "clutter/1", "all"]
-    shown = capsys.readouterr().out
-    assert "mine" in shown and "clutter/1, 2 episodes" in shown
+    assert set(frame["setting"]) == {"office-small", "clutter/1"} and len(frame) == 16
+    assert "mine" in result.output and "clutter/1, 2 episodes" in result.output and "Map error above" in result.output
 
 
-def test_the_command_of_the_suite(tmp_path, capsys):
+def test_the_command_of_the_suite(tmp_path):
     out = tmp_path / "out"
     line = ["--suite", "--quick", "--experiments", "closure", "kidnapped", "--worlds", "1", "--problems", "4"]
-    line += ["--associators", "nearest_neighbour", "jcbb", "true_association", "--jobs", "1", "--out", str(out)]
-    assert main([*line, "--relocators", "gcbb"]) == 0
-    page = Page((out / "report.html").read_text(encoding="utf-8"))
-    assert len(page.pictures) >= 4 and (out / "suite.png").read_bytes().startswith(PNG)
-    results = json.loads((out / "results.json").read_text())
-    numbers, relocation = results["numbers"], results["relocation"]
-    for scores in (*numbers.values(), {"kidnapped": relocation["gcbb"]["kidnapped"]}):
-        assert all(0.0 <= value["estimate"] <= 1.0 for value in scores.values())
-    assert all(value["low"] is None is value["high"] for value in scores.values())  # of one world nobody knows
-    assert [value["estimate"] for value in numbers["true_association"].values()] == [1.0] * 2
-    assert numbers["jcbb"]["all"]["estimate"] > numbers["nearest_neighbour"]["all"]["estimate"]
-    shown = capsys.readouterr().out
-    assert f"{numbers['jcbb']['closure']['estimate']:.3f}" in shown and "kidnapped" in shown
+    line += ["--associators", "nearest_neighbour", "marginal", "true_association", "--relocators", "gcbb"]
+    result = typed(app, *line, "--jobs", 1, "--out", out)
+    assert result.exit_code == 0, result.output
+    page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
+    assert len(page.pictures) == 5 and (out / "suite.png").read_bytes().startswith(PNG)
+    for expected in ("marginal (0.", "Not told apart from nearest neighbour", "reliability of marginal", "Kidnapped"):
+        assert expected in page.text
+    assert frame["score"].between(0.0, 1.0).all()
+    assert (frame.loc[frame["name"] == "true_association", "score"] == 1.0).all()
+    assert "kidnapped: searches without a prior" in result.output
+
+
+def test_the_command_on_a_log(tmp_path):
+    save(posts_log(), tmp_path / "drive.npz")
+    line = ["--recording", tmp_path / "drive.npz", "--associators", "jcbb", "true_association", "--jobs", "1"]
+    result = typed(app, *line, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    page = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert len(page.pictures) == 2 and "120 scans" in page.text and "drive, 120 scans" in result.output
+    frame = pd.read_csv(tmp_path / "out" / "results.csv").set_index("name")
+    assert frame.loc["true_association", "precision"] == 1.0 and f"{frame.loc['jcbb', 'ate']:.2f}" in result.output
+    refused = typed(app, *line, "--out", tmp_path / "out")
+    assert refused.exit_code == 2 and "holds an evaluation already" in refused.stderr
+    other = typed(app, *line, "--out", tmp_path / "out", "--resume", "--every", 2)
+    assert other.exit_code == 2 and "another command (every 1, not 2)" in other.stderr
+
+
+def test_associators_are_compared_on_a_floor_plan(tmp_path):
+    plan = tmp_path / "two.json"
+    save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(1)), plan)
+    line = ["--floor-plan", plan, "--associators", "jcbb", "--relocation", "none", "--episodes", "1"]
+    result = typed(app, *line, "--set", "budget=30", "--jobs", 1, "--out", tmp_path / "out")
+    metadata = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert metadata["conditions"]["floor_plan"] == str(plan) and metadata["asked"]["settings"] == ["building"]
+    assert "building on two.json, 1 episode, driven" in result.output
 
 
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (["--associators", "nn"], r"nn.*jcbb.*nearest_neighbour"),
-        (["--associators", "nowhere.pt"], r"nowhere\.pt"),
-        (["--scenarios", "offic"], r"unknown scenario 'offic'.*office-small.*closure/…"),
-        (["--scenarios", "closure/9"], r"closure/9.*closure/0 … closure/4"),
-        (["--driver", "nobody"], r"nobody.*nearest_frontier"),
-        (["--driver", "ppo"], r"ppo"),
-        (["--relocation", "gps"], r"gps.*gcbb"),
-        (["--episodes", "0"], r"--episodes.*at least 1"),
-        (["--suite", "--worlds", "0"], r"--worlds.*at least 1"),
-        (["--suite", "--experiments", "fog"], r"fog.*closure"),
-        (["--suite", "--relocators", "gps"], r"gps.*gcbb"),
-        (["--resume", "--out", "nowhere"], r"nowhere.*resume"),
-        (["--suite", "--set", "budget=9"], r"--set.*--suite"),
-        (["--suite", "--floor-plan", "a.json"], r"--floor-plan is about drives"),
-        (["--floor-plan", "nowhere.json"], r"nowhere\.json"),
-        (["--resolution", "0.1"], r"resolution=0\.1 goes with a floor_plan"),
-        (["--suite", "--recording", "mrclam"], r"give one of them"),
-        (["--experiments", "closure"], r"--experiments belongs to --suite, which was not asked for"),
-        (["--recording", "mrclam", "--worlds", "2"], r"--worlds belongs to --suite, not to --recording"),
-        (["--suite", "--relocation", "gcbb"], r"--relocation .* not to --suite"),
+        (["--associators", "nn"], ("nn", "jcbb", "nearest_neighbour")),
+        (["--associators", "nowhere.zip"], ("nowhere.zip",)),
+        (["--scenarios", "offic"], ("unknown scenario 'offic'", "office-small")),
+        (["--scenarios", "closure/9"], ("closure/9", "closure/0 … closure/4")),
+        (["--driver", "nobody"], ("nobody", "nearest_frontier")),
+        (["--relocation", "gps"], ("gps", "gcbb")),
+        (["--suite", "--worlds", "0"], ("--worlds", "equal to 1")),
+        (["--suite", "--experiments", "fog"], ("fog", "closure")),
+        (["--suite", "--relocators", "gps"], ("gps", "gcbb")),
+        (["--suite", "--set", "budget=9"], ("--set", "--suite")),
+        (["--suite", "--floor-plan", "a.json"], ("--floor-plan is about drives",)),
+        (["--resolution", "0.1"], ("resolution=0.1 goes with a floor_plan",)),
+        (["--suite", "--recording", "mrclam"], ("give one of them",)),
+        (["--experiments", "closure"], ("--experiments belongs to --suite, which was not asked for",)),
+        (["--recording", "mrclam", "--worlds", "2"], ("--worlds belongs to --suite, not to --recording",)),
+        (["--suite", "--relocation", "gcbb"], ("--relocation", "--suite")),
+        (["--recording", "victoria_park"], ("not part of this package", "SLAM_GYM_DATA", "Cite: Guivant")),
+        (["--recording", "park"], ("unknown recording 'park'; known: victoria_park, mrclam, FILE.npz",)),
+        (["--recording", "park.npz"], ("park.npz: not there",)),
+        (["--recording", "victoria_park", "--robots", "1"], ("--robots is for mrclam",)),
     ],
 )
-def test_bad_input_is_told_in_one_line_that_names_it(tmp_path, monkeypatch, line, said):
+def test_bad_input_is_told_with_its_name_and_leaves_nothing(tmp_path, monkeypatch, line, said):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises((ValueError, FileNotFoundError)) as caught:
-        main(line + ([] if "--out" in line else ["--out", "out"]))
-    assert re.search(said, str(caught.value)) and "\n" not in str(caught.value)
+    monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
+    result = typed(app, *line, "--out", "out")
+    assert result.exit_code == 2 and all(word in result.stderr for word in said), result.output
     assert not (tmp_path / "out").exists()
-
-
-def test_associators_are_compared_on_a_floor_plan(tmp_path, capsys):
-    plan = tmp_path / "two.json"
-    save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(1)), plan)
-    line = ["--floor-plan", str(plan), "--associators", "jcbb", "--relocation", "none", "--episodes", "1"]
-    assert main([*line, "--set", "budget=30", "--jobs", "1", "--out", str(tmp_path / "out")]) == 0
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert results["conditions"]["floor_plan"] == str(plan) and list(results["table"]) == ["building"]
-    assert "building on two.json, 1 episode, driven" in capsys.readouterr().out

@@ -1,74 +1,75 @@
-"""The pieces of every report: one file that reads without the network, tables with what is best in bold."""
+"""Reports: one file that reads without the network, tables with what is best in bold, names that cannot break it."""
 
+import json
 import re
 
+import pandas as pd
 import pytest
 
-from agents.evaluation.tables import Column, Table
-from agents.reports.page import Report, card, image, label, page, provenance, table
-from slam_gym.metrics.statistics import Interval
+from agents.evaluation.pipeline import KINDS
+from agents.reports.contents import CONTENTS
+from agents.reports.figures import colours
+from agents.reports.page import provenance, write_report
 from tests.agents.reports import PNG, Page
 
-CONTENT = {
+METADATA = {
+    "kind": "drivers",
     "commands": [{"command": "python -m agents.evaluate --x '<&>'", "started": "now", "seconds": 3}],
     "complete": True,
-    "conditions": {"split": "test", "overrides": {"sensor.range": 4.0}, "relocation": None},
-    "asked": {"episodes": 8},
-    "models": {"/a/b.pt": {"sha256": "abc", "training": {"timesteps": 5, "scenario": "hall", "seed": 2}}},
+    "conditions": {
+        "split": "test", "scenario": "<hall>", "floor_plan": None, "associator": None,
+        "overrides": {"sensor.range": 4.0}, "relocation": None,
+    },
+    "asked": {"names": ["random", "mine:Agent<b>"], "settings": ["hall"], "models": [""], "episodes": [0, 1, 2]},
+    "models": {"/a/b.zip": {"sha256": "abc", "training": {"timesteps": 5, "scenario": "hall", "seed": 2}}},
     "versions": {"slam_gym": "0.1.0"},
-}
-NAMES = ["random", "mine:Agent<b>"]
+}  # fmt: skip
 
 
-def test_a_page_is_well_formed_and_says_how_it_was_made():
-    read = Page(page(Report("A <title>", "about & more", [card(image(PNG, "a 'picture'"))]), CONTENT))
-    assert read.pictures == [PNG]
-    for expected in (
-        "A <title>",
-        "about & more",
-        "--x '<&>'",
-        "overrides.sensor.range 4.0",
-        "k = 0 … 7",
-        "slam_gym 0.1.0",
-    ):
-        assert expected in read.text
-    assert "b.pt: sha256 abc, 5 decisions on hall, seed 2" in provenance(CONTENT) and "None" not in provenance(CONTENT)
-
-
-def test_an_unfinished_evaluation_says_so():
-    assert "unfinished" in page(Report("t", "s", []), CONTENT | {"complete": False})
-    assert "unfinished" not in page(Report("t", "s", []), CONTENT)
-
-
-def cells(markup: str) -> list[list[tuple[str, str]]]:
-    """(class, text) of the cells of each row but the first column and the header."""
-    rows = re.findall(r"<tr><td>.*?</tr>", markup)
-    return [re.findall(r"<td(?: class=(\w+))?>(?!<span)(.*?)</td>", row) for row in rows]
-
-
-def test_the_best_of_a_column_is_bold():
-    columns = [Column("a", "a", 2, "lower"), Column("b", "b", 0, "higher"), Column("c", "c", 1)]
-    found = {
-        NAMES[0]: {"a": Interval(0.5, 0.4, 0.6), "b": 3, "c": 1.0},
-        NAMES[1]: {"a": Interval(0.2, 0.1, 0.3), "b": 3},
-    }
-    markup = table(Table("", "who", columns, found), NAMES)
-    assert "Agent<b>" in Page(markup).text
-    (first, second) = cells(markup)
-    assert first == [("", "0.50<small>[0.40, 0.60]&nbsp;</small>"), ("", "3"), ("", "1.0")]
-    assert second == [("best", "0.20<small>[0.10, 0.30]&nbsp;</small>"), ("", "3"), ("", "")]
-
-
-def test_differences_are_signed_and_bold_where_they_are_told_from_0():
-    rows = {"a": {"x": Interval(-0.2, -0.3, -0.1)}, "b": {"x": Interval(0.1, -0.1, 0.3)}}
-    markup = table(Table("", "…", [Column("x", "x", 1)], rows, differences=True), ["a", "b"])
-    assert cells(markup) == [
-        [("best", "−0.2<small>[−0.3, −0.1]&nbsp;</small>")], [("", "+0.1<small>[−0.1, +0.3]&nbsp;</small>")],
+@pytest.fixture
+def folder(tmp_path):
+    """Three episodes of two agents: the second makes better maps, and has a film."""
+    curve = json.dumps({"ticks": [0, 10], "map_error": [1.0, 0.5], "coverage": [0.1, 0.5]})
+    numbers = dict.fromkeys(("local_error", "coverage", "precision", "recall", "anees", "map_lost", "kidnapped"), 0.5)
+    rows = [
+        {"name": name, "setting": "hall", "episode": k, "model": "", "map_error": error + 0.01 * k, "ticks": 10,
+         "ticks_per_second": 100.0, "curve": curve, "recovered": 1.0, "relocations_wrong": 0.0, "ticks_astray": 3.0,
+         **numbers}
+        for name, error in zip(METADATA["asked"]["names"], (0.6, 0.2)) for k in range(3)
     ]  # fmt: skip
+    pd.DataFrame(rows).to_csv(tmp_path / "results.csv", index=False)
+    (tmp_path / "results.json").write_text(json.dumps(METADATA))
+    (tmp_path / "films").mkdir()
+    (tmp_path / "films" / "mine-Agent-b.png").write_bytes(PNG)
+    return tmp_path
 
 
-def test_a_name_keeps_its_colour():
-    dots = [re.findall("#[0-9a-f]{6}", label(name, ["a", "b", "true_association"]))[0] for name in ("a", "b")]
-    assert dots[0] != dots[1]
-    with pytest.raises(KeyError):
-        label("c", ["a"])
+def test_a_page_is_well_formed_and_says_how_it_was_made(folder):
+    read = Page(write_report(folder).read_text(encoding="utf-8"))
+    assert len(read.pictures) == 3 and read.pictures[-1] == PNG
+    for expected in ("Exploring <hall>", "Agent<b>", "--x '<&>'", "overrides.sensor.range 4.0", "k = 0 … 2",
+                     "slam_gym 0.1.0", "random: carried away 3, recovered 3", "Agent against agent"):  # fmt: skip
+        assert expected in read.text
+    assert "b.zip: sha256 abc, timesteps 5, scenario hall, seed 2" in provenance(METADATA)
+    assert "None" not in provenance(METADATA) and "unfinished" not in read.text
+
+
+def test_the_best_of_a_column_is_bold_and_differences_are_signed(folder):
+    markup = write_report(folder).read_text(encoding="utf-8")
+    bold = re.findall(r'<td class="best">(.*?)</td>', markup)
+    assert bold[0] == "0.210<small>[0.200, 0.220]&nbsp;</small>"
+    assert bold[1:] == [f"{sign}0.400<small>[{sign}0.400, {sign}0.400]&nbsp;</small>" for sign in "+−"]
+
+
+def test_an_unfinished_evaluation_says_so(folder):
+    (folder / "results.json").write_text(json.dumps(METADATA | {"complete": False}))
+    assert "unfinished" in Page(write_report(folder).read_text(encoding="utf-8")).text
+
+
+def test_every_kind_of_evaluation_has_a_report_but_the_leaderboard():
+    assert {*CONTENTS, "leaderboard"} == set(KINDS)
+
+
+def test_a_name_keeps_its_colour_and_the_ceiling_has_its_own():
+    found = colours(["a", "true_association", "b"])
+    assert len(set(found.values())) == 3 and found["a"] == colours(["a", "b"])["a"]

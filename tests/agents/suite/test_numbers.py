@@ -1,58 +1,115 @@
-"""Numbers of the suite: means over levels, then over worlds; paired where two are compared."""
+"""Numbers of the suite: means over levels, then over worlds; decisions by their probability, counted and summed."""
 
+import json
 import math
 
+import numpy as np
+import pandas as pd
 import pytest
 
-from agents.suite.numbers import SuiteRecords, interval, numbers, paired_difference, split_records
-from agents.suite.relocation_problems import OUTCOMES
+from agents.suite.numbers import (
+    by_world,
+    of_associators,
+    of_relocators,
+    overall,
+    paired_difference,
+    ranked,
+    relocation_rows,
+    scores,
+)
+from agents.suite.problems import OUTCOMES
+from agents.suite.reliability import EDGES, binned, promise_tables, promised, reliability, reliability_tables
+from agents.suite.worlds import WorldTask
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 
 
-def records_of(scores: dict[str, dict[str, list[list[float]]]]) -> list[dict]:
-    """name → experiment → (levels, worlds) of scores, as records."""
-    return [
-        {"associator": name, "experiment": e, "setting": f"{e}/{i}", "knob": float(i), "episode": w, "score": score}
-        for name, experiments in scores.items()
+def results(numbers: dict[str, dict[str, list[list[float]]]], **more) -> pd.DataFrame:
+    """name → experiment → (levels, worlds) of scores."""
+    return pd.DataFrame([
+        {"name": name, "experiment": e, "setting": f"{e}/{i}", "knob": float(i), "episode": w, "score": score, **more}
+        for name, experiments in numbers.items()
         for e, levels in experiments.items()
         for i, row in enumerate(levels)
         for w, score in enumerate(row)
-    ]
+    ])  # fmt: skip
 
 
 def test_numbers_are_means_over_levels_then_over_worlds():
-    records = records_of({
+    frame = results({
         "b": {"closure": [[0.9, 0.7], [0.5, 0.3]], "clutter": [[0.4, 0.4], [0.0, 0.2]]},
         "a": {"closure": [[1.0, 0.8], [0.6, 0.4]], "clutter": [[0.5, 0.5], [0.1, 0.3]]},
     })  # fmt: skip
-    suite = SuiteRecords(records)
-    assert suite.experiments == ["closure", "clutter"]
-    assert suite.by_world("a", "closure") == pytest.approx({0: 0.8, 1: 0.6})
-    assert suite.overall("a") == pytest.approx({0: 0.55, 1: 0.5})
-    assert numbers(records)["numbers"]["a"]["all"].estimate == pytest.approx(0.525)
-    assert suite.ranked == ["a", "b"]
-    gap = paired_difference(suite.by_world("a", "clutter"), suite.by_world("b", "clutter"))
+    worlds = by_world(frame)
+    assert worlds["closure", "a"].to_dict() == pytest.approx({0: 0.8, 1: 0.6})
+    assert overall(frame)["a"].to_dict() == pytest.approx({0: 0.55, 1: 0.5})
+    found = scores(frame)
+    assert ranked(frame) == list(found) == ["a", "b"] and list(found["a"]) == ["closure", "clutter", "all"]
+    assert found["a"]["all"].estimate == pytest.approx(0.525)
+    gap = paired_difference(worlds["clutter", "a"], worlds["clutter", "b"])
     assert (gap.estimate, gap.low, gap.high) == pytest.approx((0.1, 0.1, 0.1))  # paired: worlds do not blur it
-    assert math.isnan(interval({}).estimate)
 
 
 def test_a_world_that_has_not_been_through_all_levels_does_not_count():
-    records = records_of({"a": {"closure": [[1.0, 0.8], [0.6, 0.4]]}})[:-1]
-    assert SuiteRecords(records).by_world("a", "closure") == pytest.approx({0: 0.8})
-
-
-def test_a_curve_has_an_estimate_a_level():
-    curve = SuiteRecords(records_of({"a": {"closure": [[1.0, 0.8], [0.6, 0.4]]}})).level_curve("a", "closure")
-    assert curve.knobs.tolist() == [0.0, 1.0]
-    assert [found.estimate for found in curve.estimates] == pytest.approx([0.9, 0.5])
+    frame = results({"a": {"closure": [[1.0, 0.8], [0.6, 0.4]]}, "b": {"closure": [[math.nan, 0.8]]}})
+    assert by_world(frame[frame["name"] == "a"][:-1]).to_list() == pytest.approx([0.8])
+    assert math.isnan(scores(frame)["b"]["all"].estimate) and ranked(frame) == ["a", "b"]
 
 
 def test_relocators_have_numbers_of_their_own():
-    records = records_of(
-        {"jcbb": {"closure": [[0.7]]}, "worse": {"kidnapped": [[0.2]]}, "gcbb": {"kidnapped": [[0.4]]}}
-    )
-    records = [record | dict.fromkeys(OUTCOMES, 2) for record in records]
-    association, relocation = split_records(records)
-    assert (association.names, relocation.names) == (["jcbb"], ["worse", "gcbb"])
-    told = numbers(records)
-    assert list(told["numbers"]) == ["jcbb"] and list(told["relocation"]) == ["gcbb", "worse"]
-    assert told["relocation"]["gcbb"]["correct"] == 2 and told["relocation"]["gcbb"]["kidnapped"].estimate == 0.4
+    found = {"jcbb": {"closure": [[0.7]]}, "worse": {"kidnapped": [[0.2]]}, "gcbb": {"kidnapped": [[0.4]]}}
+    frame = results(found, **dict.fromkeys(OUTCOMES, 2))
+    assert list(of_associators(frame)["name"]) == ["jcbb"]
+    rows = relocation_rows(of_relocators(frame))
+    assert list(rows) == ["gcbb", "worse"] and rows["gcbb"]["correct"] == 2
+    assert rows["gcbb"]["kidnapped"].estimate == 0.4
+
+
+# -- reliability -------------------------------------------------------------------------------------------------------
+
+SILENT = Hypothesis(np.array([1]), 0.0, 2, Effort())
+
+
+def answer(features, marginals, probability=0.5, runner_up=None, runner_up_probability=0.1):
+    m = len(features)
+    runner_up = np.full(m, UNPAIRED) if runner_up is None else np.array(runner_up)
+    posterior = Posterior(0.0, probability, runner_up, runner_up_probability, np.array(marginals), np.zeros(m))
+    return Hypothesis(np.array(features), 0.0, 0, Effort(), posterior)
+
+
+def test_every_decision_falls_into_one_bin():
+    answers = [answer([3, UNPAIRED, 5], [0.95, 0.2, 1.0]), answer([4, UNPAIRED], [0.95, 0.0])]
+    bins = binned(answers, [np.array([3, 2, 5]), np.array([6, UNPAIRED])])
+    assert len(bins["decisions"]) == len(EDGES) - 1 and sum(bins["decisions"]) == 5
+    frame = pd.DataFrame({"name": ["own", "own", "jcbb"], "reliability": [json.dumps(bins), json.dumps(bins), ""]})
+    frame.loc[2, "reliability"] = json.dumps(binned([SILENT], [np.array([1])]))
+    found = reliability(frame)
+    assert list(found) == ["own"]  # who says nothing has no bins
+    k = int(np.searchsorted(EDGES, 0.95)) - 1
+    own = found["own"]
+    assert (own["decisions"][k], own["predicted"][k], own["right"][k]) == (4, pytest.approx(0.95), 0.5)
+    assert own["decisions"].sum() == 10 and math.isnan(own["right"][3]) and own["right"][0] == own["right"][-1] == 1.0
+    (table,) = reliability_tables(frame)
+    assert list(table.rows) == ["0 to 0.1", "0.1 to 0.3", "0.9 to 0.97", "0.999 to 1"]
+
+
+def test_the_best_hypothesis_is_held_to_its_promise():
+    """The best one may not be the one decided for: then it is the runner-up."""
+    sure = answer([3, UNPAIRED], [0.9, 0.9])
+    refusing = answer([UNPAIRED, UNPAIRED], [0.6, 0.9], 0.2, [3, UNPAIRED], 0.7)
+    right = [np.array([3, UNPAIRED]), np.array([3, UNPAIRED])]
+    assert promised([sure, refusing], right) == {"promised": pytest.approx(0.6), "kept": 1.0}
+    assert promised([sure, refusing], [np.array([4, UNPAIRED]), right[1]])["kept"] == 0.5
+    silent = promised([SILENT], [np.array([1])])
+    assert all(math.isnan(value) for value in silent.values())
+    own = results({"own": {"drift": [[0.5], [0.5]]}}, **promised([sure], [right[0]]))
+    (table,) = promise_tables(pd.concat([own, results({"jcbb": {"drift": [[0.5]]}}, **silent)]))
+    assert list(table.rows) == ["drift", "drift/0", "drift/1"] and "own" in table.title
+
+
+def test_the_suite_counts_all_decisions_of_those_who_say_how_probable_they_are():
+    task = WorldTask("clutter/1", 0, ("jcbb", "map_hypothesis", "marginal"), 4, "train")
+    frame = pd.DataFrame(task.run(task.keys))
+    found = reliability(frame.assign(reliability=frame["reliability"].map(json.dumps)))
+    assert list(found) == ["map_hypothesis", "marginal"]
+    for bins in found.values():  # most of what is all but sure is right
+        assert bins["decisions"].sum() > 20 and bins["right"][-1] > 0.9

@@ -24,7 +24,7 @@ def test_true_association_is_the_ceiling(name, end):
     names = ("true_association", "jcbb", "nearest_neighbour", "singles")
     for record in run(WorldTask(level.id, 0, names, 5, "train")):
         assert record["problems"] == 5 and 0.0 <= record["score"] <= 1.0
-        if record["associator"] == "true_association":
+        if record["name"] == "true_association":
             assert (record["score"], record["exact"], record["spoiled"], record["refused"]) == (1.0, 1.0, 0.0, 0.0)
 
 
@@ -58,7 +58,7 @@ def test_answers_do_not_depend_on_who_else_is_asked():
 
 def test_only_those_who_are_wanted_are_asked():
     task = WorldTask("closure/0", 2, ("jcbb", "singles"), 2)
-    assert [record["associator"] for record in task.run(task.keys[1:])] == ["singles"]
+    assert [record["name"] for record in task.run(task.keys[1:])] == ["singles"]
 
 
 NOWHERE = (np.empty(0, np.int64), np.zeros(3), np.eye(3), 0.0, 0)

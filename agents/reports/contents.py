@@ -1,0 +1,306 @@
+"""What the report of each kind of evaluation shows: tables, figures and sentences, for the template of that kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from agents.evaluation import associators, drivers, recordings
+from agents.evaluation.episodes import LOST_MEANS
+from agents.evaluation.pipeline import Results
+from agents.evaluation.records import stem
+from agents.evaluation.tables import (
+    Column,
+    Table,
+    Value,
+    by_name,
+    by_setting,
+    cell,
+    counted,
+    difference,
+    display_name,
+    estimate,
+)
+from agents.reports import figures
+from agents.reports.figures import Colours, Panel, colours
+from agents.reports.film import film_path
+from agents.suite import numbers as suite
+from agents.suite.reliability import reliability, reliability_tables
+from slam_gym.metrics.statistics import Interval
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
+from slam_gym.simulation.judged import CEILING
+
+Content = dict[str, Any]
+"""What a template is filled with."""
+
+ABOUT = {
+    "nearest_neighbour": "decides each measurement by itself, for the nearest compatible feature.",
+    "global_nearest_neighbour": "gives each feature to one measurement, by the least sum of single distances.",
+    "singles": "pairs only where measurement and feature have no other candidate.",
+    "one_point_ransac": "lets single pairings vote for a pose, and keeps what agrees with the best of them.",
+    "jcbb": "searches for the largest set of pairings whose innovations agree with each other.",
+    "ipjc": "searches as JCBB does, but tests a set after moving the pose to where it puts the robot.",
+    "map_hypothesis": "searches for the most probable set, in which a pairing must be likelier than clutter.",
+    "marginal": "pairs only what is probable enough over all sets of pairings, by the cost of a mistake.",
+    "learned": "decides as `marginal` does, by odds that a network has learned besides: sizes, rivals, clutter.",
+    CEILING: "is told the truth: the ceiling.",
+}
+
+
+# -- drivers -----------------------------------------------------------------------------------------------------------
+
+
+def of_drivers(results: Results, folder: Path) -> Content:
+    """The table, the episodes behind it, their course over time, films; `folder` may hold films."""
+    conditions, groups = results.conditions, by_name(results.frame)
+    panels = (Panel("map_error", "map error (lower is better)"), Panel("coverage", "coverage", "percent"))
+    associator = conditions["associator"] or "of the scenario"
+    count = counted(results.frame["episode"].nunique(), "episode")
+    return {
+        "title": f"Exploring {drivers.world_of(conditions)}",
+        "subtitle": f"slam_gym/Explore-v0, associator {associator}, {count} per agent on the same "
+        f"{conditions['split']} worlds and seeds",
+        "tables": drivers.tables(results),
+        "kidnappings": drivers.kidnappings(results),
+        "lost_means": LOST_MEANS,
+        "dots": figures.dot_chart(groups, panels, colours(results.names)),
+        "curves": figures.curve_chart(groups, panels, colours(results.names)),
+        "comparison": _agent_against_agent(groups),
+        "films": [_film(results.frame, agent, film_path(folder, agent)) for agent in _filmed(folder, groups)],
+    }
+
+
+def _agent_against_agent(groups: Mapping[str, pd.DataFrame]) -> Table:
+    """Differences of map error on the same episodes: what the common seeds are for."""
+    rows = {
+        name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
+        for name, own in groups.items()
+    }
+    columns = [Column(name, display_name(name), 3) for name in groups]
+    return Table("", "map error of … minus that of", columns, rows, differences=True)
+
+
+def _filmed(folder: Path, groups: Mapping[str, pd.DataFrame]) -> list[str]:
+    return [agent for agent in groups if film_path(folder, agent).with_suffix(".png").exists()]
+
+
+def _film(frame: pd.DataFrame, agent: str, film: Path) -> Content:
+    first = frame[(frame["name"] == agent) & (frame["episode"] == frame["episode"].min())]
+    return {"agent": agent, "picture": film.with_suffix(".png"), "file": film.name, "error": first["map_error"].iloc[0]}
+
+
+# -- associators -------------------------------------------------------------------------------------------------------
+
+
+def of_associators(results: Results, folder: Path) -> Content:
+    """Per scenario the table and the episodes behind it, then all against one."""
+    conditions, groups, colour = results.conditions, by_name(results.frame), colours(results.names)
+    panels = (
+        Panel("precision", "precision"),
+        Panel("recall", "recall"),
+        Panel("map_error", "map error"),
+        Panel("microseconds", "µs/scan", "log"),
+    )
+    scenarios = [
+        {
+            "name": name,
+            "table": table,
+            "limits": _limits_met(own),
+            "dots": figures.dot_chart(by_name(own), panels, colour),
+        }
+        for (name, own), table in zip(by_setting(results.frame).items(), associators.scenario_tables(results))
+    ]
+    searches = " and ".join(name or "none" for name in conditions["relocation"])
+    count = counted(results.frame["episode"].nunique(), "episode")
+    reference = "jcbb" if "jcbb" in groups else next(iter(groups))
+    return {
+        "title": "Associators in the loop",
+        "subtitle": f"slam_gym/Explore-v0, driven by {conditions['driver']}, relocation {searches}: {count} a "
+        f"scenario, the same {conditions['split']} worlds and seeds for every associator",
+        "headline": associators.headline(results.frame),
+        "scenarios": scenarios,
+        "carried": bool(results.frame["kidnapped"].any()),
+        "reference": reference,
+        "comparison": _against(groups, reference),
+    }
+
+
+def _limits_met(frame: pd.DataFrame) -> str:
+    """Whose search was cut short, and how often."""
+    limits = {name: own["limits"].sum() for name, own in by_name(frame).items()}
+    return ", ".join(f"{display_name(name)} in {count:.0f} scans" for name, count in limits.items() if count > 0)
+
+
+def _against(groups: Mapping[str, pd.DataFrame], reference: str) -> Table:
+    """Differences to one of them on the same episodes: what the common seeds are for."""
+    columns = (Column("f1", "F1", 3), Column("exact", "exact", 3), Column("map_error", "map error", 3))
+    rows = {
+        name: {c.key: difference(own, groups[reference], c.key) for c in columns}
+        for name, own in groups.items()
+        if name != reference
+    }
+    return Table("", f"… minus {display_name(reference)}", columns, rows, differences=True)
+
+
+# -- the suite ---------------------------------------------------------------------------------------------------------
+
+_EFFORT = (Column("nodes", "nodes", 0), Column("microseconds", "µs", 0), Column("limits", "limit met", 0))
+_DETAILS = (
+    Column("exact", "exact scans", 3), Column("precision", "precision", 3), Column("recall", "recall", 3),
+    Column("spoiled", "spoiled", 3), Column("refused", "refused", 3),
+)  # fmt: skip
+
+
+def of_suite(results: Results, folder: Path) -> Content:
+    """The numbers, their order with the reasons, and a plot per capability; suite.png is written into `folder`."""
+    size, frame, colour = results.conditions, results.frame, colours(results.names)
+    association, relocation = suite.of_associators(frame), suite.of_relocators(frame)
+    return {
+        "title": "The association suite",
+        "subtitle": f"{size['worlds']} {size['split']} worlds a level, up to {size['problems']} scans in each, the "
+        "same for all: single scans against real SLAM maps",
+        "capabilities": _capabilities(association, folder, colour) if len(association) else None,
+        "reliability": _reliability(association, colour) if len(association) else None,
+        "experiments": [_experiment(association, name, colour) for name in suite.experiments(association)],
+        "relocation": _relocation(relocation, colour) if len(relocation) else None,
+    }
+
+
+def _capabilities(frame: pd.DataFrame, folder: Path, colour: Colours) -> Content:
+    """The numbers of all associators, as a table and as a picture, and the reasons for their order."""
+    scores = suite.scores(frame)
+    mistakes = {key: suite.scores(frame, key) for key in ("spoiled", "refused")}
+    bars = figures.capability_bars(scores, colour)
+    bars.savefig(folder / "suite.png")
+    reasons = []
+    for name, after in zip(scores, [*list(scores)[1:], ""]):
+        spoiled, refused = (_estimate(mistakes[key][name]["all"]) for key in ("spoiled", "refused"))
+        text = f"({_estimate(scores[name]['all']):.2f}) {ABOUT.get(name, 'is an associator of your own.')} "
+        if name != CEILING:
+            text += f"It spoils {spoiled:.0%} of the scans with a wrong pairing, and refuses {refused:.0%} of what is "
+            text += f"mapped. {_extremes(scores[name])}{_ahead_of(frame, name, after) if after else ''}"
+        reasons.append({"name": name, "text": text})
+    return {"table": Table("", "associator", suite.score_columns(frame), scores), "bars": bars, "reasons": reasons}
+
+
+def _extremes(scores: Mapping[str, Value]) -> str:
+    """The strongest and the weakest capability."""
+    each = {experiment: _estimate(value) for experiment, value in scores.items() if experiment != "all"}
+    if len(each) < 2:
+        return ""
+    weakest, strongest = min(each, key=each.__getitem__), max(each, key=each.__getitem__)
+    return f"Strongest in {strongest} ({each[strongest]:.2f}), weakest in {weakest} ({each[weakest]:.2f}). "
+
+
+def _estimate(value: Value) -> float:
+    return value.estimate if isinstance(value, Interval) else float(value)
+
+
+def _ahead_of(frame: pd.DataFrame, name: str, after: str) -> str:
+    """How far `name` is ahead of the next on the same worlds, and where most of that comes from."""
+    everywhere, worlds = suite.overall(frame), suite.by_world(frame)
+    ahead = suite.paired_difference(everywhere[name], everywhere[after])
+    value, bounds = cell(ahead, 3, signed=True)
+    if not ahead.low > 0.0:
+        return f"Not told apart from {display_name(after)} on the same scans: {value} [{bounds}]."
+    gaps = {e: suite.paired_difference(worlds[e, name], worlds[e, after]) for e in suite.experiments(frame)}
+    told = {e: f"{e} ({cell(gap, 2, signed=True)[0]})" for e, gap in gaps.items()}
+    most = sorted((e for e in gaps if gaps[e].low > 0.0), key=lambda e: -gaps[e].estimate)[:2]
+    behind = [e for e in gaps if gaps[e].high < 0.0 and gaps[e].estimate <= -0.005]
+    text = f"Ahead of {display_name(after)} by {value} [{bounds}]"
+    text += f", above all in {' and '.join(told[e] for e in most)}" if most else ""
+    return text + (f"; behind it in {', '.join(told[e] for e in behind)}" if behind else "") + "."
+
+
+def _reliability(frame: pd.DataFrame, colour: Colours) -> Content | None:
+    """For those who say how probable their decisions are: whether that comes true."""
+    bins = reliability(frame)
+    return {"chart": figures.reliability_chart(bins, colour), "tables": reliability_tables(frame)} if bins else None
+
+
+def _experiment(frame: pd.DataFrame, name: str, colour: Colours) -> Content:
+    """One capability: the question, the score level by level, and what is behind it."""
+    own = frame[frame["experiment"] == name]
+    details = {c.key: suite.scores(own, c.key) for c in _DETAILS}
+    rows = {
+        who: {c.key: details[c.key][who]["all"] for c in _DETAILS} | _effort(own, who) for who in suite.ranked(frame)
+    }
+    chart = figures.level_chart(_by_level(own, list(rows)), EXPERIMENTS[name].axis, colour)
+    table = Table("", "associator", (*_DETAILS, *_EFFORT), rows)
+    return {"experiment": EXPERIMENTS[name], "chart": chart, "table": table}
+
+
+def _relocation(frame: pd.DataFrame, colour: Colours) -> Content:
+    """Searches without a prior: their numbers, level by level, and what their answers were."""
+    outcomes = suite.relocation_rows(frame)
+    rows = {name: row | _effort(frame, name) for name, row in outcomes.items()}
+    experiment = EXPERIMENTS[RELOCATION]
+    return {
+        "experiment": experiment,
+        "table": Table("", "search", (*suite.RELOCATION_COLUMNS, *_EFFORT), rows),
+        "chart": figures.level_chart(_by_level(frame, list(rows)), experiment.axis, colour),
+        "outcomes": figures.outcome_bars(outcomes),
+    }
+
+
+def _by_level(frame: pd.DataFrame, names: list[str]) -> dict[str, dict[float, Interval]]:
+    """Name → knob → score."""
+    groups = {name: frame[frame["name"] == name].groupby("knob", sort=False)["score"] for name in names}
+    return {name: {float(knob): estimate(own) for knob, own in group} for name, group in groups.items()}
+
+
+def _effort(frame: pd.DataFrame, name: str) -> dict[str, Value]:
+    """Means over worlds, and the number of searches that met their limit."""
+    own = frame[frame["name"] == name]
+    means = {key: estimate(suite.by_world(own, key)).estimate for key in ("nodes", "microseconds")}
+    return means | {"limits": float(own["limits"].sum())}
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------
+
+
+def of_recordings(results: Results, folder: Path) -> Content:
+    """Per log its tables, the maps over the reference, the errors over time."""
+    files, colour = folder / recordings.FOLDER, colours(results.names)
+    logs = [_log(name, own, files, colour) for name, own in by_setting(results.frame).items()]
+    return {
+        "title": "Associators on recordings",
+        "subtitle": f"EKF-SLAM over real logs, {counted(len(results.names), 'associator')}",
+        "logs": logs,
+        "means": _log_tables(recordings.means(results.frame)) if len(logs) > 1 else [],
+    }
+
+
+def _log_tables(frame: pd.DataFrame) -> list[Table]:
+    return [recordings.table(frame, columns) for columns in (recordings.COLUMNS, recordings.FURTHER_COLUMNS)]
+
+
+def _log(name: str, frame: pd.DataFrame, folder: Path, colour: Colours) -> Content:
+    """The files of an associator are drawn where they are there, and the log has a reference."""
+    errors, features = {}, {}
+    for associator in frame["name"]:
+        files = [folder / f"{stem(name, associator)}.{kind}.csv" for kind in ("errors", "map")]
+        if all(file.exists() for file in files) and len(found := pd.read_csv(files[0])):
+            errors[associator], features[associator] = found, pd.read_csv(files[1])
+    landmarks = folder / f"{stem(name)}.landmarks.csv"
+    points = pd.read_csv(landmarks).to_numpy() if landmarks.exists() else np.empty((0, 2))
+    return {
+        "name": name,
+        "about": frame.iloc[0],
+        "tables": _log_tables(frame),
+        "maps": figures.maps(errors, features, points, colour) if errors else None,
+        "errors": figures.errors_over_time(errors, colour) if errors else None,
+    }
+
+
+CONTENTS: dict[str, Callable[[Results, Path], Content]] = {
+    "drivers": of_drivers,
+    "associators": of_associators,
+    "suite": of_suite,
+    "recordings": of_recordings,
+}
+"""By the kind of evaluation."""
