@@ -192,7 +192,11 @@ def _judge(
         if real:
             counts[_IN_MAP if in_map else _NOT_IN_MAP] += 1
         if paired:
-            field = _field_of_pairing(source, source_of[ids[i]], in_map and oldest[source] == ids[i])
+            field = _TP if in_map and oldest[source] == ids[i] else _FP_DUPLICATE
+            if source_of[ids[i]] != source:
+                field = _FP_WRONG
+            if not real:
+                field = _FP_SPURIOUS
             counts[field] += 1
             decisions[i] = _RIGHT if field == _TP else (_SPURIOUS if field == _FP_SPURIOUS else _WRONG)
             continue
@@ -206,13 +210,3 @@ def _judge(
     for field in range(len(total)):
         total[field] += counts[field]
     return started
-
-
-@compiled
-def _field_of_pairing(source: int, identity: int, oldest: bool) -> int:
-    """Field of Tally that counts a measurement paired with a map feature of known identity."""
-    if source == SPURIOUS:
-        return _FP_SPURIOUS
-    if identity != source:
-        return _FP_WRONG
-    return _TP if oldest else _FP_DUPLICATE

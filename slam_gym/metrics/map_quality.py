@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam_gym._compile import compiled
 from slam_gym.geometry import transform
-from slam_gym.metrics.point_assignment import Index, PackedIndex, assign_points, assign_to, indexed
+from slam_gym.metrics.point_assignment import PackedIndex, assign_points, assign_to, indexed
 from slam_gym.types import Array, IntArray
 
 
@@ -56,13 +56,12 @@ def map_error(estimated: Array, true: Array, sigma0: float) -> float:
     return error_of(estimated, indexed(true, 2.0 * sigma0))
 
 
-@compiled
 def error_of(estimated: Array, packed: PackedIndex) -> float:
     """`map_error` against true features that are `indexed` with a cutoff of 2σ₀."""
-    index = Index(*packed)
-    assigned, sigma0 = assign_to(estimated, index, 1.0), 0.5 * index.cutoff
-    unpaired = len(estimated) + len(index.true) - 2 * assigned.pairs
-    return float((assigned.cost + sigma0 * unpaired) / (sigma0 * max(len(index.true), 1)))
+    true, _, _, cutoff = packed
+    (_, cost, pairs), sigma0 = assign_to(estimated, packed, 1.0), 0.5 * cutoff
+    unpaired = len(estimated) + len(true) - 2 * pairs
+    return float((cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1)))
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:

@@ -70,18 +70,18 @@ class _Search(NamedTuple):
     done: BoolArray
 
 
-@compiled
 def assign_points(estimated: Array, true: Array, cutoff: float, p: float) -> PointAssignment:
     """The optimal assignment of points `estimated` (e, 2) to `true` (N, 2) [m], both C-contiguous; `cutoff` [m].
 
     Raises ValueError for points that are not finite.
     """
-    return assign_to(estimated, Index(*indexed(true, cutoff)), p)
+    return PointAssignment(*assign_to(estimated, indexed(true, cutoff), p))
 
 
 @compiled
-def assign_to(estimated: Array, index: Index, p: float) -> PointAssignment:
-    """`assign_points` to true points that are indexed, for those that are asked again and again."""
+def assign_to(estimated: Array, packed: PackedIndex, p: float) -> tuple[IntArray, float, int]:
+    """A `PointAssignment` to true points that are `indexed`, which saves the work where they stay the same."""
+    index = Index(*packed)
     pairs, true = _pairs_within(estimated, index), index.true
     ceiling = index.cutoff**p
     for k in range(len(pairs.costs)):
@@ -94,7 +94,7 @@ def assign_to(estimated: Array, index: Index, p: float) -> PointAssignment:
             distance = math.hypot(estimated[i, 0] - true[j, 0], estimated[i, 1] - true[j, 1])
             total += distance if p == 1.0 else distance**p
             paired += 1
-    return PointAssignment(true_of, total, paired)
+    return true_of, total, paired
 
 
 @compiled
@@ -173,7 +173,10 @@ def _augment(root: int, pairs: _Pairs, assigned: _Assigned, search: _Search) -> 
                     touched[count] = j
                     count += 1
                 distance[j], came_from[j] = to_j, i
-        best = _nearest_open(touched[:count], search)
+        best = _NOBODY
+        for j in touched[:count]:
+            if not done[j] and (best == _NOBODY or distance[j] < distance[best]):
+                best = j
         if best == _NOBODY or distance[best] >= length:
             break
         if row_of[best] == _NOBODY:
@@ -192,12 +195,3 @@ def _augment(root: int, pairs: _Pairs, assigned: _Assigned, search: _Search) -> 
         row = came_from[end]
         row_of[end] = row
         column_of[row], end = end, column_of[row]
-
-
-@compiled
-def _nearest_open(touched: IntArray, search: _Search) -> int:
-    best = _NOBODY
-    for j in touched:
-        if not search.done[j] and (best == _NOBODY or search.distance[j] < search.distance[best]):
-            best = j
-    return best

@@ -12,9 +12,7 @@ from slam_gym._compile import compiled
 from slam_gym.navigation.grid import FREE, UNKNOWN, Cells
 from slam_gym.types import Array, BoolArray, IntArray
 
-Labels = NDArray[
-    np.int32
-]  # (h, w) ON_FRONTIER, or the component that a frontier cell is in or that last looked at a cell
+Labels = NDArray[np.int32]  # (h, w) ON_FRONTIER, or the component of a frontier cell, or the last to look at a cell
 ON_FRONTIER = -1
 _RINGS = 2  # how many cells off a frontier the cell that stands for it may lie
 
@@ -30,15 +28,23 @@ class Frontiers:
         return len(self.centres)
 
 
-@compiled
 def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: float) -> IntArray:
     """Column and row of the cell that stands for each frontier, and the number of unknown cells beside it (q, 3).
 
     A frontier is a set of 8-connected free cells with an unknown 4-neighbour, none further than `span` from the first.
     """
+    unknown = np.pad(cells == UNKNOWN, 1)
+    beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
+    labels = np.where((cells == FREE) & beside, np.int32(ON_FRONTIER), np.int32(0))
+    return _components(cells, labels, reachable, min_border, span)
+
+
+@compiled
+def _components(cells: Cells, labels: Labels, reachable: BoolArray, min_border: float, span: float) -> IntArray:
+    """`find_frontiers`, of cells that are labelled ON_FRONTIER, or 0."""
     h, w = cells.shape
-    labels, queue = _mark(cells), np.empty((h * w, 2), dtype=np.int32)
-    found, count, component = np.empty((h * w, 3), dtype=np.int64), 0, 0
+    queue = np.empty((h * w, 2), dtype=np.int32)
+    rows, count, component = np.empty((h * w, 3), dtype=np.int64), 0, 0
     for r in range(h):
         for c in range(w):
             if labels[r, c] == ON_FRONTIER:
@@ -48,25 +54,9 @@ def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: 
                 if border >= min_border:
                     row, column = _stand_in(cells, labels, reachable, queue, end, component)
                     if row >= 0:
-                        found[count, 0], found[count, 1], found[count, 2] = column, row, border
+                        rows[count, 0], rows[count, 1], rows[count, 2] = column, row, border
                         count += 1
-    return found[:count]
-
-
-@compiled
-def _mark(cells: Cells) -> Labels:
-    h, w = cells.shape
-    labels = np.zeros((h, w), dtype=np.int32)
-    for r in range(h):
-        for c in range(w):
-            if cells[r, c] == FREE and (
-                (r > 0 and cells[r - 1, c] == UNKNOWN)
-                or (r + 1 < h and cells[r + 1, c] == UNKNOWN)
-                or (c > 0 and cells[r, c - 1] == UNKNOWN)
-                or (c + 1 < w and cells[r, c + 1] == UNKNOWN)
-            ):
-                labels[r, c] = ON_FRONTIER
-    return labels
+    return rows[:count]
 
 
 @compiled

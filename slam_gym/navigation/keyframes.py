@@ -121,7 +121,7 @@ class Keyframes:
         if count == len(self._frames[0]):
             poses, drawn, anchors, places = (np.concatenate([a, np.empty_like(a)]) for a in self._frames)
             self._frames = (poses, drawn, anchors, places)
-        _open(self._frames, count, pose, seen, ids, positions)
+        _open(self._frames, count, pose, seen, _rows_of(ids), positions)
         self._first.append(len(self._poses))
 
     def _fuse(self, pairs: IntArray) -> None:
@@ -140,10 +140,11 @@ class Keyframes:
         lever, tolerance = 0.5 * beams.max_range, 0.5 * self._grid.resolution
         rows = np.arange(share, last + SHARES, SHARES)
         rows[-1] = last
-        moved = _Moved(*_moved(self._frames, rows, ids, positions, lever, tolerance))
+        row_of = _rows_of(ids)
+        moved = _Moved(*_moved(self._frames, rows, row_of, positions, lever, tolerance))
         corrected = len(moved.rows) > 0 and bool(moved.rows[-1] == last)
         if corrected:
-            moved = _Moved(*_moved(self._frames, np.arange(last + 1), ids, positions, lever, tolerance))
+            moved = _Moved(*_moved(self._frames, np.arange(last + 1), row_of, positions, lever, tolerance))
         if len(moved.rows):
             self._redraw(moved, beams)
         return corrected
@@ -199,15 +200,10 @@ def _further_apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bo
     return abs(math.remainder(one[2] - other[2], 2.0 * math.pi)) > turn
 
 
-@compiled
 def _rows_of(ids: IntArray) -> IntArray:
     """Row of each id in the map, −1 where there is none; the last entry, which NO_ID leads to, is −1."""
-    most = -1
-    for feature in ids:
-        most = max(most, feature)
-    rows = np.full(most + 2, -1)
-    for j in range(len(ids)):
-        rows[ids[j]] = j
+    rows = np.full(ids.max(initial=-1) + 2, -1)
+    rows[ids] = np.arange(len(ids))
     return rows
 
 
@@ -243,9 +239,9 @@ def _pose_now(frames: _Frames, k: int, row_of: IntArray, positions: Array) -> _P
 
 
 @compiled
-def _open(packed: _PackedFrames, k: int, pose: Array, seen: IntArray, ids: IntArray, positions: Array) -> None:
+def _open(packed: _PackedFrames, k: int, pose: Array, seen: IntArray, row_of: IntArray, positions: Array) -> None:
     """Anchor keyframe k to what is seen from it. The one before is closed: this anchors it as well."""
-    frames, row_of = _Frames(*packed), _rows_of(ids)
+    frames = _Frames(*packed)
     here, count = (pose[0], pose[1], pose[2]), 0
     frames.drawn[k] = True
     frames.poses[k, :] = pose
@@ -288,14 +284,14 @@ def _anchored(
 
 @compiled
 def _moved(
-    packed: _PackedFrames, rows: IntArray, ids: IntArray, positions: Array, lever: float, tolerance: float
+    packed: _PackedFrames, rows: IntArray, row_of: IntArray, positions: Array, lever: float, tolerance: float
 ) -> tuple[IntArray, Array, Array]:
     """Which of the keyframes `rows` (r,) have moved by more than `tolerance` [m], as a `_Moved`.
 
     A turn counts with `lever` [m], the middle of a beam. Keyframes that have come into the map, or are no longer in it,
     have moved. One that never had an anchor stays where it is.
     """
-    frames, row_of = _Frames(*packed), _rows_of(ids)
+    frames = _Frames(*packed)
     found, before, after = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), np.empty((len(rows), 3))
     count = 0
     for k in rows:

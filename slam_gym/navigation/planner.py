@@ -173,24 +173,16 @@ def _squares_to_walls(cells: Cells, radius: int) -> NDArray[np.int32]:
     return squares
 
 
-@compiled
 def _levels(cells: Cells, reach: float) -> tuple[Levels, Array]:
     """Levels of the cells, within a border of impassable ones (h + 2, w + 2), and weights of the levels.
 
     Walls crowd a path up to `reach` [cells] away.
     """
-    h, w = cells.shape
     radius = math.ceil(reach)
-    squares = _squares_to_walls(cells, radius)
-    levels = np.zeros((h + 2, w + 2), dtype=np.int32)
-    for r in range(h):
-        for c in range(w):
-            if cells[r, c] == FREE:
-                levels[r + 1, c + 1] = 1 + squares[r, c]
-    weights = np.full((radius + 1) ** 2 + 2, math.inf)
-    for level in range(1, weights.shape[0]):
-        weights[level] = 1.0 + CROWDING * (1.0 - min(1.0, math.sqrt(level - 1) / reach)) ** 2
-    return levels, weights
+    levels = np.pad(np.where(cells == FREE, 1 + _squares_to_walls(cells, radius), np.int32(0)), 1)
+    distances = np.sqrt(np.arange((radius + 1) ** 2 + 1, dtype=np.float64))
+    weights = 1.0 + CROWDING * (1.0 - np.minimum(1.0, distances / reach)) ** 2
+    return levels, np.concatenate([[math.inf], weights])
 
 
 @compiled
