@@ -61,9 +61,7 @@ class _SeveralValues(typer.core.TyperCommand):
     """A command whose options that may be repeated also take several values in a row."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
-        repeated = {
-            name for parameter in self.params if getattr(parameter, "multiple", False) for name in parameter.opts
-        }
+        repeated = {name for p in self.params if getattr(p, "multiple", False) for name in p.opts}
         option, values, spread = "", 0, []
         for word in args:
             if word.startswith("-"):
@@ -82,27 +80,16 @@ def command_line() -> str:
     return f"{name} {shlex.join(sys.argv[1:])}"
 
 
-Overrides = Annotated[
-    list[str] | None,
-    Option("--set", metavar="NAME=VALUE", help="Change the scenario, as in sensor.range=4. Repeatable."),
-]
-Associator = Annotated[
-    str | None, Option(metavar="NAME", help="Name or module:function; by default that of the scenario.")
-]
-RerunFile = Annotated[
-    str | None,
-    Option("--rerun", metavar="FILE", help="Write first episodes for Rerun's viewer into FILE (.rrd), or spawn it."),
-]
+Overrides = Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help="Change the scenario. Repeatable.")]
+RerunFile = Annotated[str | None, Option("--rerun", metavar="FILE", help="First episodes for Rerun: FILE, or spawn.")]
 
 
 @dataclass(frozen=True)
 class Floor:
     """A floor plan file to drive on."""
 
-    floor_plan: Annotated[
-        Path | None, Option(metavar="FILE", help="Drive on this floor instead: JSON, or an occupancy image.")
-    ] = None
-    resolution: Annotated[float | None, Option(metavar="M", help="Metres per pixel of an occupancy image.")] = None
+    floor_plan: Annotated[Path | None, Option(metavar="FILE", help="Drive here instead: JSON, or an image.")] = None
+    resolution: Annotated[float | None, Option(metavar="M", help="Metres per pixel of an image.")] = None
 
     @property
     def file(self) -> str | None:
@@ -114,14 +101,10 @@ class Floor:
 class World(Floor):
     """What chooses the world of Explore-v0 and its SLAM."""
 
-    scenario: Annotated[str | None, Option(metavar="NAME", help="A scenario, or module:name of one of your own.")] = (
-        None
-    )
+    scenario: Annotated[str | None, Option(metavar="NAME", help="A scenario, or module:name of your own.")] = None
     overrides: Overrides = None
-    associator: Associator = None
-    relocation: Annotated[
-        str, Option(metavar="SEARCH", help="What finds a lost robot: gcbb, module:function …, or none.")
-    ] = SEARCH
+    associator: Annotated[str | None, Option(metavar="NAME", help="By default that of the scenario.")] = None
+    relocation: Annotated[str, Option(metavar="SEARCH", help="Finds a lost robot: a name, or none.")] = SEARCH
 
     def arguments(self, scenario: str, split: str, reward: str = "map_error") -> ExploreArguments:
         """Arguments of the environment; of this scenario where the options name none."""
@@ -142,9 +125,7 @@ class Episodes:
     """Which episodes are run."""
 
     episodes: Annotated[int | None, Option(min=1, metavar="N", help="How many.", show_default=False)] = None
-    first: Annotated[
-        int, Option(min=0, metavar="K", help="The first of them: episode k is that of world k and seed k.")
-    ] = 0
+    first: Annotated[int, Option(min=0, metavar="K", help="Episode k is that of world k and seed k.")] = 0
 
     def range(self, default: int) -> range:
         """Their numbers."""
@@ -158,9 +139,7 @@ class Execute:
     jobs: Annotated[int, Option(min=1, metavar="J", help="Processes.")] = joblib.cpu_count()
     backend: Annotated[Literal["loky", "multiprocessing", "ray", "dask"], Option(help="Of joblib.")] = "loky"
     out: Annotated[Path | None, Option(metavar="DIR", help="By default a new folder in results/.")] = None
-    resume: Annotated[bool, Option("--resume", help="Go on with an interrupted evaluation, by default the latest.")] = (
-        False
-    )
+    resume: Annotated[bool, Option("--resume", help="Go on where an evaluation was interrupted.")] = False
 
     def folder(self, name: str) -> Path:
         """Where the files go. ValueError where there is nothing to resume."""
@@ -224,6 +203,5 @@ def results_folder(name: str, resume: bool) -> Path:
         return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     folders = sorted(results.glob(f"{name}-[0-9]*"))
     if not folders:
-        raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its folder with "
-                         "--out")  # fmt: skip
+        raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its --out")
     return folders[-1]

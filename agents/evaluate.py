@@ -23,16 +23,9 @@ def main(
     world: World,
     episodes: Episodes,
     execute: Execute,
-    agents: Annotated[
-        list[str] | None, Option(metavar="NAME", help=f"Of {', '.join(AGENTS)}, or module:Class.")
-    ] = None,
-    model: Annotated[
-        list[Path] | None,
-        Option(metavar="FILE", help="Model of a learned agent; several files are training seeds of it, pooled."),
-    ] = None,
-    trust: Annotated[
-        bool, Option("--trust", help="Allow model files that can run code when read (SB3's .zip).")
-    ] = False,
+    agents: Annotated[list[str] | None, Option(help=f"Of {', '.join(AGENTS)}, or module:Class.")] = None,
+    model: Annotated[list[Path] | None, Option(help="Of a learned agent; several are seeds of it, pooled.")] = None,
+    trust: Annotated[bool, Option("--trust", help="Allow model files that can run code when read.")] = False,
     films: Annotated[bool, Option("--films/--no-films", help="Film the first episode of each agent.")] = True,
     rerun: RerunFile = None,
 ) -> None:

@@ -6,10 +6,9 @@ Writes into OUT: results.csv (one row per episode), results.json (what it depend
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 from typer import Option
 
@@ -27,11 +26,11 @@ from agents.cli import (
 )
 from agents.drivers.base import AGENTS, make_agent
 from agents.evaluation import associators, recordings
-from agents.evaluation.associators import SIMPLEST_FIRST, associator_evaluation, metered, shipped
+from agents.evaluation.associators import associator_evaluation, metered, shipped
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Evaluation, Results, carry_out
+from agents.evaluation.pipeline import Evaluation, carry_out
 from agents.evaluation.recordings import Log, logs_of, recording_evaluation
-from agents.evaluation.tables import Table, print_table
+from agents.evaluation.tables import print_table
 from agents.suite import numbers as suite_numbers
 from agents.suite.worlds import SuiteSize, suite_evaluation
 from slam_gym.association import RELOCATORS
@@ -45,22 +44,16 @@ EPISODES = 30
 SIZE, QUICK = SuiteSize(), SuiteSize(worlds=4, problems=8, quick=True)
 
 
+Names = list[str] | None
+
+
 @dataclass(frozen=True)
 class Loop(Floor, Episodes):
     """Drives through scenarios."""
 
-    scenarios: Annotated[
-        list[str] | None,
-        Option(
-            metavar="NAME",
-            help=f"Of {', '.join(SCENARIOS)}, levels of the suite such as clutter/2, or module:name; "
-            f"by default {' '.join(LOOPS)}.",
-        ),
-    ] = None
+    scenarios: Annotated[Names, Option(help=f"Of {', '.join(SCENARIOS)}, or levels such as clutter/2.")] = None
     overrides: Overrides = None
-    driver: Annotated[
-        str, Option(metavar="AGENT", help=f"Of {', '.join(AGENTS)} but learned ones, or module:Class.")
-    ] = "information_gain"
+    driver: Annotated[str, Option(help=f"Of {', '.join(AGENTS)}, or module:Class.")] = "information_gain"
     rerun: RerunFile = None
 
 
@@ -69,64 +62,31 @@ class Suite:
     """The association suite."""
 
     quick: Annotated[bool, Option("--quick", help="Suite: every second level, few worlds.")] = False
-    experiments: Annotated[
-        list[str] | None, Option(metavar="NAME", help=f"Suite: of {', '.join(EXPERIMENTS)}; by default all.")
-    ] = None
-    relocators: Annotated[
-        list[str] | None, Option(metavar="NAME", help="Suite: whom kidnapped asks; by default all that ship.")
-    ] = None
-    worlds: Annotated[int | None, Option(min=1, metavar="W", help=f"Suite: a level; by default {SIZE.worlds}.")] = None
-    problems: Annotated[int | None, Option(min=1, metavar="P", help=f"Suite: a world; by default {SIZE.problems}.")] = (
-        None
-    )
+    experiments: Annotated[Names, Option(help=f"Suite: of {', '.join(EXPERIMENTS)}; by default all.")] = None
+    relocators: Annotated[Names, Option(help="Suite: whom kidnapped asks; by default all that ship.")] = None
+    worlds: Annotated[int | None, Option(min=1, help=f"Suite: of a level; by default {SIZE.worlds}.")] = None
+    problems: Annotated[int | None, Option(min=1, help=f"Suite: of a world; by default {SIZE.problems}.")] = None
 
 
 @dataclass(frozen=True)
 class Recorded:
     """What is done to a recording before it is mapped."""
 
-    data: Annotated[
-        Path | None, Option(metavar="DIR", help="Recording: its files, by default under SLAM_GYM_DATA.")
-    ] = None
-    robots: Annotated[list[int] | None, Option(metavar="N", help="Recording: of mrclam, by default all.")] = None
-    every: Annotated[int, Option(min=1, metavar="K", help="Recording: only each K-th scan.")] = 1
-    merge: Annotated[float, Option(min=0.0, metavar="M", help="Recording: landmarks no farther apart [m] are one.")] = (
-        0.0
-    )
+    data: Annotated[Path | None, Option(help="Recording: its files, by default under SLAM_GYM_DATA.")] = None
+    robots: Annotated[list[int] | None, Option(help="Recording: of mrclam, by default all.")] = None
+    every: Annotated[int, Option(min=1, help="Recording: only each so many-th scan.")] = 1
+    merge: Annotated[float, Option(min=0.0, help="Recording: landmarks no farther apart [m] are one.")] = 0.0
     clean: Annotated[bool, Option("--clean", help="Recording: leave out spurious measurements.")] = False
-    reference: Annotated[bool, Option("--reference", help="Recording: the vertices of a .g2o file are the truth.")] = (
-        False
-    )
-
-
-class Plan(NamedTuple):
-    """An evaluation that the options choose, and how its results are shown."""
-
-    evaluation: Evaluation
-    tables: Callable[[Results], list[Table]]
+    reference: Annotated[bool, Option("--reference", help="Recording: vertices of a .g2o are the truth.")] = False
 
 
 @dataclass(frozen=True)
 class Asked:
-    """Who is evaluated: associators, and the searches that find a lost robot; by default all that ship."""
+    """Who is evaluated: associators, and the searches that find a lost robot."""
 
-    associators: Annotated[
-        list[str] | None,
-        Option(
-            metavar="NAME",
-            help=f"Of {', '.join(SIMPLEST_FIRST)}, true_association, module:function, or a learned one's file; "
-            "by default all that ship.",
-        ),
-    ] = None
-    relocation: Annotated[
-        list[str] | None,
-        Option(
-            metavar="SEARCH",
-            help=f"How a lost robot is found: {', '.join(RELOCATORS)}, module:function, or none; several are compared. "
-            f"By default none {SEARCH}; over a recording {SEARCH}.",
-        ),
-    ] = None
-    split: Annotated[Literal["train", "test"], Option(help="Worlds; tune on train.")] = "test"
+    associators: Annotated[Names, Option(help=f"Of {', '.join(shipped())}, module:function or a model file.")] = None
+    relocation: Annotated[Names, Option(help=f"Of {', '.join(RELOCATORS)}, module:function or none.")] = None
+    split: Annotated[Literal["train", "test"], Option(help="Of the worlds; tune on train.")] = "test"
 
     @property
     def names(self) -> list[str]:
@@ -145,10 +105,7 @@ def main(
     suite_options: Suite,
     recorded: Recorded,
     suite: Annotated[bool, Option("--suite", help="One number per capability instead of drives.")] = False,
-    recording: Annotated[
-        str | None,
-        Option(metavar="LOG", help=f"A real log instead: {', '.join(PUBLISHED)}, or a file .npz, .g2o, .txt (iSAM)."),
-    ] = None,
+    recording: Annotated[str | None, Option(help=f"A log: {', '.join(PUBLISHED)}, or .npz, .g2o, .txt (iSAM).")] = None,
 ) -> None:
     """Evaluate associators on the same drives, over the suite, or on a recording."""
     if suite and recording:
@@ -161,27 +118,24 @@ def main(
     out, how = execute.folder(kind), execute.execution()
     with execute.told_how_to_resume(out):
         if suite:
-            plan = suite_plan(asked, suite_options)
+            evaluation, tables = _suite_evaluation(asked, suite_options), suite_numbers.tables
         elif recording:
-            plan = recording_plan(asked, recorded, recording, out)
+            evaluation, tables = _recording_evaluation(asked, recorded, recording, out), recordings.tables
         else:
-            plan = loop_plan(asked, loop)
-        results = carry_out(plan.evaluation, out, how)
+            evaluation, tables = _loop_evaluation(asked, loop), associators.tables
+        results = carry_out(evaluation, out, how)
         if loop.rerun:
             _log_first_episodes(asked, loop, loop.rerun)
-    for table in plan.tables(results):
+    for table in tables(results):
         print_table(table, how.console)
     from agents.reports.page import write_report  # matplotlib takes a second to import
 
     how.console.print(f"report: {write_report(out)}", soft_wrap=True)
 
 
-def loop_plan(asked: Asked, loop: Loop) -> Plan:
-    """Drives through scenarios. ValueError for whatever nobody knows."""
-    evaluation = associator_evaluation(
-        asked.names, _loops(asked, loop), loop.driver, loop.range(EPISODES), asked.searches(["none", SEARCH])
-    )
-    return Plan(evaluation, associators.tables)
+def _loop_evaluation(asked: Asked, loop: Loop) -> Evaluation:
+    searches = asked.searches(["none", SEARCH])
+    return associator_evaluation(asked.names, _loops(asked, loop), loop.driver, loop.range(EPISODES), searches)
 
 
 def _loops(asked: Asked, loop: Loop) -> list[ExploreArguments]:
@@ -202,29 +156,19 @@ def _log_first_episodes(asked: Asked, loop: Loop, target: str) -> None:
     log_drives(target, loop.first, drives)
 
 
-def suite_plan(asked: Asked, options: Suite) -> Plan:
-    """The suite. ValueError for whatever nobody knows."""
-    default = QUICK if options.quick else SIZE
-    size = SuiteSize(options.worlds or default.worlds, options.problems or default.problems, options.quick, asked.split)
+def _suite_evaluation(asked: Asked, options: Suite) -> Evaluation:
+    size = QUICK if options.quick else SIZE
+    size = SuiteSize(options.worlds or size.worlds, options.problems or size.problems, options.quick, asked.split)
     experiments = list(dict.fromkeys(options.experiments or EXPERIMENTS))
-    relocators = options.relocators or list(RELOCATORS)
-    return Plan(suite_evaluation(asked.names, relocators, experiments, size), suite_numbers.tables)
+    return suite_evaluation(asked.names, options.relocators or list(RELOCATORS), experiments, size)
 
 
-def recording_plan(asked: Asked, options: Recorded, recording: str, out: Path) -> Plan:
-    """Logs. Raises as `open_recordings`, and ValueError for an associator that nobody knows."""
-    template = Log(
-        recording,
-        str(options.data) if options.data else None,
-        reference=options.reference,
-        every=options.every,
-        merge=options.merge,
-        clean=options.clean,
-    )
-    logs = logs_of(template, options.robots)
+def _recording_evaluation(asked: Asked, options: Recorded, recording: str, out: Path) -> Evaluation:
+    how = {name: getattr(options, name) for name in ("reference", "every", "merge", "clean")}
+    logs = logs_of(Log(recording, str(options.data) if options.data else None, **how), options.robots)
     for name, log in logs.items():
         print(f"{name}: {log.open().source} {log.open().terms}")
-    return Plan(recording_evaluation(asked.names, logs, out, asked.searches([SEARCH])), recordings.tables)
+    return recording_evaluation(asked.names, logs, out, asked.searches([SEARCH]))
 
 
 def _refuse_what_does_not_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:

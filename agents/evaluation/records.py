@@ -33,10 +33,6 @@ class Key(NamedTuple):
     model: str = ""  # file of a learned agent
 
 
-PROTOCOL = 1
-"""Raised when episodes are run or judged in another way: records of another protocol are not mixed with these."""
-
-
 def stem(*names: str) -> str:
     """A file's name for things whose names may be paths, levels of the suite, or `module:name`."""
     return ".".join(re.sub(r"[^\w\-]+", "-", name).strip("-") for name in names)

@@ -10,7 +10,6 @@ from typing import Any
 import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.drivers.base import Agent
 from agents.evaluation.drivers import Driver
@@ -52,46 +51,27 @@ def film(arguments: ExploreArguments, agent: Agent, episode: int, path: Path) ->
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     env = arguments.make(agent.action, render_mode="rgb_array")
-    try:
-        stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
-        with Camera(path, stride) as camera:
-            run_episode(env, agent, episode, watch=camera)
-            for _ in range(RATE):  # hold the final map for a second
-                camera.shoot(env)
-    finally:
-        env.close()
+    stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
+    mp4 = {"codec": "libx264", "quality": 6, "macro_block_size": 2, "ffmpeg_log_level": "error"}
+    with imageio.get_writer(path, fps=RATE, **mp4) as writer:
+
+        def shoot(env: gym.Env[Any, Any], frames: int) -> None:
+            picture = np.asarray(env.render(), dtype=np.uint8)
+            for _ in range(frames):
+                writer.append_data(picture)
+
+        def watch(env: gym.Env[Any, Any]) -> None:
+            if _worth_a_closer_look(env):
+                shoot(env, SLOW)
+            elif env.unwrapped.episode.ticks % stride == 0:  # type: ignore[attr-defined]
+                shoot(env, 1)
+
+        run_episode(env, agent, episode, watch)
+        shoot(env, RATE)  # hold the final map for a second
     picture = path.with_suffix(".png")
-    imageio.imwrite(picture, camera.last)
+    imageio.imwrite(picture, np.asarray(env.render(), dtype=np.uint8))
+    env.close()
     return picture
-
-
-class Camera:
-    """Draws every `stride`-th tick into an mp4 file; use as a context."""
-
-    def __init__(self, path: Path, stride: int) -> None:
-        self.last: NDArray[np.uint8] | None = None
-        self._stride, self._tick = stride, 0
-        self._writer = imageio.get_writer(
-            path, fps=RATE, codec="libx264", quality=6, macro_block_size=2, ffmpeg_log_level="error"
-        )
-
-    def __call__(self, env: gym.Env[Any, Any]) -> None:
-        slow = _worth_a_closer_look(env)
-        if slow or self._tick % self._stride == 0:
-            for _ in range(SLOW if slow else 1):
-                self.shoot(env)
-        self._tick += 1
-
-    def shoot(self, env: gym.Env[Any, Any]) -> None:
-        """Draw the env as it is now."""
-        self.last = np.asarray(env.render(), dtype=np.uint8)
-        self._writer.append_data(self.last)
-
-    def __enter__(self) -> Camera:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._writer.close()
 
 
 def _worth_a_closer_look(env: gym.Env[Any, Any]) -> bool:

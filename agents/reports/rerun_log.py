@@ -39,42 +39,31 @@ class RerunLog:
 
     def __init__(self, target: str, name: str) -> None:
         self._rr = viewer()
-        self._stream = self._rr.RecordingStream(f"slam_gym: {name}")
+        self.stream = self._rr.RecordingStream(f"slam_gym: {name}")
         if target == "spawn":
-            self._stream.spawn()
+            self.stream.spawn()
         else:
             Path(target).parent.mkdir(parents=True, exist_ok=True)
-            self._stream.save(target)
+            self.stream.save(target)
 
     def __call__(self, env: gym.Env[Any, Any]) -> None:
         """Write down the present state."""
         episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
-        m, scan, hypothesis = episode.slam.map, episode.scan, episode.last_step.hypothesis
-        self._stream.set_time("tick", sequence=episode.ticks)
-        walls, seen = observe(episode.base, episode.site.plan.walls.reshape(-1, 2)), transform(m.pose, scan.points)
-        paired = hypothesis.features != UNPAIRED
-        colours = [GREEN if each else GREY for each in paired.tolist()]
-        labels = [f"feature {k}, seen {n}" for k, n in zip(m.ids.tolist(), m.seen.tolist())]
-        self._lines("truth/walls", walls.reshape(-1, 2, 2), GREY)
-        self._points("truth/robot", observe(episode.base, episode.poses[-1][None, :2]), colors=[GREY], radii=[0.2])
-        self._points("robot/pose", m.pose[None, :2], colors=[RED], radii=[0.2])
-        self._lines("robot/path", np.array(episode.estimates)[None, :, :2], RED)
-        self._points("map/features", m.positions, colors=[BLUE], radii=[0.06], labels=labels, show_labels=False)
-        self._lines("map/covisibility", m.positions[episode.slam.covisibility.edges().pairs], GREY)
-        self._points("scan/measurements", seen, colors=colours, radii=[0.05])
-        figures = {"map_error": episode.map_error(), "coverage": episode.coverage(), "pose_nees": episode.nees[-1]}
-        for name, value in (figures | {"features": len(m), "paired": hypothesis.pairings}).items():
-            self._stream.log(f"curves/{name}", self._rr.Scalars(float(value)))
+        m, hypothesis = episode.slam.map, episode.last_step.hypothesis
+        self.stream.set_time("tick", sequence=episode.ticks)
+        walls = observe(episode.base, episode.site.plan.walls.reshape(-1, 2)).reshape(-1, 2, 2)
+        self.stream.log("truth/walls", self._rr.LineStrips2D(walls * DOWN, colors=[GREY]))
+        self._points("truth/robot", observe(episode.base, episode.poses[-1][None, :2]), [GREY], 0.2)
+        self._points("robot/pose", m.pose[None, :2], [RED], 0.2)
+        self._points("robot/path", np.array(episode.estimates)[:, :2], [RED], 0.02)
+        self._points("map/features", m.positions, [BLUE], 0.06)
+        paired = [GREEN if feature != UNPAIRED else GREY for feature in hypothesis.features.tolist()]
+        self._points("scan", transform(m.pose, episode.scan.points), paired, 0.05)
+        for name, value in (("map_error", episode.map_error()), ("coverage", episode.coverage()), ("features", len(m))):
+            self.stream.log(f"curves/{name}", self._rr.Scalars(float(value)))
 
-    def _points(self, path: str, points: Any, **style: Any) -> None:
-        self._stream.log(path, self._rr.Points2D(points * DOWN, **style))
-
-    def _lines(self, path: str, lines: Any, colour: tuple[int, int, int]) -> None:
-        self._stream.log(path, self._rr.LineStrips2D(lines * DOWN, colors=[colour], radii=[0.02]))
-
-    def close(self) -> None:
-        """Write what is left."""
-        self._stream.flush()
+    def _points(self, path: str, points: Any, colours: list[tuple[int, int, int]], radius: float) -> None:
+        self.stream.log(path, self._rr.Points2D(points * DOWN, colors=colours, radii=[radius]))
 
 
 class Drive(NamedTuple):
@@ -95,4 +84,4 @@ def log_drives(target: str, episode: int, drives: Sequence[Drive]) -> None:
         env = arguments.make(agent.action, associator=associator)
         run_episode(env, agent, episode, watch=log)
         env.close()
-        log.close()
+        log.stream.flush()

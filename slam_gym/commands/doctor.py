@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -30,34 +31,23 @@ def report() -> Iterator[str]:
 def _packages() -> Iterator[str]:
     """Every package that the core or an extra asks for: the versions of those that are there, and for each extra of
     which some are missing a line that installs it. What several extras ask for stands at the smallest."""
-    asked: dict[str, list[str]] = {}
-    for name, extra in map(_parsed, requires("slam_gym") or []):
-        asked.setdefault(extra, []).append(name)
+    asked: dict[str, set[str]] = {}
+    for requirement in requires("slam_gym") or []:
+        extra = re.search(r"extra == ['\"](\w+)", requirement)
+        asked.setdefault(extra[1] if extra else "", set()).add(re.split(r"[^\w.-]", requirement)[0])
     seen, missing = {"slam_gym"}, []
     for extra, names in sorted(asked.items(), key=lambda each: (each[0] != "", len(each[1]))):
         lacking = []
-        for name in sorted(set(names) - seen):
+        for name in sorted(names - seen):
             try:
                 yield f"  {name:26} {version(name)}"
             except PackageNotFoundError:
                 lacking.append(name)
-        seen |= set(names)
+        seen |= names
         if lacking:
-            install = f"pip install 'slam_gym[{extra}]'" if extra else "pip install slam_gym"
-            missing.append(f"  {install:34} ({', '.join(lacking)})")
+            missing.append(f"  pip install 'slam_gym[{extra}]'  ({', '.join(lacking)})")
     if missing:
-        yield ""
-        yield "not installed; only what you use is needed:"
-        yield from missing
-
-
-def _parsed(requirement: str) -> tuple[str, str]:
-    """Name of the package and of the extra that asks for it, empty for the core."""
-    name = requirement.partition(";")[0]
-    for mark in "<>=!~[ ":
-        name = name.partition(mark)[0]
-    _, found, extra = requirement.partition("extra ==")
-    return name.strip(), extra.strip(" \"')") if found else ""
+        yield from ("", "not installed; only what you use is needed:", *missing)
 
 
 def _cache() -> Iterator[str]:

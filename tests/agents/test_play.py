@@ -72,10 +72,6 @@ def test_keys_end_the_world(play_with, key, wish):
     assert len(controls.actions) == 2
 
 
-def test_closing_the_window_ends_the_game(play_with):
-    assert play_with(Script((1, [(pygame.QUIT, 0)])), 50)[0] == "quit"
-
-
 def test_associator_and_relocation_are_switched_while_the_robot_drives(play_with):
     controls = Script((2, [(DOWN, pygame.K_c)]), (3, [(DOWN, pygame.K_l)]))
     wish, game, env = play_with(controls, 6)
