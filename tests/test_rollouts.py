@@ -202,9 +202,10 @@ def recorded() -> dict[str, Record]:
 
 
 def record(chosen: list[str]) -> None:
-    """Record the rollouts that are named, or all; what is no rollout any more is dropped."""
+    """Record the rollouts that are named or new, or all; what is no rollout any more is dropped."""
     records = recorded()
-    records = {name: roll_out(ROLLOUTS[name]) if name in (chosen or ROLLOUTS) else records[name] for name in ROLLOUTS}
+    kept = {name: of for name, of in records.items() if chosen and name not in chosen}
+    records = {name: kept[name] if name in kept else roll_out(rollout) for name, rollout in ROLLOUTS.items()}
     RECORDED.parent.mkdir(exist_ok=True)
     arrays = {f"{name}:{field}": part for name, of in records.items() for field, part in of._asdict().items()}
     np.savez_compressed(RECORDED, **arrays)
