@@ -76,11 +76,11 @@ class DistanceField:
         stride, ways = max(1, round(spacing / self.resolution)), []
         for goal in goals:
             cell = self.cell(goal)
-            reached = cell is not None and np.isfinite(self.costs[cell])
-            cells = _trace(self.steps, *cell)[::-stride][::-1] if reached else np.empty((0, 2), np.int64)
-            ways.append(self.origin + (cells[:, ::-1] + 0.5) * self.resolution)
+            reached = cell is not None and math.isfinite(self.costs[cell])
+            ways.append(_trace(self.steps, *cell)[::-stride][::-1] if reached else np.empty((0, 2), np.int64))
+        cells = np.concatenate([np.empty((0, 2), np.int64), *ways])
         counts = np.array([len(way) for way in ways], np.int64)
-        return np.concatenate([np.empty((0, 2)), *ways]), counts
+        return self.origin + (cells[:, ::-1] + 0.5) * self.resolution, counts
 
     def path(self, goal: Array) -> Array:
         """Waypoints (p, 2) in B from the start to `goal` (2,), shortened; (0, 2) if no path leads to the goal's cell.
@@ -173,16 +173,24 @@ def _squares_to_walls(cells: Cells, radius: int) -> NDArray[np.int32]:
     return squares
 
 
+@compiled
 def _levels(cells: Cells, reach: float) -> tuple[Levels, Array]:
     """Levels of the cells, within a border of impassable ones (h + 2, w + 2), and weights of the levels.
 
     Walls crowd a path up to `reach` [cells] away.
     """
+    h, w = cells.shape
     radius = math.ceil(reach)
-    levels = np.pad(np.where(cells == FREE, 1 + _squares_to_walls(cells, radius), np.int32(0)), 1)
-    distances = np.sqrt(np.arange((radius + 1) ** 2 + 1, dtype=np.float64))
-    weights = 1.0 + CROWDING * (1.0 - np.minimum(1.0, distances / reach)) ** 2
-    return levels, np.concatenate([[math.inf], weights])
+    squares = _squares_to_walls(cells, radius)
+    levels = np.zeros((h + 2, w + 2), dtype=np.int32)
+    for r in range(h):
+        for c in range(w):
+            if cells[r, c] == FREE:
+                levels[r + 1, c + 1] = 1 + squares[r, c]
+    weights = np.full((radius + 1) ** 2 + 2, math.inf)
+    for level in range(1, weights.shape[0]):
+        weights[level] = 1.0 + CROWDING * (1.0 - min(1.0, math.sqrt(level - 1) / reach)) ** 2
+    return levels, weights
 
 
 @compiled
