@@ -48,7 +48,6 @@ ROOMS = {
     "slam_gym.association": "Compatibility and the interpretation tree",
     "slam_gym.association.tracking": "Searches with a prior on the pose",
     "slam_gym.association.relocation": "Searches without one",
-    "slam_gym.association.triangles": "The index over the map",
     "slam_gym.slam": "One step of SLAM; losing and finding the robot; several maps",
     "slam_gym.commands": "`slam-gym`: every command by one name",
     "slam_gym.metrics": "What is measured against the truth",

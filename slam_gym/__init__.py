@@ -30,7 +30,6 @@ if TYPE_CHECKING:
         random_sampling,
         relocator_from_policy,
         singles,
-        spectral,
         true_association,
     )
     from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
@@ -60,7 +59,7 @@ _WHERE = {
     "association": (
         "ASSOCIATORS", "RELOCATORS", "from_policy", "gcbb", "global_nearest_neighbour", "indexed", "ipjc", "jcbb",
         "learned_associator", "map_hypothesis", "marginal", "max_clique", "nearest_neighbour",
-        "one_point_ransac", "random_sampling", "relocator_from_policy", "singles", "spectral", "true_association",
+        "one_point_ransac", "random_sampling", "relocator_from_policy", "singles", "true_association",
     ),
     "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
     "recordings.catalogue": ("open_recordings",),
@@ -120,7 +119,6 @@ __all__ = [
     "relocate_by",
     "relocator_from_policy",
     "singles",
-    "spectral",
     "true_association",
     "write_tum",
 ]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from slam_gym.association.learned.associator import learned_associator
-from slam_gym.association.relocation.consistency_graph import max_clique, spectral
+from slam_gym.association.relocation.cliques import max_clique
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.policy import (
     RelocationPolicy,
@@ -20,6 +20,7 @@ from slam_gym.association.relocation.policy import (
     relocator_from_policy,
 )
 from slam_gym.association.relocation.random_sampling import random_sampling
+from slam_gym.association.relocation.triangles import indexed
 from slam_gym.association.tracking.global_nearest_neighbour import global_nearest_neighbour
 from slam_gym.association.tracking.ipjc import ipjc
 from slam_gym.association.tracking.jcbb import jcbb
@@ -29,7 +30,6 @@ from slam_gym.association.tracking.nearest_neighbour import nearest_neighbour, s
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
 from slam_gym.association.tracking.policy import Policy, from_policy, greedy
 from slam_gym.association.tracking.true_association import true_association
-from slam_gym.association.triangles.index import indexed
 from slam_gym.types import Hypothesis, Relocator
 from slam_gym.validation import imported
 
@@ -58,7 +58,6 @@ __all__ = [
     "resolve_associator",
     "resolve_relocator",
     "singles",
-    "spectral",
     "true_association",
 ]
 
@@ -81,7 +80,6 @@ RELOCATORS: dict[str, Relocator] = {
     "indexed": indexed,
     "max_clique": max_clique,
     "random_sampling": random_sampling,
-    "spectral": spectral,
 }
 """Relocators by name, called with (scan, landmarks, locality or None): the searches without a prior."""
 

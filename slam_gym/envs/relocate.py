@@ -77,7 +77,7 @@ class RelocateEnv(BaseEnv):
 
     ## Rewards
     −`node_cost` for every node; and at the end, what the best hypothesis earns. It is believed where it has as many
-    pairings as `slam_gym.association.relocation.acceptance` asks for, and no other pose was found that explains as
+    pairings as `slam_gym.association.acceptance` asks for, and no other pose was found that explains as
     many measurements. Believed, it earns 1 if its pose is right, −`wrong_cost` if not; not believed, it earns 1 outside
     the map and 0 inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose
     lies in the map: carried there by the rigid motion that aligns the true features in reach with their mapped

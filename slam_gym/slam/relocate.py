@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym.association import RELOCATORS, resolve_relocator
-from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.association.acceptance import min_pairings
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.mapping.stochastic_map import StochasticMap

@@ -1,162 +1,146 @@
-"""The largest cliques of a sparse graph: branch and bound with colours, on sets of bits.
+"""CCDA: relocation through the graph of consistent pairings (Bailey, 2002), by its maximum clique.
 
-Vertices come in the order of their degrees, the largest first, and each is the last member of its cliques: the subgraph
-of its neighbours that came before it is small where the graph is sparse. A set of vertices that falls into k
-independent classes holds no clique of more than k, which bounds the branches (Tomita and Seki, DMTCS 2003; classes in
-sets of bits as in San Segundo et al., Computers & Operations Research 2011).
+Nodes are the pairings that pass the unary constraints, edges join those that satisfy the binary one and are local to
+each other. A hypothesis all of whose pairings agree is a clique. Unlike in the tree, *every* pairing must be local to
+every other, and the joint test comes after: where no largest clique passes it, mirror images among them, pairings are
+dropped one by one until the rest does.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from importlib.util import find_spec
 
+import networkx as nx
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import IntArray
+from slam_gym.association.relocation.answer import Best, decide, location_gates, nothing_found, offer, relocation
+from slam_gym.association.relocation.constraints import Path, binary_test
+from slam_gym.association.relocation.location import locate_pairings
+from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, UNARY, Problem, problem_of
+from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
+
+_CLIQUES = 256  # largest cliques looked at
+_MAXIMAL = 200_000  # maximal cliques that networkx goes through
 
 
-class Cliques(NamedTuple):
-    """The largest cliques that were found."""
+def max_clique(
+    scan: Scan,
+    landmarks: Landmarks,
+    locality: Locality | None = None,
+    *,
+    confidence: float = 0.99,
+    min_pairings: int | None = None,
+    node_limit: int = 20_000,
+) -> Relocation:
+    """The largest cliques of the graph of consistent pairings; of those that are jointly compatible, the least D².
 
-    members: IntArray  # (k, size) vertices, one clique a row
-    complete: bool  # these are all; False: there are more, or the limit on branches ended the search
-
-
-class _Subgraph(NamedTuple):
-    """A part of the graph, its rows as sets of bits."""
-
-    vertices: IntArray  # (p,) of the whole graph
-    rows: IntArray  # (p, words) neighbours among `vertices`
-
-
-class _Search(NamedTuple):
-    """What was found, and room to work in."""
-
-    best: IntArray  # (most, deepest) cliques found
-    state: IntArray  # (3,) their size, their number, the branches still allowed
-    path: IntArray  # (deepest,) the clique that is tried
-
-
-_SIZE, _COUNT, _LEFT = range(3)
-
-
-@compiled
-def largest_cliques(edges: IntArray, vertices: int, deepest: int, most: int, branches: int) -> Cliques:
-    """The cliques of largest size, of two vertices and more.
-
-    `edges` is (e, 2), each once; no clique has more than `deepest` vertices. At most `most` of them are given, and the
-    search ends after `branches`.
+    They are found by igraph where it is installed, and otherwise by networkx, which takes some hundred times as long.
+    Where the graph has more than `node_limit` nodes it is not built: nothing is found, and `effort.limit_hit` says so;
+    likewise where there are more than 256 largest cliques, of which the others are not looked at, and where networkx
+    has gone through 200 000 maximal ones. Raises ValueError as `gcbb` does.
     """
-    starts, neighbours = _adjacency(edges, vertices)
-    order = np.argsort(starts[:-1] - starts[1:], kind="mergesort")  # the largest degree first
-    place = np.empty(vertices, np.int64)
-    place[order] = np.arange(vertices)
-    search = _Search(np.empty((most, deepest), np.int64), np.array([2, 0, branches]), np.empty(deepest, np.int64))
-    local = np.full(vertices, -1)
-    for v in order:
-        before = neighbours[starts[v] : starts[v + 1]]
-        before = before[place[before] < place[v]]
-        if len(before) + 1 < search.state[_SIZE]:
-            continue
-        search.path[0] = v
-        _branch(_subgraph(before, starts, neighbours, local), search, most)
-    found = min(search.state[_COUNT], most)
-    complete = search.state[_COUNT] <= most and search.state[_LEFT] > 0
-    return Cliques(search.best[:found, : search.state[_SIZE]].copy(), complete)
+    start, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
+    pairings, edges = _consistent(problem, node_limit)
+    cliques, complete = largest_cliques(edges)
+    if not complete:
+        problem.effort[LIMIT] = 1
+    members = np.sort(cliques, axis=1)
+    hypotheses = Path(pairings.measurements[members], pairings.features[members])
+    gates = location_gates(len(scan), confidence)
+    found = decide(_best_of(problem, hypotheses, gates), gates[-1])
+    seconds = time.perf_counter() - start
+    return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
+
+
+def largest_cliques(edges: IntArray) -> tuple[IntArray, bool]:
+    """The cliques (k, size) of most vertices in a graph of edges (e, 2), 256 of them at most; whether these are all."""
+    if not len(edges):
+        return np.empty((0, 0), np.int64), True
+    if find_spec("igraph") is not None:
+        import igraph
+
+        found, complete = igraph.Graph(edges=edges).largest_cliques(), True
+    else:
+        found, complete = _longest(nx.find_cliques(nx.Graph(edges.tolist())))
+    return np.array(found[:_CLIQUES], np.int64), complete and len(found) <= _CLIQUES
+
+
+def _longest(cliques: Iterator[list[int]]) -> tuple[list[list[int]], bool]:
+    """Those of most vertices among the first `_MAXIMAL` cliques; whether there are no more of them."""
+    first = list(itertools.islice(cliques, _MAXIMAL))
+    most = max(map(len, first))
+    return [clique for clique in first if len(clique) == most], next(cliques, None) is None
 
 
 @compiled
-def _adjacency(edges: IntArray, vertices: int) -> tuple[IntArray, IntArray]:
-    """Starts (v + 1,) and neighbours (2e,) of each vertex."""
-    starts = np.zeros(vertices + 1, np.int64)
-    for e in range(len(edges)):
-        starts[edges[e, 0] + 1] += 1
-        starts[edges[e, 1] + 1] += 1
-    starts = np.cumsum(starts)
-    neighbours, filled = np.empty(2 * len(edges), np.int64), starts[:-1].copy()
-    for e in range(len(edges)):
-        for side in range(2):
-            a = edges[e, side]
-            neighbours[filled[a]] = edges[e, 1 - side]
-            filled[a] += 1
-    return starts, neighbours
+def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
+    """Pairings that pass the unary constraints, and edges (e, 2) between those that agree.
 
-
-@compiled
-def _subgraph(chosen: IntArray, starts: IntArray, neighbours: IntArray, local: IntArray) -> _Subgraph:
-    """The graph among `chosen`; `local` (v,) is room, −1 everywhere."""
-    rows = np.zeros((len(chosen), (len(chosen) + 62) // 63), np.int64)
-    for a in range(len(chosen)):
-        local[chosen[a]] = a
-    for a in range(len(chosen)):
-        for position in range(starts[chosen[a]], starts[chosen[a] + 1]):
-            b = local[neighbours[position]]
-            if b >= 0:
-                rows[a, b // 63] |= np.int64(1) << (b % 63)
-    for a in range(len(chosen)):
-        local[chosen[a]] = -1
-    return _Subgraph(chosen, rows)
-
-
-@compiled
-def _branch(part: _Subgraph, search: _Search, most: int) -> None:
-    """All cliques of path[0] and vertices of `part` that are as large as the best."""
-    (p, words), deepest = part.rows.shape, len(search.path)
-    candidates, order, colours = (
-        np.zeros((deepest + 1, words), np.int64),
-        np.empty((deepest + 1, p), np.int64),
-        np.empty((deepest + 1, p), np.int64),
-    )
-    left = np.zeros(deepest + 1, np.int64)  # vertices of `order` not tried yet, by depth
-    for a in range(p):
-        candidates[1, a // 63] |= np.int64(1) << (a % 63)
-    depth = 1
-    left[1] = _coloured(part, candidates[1], order[1], colours[1])
-    while depth > 0:
-        left[depth] -= 1
-        size, enough = search.state[_SIZE], search.state[_SIZE] + (search.state[_COUNT] > most)
-        if left[depth] < 0 or depth + colours[depth, left[depth]] < enough or search.state[_LEFT] <= 0:
-            depth -= 1
-            continue
-        search.state[_LEFT] -= 1
-        a = order[depth, left[depth]]
-        candidates[depth, a // 63] &= ~(np.int64(1) << (a % 63))
-        search.path[depth] = part.vertices[a]
-        depth += 1
-        if depth >= size:
-            _keep(search, depth, most)
-        if depth == deepest:
-            depth -= 1
-            continue
-        for word in range(words):
-            candidates[depth, word] = candidates[depth - 1, word] & part.rows[a, word]
-        left[depth] = _coloured(part, candidates[depth], order[depth], colours[depth])
-
-
-@compiled
-def _keep(search: _Search, size: int, most: int) -> None:
-    """The clique on the path, which is as large as the best, or larger."""
-    if size > search.state[_SIZE]:
-        search.state[_SIZE], search.state[_COUNT] = size, 0
-    if search.state[_COUNT] < most:
-        search.best[search.state[_COUNT], :size] = search.path[:size]
-    search.state[_COUNT] += 1
-
-
-@compiled
-def _coloured(part: _Subgraph, candidates: IntArray, order: IntArray, colours: IntArray) -> int:
-    """Fill in the candidates by independent classes 1, 2, …, and the class of each; the number of candidates."""
-    (p, words), count, colour = part.rows.shape, 0, 0
-    uncoloured, free = candidates.copy(), np.empty(words, np.int64)
-    while uncoloured.any():
-        colour += 1
-        free[:] = uncoloured
-        for a in range(p):
-            if free[a // 63] >> (a % 63) & 1:
-                uncoloured[a // 63] &= ~(np.int64(1) << (a % 63))
-                for word in range(words):
-                    free[word] &= ~part.rows[a, word]
-                order[count], colours[count] = a, colour
+    Without edges where there would be too many nodes.
+    """
+    scan, where, effort = problem.scan, problem.where, problem.effort
+    (m, n), number, nodes = where.allowed.shape, np.full(where.allowed.shape, -1), 0
+    effort[UNARY] += m * n
+    pairings = Path(np.empty(m * n, np.int64), np.empty(m * n, np.int64))
+    for i in range(m):
+        for j in range(n):
+            if where.allowed[i, j]:
+                pairings.measurements[nodes], pairings.features[nodes], number[i, j] = i, j, nodes
+                nodes += 1
+    effort[NODES] = nodes
+    edges, count = np.empty((1024, 2), np.int64), 0
+    if nodes > node_limit:
+        effort[LIMIT] = 1
+        nodes = 0
+    for a in range(nodes):
+        i, j = pairings.measurements[a], pairings.features[a]
+        begin, end = (where.starts[j], where.starts[j + 1]) if len(where.starts) > 0 else (0, n)
+        for k in range(i + 1, m):
+            for position in range(begin, end):
+                l = where.members[position] if len(where.starts) > 0 else position
+                if l == j or number[k, l] < 0:
+                    continue
+                effort[BINARY] += 1
+                if not binary_test(scan, problem.mapped, problem.gates, i, j, k, l):
+                    continue
+                if count == len(edges):
+                    edges = np.concatenate((edges, edges))
+                edges[count, 0], edges[count, 1] = a, number[k, l]
                 count += 1
-    return count
+    return pairings, edges[:count]
+
+
+@compiled
+def _best_of(problem: Problem, hypotheses: Path, gates: Array) -> Best:
+    """The best of the hypotheses, one a row of each array; where none holds, of what they shrink to."""
+    best, holds = nothing_found(len(problem.where.allowed)), False
+    for c in range(len(hypotheses.features)):
+        problem.effort[LEAVES] += 1
+        path = Path(hypotheses.measurements[c].copy(), hypotheses.features[c].copy())
+        holds = offer(best, problem, path, len(path.features), gates) or holds
+    for c in range(len(hypotheses.features) if not holds else 0):
+        path = Path(hypotheses.measurements[c].copy(), hypotheses.features[c].copy())
+        while len(path.features) > 2 and not offer(best, problem, path, len(path.features), gates):
+            path = _without_the_worst(problem, path)
+        if len(path.features) == 2:
+            offer(best, problem, path, 2, gates)
+    return best
+
+
+@compiled
+def _without_the_worst(problem: Problem, path: Path) -> Path:
+    """The pairings without the one whose absence leaves the least D²."""
+    scan, pose, covariance, least = problem.scan, np.empty(3), np.empty((3, 3)), math.inf
+    kept = path
+    for a in range(len(path.features)):
+        problem.effort[JOINT] += 1
+        rest, k = Path(np.delete(path.measurements, a), np.delete(path.features, a)), len(path.features) - 1
+        distance = locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, pose, covariance)
+        if distance < least or a == 0:
+            least, kept = min(distance, least), rest
+    return kept

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.association.acceptance import min_pairings
 from slam_gym.association.relocation.answer import decide, keep, location_gates, nothing_found, relocation
 from slam_gym.association.relocation.location import Located, locate
 from slam_gym.association.relocation.tree import (

@@ -9,7 +9,7 @@ from slam_gym.association import RELOCATORS
 from slam_gym.types import Locality
 from tests.oracles import relocation as oracles
 
-NAMES = ["gcbb", "max_clique", "random_sampling", "spectral"]
+NAMES = ["gcbb", "indexed", "max_clique", "random_sampling"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.association.relocation.acceptance import min_pairings
+from slam_gym.association.acceptance import min_pairings
 from slam_gym.geometry import transform
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap

@@ -1,17 +1,20 @@
 """The acceptance rule: its expectation against counts of chance hypotheses, and its laws."""
 
+import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from slam_gym.association import gcbb
-from slam_gym.association.relocation.acceptance import (
+from slam_gym.association.acceptance import (
     crowding_of,
-    expected_by_chance,
     extent,
+    least_pairings,
+    log_expected,
     min_pairings,
-    with_margin,
 )
 from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
@@ -48,7 +51,7 @@ def test_chance_brings_as_many_hypotheses_as_expected(clusters):
             scan, landmarks = world(seed, n, m, density=density, clusters=clusters)
             found = gcbb(scan, landmarks, confidence=0.99)
             counted += found.ties + 1 if found.pairings == m else 0
-            expected += expected_by_chance(scan, landmarks)[m]
+            expected += np.exp(log_expected(scan, landmarks)[m])
         assert counted < 1.3 * expected + 3.0 * np.sqrt(expected)
         assert counted > expected / (12.0 if clusters else 4.0)
 
@@ -74,9 +77,40 @@ def test_the_rule_grows_with_map_scan_and_noise_and_shrinks_with_the_probability
     assert min_pairings(scan, landmarks, probability=1e-6) > usual >= min_pairings(scan, landmarks, probability=0.5)
 
 
-def test_one_more_is_asked_for_where_most_of_the_scan_is_left_over():
-    assert [with_margin(k, 10) for k in (4, 5, 6, 7, 8, 11)] == [5, 6, 7, 7, 8, 11]
-    assert all(k <= with_margin(k, m) <= k + 1 for k in range(3, 12) for m in range(k - 1, 30))
+def test_one_more_is_required_where_most_of_the_scan_is_left_over():
+    def least(k, m):
+        return least_pairings(np.where(np.arange(m + 1) < k, 0.0, -9.0), 0.02)
+
+    assert [least(k, 10) for k in (4, 5, 6, 7, 8, 11)] == [5, 6, 7, 7, 8, 11]
+    assert all(k <= least(k, m) <= k + 1 for k in range(3, 12) for m in range(k - 1, 30))
+
+
+def test_the_expectation_is_the_formula_of_the_module_term_by_term():
+    scan, landmarks = world(5, 60, 7, clusters=True)
+    width, m, apart = extent(scan), 7, np.abs(landmarks.positions[:, None] - landmarks.positions[None])
+    crowding = crowding_of(landmarks, width)
+    others = np.repeat(np.arange(len(crowding.landmarks)), crowding.landmarks)
+    near = (apart.max(axis=2) < width / 3.0).sum(axis=1) - 1, (apart.max(axis=2) < 2.0 * width / 3.0).sum(axis=1) - 1
+    assert near[0].sum() <= others.sum() <= near[1].sum()  # of the 3 × 3 cells around each
+    a = np.sqrt(np.linalg.det(scan.covariances + crowding.variance * np.eye(2)))
+    spread = ((scan.points - scan.points.mean(axis=0)) ** 2).sum() / (m - 1)
+    for k in range(2, m + 1):
+        starts = max(
+            sum(math.perm(int(c), k - 1) for c in others) / width ** (2 * k - 2),
+            60 * (others.mean() / width**2) ** (k - 1),
+        )
+        subsets = sum(math.prod(some) for some in itertools.combinations(a, k))
+        ball = math.pi ** (k - 1.5) / math.gamma(k - 0.5) * chi2.ppf(0.99, 2 * k - 3) ** (k - 1.5)
+        pose = k * math.sqrt((k - 1) * spread) / a.mean() ** 1.5
+        expected = math.log(2.0 * math.pi * starts * subsets * pose * ball)
+        assert log_expected(scan, landmarks)[k] == pytest.approx(expected, rel=1e-9)
+
+
+def test_scans_of_hundreds_of_measurements_do_not_overflow():
+    for m in (250, 600):
+        scan, landmarks = world(6, 3000, m)
+        numbers = log_expected(scan, landmarks)
+        assert np.isfinite(numbers[2:]).all() and 3 < min_pairings(scan, landmarks) < m
 
 
 def test_sizes_and_common_drift_are_taken_into_account():
@@ -88,7 +122,7 @@ def test_sizes_and_common_drift_are_taken_into_account():
     marginals = landmarks.covariances + 4.0 * np.eye(2)
     drifted = np.kron(np.eye(300), 0.05**2 * np.eye(2)) + 4.0 * np.kron(np.ones((300, 300)), np.eye(2))
     known = replace(landmarks, covariances=marginals, covariance=drifted)
-    np.testing.assert_allclose(expected_by_chance(scan, known), expected_by_chance(scan, landmarks), rtol=1e-9)
+    np.testing.assert_allclose(log_expected(scan, known), log_expected(scan, landmarks), rtol=1e-9)
     assert min_pairings(scan, replace(landmarks, covariances=marginals)) > min_pairings(scan, known)
 
 
@@ -96,9 +130,7 @@ def test_crowding_given_is_crowding_found():
     scan, landmarks = world(2, 200, 8)
     crowding = crowding_of(landmarks, extent(scan))
     assert crowding.landmarks.sum() == 200 and crowding.variance == pytest.approx(0.0025)
-    np.testing.assert_array_equal(
-        expected_by_chance(scan, landmarks, crowding=crowding), expected_by_chance(scan, landmarks)
-    )
+    np.testing.assert_array_equal(log_expected(scan, landmarks, crowding=crowding), log_expected(scan, landmarks))
 
 
 @pytest.mark.parametrize("m", [0, 1, 2, 3])

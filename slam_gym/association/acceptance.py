@@ -1,0 +1,227 @@
+"""How many pairings of a scan with a map chance brings: the expected number of accidental matches.
+
+Let landmarks lie at random with density λ. A set of k measurements meets k of them by chance when, for some pose, the
+errors satisfy D² < γ = χ²_{2k−3,conf}. Where the landmarks would have to lie is a tube of R^{2k} around the
+three-dimensional surface of all poses. Whitened by S = Σ of scan and map, its cross-section is a ball of 2k − 3
+dimensions and radius √γ, volume V_{2k−3} γ^{(2k−3)/2}, and the surface element is √det(AᵀS⁻¹A) = 1/√det Σ_pose (see
+`relocation.location`). Integrated over the area of the map, λ·area = n, and over all headings, the expected number is
+
+    n · 2π λ^{k−1} · √(det S / det Σ_pose) · V_{2k−3} γ^{(2k−3)/2},
+
+for k = 2 the familiar n · λ · 2πd · 2√γ σ of an annulus. With independent errors of a_i = √det(R_i + P) per pairing,
+det S = Π a_i² and 1/√det Σ_pose = k √(Σ|z − z̄|²) / σ³. Summed over all k of the m measurements,
+
+    E_k = 2π · Σ_j λ_j^{k−1} · e_k(a_1 q_1, …, a_m q_m) · k √((k − 1) s²) / σ³ · V_{2k−3} γ^{(2k−3)/2},
+
+e_k being the elementary symmetric polynomial, q_i the fraction of landmarks that pass the unary constraints of
+measurement i, s² the variance of the scan's points, σ² the mean of a_i, and λ_j the density around landmark j within
+what a scan covers, so that crowded corners count as such. With c_j other landmarks in that area A, λ_j^{k−1} is
+estimated by c_j (c_j − 1) … (c_j − k + 2) / A^{k−1}, which is unbiased for a Poisson process, where a power of c_j / A
+would not be; where the sum of those is the lesser, by n λ̄^{k−1} with the mean density. All of it is computed as
+logarithms: a scan of some hundred measurements has more hypotheses than a float can count.
+
+Every further pairing makes E_k smaller by about λ π γ σ²: a hypothesis is believed from the first k on at which fewer
+than `probability` are expected, hence one count above what chance brings.
+
+Buildings are no Poisson process: corners and doors repeat along walls, and chance finds one pairing more than it
+should. So one more is required, unless the pairings explain most of the scan, which in another building they do not.
+(To refuse what is no better than for the mirror image of the scan in the same map makes wrong answers as few, but costs
+a sixth of the right ones: many a room is its own mirror image.)
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln, logsumexp, xlogy
+
+from slam_gym._compile import compiled
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.relocation.arrays import floats, integers, map_arrays, scan_arrays
+from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of, unary_table
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray, Landmarks, Scan
+
+EXPLAINED = 0.7  # fraction of a scan that, once paired, needs no margin
+_SAMPLE = 1000  # landmarks looked at for their errors and for what passes the unary constraints
+_NARROWEST = 1e-3  # [m] least extent of a scan
+_FLOOR = 1e-12  # [m²] least variance, as in `location`
+
+
+@dataclass(frozen=True, eq=False)
+class Crowding:
+    """What the rule needs to know of a map, for scans of one extent."""
+
+    landmarks: IntArray  # (c + 1,) number of landmarks by the number of others around them
+    area: float  # [m²] that these others are counted in
+    variance: float  # [m²] per axis, of a landmark relative to those around it
+
+
+def min_pairings(
+    scan: Scan,
+    landmarks: Landmarks,
+    *,
+    confidence: float = 0.99,
+    probability: float = 0.02,
+    crowding: Crowding | None = None,
+) -> int:
+    """The least k ≥ 3 such that fewer than `probability` hypotheses of k pairings are expected by chance; ≤ m + 1.
+
+    One more where that explains less than `EXPLAINED` of the scan: see the head of this file. `crowding` is that of the
+    map for the extent of the scan, where it is known already. Raises ValueError as `scan_arrays` and `map_arrays` do,
+    and unless 0 < probability < 1.
+    """
+    return least_pairings(log_expected(scan, landmarks, confidence=confidence, crowding=crowding), probability)
+
+
+def least_pairings(log_numbers: Array, probability: float) -> int:
+    """`min_pairings` from log E_k (m + 1,)."""
+    if not 0.0 < probability < 1.0:
+        raise ValueError(f"probability: {probability} is not between 0 and 1")
+    pairings = max(3, int(np.flatnonzero(log_numbers >= math.log(probability))[-1]) + 1)
+    return max(pairings, min(pairings + 1, math.ceil(EXPLAINED * (len(log_numbers) - 1))))
+
+
+def log_expected(
+    scan: Scan, landmarks: Landmarks, *, confidence: float = 0.99, crowding: Crowding | None = None
+) -> Array:
+    """log E_k for k = 0 … m, (m + 1,); inf for k < 2, which any pose explains.
+
+    Raises ValueError as `scan_arrays` and `map_arrays` do; with `crowding`, both are taken to be checked.
+    """
+    if crowding is None:
+        scan_arrays(scan)
+        crowding = crowding_of(landmarks, extent(scan))
+    m = len(scan)
+    if m < 2:
+        return np.full(m + 1, math.inf)
+    return _log_expected(
+        floats(scan.points), floats(scan.covariances), _fractions(scan, landmarks, confidence), crowding.variance,
+        _log_starts(crowding, m), _log_tubes(m, confidence),
+    )  # fmt: skip
+
+
+@compiled
+def _log_expected(
+    points: Array, noise: Array, fractions: Array, variance: float, log_starts: Array, log_tubes: Array
+) -> Array:
+    """log E_k from q_i (m,), log Σ λ^p for p = 0 … m − 1, and what depends on k and the confidence alone (m − 1,)."""
+    m = len(points)
+    logs, mean, square = np.empty(m), 0.0, 0.0
+    x, y = points[:, 0].mean(), points[:, 1].mean()
+    for i in range(m):
+        xx, yy, xy = noise[i, 0, 0] + variance, noise[i, 1, 1] + variance, noise[i, 0, 1]
+        area = math.sqrt(max(xx * yy - xy * xy, _FLOOR**2))
+        logs[i] = math.log(area * fractions[i]) if fractions[i] > 0.0 else -math.inf
+        mean, square = mean + area / m, square + ((points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2) / (m - 1)
+    expected = _log_elementary_symmetric(logs)
+    expected[:2] = math.inf
+    for k in range(2, m + 1):
+        spread = 0.5 * math.log(square) if square > 0.0 else -math.inf
+        expected[k] += log_starts[k - 1] + log_tubes[k - 2] + spread - 1.5 * math.log(mean)
+    return expected
+
+
+def extent(scan: Scan) -> float:
+    """[m] of what a scan covers: twice the largest distance of a measurement from their centre."""
+    if not len(scan):
+        return _NARROWEST
+    return max(2.0 * float(np.sqrt(((scan.points - scan.points.mean(0)) ** 2).sum(1).max())), _NARROWEST)
+
+
+def crowding_of(landmarks: Landmarks, width: float) -> Crowding:
+    """Densities from counts in squares of `width` [m] around each landmark, errors from pairs within a third of that.
+
+    O(n). Raises ValueError as `map_arrays` does.
+    """
+    mapped = mapped_of(map_arrays(landmarks))
+    others, neighbours = _neighbourhoods(mapped.positions, width / 3.0)
+    sample = np.arange(0, len(landmarks), max(len(landmarks) // _SAMPLE, 1))
+    variance = _relative_variance(mapped, sample[neighbours[sample] != UNPAIRED], neighbours)
+    if math.isnan(variance):
+        variance = 0.5 * float(np.trace(mapped.covariances[sample], axis1=1, axis2=2).mean()) if len(sample) else 0.0
+    return Crowding(np.bincount(others, minlength=1), width * width, variance)
+
+
+@functools.lru_cache(maxsize=64)
+def _log_starts(crowding: Crowding, orders: int) -> Array:
+    """log Σ_j λ_j^p [1/m^2p] for p = 0 … orders − 1."""
+    others, powers = np.flatnonzero(crowding.landmarks), np.arange(orders)
+    counts = crowding.landmarks[others]
+    if not len(others):
+        return np.full(orders, -math.inf)
+    fewer = np.maximum(others - powers[:, None], 0)
+    falling = gammaln(others + 1.0) - gammaln(fewer + 1.0)
+    factorials = logsumexp(np.where(others >= powers[:, None], falling, -math.inf), axis=1, b=counts)
+    of_mean = math.log(counts.sum()) + xlogy(powers, (counts * others).sum() / counts.sum())
+    starts: Array = np.maximum(factorials, of_mean) - powers * math.log(crowding.area)
+    return starts
+
+
+@functools.lru_cache(maxsize=1024)
+def _log_tubes(m: int, confidence: float) -> Array:
+    """log 2π k √(k − 1) V_{2k−3} γ^{(2k−3)/2} for k = 2 … m."""
+    k = np.arange(2, m + 1)
+    dof = 2.0 * k - 3.0
+    gates = np.array([chi2_gate(2 * pairings - 3, confidence) for pairings in k.tolist()])
+    balls = 0.5 * dof * np.log(math.pi * gates) - gammaln(0.5 * dof + 1.0)
+    return np.asarray(math.log(2.0 * math.pi) + np.log(k) + 0.5 * np.log(k - 1.0) + balls)
+
+
+def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
+    """q_i (m,) of measurements; 1 where nothing is known of them that could tell landmarks apart."""
+    if not (np.isfinite(scan.sizes).any() or (scan.kinds != UNKNOWN_KIND).any()):
+        return np.full(len(scan), float(len(landmarks) > 0))
+    step = max(len(landmarks) // _SAMPLE, 1)
+    passed = unary_table(
+        *scan_arrays(scan)[2:],
+        floats(landmarks.sizes[::step]),
+        floats(landmarks.size_variances[::step]),
+        integers(landmarks.kinds[::step]),
+        chi2_gate(1, confidence),
+    )
+    fractions: Array = passed.sum(axis=1) / max(passed.shape[1], 1)
+    return fractions
+
+
+@compiled
+def _log_elementary_symmetric(logs: Array) -> Array:
+    """log e_0 … e_m of what has the logarithms (m,)."""
+    sums = np.full(len(logs) + 1, -math.inf)
+    sums[0] = 0.0
+    for i in range(len(logs)):
+        for k in range(i + 1, 0, -1):
+            added = sums[k - 1] + logs[i]
+            larger = max(sums[k], added)
+            if larger > -math.inf:
+                sums[k] = larger + math.log1p(math.exp(min(sums[k], added) - larger))
+    return sums
+
+
+def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
+    """Number of others in the 3 × 3 cells of `side` around each point (n,); one in its own cell (n,), or UNPAIRED."""
+    cells = np.floor(positions / side).astype(np.int64)
+    numbers = cells - cells.min(axis=0, initial=0) + 1
+    rows = int(numbers[:, 1].max(initial=0)) + 2
+    of_each = numbers[:, 0] * rows + numbers[:, 1]
+    order = np.argsort(of_each, kind="stable")
+    in_order = of_each[order]
+    others = np.full(len(positions), -1)
+    for offset in (column * rows + row for column in (-1, 0, 1) for row in (-1, 0, 1)):
+        first, last = (np.searchsorted(in_order, of_each + offset, side=end) for end in ("left", "right"))
+        others += last - first
+    neighbours = np.full(len(positions), UNPAIRED)
+    neighbours[order[1:]] = np.where(in_order[1:] == in_order[:-1], order[:-1], UNPAIRED)
+    return others, neighbours
+
+
+@compiled
+def _relative_variance(mapped: Mapped, sample: IntArray, neighbours: IntArray) -> float:
+    """[m²] per axis: half that of the difference to a neighbour, the mean over `sample`; NaN where that is empty."""
+    total = 0.0
+    for j in sample:
+        xx, _, yy = difference_covariance(mapped, j, neighbours[j])
+        total += 0.25 * max(xx + yy, 0.0)
+    return total / len(sample) if len(sample) > 0 else math.nan

@@ -1,0 +1,385 @@
+"""Relocation below linear: a static hash of the triangles of near features, by their sides.
+
+A triangle of features is written once, counterclockwise and longest side first: vertices A, B, C with sides
+c = |AB| ≥ a = |BC|, b = |CA|. A mirror image runs clockwise, so it is found under other sides or not at all. Three
+measurements are looked up by their distances; the triangles that agree imply poses, each of which is held against the
+whole scan (`triangle_search`). The work is n times a small number (the chance that a triangle of the map looks like one
+of the scan), not the number of pairs of pairings.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from slam_gym._compile import compiled
+from slam_gym.association.acceptance import Crowding, crowding_of, least_pairings, log_expected
+from slam_gym.association.acceptance import min_pairings as rule
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.relocation.arrays import MapArrays, locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of
+from slam_gym.association.relocation.location import locate
+from slam_gym.association.relocation.triangle_search import (
+    BINARY,
+    FAR,
+    JOINT,
+    LEAVES,
+    LIMIT,
+    NODES,
+    TRIES,
+    Bytes,
+    Floats32,
+    Grid,
+    Integers32,
+    Raster,
+    TriangleHash,
+    cell_number,
+    search,
+)
+from slam_gym.geometry import wrap_angle
+from slam_gym.types import Array, Effort, IntArray, Landmarks, Locality, Relocation, Scan
+
+_WITHIN = 23  # features within reach of each
+_SAMPLE = 200  # features by whose surroundings the reach is judged
+_TRIANGLES = 64  # for each feature, on average, at most
+_NEAREST = 24  # features around each that its error is taken relative to, every other one of them
+_POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
+_DECISIVE = 0.002  # probability of pairings by chance so small that no rival of the same number is looked for
+_FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
+_RASTER_CELLS = 512  # for each feature, at most
+
+
+class FeatureIndex:
+    """A hash of the triangles in a map, for relocation.
+
+    Arguments:
+        landmarks: the map.
+        reach: [m] longest side of the triangles hashed. Scans are looked up by triples of measurements that are nearer
+            to each other than this; for others all pairs of near features are gone through. Default: what gives each
+            feature some 23 others within reach, and 64 triangles at most.
+
+    Raises ValueError where the reach is not positive and finite, and as `map_arrays` does.
+    """
+
+    def __init__(self, landmarks: Landmarks, *, reach: float | None = None) -> None:
+        self.landmarks, arrays = landmarks, map_arrays(landmarks)
+        positions, spreads = arrays[0], relative_covariances(landmarks) + _FLOOR * np.eye(2)
+        variances = 0.5 * np.trace(spreads, axis1=1, axis2=2)
+        noise = math.sqrt(2.0 * float(np.median(variances)) + 1e-6) if len(positions) else 0.07
+        if reach is None:
+            reach = _usual_reach(positions)
+        if not 0.0 < reach < math.inf:
+            raise ValueError(f"reach: {reach} is not positive and finite")
+        self._hash = _hash_of(arrays, spreads, reach, max(noise, reach / 400.0))
+
+    def __len__(self) -> int:
+        return len(self.landmarks)
+
+    @property
+    def reach(self) -> float:
+        """[m] longest side of the triangles hashed."""
+        return self._hash.reach
+
+    @property
+    def triangles(self) -> int:
+        """Triangles hashed."""
+        return len(self._hash.corners)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all arrays [bytes]."""
+        table = self._hash
+        arrays = (table.positions, table.spreads, table.starts, table.corners, table.sides)
+        return sum(array.nbytes for array in (*arrays, table.grid.starts, table.grid.members, table.raster.steps))
+
+    def relocate(
+        self,
+        scan: Scan,
+        locality: Locality | None = None,
+        *,
+        confidence: float = 0.99,
+        min_pairings: int | None = None,
+        exhaustive: bool = False,
+        node_limit: int | None = None,
+    ) -> Relocation:
+        """The pose that explains most measurements, if it explains enough and no other explains as many.
+
+        With `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule of
+        `acceptance`, with densities in squares of 1.5 reach; one pairing less is reported as ambiguous, and what
+        explains less than that is not looked for. The search ends once no pose is unseen that explains as many
+        measurements as the best. Unless `exhaustive`, it also ends with one pairing more than needed, or with so many
+        as chance brings once in 500 maps by the rule, and no other place found that looks alike: none that explains all
+        but k/3 − 1 of the same k measurements.
+
+        `node_limit` bounds the work, as so many poses verified: fits, and features gone through where the hash does not
+        reach, count as several. Default: 20 000 and 3 for each feature, some three times what it takes to refuse a scan
+        of 20 measurements from elsewhere. Where it is met, `effort.limit_hit` says so, and the answer is what was found
+        until then.
+
+        Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
+        another number of features.
+        """
+        start, arrays = time.perf_counter(), scan_arrays(scan)
+        decisive = len(scan) + 1
+        if min_pairings is None:
+            by_chance = log_expected(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
+            min_pairings, decisive = least_pairings(by_chance, 0.02), least_pairings(by_chance, _DECISIVE)
+        if min_pairings < 3:
+            raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
+        enough = len(scan) + 1 if exhaustive else min(decisive, min_pairings + 1)
+        most_work = _POSES + _POSES_EACH * len(self) if node_limit is None else node_limit
+        gates, places = _gates(len(scan), confidence), locality_arrays(locality, len(self))
+        found = search(self._hash, arrays, gates, places, (min_pairings, enough, most_work))
+        count, pairings = int(found.state[1]), int(found.state[0]) if found.state[1] else 0
+        best = int(found.squares[:count].argmin()) if count else 0
+        features, distance = found.features[best], float(found.squares[best])
+        if count and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
+            located = locate(scan, self.landmarks, features)
+            pose, covariance, distance = located.pose, located.covariance, located.joint_distance
+        else:
+            pose, covariance = _pose_of(found.fits[best], arrays[0])
+        spent = found.effort.tolist()
+        effort = Effort(
+            nodes=spent[NODES], binary_tests=spent[BINARY], joint_tests=spent[JOINT], leaves=spent[LEAVES],
+            tries=spent[TRIES], limit_hit=spent[LIMIT] > 0, seconds=time.perf_counter() - start,
+        )  # fmt: skip
+        ties, dof = max(count - 1, 0), max(2 * pairings - 3, 0)
+        ambiguous = ties > 0 or 0 < pairings < min_pairings
+        return Relocation(features, pose, covariance, distance, dof, min_pairings, ambiguous, ties, effort)
+
+    @functools.cached_property
+    def _crowding(self) -> Crowding:
+        return crowding_of(self.landmarks, 1.5 * self.reach)
+
+
+def indexed(
+    scan: Scan,
+    landmarks: Landmarks,
+    locality: Locality | None = None,
+    *,
+    confidence: float = 0.99,
+    min_pairings: int | None = None,
+    node_limit: int | None = None,
+) -> Relocation:
+    """`FeatureIndex.relocate` in an index built for the occasion: for maps that are small, or looked up once."""
+    if min_pairings is None:
+        min_pairings = rule(scan, landmarks, confidence=confidence)
+    return FeatureIndex(landmarks).relocate(
+        scan, locality, confidence=confidence, min_pairings=min_pairings, node_limit=node_limit
+    )
+
+
+def relative_covariances(landmarks: Landmarks) -> Array:
+    """Covariance of each feature relative to those around it, (n, 2, 2) [m²].
+
+    The vector between features j and l has covariance D_jl = P_jj + P_ll − P_jl − P_lj, in which error that both share
+    drops out. C_j is what makes D_jl ≈ C_j + C_l in the mean over near features l. Without cross-covariances it is
+    P_jj. Raises ValueError as `map_arrays` does.
+    """
+    mapped, n = mapped_of(map_arrays(landmarks)), len(landmarks)
+    if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
+        return mapped.covariances.copy()
+    near = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
+    differences = _differences(mapped, np.ascontiguousarray(near, np.int64))
+    half = 0.5 * differences.mean(axis=1)
+    relative = 2.0 * half - half[near].mean(axis=1)
+    # Where the neighbours are known much worse, too little or nothing is left of C_j: half of the mean over D_jl is
+    # taken instead, as if j and its neighbours were known equally well.
+    enough = (relative[:, 0, 0] > 0.5 * half[:, 0, 0]) & (relative[:, 1, 1] > 0.5 * half[:, 1, 1])
+    enough &= np.linalg.det(relative) > 0.0
+    out: Array = np.where(enough[:, None, None], relative, half)
+    out[:, [0, 1], [0, 1]] = np.maximum(out[:, [0, 1], [0, 1]], 0.0)
+    return out
+
+
+@compiled
+def _differences(mapped: Mapped, near: IntArray) -> Array:
+    """D_jl (n, k, 2, 2) [m²] of each feature and its neighbours (n, k)."""
+    out = np.empty((*near.shape, 2, 2))
+    for j in range(near.shape[0]):
+        for p in range(near.shape[1]):
+            xx, xy, yy = difference_covariance(mapped, j, near[j, p])
+            out[j, p, 0, 0], out[j, p, 0, 1], out[j, p, 1, 0], out[j, p, 1, 1] = xx, xy, xy, yy
+    return out
+
+
+def _largest_eigenvalues(covariances: Array) -> Array:
+    """(k,) of symmetric matrices (k, 2, 2)."""
+    half = 0.5 * (covariances[:, 0, 0] - covariances[:, 1, 1])
+    mean = 0.5 * (covariances[:, 0, 0] + covariances[:, 1, 1])
+    largest: Array = mean + np.sqrt(half * half + covariances[:, 0, 1] ** 2)
+    return largest
+
+
+@functools.lru_cache(maxsize=1024)
+def _gates(m: int, confidence: float) -> Array:
+    """χ²_1, χ²_2, then χ²_{2k−3} for k = 2 … m; shared, not to be written to."""
+    degrees = [1, 2, *(2 * k - 3 for k in range(2, m + 1))]
+    return np.array([chi2_gate(dof, confidence) for dof in degrees])
+
+
+def _pose_of(fit: Array, points: Array) -> tuple[Array, Array]:
+    """Pose of the robot (3,) and its covariance (3, 3), from a fit about the mean of the points (m, 2)."""
+    tx, ty, c, s, xx, xy, yy, xt, yt, tt = fit.tolist()
+    x, y = (points.sum(axis=0) / max(len(points), 1)).tolist()
+    u, v = c * x - s * y, s * x + c * y
+    pose = np.array([tx - u, ty - v, wrap_angle(math.atan2(s, c))])
+    xx, yy, xy = xx + 2.0 * v * xt + v * v * tt, yy - 2.0 * u * yt + u * u * tt, xy + v * yt - u * xt - u * v * tt
+    xt, yt = xt + v * tt, yt - u * tt
+    return pose, np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+
+
+def _usual_reach(positions: Array) -> float:
+    """[m] what gives each feature some 23 others within reach; 11 m where there are fewer than three features."""
+    n = len(positions)
+    if n < 3:
+        return 11.0
+    near = min(_WITHIN, n - 1)
+    distances = cKDTree(positions).query(positions[:: max(n // _SAMPLE, 1)], k=near + 1)[0]
+    return max(float(np.median(distances[:, near])), 1e-3)
+
+
+def _hash_of(arrays: MapArrays, spreads: Array, reach: float, noise: float) -> TriangleHash:
+    """The hash of a map, `spreads` (n, 2, 2) being the covariances of features relative to those around."""
+    positions, _, sizes, size_variances, kinds, *_ = arrays
+    packed, widest = spreads.reshape(-1, 4)[:, [0, 1, 3]], _largest_eigenvalues(spreads)
+    reach, starts, neighbours = _neighbours(positions, reach)
+    quantum = max(5.0 * noise, reach / 32.0)
+    counts = np.zeros(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1, np.int64)
+    nothing = np.empty((0, 3), np.int32), np.empty((0, 4), np.float32)
+    while _enter_triangles(positions, packed, starts, neighbours, quantum, reach, counts, *nothing) < 0:
+        reach, starts, neighbours = _neighbours(positions, 0.9 * reach)
+        counts[:] = 0
+    ends = np.cumsum(counts)
+    corners, sides = np.empty((ends[-1], 3), np.int32), np.empty((ends[-1], 4), np.float32)
+    _enter_triangles(positions, packed, starts, neighbours, quantum, reach, ends[:-1].copy(), corners, sides)
+    largest = float(widest.max(initial=_FLOOR))
+    return TriangleHash(
+        positions, packed, sizes, size_variances, kinds, ends, corners, sides, _grid_of(positions, reach / 3.0),
+        _raster_of(positions, widest, 3.5 * noise), reach, quantum, largest,
+    )  # fmt: skip
+
+
+def _neighbours(positions: Array, reach: float) -> tuple[float, IntArray, IntArray]:
+    """Features later than each and within reach of it, (n + 1,) starts and (e,); the reach is less where they crowd."""
+    n, tree = len(positions), cKDTree(positions)
+    while n and tree.count_neighbors(tree, reach) > 4 * _WITHIN * n:
+        reach *= 0.9
+    pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
+    pairs = pairs[np.argsort(pairs[:, 0] * n + pairs[:, 1])]
+    return reach, np.searchsorted(pairs[:, 0], np.arange(n + 1)), np.ascontiguousarray(pairs[:, 1])
+
+
+@compiled
+def _enter_triangles(
+    positions: Array,
+    spreads: Array,
+    starts: IntArray,
+    neighbours: IntArray,
+    quantum: float,
+    reach: float,
+    places: IntArray,
+    corners: Integers32,
+    sides: Floats32,
+) -> int:
+    """Enter each triangle at the place of its cell, which moves on; without room for any, they are counted one later.
+
+    Returns how many there are, or −1 where they are too many.
+    """
+    count, fill, numbers, lengths = 0, len(corners) > 0, np.empty(3, np.int64), np.empty(3)
+    for f in range(len(positions)):
+        for p in range(starts[f], starts[f + 1]):
+            for q in range(starts[f], p):
+                j, l = neighbours[q], neighbours[p]
+                (fx, fy), (jx, jy), (lx, ly) = positions[f], positions[j], positions[l]
+                if (jx - lx) ** 2 + (jy - ly) ** 2 > reach * reach:
+                    continue
+                if (jx - fx) * (ly - fy) - (jy - fy) * (lx - fx) < 0.0:
+                    j, l = l, j
+                numbers[0], numbers[1], numbers[2] = f, j, l
+                for k in range(3):
+                    a, b = numbers[k], numbers[(k + 1) % 3]
+                    lengths[k] = math.hypot(positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1])
+                k = np.argmax(lengths)
+                c, a, b = lengths[k], lengths[(k + 1) % 3], lengths[(k + 2) % 3]
+                cell, count = cell_number(int(c / quantum), int(a / quantum), int(b / quantum)), count + 1
+                if not fill:
+                    places[cell + 1] += 1
+                    continue
+                place = places[cell]
+                places[cell] += 1
+                variance = 0.0
+                for side in range(3):
+                    d, e = numbers[(k + side) % 3], numbers[(k + side + 1) % 3]
+                    corners[place, side], sides[place, side] = d, lengths[(k + side) % 3]
+                    variance = max(variance, _side_variance(positions, spreads, d, e))
+                sides[place, 3] = variance
+        if count > _TRIANGLES * len(positions):
+            return -1
+    return count
+
+
+@compiled
+def _side_variance(positions: Array, spreads: Array, j: int, l: int) -> float:
+    """[m²] of the distance between two features."""
+    x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
+    xx, xy, yy = spreads[j, 0] + spreads[l, 0], spreads[j, 1] + spreads[l, 1], spreads[j, 2] + spreads[l, 2]
+    square = x * x + y * y
+    return (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
+
+
+def _grid_of(positions: Array, side: float) -> Grid:
+    """Cells of `side` [m], or more where they would be too many for so few features."""
+    low, high = positions.min(axis=0, initial=math.inf), positions.max(axis=0, initial=-math.inf)
+    if not len(positions):
+        low = high = np.zeros(2)
+    side = _coarse_enough(high - low, side, 8 * len(positions))
+    columns, rows = (math.floor(extent / side) + 1 for extent in (high - low).tolist())
+    cells = np.floor((positions - low) / side).astype(np.int64)
+    numbers = cells[:, 1] * columns + cells[:, 0]
+    starts = np.concatenate(([0], np.cumsum(np.bincount(numbers, minlength=rows * columns))))
+    origin = (float(low[0]), float(low[1]), side)
+    return Grid(starts, np.argsort(numbers, kind="stable"), (rows, columns), origin)
+
+
+def _coarse_enough(extent: Array, side: float, cells: int) -> float:
+    """[m] `side`, or so much more that no more than about so many `cells` cover an `extent` (2,) [m]."""
+    while (extent[0] / side + 1.0) * (extent[1] / side + 1.0) > cells + 1024:
+        side *= 1.25
+    return side
+
+
+def _raster_of(positions: Array, widest: Array, side: float) -> Raster:
+    """Cells of `side` [m], or more where they would be too many; distances up to six of them are told."""
+    if not len(positions):
+        return Raster(np.full((1, 1), FAR, np.uint8), (0.0, 0.0, side), side)
+    gate = chi2_gate(2, 0.99)
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    side = _coarse_enough(high - low, side, _RASTER_CELLS * len(positions))
+    step = 7.0 * side / FAR
+    margin = math.hypot(7.0 * side, math.sqrt(gate * float(widest.max()))) + 2.0 * side
+    margin = min(margin, 8.0 * side + float((high - low).max()))
+    columns, rows = (math.floor((extent + 2.0 * margin) / side) + 1 for extent in (high - low).tolist())
+    steps, origin = np.full((rows, columns), FAR, np.uint8), (float(low[0] - margin), float(low[1] - margin), side)
+    _paint(steps, origin, step, positions, gate * widest)
+    return Raster(steps, origin, step)
+
+
+@compiled
+def _paint(steps: Bytes, origin: tuple[float, float, float], step: float, positions: Array, explained: Array) -> None:
+    """Enter the distances of all features, of which `explained` (n,) [m²] of the squares is their own uncertainty."""
+    (rows, columns), (left, bottom, side), furthest = steps.shape, origin, (FAR * step) ** 2
+    for j in range(len(positions)):
+        x, y, radius = positions[j, 0], positions[j, 1], math.sqrt(furthest + explained[j])
+        for row in range(max(int((y - radius - bottom) / side), 0), min(int((y + radius - bottom) / side) + 1, rows)):
+            dy = max(row * side + bottom - y, y - bottom - (row + 1) * side, 0.0)
+            first, last = max(int((x - radius - left) / side), 0), min(int((x + radius - left) / side) + 1, columns)
+            for column in range(first, last):
+                dx = max(column * side + left - x, x - left - (column + 1) * side, 0.0)
+                square = dx * dx + dy * dy - explained[j]
+                if square < furthest:
+                    steps[row, column] = min(steps[row, column], int(math.sqrt(max(square, 0.0)) / step))

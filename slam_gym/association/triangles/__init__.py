@@ -1,1 +1,0 @@
-"""The parts of `association.index`: triangles of features by their sides, look-up, verification, pose."""

@@ -1,0 +1,412 @@
+"""The hash of triangles against brute force over all poses that two pairings imply, and the laws it must keep."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from slam_gym.association.relocation import triangle_search
+from slam_gym.association.relocation.location import locate
+from slam_gym.association.relocation.triangles import FeatureIndex, indexed, relative_covariances
+from slam_gym.geometry import observe
+from slam_gym.types import SPURIOUS, UNPAIRED, Landmarks, Locality, Scan
+from slam_gym.world import corridor
+
+SIGMA = 0.05
+EVERYWHERE = np.empty(0, np.int64), np.empty(0, np.int64)
+
+
+def landmarks_at(positions, sigma=SIGMA):
+    return Landmarks.from_points(positions, sigma=sigma)
+
+
+def scan_at(points, sigma=SIGMA):
+    return Scan.from_points(points, sigma=sigma)
+
+
+def field(rng, n):
+    """n features at 1/16 per m²."""
+    return rng.uniform(0.0, 4.0 * math.sqrt(n), (n, 2))
+
+
+def view(rng, truth, m, spurious, sigma=SIGMA, half=False):
+    """A scan from a random place, its pose, and the feature behind each measurement."""
+    seen = m - spurious
+    pose = np.array([*rng.uniform(0.2, 0.8, 2) * truth.max(0), rng.uniform(-np.pi, np.pi)])
+    near = np.argsort(np.hypot(*(truth - pose[:2]).T))[: 2 * seen if half else seen]
+    sources = np.concatenate([rng.permutation(near)[:seen], np.full(spurious, SPURIOUS)])
+    radius = np.hypot(*(truth[near[-1]] - pose[:2])) * np.sqrt(rng.random(spurious))
+    angle = rng.uniform(-np.pi, np.pi, spurious)
+    strays = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    points, order = np.concatenate([observe(pose, truth[sources[:seen]]), strays]), rng.permutation(m)
+    return scan_at(points[order] + sigma * rng.standard_normal((m, 2)), sigma), pose, sources[order]
+
+
+def is_near(answer, pose):
+    turn = (answer.pose[2] - pose[2] + np.pi) % (2 * np.pi) - np.pi
+    return bool(np.hypot(*(answer.pose[:2] - pose[:2])) < 0.3 and abs(turn) < math.radians(3.0))
+
+
+def look_at(scan):
+    unknown = np.full(len(scan), np.nan)
+    gates = np.array([chi2.ppf(0.99, dof) for dof in (1, 2, *range(1, 2 * len(scan), 2))])
+    arrays = scan.points, scan.covariances, unknown, unknown, np.full(len(scan), -1)
+    return triangle_search.look_at(arrays, gates, EVERYWHERE, (3, len(scan) + 1, 10**6))
+
+
+def fit(z, F, pairs):
+    rows, columns = np.array(pairs).T
+    a, b = z[rows] - z[rows].mean(0), F[columns] - F[columns].mean(0)
+    angle = math.atan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    heading = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    return heading, F[columns].mean(0) - heading @ z[rows].mean(0)
+
+
+def around(places, F, gate):
+    squares = ((places[:, None] - F[None]) ** 2).sum(2)
+    pairs, used = [], set()
+    for i in np.argsort(squares.min(1)):
+        j = int(np.argmin(squares[i]))
+        if squares[i, j] < gate and j not in used:
+            pairs.append((int(i), j))
+            used.add(j)
+    return pairs
+
+
+def brute_force(scan, landmarks):
+    """Most pairings over the poses that any two pairings imply, fitted again to what they bring: number, and which.
+
+    Variances are equal for all here, so the fit is Umeyama's, unweighted.
+    """
+    z, F = scan.points, landmarks.positions
+    variance = scan.covariances[0, 0, 0] + landmarks.covariances[0, 0, 0]
+    apart, gate = np.hypot(*(F[:, None] - F[None]).transpose(2, 0, 1)), math.sqrt(chi2.ppf(0.99, 1) * 2.0 * variance)
+    best, found = 0, []
+    for i, k in itertools.combinations(range(len(z)), 2):
+        for j, l in np.argwhere(np.abs(apart - np.hypot(*(z[k] - z[i]))) < gate):
+            pairs = [(i, int(j)), (k, int(l))]
+            for _ in range(3 if j != l else 0):
+                heading, shift = fit(z, F, pairs)
+                pairs = around(z @ heading.T + shift, F, chi2.ppf(0.99, 2) * variance)
+                if len(pairs) < max(best, 3):
+                    break
+            if len(pairs) < max(best, 3):
+                continue
+            heading, shift = fit(z, F, pairs)
+            rows, columns = np.array(pairs).T
+            errors = F[columns] - (z[rows] @ heading.T + shift)
+            if (errors**2).sum() / variance > chi2.ppf(0.99, 2 * len(pairs) - 3):
+                continue
+            found = [] if len(pairs) > best else found
+            best = len(pairs)
+            if set(pairs) not in found:
+                found.append(set(pairs))
+    return best, found
+
+
+@pytest.mark.parametrize("spurious", [0, 2, 3])
+def test_as_many_pairings_as_brute_force(spurious):
+    rng = np.random.default_rng(spurious)
+    for _ in range(40):
+        truth = field(rng, 18)
+        landmarks = landmarks_at(truth + SIGMA * rng.standard_normal(truth.shape))
+        scan, pose, _ = view(rng, truth, 7, spurious, half=bool(rng.integers(2)))
+        answer = FeatureIndex(landmarks).relocate(scan, min_pairings=4, exhaustive=True)
+        most, hypotheses = brute_force(scan, landmarks)
+        decided = {(i, int(j)) for i, j in enumerate(answer.features) if j != UNPAIRED}
+        # Gates are taken at slightly different poses, which may cost either one pairing at their edge.
+        assert abs(answer.pairings - most) <= 1
+        if most >= 5 and len(hypotheses) == 1:
+            assert len(decided & hypotheses[0]) >= most - 1
+            assert is_near(answer, pose)
+
+
+@pytest.mark.parametrize("half", [False, True])
+@pytest.mark.parametrize("spurious", [0, 3])
+def test_recovers_the_pose_in_larger_maps(spurious, half):
+    rng = np.random.default_rng(10 + spurious)
+    truth = field(rng, 500)
+    index = FeatureIndex(landmarks_at(truth + SIGMA * rng.standard_normal(truth.shape)))
+    right = 0
+    for _ in range(60):
+        scan, pose, sources = view(rng, truth, 10, spurious, half=half)
+        answer = index.relocate(scan)
+        assert not answer.accepted or is_near(answer, pose)
+        right += answer.accepted
+        unlike = (answer.features != sources) & (answer.features != UNPAIRED) & (sources != SPURIOUS)
+        assert not (answer.accepted and unlike.any())
+    assert right >= 57
+
+
+def test_refuses_what_was_never_mapped_and_mirror_images():
+    rng = np.random.default_rng(3)
+    truth = field(rng, 1000)
+    index, accepted = FeatureIndex(landmarks_at(truth)), 0
+    for m in (6, 8, 10, 14):
+        for _ in range(30):
+            accepted += index.relocate(view(rng, field(rng, 100), m, 0)[0]).accepted
+            scan = view(rng, truth, m, 0)[0]
+            accepted += index.relocate(scan_at(scan.points * [1.0, -1.0])).accepted
+    assert accepted <= 8  # 2 % of 240 are expected at most
+
+
+def test_says_ambiguous_where_two_places_look_alike():
+    rng = np.random.default_rng(6)
+    room = rng.uniform(0.0, 20.0, (25, 2))
+    twin, alone = (
+        FeatureIndex(landmarks_at(np.concatenate([room, room + np.array([40.0, 0.0])]))),
+        FeatureIndex(landmarks_at(room)),
+    )
+    for _ in range(30):
+        scan, pose, _ = view(rng, room, 10, 2)
+        answer, single = twin.relocate(scan), alone.relocate(scan)
+        assert answer.ambiguous and answer.ties >= 1 and not answer.accepted
+        assert single.accepted and is_near(single, pose)
+
+
+def test_the_corridor_looks_alike_from_four_sides_until_it_is_thinned():
+    rng = np.random.default_rng(23)
+    world = corridor.features()
+    thinned = world[rng.random(len(world)) < 0.6]
+    for features, symmetric in ((world, True), (thinned, False)):
+        index, accepted = FeatureIndex(landmarks_at(features + 0.01 * rng.standard_normal(features.shape), 0.01)), 0
+        for _ in range(40):
+            turn = 0.5 * np.pi * rng.integers(4)
+            heading = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+            pose = np.array([*(heading @ (np.array([rng.uniform(0.0, 10.0), 0.0]) - 5.0) + 5.0), turn])
+            seen = observe(pose, features)
+            seen = seen[(np.hypot(*seen.T) < corridor.RANGE) & (seen[:, 0] > 0.0)]
+            answer = index.relocate(scan_at(seen + 0.01 * rng.standard_normal(seen.shape), 0.01))
+            assert answer.ambiguous or not symmetric
+            assert not answer.accepted or is_near(answer, pose)
+            accepted += answer.accepted
+        assert accepted == 0 if symmetric else accepted >= 24
+
+
+def test_two_runs_are_equal():
+    answers = []
+    for _ in range(2):
+        rng = np.random.default_rng(9)
+        truth = field(rng, 300)
+        index = FeatureIndex(landmarks_at(truth))
+        answers.append([index.relocate(view(rng, truth, 12, 4)[0]) for _ in range(20)])
+    for a, b in zip(*answers):
+        assert np.array_equal(a.features, b.features) and np.array_equal(a.pose, b.pose, equal_nan=True)
+        assert dataclasses.replace(a.effort, seconds=0.0) == dataclasses.replace(b.effort, seconds=0.0)
+
+
+def test_work_grows_slower_than_pairs_of_features():
+    work = []
+    for n in (500, 8000):
+        rng = np.random.default_rng(15)
+        truth = field(rng, n)
+        index = FeatureIndex(landmarks_at(truth))
+        effort = [index.relocate(view(rng, truth, 10, 3)[0], min_pairings=6).effort for _ in range(20)]
+        work.append(np.median([e.nodes + e.binary_tests for e in effort]))
+    # 16 times the features: linear at most, and far below one test per feature and measurement
+    assert work[1] < 24 * work[0] and work[1] < 2.0 * 8000
+
+
+def test_the_triangles_are_those_with_sides_within_reach_once_each_and_counterclockwise():
+    positions = field(np.random.default_rng(34), 60)
+    apart = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
+    index = FeatureIndex(landmarks_at(positions))
+    assert index.reach == pytest.approx(np.median(np.sort(apart, axis=1)[:, 23])) and index.triangles <= 64 * 60
+    triples = itertools.combinations(range(60), 3)
+    near = {t for t in triples if max(apart[i, j] for i, j in itertools.combinations(t, 2)) <= index.reach}
+    corners = index._hash.corners
+    assert len(corners) == len(near) and {tuple(sorted(t)) for t in corners.tolist()} == near
+    A, B, C = positions[corners].transpose(1, 0, 2)
+    sides = np.stack([np.hypot(*(B - A).T), np.hypot(*(C - B).T), np.hypot(*(A - C).T)], axis=1)
+    np.testing.assert_allclose(index._hash.sides[:, :3], sides, rtol=1e-6)
+    assert (sides[:, 0] == sides.max(axis=1)).all() and (np.linalg.det(np.stack([B - A, C - A], axis=1)) > 0).all()
+
+
+@pytest.mark.parametrize(("groups", "reach"), [(1, None), (2, None), (4, None), (3, 4.0), (3, 5.0), (3, 6.0)])
+def test_any_measurements_one_more_than_two_for_each_group_hold_a_triple_looked_up(groups, reach):
+    rng, m = np.random.default_rng(37), 13
+    table = FeatureIndex(landmarks_at(field(rng, 30)), reach=reach)._hash
+    look = look_at(scan_at(2.0 * rng.standard_normal((m, 2))))._replace(needed=2 * groups + 1)
+    found = triangle_search.Found(*np.zeros((2, 1, 1)), np.zeros(1), np.zeros(3, np.int64), np.zeros(7, np.int64))
+    order, starts = triangle_search._near_groups(table, look, groups)
+    assert sorted(order) == list(range(m)) and starts[0] == 0 and starts[-1] == m
+    triples, short = triangle_search._triples(table, look, order, starts, np.zeros(math.comb(m, 3), np.bool_))
+    looked_up = [set(t) for t in triples[:short].tolist()]
+    for triple in triples[short:]:
+        instead = triangle_search._instead_of(table, look, found, triple).tolist()
+        assert all(set(triple.tolist()) <= {*one} and one[3] in triple for one in instead)
+        looked_up += [set(one) for one in instead] or [set(triple.tolist())]
+    for some in itertools.combinations(range(m), 2 * groups + 1):
+        assert any(t <= set(some) for t in looked_up)
+
+
+def test_the_raster_never_tells_more_than_the_distance_to_the_nearest_feature():
+    rng = np.random.default_rng(45)
+    for sigma in (0.0, 0.05, 0.3):
+        positions = field(rng, 200)
+        raster, gate = FeatureIndex(landmarks_at(positions, sigma))._hash.raster, chi2.ppf(0.99, 2)
+        left, bottom, side = raster.origin
+        for place in rng.uniform(-2.0, positions.max() + 2.0, (300, 2)):
+            column, row = int((place[0] - left) / side), int((place[1] - bottom) / side)
+            inside = 0 <= row < raster.steps.shape[0] and 0 <= column < raster.steps.shape[1]
+            told = raster.steps[row, column] if inside else triangle_search.FAR
+            square = ((positions - place) ** 2).sum(axis=1).min() - gate * (sigma**2 + 1e-10)
+            assert told * raster.step <= math.sqrt(max(square, 0.0)) + 1e-9
+
+
+def test_triples_wider_than_the_reach_are_searched_too():
+    rng = np.random.default_rng(16)
+    truth = field(rng, 150)
+    index, right = FeatureIndex(landmarks_at(truth), reach=3.0), 0
+    for _ in range(25):
+        scan, pose, _ = view(rng, truth, 8, 1)
+        answer = index.relocate(scan)
+        right += answer.accepted and is_near(answer, pose)
+    assert right >= 23
+
+
+def test_pairings_stay_in_the_locality_of_the_first():
+    rng = np.random.default_rng(12)
+    truth = field(rng, 100)
+    half = truth[:, 0] < np.median(truth[:, 0])
+    members = [np.flatnonzero(half == half[j]) for j in range(100)]
+    locality = Locality(np.concatenate([[0], np.cumsum([len(row) for row in members])]), np.concatenate(members))
+    index = FeatureIndex(landmarks_at(truth))
+    for _ in range(40):
+        answer = index.relocate(view(rng, truth, 10, 1)[0], locality, min_pairings=3)
+        assert len({bool(half[j]) for j in answer.features if j != UNPAIRED}) <= 1
+
+
+def test_sizes_and_kinds_tell_like_places_apart():
+    rng = np.random.default_rng(13)
+    room = rng.uniform(0.0, 20.0, (25, 2))
+    both = landmarks_at(np.concatenate([room, room + np.array([40.0, 0.0])]))
+    sizes, variances = np.repeat([0.2, 0.6], 25), np.full(50, 1e-4)
+    scan, pose, _ = view(rng, room, 10, 0)
+    sized = dataclasses.replace(scan, sizes=np.full(10, 0.2), size_variances=np.full(10, 1e-4))
+    for landmarks, seen in (
+        (
+            dataclasses.replace(both, kinds=np.repeat([0, 1], 25)),
+            dataclasses.replace(scan, kinds=np.zeros(10, np.int64)),
+        ),
+        (dataclasses.replace(both, sizes=sizes, size_variances=variances), sized),
+    ):
+        answer = indexed(seen, landmarks)
+        assert answer.accepted and is_near(answer, pose)
+    assert indexed(scan, both).ambiguous
+
+
+def test_is_exact_without_noise():
+    rng = np.random.default_rng(5)
+    truth = field(rng, 300)
+    index = FeatureIndex(landmarks_at(truth, 0.0))
+    for _ in range(30):
+        scan, pose, sources = view(rng, truth, 10, 3, sigma=0.0)
+        answer = index.relocate(scan)
+        assert np.array_equal(answer.features, sources)
+        np.testing.assert_allclose(answer.pose, pose, atol=1e-7)
+
+
+def test_the_fit_is_the_location_of_its_pairings():
+    rng = np.random.default_rng(35)
+    truth = field(rng, 120)
+    halves = 0.04 * rng.standard_normal((120, 2, 2))
+    errors = halves @ halves.transpose(0, 2, 1) + 1e-4 * np.eye(2)
+    landmarks = dataclasses.replace(landmarks_at(truth), covariances=errors)
+    index, found = FeatureIndex(landmarks), 0
+    for _ in range(30):
+        scan = view(rng, truth, 10, 2)[0]
+        wide = scan.covariances * rng.uniform(1.0, 2.0, (10, 1, 1)) + 1e-3 * np.array([[1.0, 0.5], [0.5, 0.6]])
+        scan = dataclasses.replace(scan, covariances=wide)
+        answer = index.relocate(scan)
+        if answer.pairings == 0:
+            continue
+        located = locate(scan, landmarks, answer.features)
+        deviations = np.sqrt(np.diag(located.covariance))
+        assert np.all(np.abs(answer.pose - located.pose) < 1e-3 * deviations)
+        scale = np.outer(deviations, deviations)
+        np.testing.assert_allclose(answer.covariance / scale, located.covariance / scale, atol=0.01)
+        np.testing.assert_allclose(answer.joint_distance, located.joint_distance, rtol=1e-3)
+        found += 1
+    assert found >= 27
+
+
+def test_drift_that_near_features_share_does_not_open_the_gates():
+    rng = np.random.default_rng(11)
+    truth = field(rng, 120)
+    J = np.zeros((240, 3))
+    J[0::2, 0] = J[1::2, 1] = 1.0
+    J[0::2, 2], J[1::2, 2] = -truth[:, 1], truth[:, 0]
+    covariance = J @ np.diag([1.0, 1.0, 0.02]) ** 2 @ J.T + SIGMA**2 * np.eye(240)
+    drawn = truth.ravel() + np.linalg.cholesky(covariance) @ rng.standard_normal(240)
+    landmarks = Landmarks.from_points(drawn.reshape(-1, 2), covariance=covariance)
+    relative, marginal = (
+        np.trace(P, axis1=1, axis2=2) for P in (relative_covariances(landmarks), landmarks.covariances)
+    )
+    assert np.median(relative) < 0.1 * np.median(marginal)
+    index, right = FeatureIndex(landmarks), 0
+    for _ in range(40):
+        scan, _, sources = view(rng, truth, 10, 3)
+        answer = index.relocate(scan)
+        right += answer.accepted
+        paired = (answer.features != UNPAIRED) & (sources != SPURIOUS)
+        assert not answer.accepted or np.all(answer.features[paired] == sources[paired])
+    assert right >= 36
+    independent = landmarks_at(truth)
+    np.testing.assert_array_equal(relative_covariances(independent), independent.covariances)
+
+
+@pytest.mark.parametrize(("n", "m"), [(50, 0), (50, 1), (50, 2), (0, 8), (1, 8), (2, 8)])
+def test_too_few_measurements_or_features_say_nothing(n, m):
+    rng = np.random.default_rng(17)
+    landmarks, scan = landmarks_at(field(rng, n)), scan_at(rng.uniform(-5.0, 5.0, (m, 2)))
+    for answer in (FeatureIndex(landmarks).relocate(scan), indexed(scan, landmarks)):
+        assert not answer.accepted and answer.pairings == 0
+        assert np.isnan(answer.pose).all() and len(answer.features) == m
+
+
+def test_measurements_on_a_line_and_duplicates_are_handled():
+    rng = np.random.default_rng(19)
+    truth = np.concatenate([field(rng, 60), np.column_stack([np.cumsum(rng.uniform(1.0, 3.0, 12)), np.full(12, 50.0)])])
+    index, pose = FeatureIndex(landmarks_at(truth, 0.01)), np.array([10.0, 48.0, 0.3])
+    answer = index.relocate(scan_at(observe(pose, truth[60:]), 0.01))
+    assert answer.accepted and is_near(answer, pose)
+    twice = FeatureIndex(landmarks_at(np.concatenate([truth, truth]), 0.01))
+    answer = twice.relocate(scan_at(observe(pose, truth[60:]), 0.01))
+    assert is_near(answer, pose) and answer.pairings == 12
+    assert not index.relocate(scan_at(np.zeros((6, 2)), 0.01)).accepted
+
+
+def test_crowds_and_far_outliers_leave_the_tables_small():
+    rng = np.random.default_rng(21)
+    crowd = np.concatenate([rng.normal(0.0, 0.2, (400, 2)), field(rng, 200), [[1e6, -1e6]]])
+    index = FeatureIndex(landmarks_at(crowd))
+    assert index.triangles <= 64 * len(crowd) and index.nbytes < 4096 * len(crowd)
+
+
+def test_bad_input_is_refused_by_name():
+    rng = np.random.default_rng(20)
+    positions = field(rng, 20)
+    index, scan = FeatureIndex(landmarks_at(positions)), view(rng, positions, 8, 0)[0]
+    with pytest.raises(ValueError, match="measurement 3"):
+        index.relocate(dataclasses.replace(scan, points=np.where(np.arange(8)[:, None] == 3, np.nan, scan.points)))
+    with pytest.raises(ValueError, match=r"covariances\[0\]"):
+        FeatureIndex(dataclasses.replace(index.landmarks, covariances=-index.landmarks.covariances))
+    for wrong in ({"min_pairings": 2}, {"confidence": 1.0}, {"locality": Locality(*np.zeros((2, 3), np.int64))}):
+        with pytest.raises(ValueError):
+            index.relocate(scan, **wrong)
+    with pytest.raises(ValueError, match="reach"):
+        FeatureIndex(landmarks_at(positions), reach=-1.0)
+
+
+def test_a_crowd_of_likenesses_ends_at_the_limit_and_says_so():
+    """On a lattice every pose looks like every other: there are more of them than are worth verifying."""
+    lattice = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
+    scan, index = scan_at(np.random.default_rng(0).uniform(-4.0, 4.0, (20, 2))), FeatureIndex(landmarks_at(lattice))
+    bounded, short = index.relocate(scan, min_pairings=9), index.relocate(scan, min_pairings=9, node_limit=50)
+    assert bounded.effort.limit_hit and short.effort.limit_hit
+    assert short.effort.nodes < bounded.effort.nodes < 40_000
+    assert not index.relocate(scan, min_pairings=20).effort.limit_hit
