@@ -19,7 +19,7 @@ import pandas as pd
 
 from benchmarks.common import Record, Tolerance, clutter, fastest, options, table, timed
 from slam_gym import Landmarks, Scan
-from slam_gym.association.triangles.index import FeatureIndex
+from slam_gym.association.relocation.triangles import FeatureIndex
 from slam_gym.geometry import observe
 from slam_gym.types import Array
 

@@ -200,21 +200,33 @@ def _log_elementary_symmetric(logs: Array) -> Array:
     return sums
 
 
+@compiled
 def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
-    """Number of others in the 3 × 3 cells of `side` around each point (n,); one in its own cell (n,), or UNPAIRED."""
-    cells = np.floor(positions / side).astype(np.int64)
-    numbers = cells - cells.min(axis=0, initial=0) + 1
-    rows = int(numbers[:, 1].max(initial=0)) + 2
-    of_each = numbers[:, 0] * rows + numbers[:, 1]
-    order = np.argsort(of_each, kind="stable")
-    in_order = of_each[order]
-    others = np.full(len(positions), -1)
-    for offset in (column * rows + row for column in (-1, 0, 1) for row in (-1, 0, 1)):
-        first, last = (np.searchsorted(in_order, of_each + offset, side=end) for end in ("left", "right"))
-        others += last - first
-    neighbours = np.full(len(positions), UNPAIRED)
-    neighbours[order[1:]] = np.where(in_order[1:] == in_order[:-1], order[:-1], UNPAIRED)
+    """Number of others in the 3 × 3 cells of `side` around each point (n,); one in its own cell (n,), or UNPAIRED.
+
+    Cells are hashed into a table, where different ones may meet: that can only make the map look more crowded.
+    """
+    n, size = len(positions), 64
+    while size < 8 * n:
+        size *= 2
+    counts, last = np.zeros(size, np.int64), np.full(size, UNPAIRED)
+    others, neighbours = np.full(n, -1), np.empty(n, np.int64)
+    for j in range(n):
+        cell = _cell(math.floor(positions[j, 0] / side), math.floor(positions[j, 1] / side), size)
+        counts[cell] += 1
+        neighbours[j], last[cell] = last[cell], j
+    for j in range(n):
+        x, y = math.floor(positions[j, 0] / side), math.floor(positions[j, 1] / side)
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                others[j] += counts[_cell(x + dx, y + dy, size)]
     return others, neighbours
+
+
+@compiled
+def _cell(x: float, y: float, size: int) -> int:
+    """Entry of a table of `size`, a power of 2."""
+    return int((np.int64(x) * 73856093 ^ np.int64(y) * 19349663) & (size - 1))
 
 
 @compiled

@@ -556,7 +556,8 @@ def _verify(
             places[t] = row * columns + column
         for t in range(len(triangles)):
             missed[t] += weight * (flat[places[t]] > limit)
-    for t in np.flatnonzero(missed <= allowed):
+    for passed in np.flatnonzero(missed <= allowed):
+        t = int(passed)
         if found.effort[LIMIT] > 0:
             return
         if _misses(table, seed, counts, poses[:, t], allowed) <= allowed:

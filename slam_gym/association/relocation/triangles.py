@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam_gym._compile import compiled
-from slam_gym.association.acceptance import Crowding, crowding_of, least_pairings, log_expected
+from slam_gym.association.acceptance import Crowding, least_pairings, log_expected
 from slam_gym.association.acceptance import min_pairings as rule
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import MapArrays, locality_arrays, map_arrays, scan_arrays
@@ -153,7 +153,12 @@ class FeatureIndex:
 
     @functools.cached_property
     def _crowding(self) -> Crowding:
-        return crowding_of(self.landmarks, 1.5 * self.reach)
+        """That of squares of 1.5 reach, with the mean variance of all features relative to those around."""
+        table, width = self._hash, 1.5 * self.reach
+        tree = cKDTree(table.positions)
+        others = tree.query_ball_point(table.positions, 0.5 * width, p=math.inf, return_length=True) - 1
+        variance = 0.5 * float((table.spreads[:, 0] + table.spreads[:, 2]).mean()) if len(self) else 0.0
+        return Crowding(np.bincount(others), width * width, variance)
 
 
 def indexed(
@@ -304,9 +309,9 @@ def _enter_triangles(
                 for k in range(3):
                     a, b = numbers[k], numbers[(k + 1) % 3]
                     lengths[k] = math.hypot(positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1])
-                k = np.argmax(lengths)
-                c, a, b = lengths[k], lengths[(k + 1) % 3], lengths[(k + 2) % 3]
-                cell, count = cell_number(int(c / quantum), int(a / quantum), int(b / quantum)), count + 1
+                first, count = int(np.argmax(lengths)), count + 1
+                longest, second, third = lengths[first], lengths[(first + 1) % 3], lengths[(first + 2) % 3]
+                cell = cell_number(int(longest / quantum), int(second / quantum), int(third / quantum))
                 if not fill:
                     places[cell + 1] += 1
                     continue
@@ -314,8 +319,8 @@ def _enter_triangles(
                 places[cell] += 1
                 variance = 0.0
                 for side in range(3):
-                    d, e = numbers[(k + side) % 3], numbers[(k + side + 1) % 3]
-                    corners[place, side], sides[place, side] = d, lengths[(k + side) % 3]
+                    d, e = numbers[(first + side) % 3], numbers[(first + side + 1) % 3]
+                    corners[place, side], sides[place, side] = d, lengths[(first + side) % 3]
                     variance = max(variance, _side_variance(positions, spreads, d, e))
                 sides[place, 3] = variance
         if count > _TRIANGLES * len(positions):
@@ -329,7 +334,7 @@ def _side_variance(positions: Array, spreads: Array, j: int, l: int) -> float:
     x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
     xx, xy, yy = spreads[j, 0] + spreads[l, 0], spreads[j, 1] + spreads[l, 1], spreads[j, 2] + spreads[l, 2]
     square = x * x + y * y
-    return (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
+    return float((x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy)
 
 
 def _grid_of(positions: Array, side: float) -> Grid:
