@@ -1,0 +1,250 @@
+"""What associators learn from: the hypotheses that the search keeps of a scan and what in them is right, from train
+worlds of the suite and of the scenarios, and from the training parts of recordings.
+
+Maps in the loop are made by associators, so that their mistakes are in them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.evaluation.episodes import AssociateArguments, reset_arguments
+from agents.suite.problems import TwoLaps, problems
+from slam_gym.association import resolve_associator
+from slam_gym.association.prediction import Prediction
+from slam_gym.association.tracking.learned import examples
+from slam_gym.recordings.catalogue import open_recordings
+from slam_gym.scenarios import get_scenario, world_generator, world_seed
+from slam_gym.scenarios.registry import slam_for
+from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
+from slam_gym.simulation.association_runs import DRIVERS, AssociationRun, DrivenRun, LoggedRun, ScanLog
+from slam_gym.simulation.episode import survey
+from slam_gym.simulation.recorded_logs import reference_poses
+from slam_gym.simulation.right_answers import NOT_OFFERED, RightAnswers
+from slam_gym.types import UNLABELLED, UNPAIRED, BoolArray, IntArray, Scan, Truth
+
+WIDTH, MARGIN = 150, 16.0  # of the search: wider than that which decides, for it is still to learn
+_MOST = 80  # hypotheses of a scan that are kept
+_EASY = 0.15  # fraction of the scans kept in which the model has no doubt; each counts for more by as much
+_DOUBT = 0.02
+_MOST_TICKS = 500
+SIGHTINGS = 3  # row of the first of a prediction's arrays
+
+LEVELS = tuple(level.id for e in EXPERIMENTS.values() if e.name != RELOCATION for level in e.levels)
+LOOPS = (
+    "office", "aliased", "hall", "crowd", "drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift",
+    "sparse", "loop",
+)  # fmt: skip
+LOGS = ("victoria_park/5", "victoria_park/10", "mrclam/1", "mrclam/2")  # every so many scans; robot
+
+HIDDEN = ("nothing", "sizes, but for kinds", "sizes", "all but places")
+VIEWS, VIEWS_AND_SIZES = "views", "views and sizes"  # as in recordings
+"""What may be hidden, so that the network knows how much a pairing is worth of which less is known."""
+
+
+class Decisions(NamedTuple):
+    """One scan: c pairings, b hypotheses, m measurements."""
+
+    inputs: NDArray[np.float32]  # (c, inputs)
+    measured: NDArray[np.int32]  # (c,)
+    slots: NDArray[np.int32]  # (c,) feature, one number for each in each narrow heading
+    right: BoolArray  # (c,) the pairing is right
+    hypotheses: NDArray[np.int32]  # (b, m) pairing of each measurement, or UNPAIRED
+    scores: NDArray[np.float32]  # (b,) log densities of the model alone
+    unpaired: BoolArray  # (m,) that is right
+    known: BoolArray  # (m,) somebody knows what is right, and it is on offer
+    weight: float  # what the scan counts
+
+
+def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Decisions | None:
+    """The decisions of a scan, or None where nothing is to be decided, or nobody knows what is right."""
+    parts = examples(scan, prediction, width=WIDTH, margin=MARGIN)
+    counts = [len(part.inputs) for part in parts]
+    measured, rows = (np.concatenate([getattr(part, name) for part in parts]) for name in ("measured", "rows"))
+    right, unpaired, known = _labels(truth, prediction, measured, rows)
+    if not known.any():
+        return None
+    hypotheses, first = [], 0
+    for part, count in zip(parts, counts):
+        number = np.full((len(scan), len(prediction) + 1), UNPAIRED)  # row UNPAIRED is the last column
+        number[part.measured, part.rows] = np.arange(first, first + count)
+        hypotheses.append(number[np.arange(len(scan)), part.hypotheses])
+        first += count
+    scores = np.concatenate([part.log_densities for part in parts])
+    best = np.argsort(-scores, kind="stable")[:_MOST]
+    best = best[scores[best] > scores[best[0]] - MARGIN]
+    offset = np.repeat(np.arange(len(parts)), counts) * (len(prediction) + 1)
+    return Decisions(
+        np.concatenate([part.inputs for part in parts]).astype(np.float32), measured.astype(np.int32),
+        (rows + offset).astype(np.int32), right, np.concatenate(hypotheses)[best].astype(np.int32),
+        scores[best].astype(np.float32), unpaired, known, 1.0,
+    )  # fmt: skip
+
+
+def _labels(
+    truth: RightAnswers, prediction: Prediction, measured: IntArray, rows: IntArray
+) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Which pairings (c,) are right, duplicates included; which measurements (m,) are of nothing in the map; and of
+    which of them that is known, and on offer."""
+    identities = np.append(truth.identities, UNLABELLED - 1)
+    sources = truth.sources
+    right = (identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
+    unpaired = (sources != UNLABELLED) & (truth.right == UNPAIRED)
+    offered = np.zeros(len(sources), np.bool_)
+    offered[measured[right]] = True
+    return right, unpaired, (unpaired | offered) & (sources != UNLABELLED)
+
+
+def without(hidden: str, scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:
+    """The two as somebody would have them who does not measure what is `hidden`."""
+    if hidden in (VIEWS, VIEWS_AND_SIZES, HIDDEN[3]):
+        prediction = prediction.with_visibility(None)
+    if hidden in (HIDDEN[0], VIEWS):
+        return scan, prediction
+    counted, sized, *others = prediction.rows
+    sized = np.full_like(sized, math.nan)
+    if hidden == HIDDEN[3]:
+        prediction, counted = replace(prediction, experience=None), counted.copy()
+        counted[SIGHTINGS] = 0
+    nan = np.full(len(scan), math.nan)
+    prediction = replace(prediction, rows=(counted, sized, *others))
+    return replace(scan, sizes=nan, size_variances=nan), prediction
+
+
+# -- where scans come from ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Source:
+    """One run that is looked at: of a level of the suite, a scenario, or a log."""
+
+    kind: str  # level, loop or log
+    name: str
+    world: int
+    associator: str = "marginal"  # who maps, in the loop
+    hidden: str = HIDDEN[0]
+
+    def scans(self, count: int = 12) -> Iterator[Decisions]:
+        """The decisions of its scans; of a level, of `count` of them."""
+        rng = np.random.default_rng((world_seed("train", self.world), 7))
+        if self.kind == "level":
+            yield from self._problems(count)
+        elif self.kind == "log":
+            yield from self._watched(LoggedRun(_log(self.name), rng), rng)
+        else:
+            scenario = get_scenario(self.name)
+            site = survey(scenario.generator(world_generator("train", self.world)), scenario)
+            yield from self._watched(DrivenRun(scenario, site, DRIVERS["nearest_frontier"], rng), rng)
+
+    def _problems(self, count: int) -> Iterator[Decisions]:
+        level = get_level(self.name)
+        sensor = replace(level.scenario.sensor, kinds=self.hidden == HIDDEN[1])
+        level = replace(level, scenario=replace(level.scenario, sensor=sensor))
+        for problem in problems(TwoLaps(level, self.world, "train"), count):
+            found = decisions_of(*without(self.hidden, problem.scan, problem.prediction), problem.truth)
+            if found is not None:
+                yield found
+
+    def _watched(self, run: AssociationRun, rng: np.random.Generator) -> Iterator[Decisions]:
+        """The scans of a run in which there is something to decide; of those without a doubt only some."""
+        associate, seen = resolve_associator(self.associator), SeenAs()
+        for _ in range(min(run.length, _MOST_TICKS)):
+            if run.over:
+                return
+            run.next_scan()
+            if len(run.scan) and len(run.prediction):
+                ids = run.slam.map.ids
+                truth = RightAnswers.of(run.truth, seen.source_of(ids, run.identities.source_of(ids)))
+                easy = rng.random() < _EASY
+                found = decisions_of(*without(self.hidden, run.scan, run.prediction), truth)
+                if found is not None and _doubtful(found):
+                    yield found
+                elif found is not None and easy:
+                    yield found._replace(weight=1.0 / _EASY)
+            hypothesis = associate(run.scan, run.prediction)
+            seen.add(run.slam.map.ids, hypothesis.features, run.truth.sources)
+            run.associate(hypothesis)
+
+
+def _log(name: str) -> ScanLog:
+    """The training part of a log: the first half of the park, all of a robot of MR.CLAM."""
+    published, _, number = name.partition("/")
+    if published == "victoria_park":
+        whole = open_recordings(published)[0]
+        log = whole.part(0, len(whole) // 2).every(int(number))
+    else:
+        log = next(log for log in open_recordings(published, robots=[int(number)]) if "Dataset6" in log.name)
+
+    def steps(_rng: np.random.Generator) -> Iterator[tuple[Any, Scan, Truth]]:
+        for (odometry, scan, sources), pose in zip(log.steps(), reference_poses(log)):
+            yield odometry, scan, Truth(pose, sources)
+
+    return ScanLog(log.name, steps, len(log), slam_for(log), log.landmarks)
+
+
+class SeenAs:
+    """What each feature of a map has mostly been seen as: one that was started by one thing, and is updated by another
+    from then on, is the other, though it keeps the name of the first."""
+
+    def __init__(self) -> None:
+        self._votes: dict[int, Counter[int]] = {}
+
+    def source_of(self, ids: IntArray, started: IntArray) -> IntArray:
+        """(n,) of features `ids` (n,) that the true features `started` (n,) have started."""
+        for feature, source in zip(ids.tolist(), started.tolist()):
+            self._votes.setdefault(feature, Counter({source: 1}))
+        return np.array([self._votes[feature].most_common(1)[0][0] for feature in ids.tolist()], np.int64)
+
+    def add(self, ids: IntArray, features: IntArray, sources: IntArray) -> None:
+        """A scan whose measurements of `sources` (m,) are paired with `features` (m,)."""
+        for feature, source in zip(features.tolist(), sources.tolist()):
+            if feature != UNPAIRED and source != UNLABELLED and int(ids[feature]) in self._votes:
+                self._votes[int(ids[feature])][source] += 1
+
+
+def _doubtful(d: Decisions) -> bool:
+    """Whether the model has a doubt, or is wrong."""
+    weights = np.exp(d.scores - d.scores.max())
+    best = d.hypotheses[np.argmax(weights)]
+    right = np.where(best < 0, d.unpaired, np.append(d.right, False)[best])
+    return bool(weights.max() < (1.0 - _DOUBT) * weights.sum() or not right[d.known].all())
+
+
+# -- decisions of Associate-v0 -----------------------------------------------------------------------------------------
+
+
+def labelled_decisions(
+    arguments: AssociateArguments, worlds: Iterable[int], mistakes: float = 0.2
+) -> dict[str, NDArray[Any]]:
+    """Observations of Associate-v0 (D, …) by name, for supervised learning; beside them `mask` (D, K + 1), the `right`
+    action (D,), NOT_OFFERED where it is not on offer or nobody knows, the one `taken` (D,), and `episode` and `look`.
+
+    The right actions are taken, except that a fraction of the scans is walked at random after a random level: otherwise
+    no state would be met in which something has gone wrong before. Raises ValueError where there is nothing to decide.
+    """
+    env: Any = arguments.make().unwrapped
+    found: list[dict[str, Any]] = []
+    for episode in worlds:
+        rng = np.random.default_rng((episode, 3))
+        observation, info = env.reset(**reset_arguments(episode))
+        look, astray, over = -1, False, False
+        while not over:
+            if info["look"] != look:
+                look, astray = info["look"], bool(rng.random() < mistakes)
+            mask, right = info["action_mask"], info["truth"]["action"]
+            legal = np.flatnonzero(mask)
+            wanders = astray and rng.random() < 0.5
+            taken = int(rng.choice(legal)) if wanders else env.K if right == NOT_OFFERED else right
+            if len(legal) > 1:  # an episode without any choice has nothing to tell
+                found.append(observation | dict(mask=mask, right=right, taken=taken, episode=episode, look=look))
+            observation, _, over, _, info = env.step(taken)
+    if not found:
+        raise ValueError(f"there was nothing to decide in the episodes of {arguments.scenario!r}")
+    return {name: np.array([row[name] for row in found]) for name in found[0]}

@@ -1,3 +1,0 @@
-from agents.learning.associator.reproduction import reproduce
-
-__all__ = ["reproduce"]

@@ -1,0 +1,196 @@
+"""The training of the learned associator: where its scans come from, what in them is right, and what is learned."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from agents.evaluation.episodes import AssociateArguments
+from agents.learning.association_scans import (
+    HIDDEN,
+    VIEWS,
+    VIEWS_AND_SIZES,
+    SeenAs,
+    Source,
+    decisions_of,
+    labelled_decisions,
+    without,
+)
+from agents.learning.associator import (
+    SHARES,
+    Batch,
+    Odds,
+    Plan,
+    fit,
+    loss_of,
+    mean_loss,
+    probabilities,
+    scale_of,
+    sources,
+    weighed,
+)
+from slam_gym.association.tracking.marginal import marginals
+from slam_gym.association.tracking.network import INPUTS, log_odds, network_of
+from slam_gym.scenarios import get_scenario
+from slam_gym.simulation.right_answers import RightAnswers
+from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Truth
+from tests.oracles import association as oracles
+
+
+def answered(seed: int, heading: float = 0.0):
+    """A problem, its truth, in which feature j of the map is j, and its decisions."""
+    rng = np.random.default_rng(seed)
+    scan, prediction = oracles.problem(rng, 6, 8, spread=2.0, heading_sigma=heading or 0.15)
+    across = np.column_stack([prediction.positions[:, 1], -prediction.positions[:, 0]]) * heading**2
+    prediction = oracles.expecting(
+        prediction.positions, prediction.joint(np.arange(8)), heading_variance=heading**2, across=across
+    )
+    near = [int(np.argmin(np.hypot(*(prediction.positions - point).T))) for point in scan.points]
+    sources = np.where(rng.random(6) < 0.7, near, SPURIOUS)
+    truth = RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8))
+    return scan, prediction, truth, decisions_of(scan, prediction, truth)
+
+
+# -- what is right -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_without_odds_the_probabilities_are_the_marginals(seed):
+    scan, prediction, truth, found = answered(seed)
+    p = probabilities(torch.zeros(len(found.inputs)), Batch.of([found])).numpy()
+    whole = marginals(scan, prediction, width=150, margin=16.0)
+    expected = [
+        whole.unpaired[i] if truth.right[i] == UNPAIRED else whole.pairings[i, truth.right[i]]
+        for i in np.flatnonzero(found.known)
+    ]
+    assert p == pytest.approx(np.array(expected), abs=1e-3)
+
+
+def test_every_part_of_an_uncertain_heading_has_pairings_of_its_own():
+    _, prediction, _, found = answered(2, heading=0.3)
+    part = found.slots // (len(prediction) + 1)
+    assert (part > 0).any()
+    assert all(len({int(part[c]) for c in row[row >= 0]}) <= 1 for row in found.hypotheses)
+
+
+def test_what_nobody_knows_or_is_not_on_offer_teaches_nothing():
+    scan, prediction, _, _ = answered(3)
+    far = int(np.argmax(np.hypot(*(prediction.positions - scan.points[0]).T)))
+    sources = np.array([far, UNLABELLED, SPURIOUS, SPURIOUS, SPURIOUS, SPURIOUS])
+    found = decisions_of(scan, prediction, RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8)))
+    assert found.known.tolist() == [False, False, True, True, True, True] and not found.right.any()
+    nobody = RightAnswers.of(Truth(np.zeros(3), np.full(6, UNLABELLED)), np.arange(8))
+    assert decisions_of(scan, prediction, nobody) is None
+
+
+def test_a_feature_is_what_it_has_mostly_been_seen_as():
+    seen, ids = SeenAs(), np.array([7, 3, 5])
+    assert seen.source_of(ids, np.array([10, 11, -1])).tolist() == [10, 11, -1]
+    seen.add(ids, np.array([0, UNPAIRED, 2]), np.array([20, 11, 30]))
+    assert seen.source_of(ids, np.array([10, 11, -1])).tolist() == [10, 11, -1]  # as often as not
+    seen.add(ids, np.array([2, 0, 0]), np.array([30, 20, UNLABELLED]))
+    assert seen.source_of(ids[::-1], np.array([-1, 11, 10])).tolist() == [30, 11, 20]
+
+
+# -- where scans come from ---------------------------------------------------------------------------------------------
+
+
+def test_no_world_is_both_trained_on_and_held_out():
+    train, held_out = sources(Plan())
+    assert len(set(train)) == len(train)
+    assert not {(s.name, s.world) for s in train} & {(s.name, s.world) for s in held_out}
+    assert {s.hidden for s in held_out} == set(HIDDEN)
+    assert {s.hidden for s in train} == {*HIDDEN, VIEWS, VIEWS_AND_SIZES}
+    assert {s.kind for s in train} == set(SHARES) and {s.kind for s in held_out} == {"level"}
+    assert len(Plan().levels) == 35 and {get_scenario(name).name for name in Plan().loops} == set(Plan().loops)
+
+
+def test_kinds_of_sources_have_their_shares():
+    scans = [answered(seed)[3] for seed in range(6)]
+    found = weighed({"level": scans[:1], "loop": scans[1:]})
+    level, loop = found[0].weight, sum(d.weight for d in found[1:])
+    assert level / loop == pytest.approx(SHARES["level"] / SHARES["loop"]) and level + loop == pytest.approx(6.0)
+
+
+def test_what_is_hidden_is_not_there():
+    scan, prediction, _, _ = answered(0)
+    counted, sized, *rest = prediction.rows
+    counted = counted.copy()
+    counted[3] = 5
+    prediction = dataclasses.replace(prediction, rows=(counted, np.full_like(sized, 0.3), *rest))
+    prediction = prediction.with_visibility(np.full(8, 0.9))
+    scan = dataclasses.replace(scan, sizes=np.full(6, 0.3), size_variances=np.full(6, 0.01))
+    assert without("nothing", scan, prediction) == (scan, prediction)
+    for hidden in (*HIDDEN[1:], VIEWS, VIEWS_AND_SIZES):
+        bare_scan, bare = without(hidden, scan, prediction)
+        assert np.isnan(bare_scan.sizes).all() == np.isnan(bare.sizes).all() == (hidden != VIEWS)
+        assert bare.has_view == (hidden not in (VIEWS, VIEWS_AND_SIZES, "all but places"))
+        assert (bare.sightings == 0).all() == (hidden == "all but places")
+        np.testing.assert_array_equal(bare.positions, prediction.positions)
+
+
+def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
+    plain = list(Source("level", "closure/2", 0).scans(count=3))
+    kinds = list(Source("level", "closure/2", 0, hidden="sizes, but for kinds").scans(count=3))
+    assert len(plain) == len(kinds) == 3
+    same, known = INPUTS.index("kind: the same"), INPUTS.index("size: whether both are known")
+    assert plain[0].inputs[:, known].all() and not plain[0].inputs[:, same].any()
+    assert kinds[0].inputs[:, same].any() and not kinds[0].inputs[:, known].any()
+
+
+def test_labelled_decisions_are_those_of_the_environment():
+    arguments = AssociateArguments("corridor", candidates=4)
+    found = labelled_decisions(arguments, range(2))
+    count = len(found["right"])
+    assert found["mask"].shape == (count, 5) and set(found["episode"]) == {0, 1}
+    assert found["mask"][np.arange(count), found["taken"]].all()
+    known = found["right"] >= 0
+    assert known.any() and found["mask"][known, found["right"][known]].all()
+    assert (found["taken"][known] != found["right"][known]).any()
+    always = labelled_decisions(arguments, [5], mistakes=0.0)
+    assert (always["taken"] == np.where(always["right"] < 0, 4, always["right"])).all()
+
+
+# -- what is learned ---------------------------------------------------------------------------------------------------
+
+
+def test_scans_in_a_batch_do_not_mix():
+    scans = [answered(seed)[3] for seed in (4, 5, 6)]
+    together = Batch.of(scans)
+    odds = torch.randn(len(together.inputs), generator=torch.Generator().manual_seed(0))
+    whole, at, single = probabilities(odds, together).numpy(), 0, []
+    for d in scans:
+        single.append(probabilities(odds[at : at + len(d.inputs)], Batch.of([d])).numpy())
+        at += len(d.inputs)
+    assert whole == pytest.approx(np.concatenate(single), abs=1e-6)
+
+
+def test_the_network_is_that_of_the_package():
+    scans = [answered(seed)[3] for seed in range(4)]
+    torch.manual_seed(0)
+    network, batch = Odds(*scale_of(scans), hidden=6), Batch.of(scans)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter)
+    assert network(batch).abs().max() <= 16.0  # in training
+    expected = network.eval()(batch).detach()
+    assert expected.abs().max() > 16.0
+    shipped = network_of(network.arrays())
+    slots = batch.slots.numpy().astype(np.int64)
+    found = log_odds(shipped, batch.inputs.numpy().astype(np.float64), batch.measured.numpy().astype(np.int64), slots)
+    np.testing.assert_allclose(found, expected.numpy(), rtol=1e-4, atol=1e-3)
+    assert torch.equal(Odds.of(shipped)(batch), expected)
+
+
+def test_training_starts_at_the_model_gets_better_and_is_the_same_for_one_seed():
+    scans = [answered(seed)[3] for seed in range(30)]
+    untrained, batch = Odds(*scale_of(scans), hidden=4), Batch.of(scans)
+    assert torch.equal(untrained(batch), torch.zeros(len(batch.inputs)))
+    plan = Plan(hidden_numbers=4, epochs=60)
+    network, losses = fit(plan, scans, scans[:10], seed=0)
+    assert losses.train < loss_of(torch.zeros(len(batch.inputs)), batch) - 0.02
+    assert losses.held_out < losses.curve[0] < losses.model
+    assert losses.held_out == mean_loss(network, [Batch.of(scans[:10])])
+    again, other = (fit(plan, scans, scans[:10], seed=seed)[0].arrays() for seed in (0, 1))
+    assert all(np.array_equal(network.arrays()[name], again[name]) for name in again)
+    assert not np.array_equal(again["first"], other["first"])
