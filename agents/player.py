@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from agents.drivers.base import ActionKind, Info, Observation
 from agents.evaluation.associators import find_associator
 from slam_gym.association import resolve_relocator
+from slam_gym.association.prediction import Prediction
 from slam_gym.slam.relocate import SEARCH
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Prediction, Relocation, Scan
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Relocation, Scan
 
 WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
 """What can be asked for, and its key, as pygame calls it."""

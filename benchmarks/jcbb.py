@@ -27,6 +27,7 @@ from scipy.optimize import linear_sum_assignment
 from benchmarks.common import Record, clutter, fastest, features_in_view, lanes, options, table
 from slam_gym import ASSOCIATORS, UNPAIRED, MapSpec, Odometry, Prediction, Scan, StochasticMap, jcbb
 from slam_gym.association.compatibility import chi2_gate, individual
+from slam_gym.association.prediction import predict
 from slam_gym.geometry import compose, observe, relative
 from slam_gym.types import Array, IntArray
 
@@ -122,7 +123,7 @@ def closure_scan(field: MappedField, m: int, w: Workload, rng: np.random.Generat
     points = np.concatenate([observe(target, field.features[seen]), clutter(strays, reach, w.view, rng)])
     truth = np.concatenate([index[seen], np.full(strays, UNPAIRED)])
     order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
-    return ClosureScan(noisy(points[order], w.noise, rng), carried.prediction(np.inf), truth[order])
+    return ClosureScan(noisy(points[order], w.noise, rng), predict(carried, np.inf), truth[order])
 
 
 def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         singles,
         true_association,
     )
+    from slam_gym.association.prediction import Prediction
     from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
     from slam_gym.recordings.catalogue import open_recordings
     from slam_gym.recordings.recording import Recording, write_tum
@@ -40,17 +41,7 @@ if TYPE_CHECKING:
     from slam_gym.slam.local_maps import LocalMapSlam
     from slam_gym.slam.relocate import relocate_by
     from slam_gym.slam.slam import Slam, SlamSpec
-    from slam_gym.types import (
-        UNKNOWN_KIND,
-        UNPAIRED,
-        Hypothesis,
-        Landmarks,
-        Locality,
-        Odometry,
-        Prediction,
-        Relocation,
-        Scan,
-    )
+    from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Hypothesis, Landmarks, Locality, Odometry, Relocation, Scan
     from slam_gym.world.floor_plan import FloorPlan
 
 __version__ = "0.1.0"
@@ -70,7 +61,7 @@ _WHERE = {
     "slam.relocate": ("relocate_by",),
     "slam.slam": ("Slam", "SlamSpec"),
     "types.decided": ("UNPAIRED", "Hypothesis", "Relocation"),
-    "types.expected": ("Prediction",),
+    "association.prediction": ("Prediction",),
     "types.mapped": ("Landmarks", "Locality"),
     "types.measured": ("UNKNOWN_KIND", "Odometry", "Scan"),
     "world.floor_plan": ("FloorPlan",),

@@ -31,9 +31,10 @@ from agents.evaluation.tables import (
     estimates,
 )
 from slam_gym.association import ASSOCIATORS, resolve_associator
+from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.metrics.statistics import mean
 from slam_gym.simulation.judged import CEILING
-from slam_gym.types import Associator, Hypothesis, Prediction, Scan
+from slam_gym.types import Hypothesis, Scan
 
 COLUMNS = (
     Column("precision", "precision", 3, "higher"),

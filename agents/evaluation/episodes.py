@@ -15,9 +15,10 @@ import slam_gym  # noqa: F401  (registers the environments)
 from agents.drivers.base import Agent, visible
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.records import Record
+from slam_gym.association.prediction import Associator
 from slam_gym.association.tracking.policy import Policy
 from slam_gym.slam.relocate import SEARCH
-from slam_gym.types import Associator, Relocator
+from slam_gym.types import Relocator
 
 EXPLORE, ASSOCIATE = "slam_gym/Explore-v0", "slam_gym/Associate-v0"
 

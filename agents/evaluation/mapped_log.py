@@ -21,6 +21,7 @@ import pandas as pd
 
 from agents.evaluation.associators import Metered, metered
 from agents.evaluation.records import Record, stem
+from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
@@ -32,7 +33,7 @@ from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, Associator, BoolArray, IntArray, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, IntArray, Truth
 
 MAX_GAP = 1.0  # [s] between samples, over which poses are not interpolated
 REFERENCE_SIGMA = (0.005, 0.005, math.radians(0.5))  # [m, m, rad] of reference poses

@@ -25,9 +25,10 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from agents.drivers.base import ActionKind, Info, legal_goals
 from agents.drivers.base import Observation as ExploreObservation
 from agents.learning.ppo import CHOICES, LARGEST_LAYER, Decision, Hyperparameters, policy_of
+from slam_gym.association.prediction import Associator
 from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.policy import from_policy
-from slam_gym.types import Associator, BoolArray
+from slam_gym.types import BoolArray
 
 FORMAT = "slam_gym policy 2"
 _MAX_BYTES = 1 << 28  # of a file, and of what it unpacks to

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.drivers.base import ActionKind, Info, Observation, legal_goals
-from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Prediction, Relocation, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import UNPAIRED, Effort, Experience, Hypothesis, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import check_hypothesis
 
 LIMIT = 60.0  # [s] for an answer

@@ -22,9 +22,9 @@ from agents.evaluation.records import Key, Record
 from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
 from agents.suite.worlds import WorldTask
 from slam_gym.association import ASSOCIATORS
+from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.simulation.judged import CEILING
-from slam_gym.types import Associator
 
 Role = Literal["agent", "associator", "relocator"]
 Parts = dict[str, int]

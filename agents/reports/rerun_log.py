@@ -15,8 +15,9 @@ import numpy as np
 from agents.drivers.base import Agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.records import stem
+from slam_gym.association.prediction import Associator
 from slam_gym.geometry import observe, transform
-from slam_gym.types import UNPAIRED, Associator
+from slam_gym.types import UNPAIRED
 
 BLUE, RED, GREY, GREEN = (43, 108, 163), (200, 85, 61), (150, 158, 168), (58, 138, 92)
 DOWN = np.array([1.0, -1.0])  # Rerun's plane has y downwards

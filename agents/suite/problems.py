@@ -8,7 +8,6 @@ problems.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,30 +15,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.association import true_association
+from slam_gym.association.prediction import Associator, Prediction, predict
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.mapping.locality import covisible
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.visibility import FieldOfView
+from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.scenarios import SPLITS, world_generator, world_seed
 from slam_gym.scenarios.suite import Level
 from slam_gym.simulation.episode import Site, survey
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.simulation.right_answers import RightAnswers
 from slam_gym.slam.slam import Slam
-from slam_gym.types import (
-    UNPAIRED,
-    Array,
-    Associator,
-    Hypothesis,
-    IntArray,
-    Landmarks,
-    Locality,
-    Odometry,
-    Prediction,
-    Relocation,
-    Scan,
-    Truth,
-)
+from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Landmarks, Locality, Odometry, Relocation, Scan, Truth
 from slam_gym.world.physics import Motion
 from slam_gym.world.ray_casting import NO_DISCS
 from slam_gym.world.reachability import free_start
@@ -147,8 +134,8 @@ def problems(laps: TwoLaps, count: int) -> Iterator[Problem]:
         lost = stop.slam.map.copy()
         lost.predict(Odometry(u.motion + noise, u.covariance + np.diag(blind**2)))
         field = FieldOfView(sensor.field_of_view, sensor.range, sensor.min_range)
-        view = functools.partial(field.in_view, explored=stop.grid.explored, pose=lost.pose)
-        prediction = replace(lost.prediction(sensor.range), view=view, view_moves=False)
+        sight = ViewsFrom(field, stop.grid.explored)
+        prediction = predict(lost, sensor.range, sight=sight, view_moves=False)
         yield Problem(stop.scan, prediction, stop.truth)
 
 

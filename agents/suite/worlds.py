@@ -26,8 +26,9 @@ from agents.suite.problems import (
 )
 from agents.suite.reliability import binned, promised
 from slam_gym.association import resolve_relocator
+from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
-from slam_gym.types import Associator, Effort, Hypothesis, IntArray, Relocator
+from slam_gym.types import Effort, Hypothesis, IntArray, Relocator
 from slam_gym.validation import one_of
 
 

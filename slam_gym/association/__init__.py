@@ -8,9 +8,10 @@ relocators: from a `Scan`, the `Landmarks` of a map and a `Locality` to a `Reloc
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from slam_gym.association.learned.associator import learned_associator
+from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.association.relocation.cliques import max_clique
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.policy import (
@@ -24,13 +25,14 @@ from slam_gym.association.relocation.triangles import indexed
 from slam_gym.association.tracking.global_nearest_neighbour import global_nearest_neighbour
 from slam_gym.association.tracking.ipjc import ipjc
 from slam_gym.association.tracking.jcbb import jcbb
+from slam_gym.association.tracking.learned import learned_associator
 from slam_gym.association.tracking.map_hypothesis import map_hypothesis
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tracking.nearest_neighbour import nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
 from slam_gym.association.tracking.policy import Policy, from_policy, greedy
 from slam_gym.association.tracking.true_association import true_association
-from slam_gym.types import Hypothesis, Relocator
+from slam_gym.types import Hypothesis, Relocator, Scan
 from slam_gym.validation import imported
 
 __all__ = [
@@ -90,7 +92,18 @@ def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[
     Raises ValueError, listing the known names, where there is none such.
     """
     found: Callable[..., Hypothesis] = _resolve("associator", associator, ASSOCIATORS)
-    return found
+    own = isinstance(found, _Guarded) or any(found is known for known in ASSOCIATORS.values())
+    return found if own else _Guarded(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Guarded:
+    """A stranger's associator, which is handed the scan in arrays that it cannot change."""
+
+    associate: Associator
+
+    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
+        return self.associate(scan.read_only(), prediction)
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slam_gym._compile import compiled
-from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Scan
 
 Entry = TypeVar("Entry", bound=np.generic)
 
@@ -129,9 +130,14 @@ def individual(
             chi2_gate(2, prediction.confidence if confidence is None else confidence),
         )
     )
-    if gated.fault:
-        raise ValueError(_FAULTS[gated.fault].format(gated.where))
+    check_fault(gated.fault, gated.where)
     return Candidates(measurements, *gated[2:])
+
+
+def check_fault(fault: int, entry: int) -> None:
+    """Raise ValueError naming what is not finite, or is no covariance, where a compiled search reports a fault."""
+    if fault:
+        raise ValueError(_FAULTS[fault].format(entry))
 
 
 def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> JointDistance:

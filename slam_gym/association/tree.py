@@ -25,10 +25,8 @@ import numpy as np
 from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled, inlined
 from slam_gym.association.compatibility import Candidates, joint_gates, plain
-from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
-
-PairingArrays = tuple[IntArray, IntArray, Array, Array, Array, BoolArray, int]
-"""The fields of `Pairings`, as kernels that are called from Python take them: a plain tuple is unpacked faster."""
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan
 
 
 class Pairings(NamedTuple):
@@ -52,7 +50,6 @@ class Tree(NamedTuple):
     scan: Scan
     prediction: Prediction
     candidates: Candidates  # level i decides measurement candidates.measurements[i]
-    given: IntArray  # (m,) row paired with each measurement before the root, UNPAIRED for the others
     rows: IntArray  # (u,) row of the prediction of each slot
     pairings: Pairings
     gates: Array  # (g + l + 1,) χ² gate of a hypothesis by its number of pairings
@@ -64,8 +61,8 @@ class Tree(NamedTuple):
 
     def level(self, number: int) -> tuple[int, int]:
         """Where the pairings of a level begin and end."""
-        starts, g = self.candidates.starts, self.pairings.given
-        return g + int(starts[number]), g + int(starts[number + 1])
+        starts = self.candidates.starts
+        return int(starts[number]), int(starts[number + 1])
 
 
 class Innovation(NamedTuple):
@@ -109,42 +106,17 @@ class Branches(NamedTuple):
     legal: BoolArray  # (b,) the hypothesis stays jointly compatible
 
 
-def interpretation_tree(
-    scan: Scan,
-    prediction: Prediction,
-    candidates: Candidates,
-    *,
-    given: IntArray | None = None,
-    local: bool = False,
-) -> Tree:
-    """The tree that decides `candidates.measurements`, in that order, at the confidence of the prediction.
-
-    `given` (m,): rows paired before the root, UNPAIRED elsewhere. With `local`, the first pairing below the root
-    restricts those after it to its own locality. Raises ValueError where a row or a measurement is both given and a
-    candidate, or where `local` is asked of a prediction without locality.
-    """
-    rows, slots, measured, innovations, g = (
-        candidates.rows, candidates.slots, candidates.measured, candidates.innovations, 0,
-    )  # fmt: skip
-    if given is None:
-        given = np.full(len(scan.points), UNPAIRED)
-    else:
-        paired = np.flatnonzero(given != UNPAIRED)
-        fixed, g = given[paired], len(paired)
-        if (given[candidates.measurements] != UNPAIRED).any() or not set(fixed.tolist()).isdisjoint(rows.tolist()):
-            raise ValueError("given: pairs measurements or features that are to be decided")
-        rows, slots = np.concatenate((fixed, rows)), np.concatenate((np.arange(g), slots + g))
-        measured = np.concatenate((paired, measured))
-        innovations = np.concatenate((scan.points[paired] - prediction.positions[fixed], innovations))
-    related = np.empty((0, 0), np.bool_)
-    if local:
-        if prediction.local is None:
-            raise ValueError("local: the prediction has no locality")
-        related = prediction.local(rows)
+def interpretation_tree(scan: Scan, prediction: Prediction, candidates: Candidates) -> Tree:
+    """The tree that decides `candidates.measurements`, in that order, at the confidence of the prediction."""
+    rows = candidates.rows
+    everything_is_local = np.empty((0, 0), np.bool_)
     covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
-    pairings = Pairings(slots, measured, innovations, plain(scan.covariances), covariance, related, g)
-    gates = joint_gates(g + len(candidates.measurements), prediction.confidence)
-    return Tree(scan, prediction, candidates, given, rows, pairings, gates)
+    noise = plain(scan.covariances)
+    pairings = Pairings(
+        candidates.slots, candidates.measured, candidates.innovations, noise, covariance, everything_is_local, 0
+    )
+    gates = joint_gates(len(candidates.measurements), prediction.confidence)
+    return Tree(scan, prediction, candidates, rows, pairings, gates)
 
 
 def root(tree: Tree) -> Node:
@@ -158,9 +130,9 @@ def branches(tree: Tree, node: Node) -> Branches:
         raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
     first, last = tree.level(node.level)
     joint = node.distance + added_by(tree.pairings, node.path, node.added, first, last)
-    rows, g = tree.rows[tree.pairings.slots[first:last]], tree.pairings.given
+    rows = tree.rows[tree.pairings.slots[first:last]]
     legal = joint < tree.gates[len(node.path) + 1]
-    return Branches(rows, tree.candidates.distances[first - g : last - g], joint, legal)
+    return Branches(rows, tree.candidates.distances[first:last], joint, legal)
 
 
 def extend(tree: Tree, node: Node, row: int) -> Node:
@@ -181,7 +153,7 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
 
 def decided(tree: Tree, node: Node) -> IntArray:
     """Row of the prediction paired with each measurement of the scan, (m,); UNPAIRED for `*` and what is undecided."""
-    rows = np.full(len(tree.given), UNPAIRED)
+    rows = np.full(len(tree.scan), UNPAIRED)
     write_rows(tree.pairings, node.path, tree.rows, rows)
     return rows
 

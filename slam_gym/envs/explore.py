@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve_associator
+from slam_gym.association.prediction import Associator
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
 from slam_gym.envs.observation import GOAL_FIELDS, encode_goals, observation_space, observe
 from slam_gym.envs.rewards import get_reward
@@ -22,7 +23,7 @@ from slam_gym.simulation.goals import SLOTS, Goals, Places
 from slam_gym.simulation.quality import quality
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import SEARCH, LocalityName, relocate_by
-from slam_gym.types import SPURIOUS, Associator, Relocator
+from slam_gym.types import SPURIOUS, Relocator
 from slam_gym.validation import one_of
 
 
@@ -222,7 +223,7 @@ class ExploreEnv(BaseEnv):
 
     def _observe(self) -> Observation:
         episode = self._episode
-        slam_map, expected = episode.slam.map, episode.last_step.expected
+        slam_map, expected = episode.slam.map, episode.last_step.prediction
         left = 1.0 - episode.ticks / self.scenario.budget
         observation: Observation = observe(episode.scan, expected, slam_map, episode.grid, self.measurements, left)
         if self.goal_mode:

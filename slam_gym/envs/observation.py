@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from slam_gym._arrays import ascending
 from slam_gym._compile import compiled
+from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe as seen_from
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import Blocks, Cells, draw_egocentric
 from slam_gym.simulation.goals import FRONTIERS, SLOTS, Goals
-from slam_gym.types import Array, Expectation, Scan
+from slam_gym.types import Array, Scan
 
 Float32Array = NDArray[np.float32]
 
@@ -73,7 +74,7 @@ _Points = tuple[Array, Array, Array]  # points (k, 2), their covariances (k, 2, 
 
 
 def observe(
-    scan: Scan, expected: Expectation, slam_map: StochasticMap, grid: ExploredGrid, measurements: int, left: float
+    scan: Scan, prediction: Prediction, slam_map: StochasticMap, grid: ExploredGrid, measurements: int, left: float
 ) -> dict[str, Any]:
     """All that does not depend on the kind of action, for scans of at most so many `measurements`, the fraction `left`
     of the budget among it.
@@ -88,7 +89,7 @@ def observe(
     x, P, _, _ = slam_map.arrays
     _observe(
         (scan.points, scan.covariances, scan.sizes),
-        (expected.positions, expected.covariances, expected.sizes),
+        prediction.points,
         x, P, slam_map.n, *grid.drawn, seen, foreseen, uncertainty, image,
     )  # fmt: skip
     return {"scan": seen, "features": foreseen, "uncertainty": uncertainty, "image": image, "budget": budget}

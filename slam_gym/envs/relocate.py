@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association import resolve_associator
+from slam_gym.association.prediction import Associator
 from slam_gym.association.relocation.observation import observe_walk, walk_shapes
 from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, chosen_scenario
@@ -19,7 +20,7 @@ from slam_gym.scenarios import SPLITS, Scenario
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld, kidnap, map_world
 from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.slam.relocate import LocalityName
-from slam_gym.types import UNPAIRED, Associator, IntArray
+from slam_gym.types import UNPAIRED, IntArray
 from slam_gym.validation import one_of
 
 _MAPS = 4  # maps that are kept

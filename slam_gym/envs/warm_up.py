@@ -8,12 +8,12 @@ from slam_gym.envs import observation
 from slam_gym.mapping import linear_algebra
 from slam_gym.metrics import association, consistency, map_quality, point_assignment
 from slam_gym.navigation import grid, keyframes, visibility
-from slam_gym.slam import kernels, slam, tracker, whole_step
+from slam_gym.slam import learn, slam, tracker
 from slam_gym.world import detection, driving, ray_casting, reachability
 
 COMPILED = (
     geometry, slam, tracker, observation, grid, keyframes, linear_algebra, point_assignment, association, detection,
-    driving, ray_casting, reachability, visibility, consistency, map_quality, kernels, whole_step,
+    driving, ray_casting, reachability, visibility, consistency, map_quality, learn,
 )  # fmt: skip
 
 

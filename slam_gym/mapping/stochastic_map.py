@@ -7,25 +7,31 @@ are removed, and known by an id that is never given twice.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_gym.mapping import ekf
-from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.mapping.foresight import Estimate, JointCovariance, Outlook, foresee, room_for
-from slam_gym.mapping.linear_algebra import aligned_zeros, padded, read_only
+from slam_gym.mapping.linear_algebra import aligned_zeros, padded
 from slam_gym.mapping.map_spec import MapSpec as MapSpec
 from slam_gym.mapping.refusals import bad_measurement, checked_pose, existing, refused_update
 from slam_gym.mapping.update import ACCEPTED, update
-from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Prediction, Scan, View
+from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
 
 _NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
 _LARGE = 512  # features
 _STILL, _CERTAIN = np.zeros(3), np.zeros((3, 3))
+
+
+class Estimate:
+    """Whether an estimate still stands: shared by the map and whatever was predicted from it."""
+
+    __slots__ = ("stands",)
+
+    def __init__(self) -> None:
+        self.stands = True
 
 
 class StochasticMap:
@@ -57,8 +63,7 @@ class StochasticMap:
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self.next_id = 0  # of the next feature; all ids given so far are smaller
-        self._shown: tuple[Array, Array] | None = None  # read-only `_x` and `_P`, once they were asked for
-        self._estimate = Estimate()  # as it stands now: what is predicted from it notices when it no longer does
+        self.estimate = Estimate()  # as it stands now: what is predicted from it notices when it no longer does
         side = padded(3 + 2 * capacity)
         self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
         self._counted, self._sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
@@ -173,39 +178,6 @@ class StochasticMap:
         if not ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
-    def prediction(
-        self,
-        reach: float,
-        graph: CovisibilityGraph | None = None,
-        recent: IntArray = _NONE,
-        view_from: Callable[[Array], View] | None = None,
-        odometry: Odometry | None = None,
-    ) -> Prediction:
-        """Features within `reach` [m] + 3σ of the robot, as it would measure them; valid until the map next changes.
-
-        Localities are those of `graph`; without it, all features are local to all. `recent` (r,) are the features that
-        recent scans paired, or UNPAIRED: near are these and what is local to them. `view_from`
-        tells what the sensor would have in view from a pose (3,) in B. With `odometry`, the robot first moves as
-        `predict` has it; raises as that does.
-        """
-        motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
-        if odometry is not None:
-            self.moved()
-        n, room = self.n, room_for(self.n)
-        neighbours, degrees = (_NOBODY, _NONE) if graph is None else graph.arrays[::2]
-        k = foresee(
-            self.arrays, n, self.step, odometry is not None, motion, Q, float(reach), self.spec.second_order,
-            neighbours, degrees, recent, room,
-        )  # fmt: skip
-        if k < 0:
-            raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
-        pose = np.array([*self._x[:3], self._P[2, 2]])
-        return self.foreseen(Outlook(room, k, pose, self.spec, graph, view_from))
-
-    def foreseen(self, outlook: Outlook) -> Prediction:
-        """The prediction of what `foresee` has entered, as long as the map stays as it is."""
-        return outlook.made_by(self._joint_covariance(outlook.room[0][0, : outlook.k]))
-
     def landmarks(self) -> Landmarks:
         """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""
         landmarks = Landmarks.from_points(self.positions, covariance=self.covariance[3:, 3:])
@@ -292,10 +264,6 @@ class StochasticMap:
         x, y, heading = self._x[:3]
         return f"StochasticMap of {self.n} features, robot at ({x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f}°)"
 
-    def __getstate__(self) -> dict[str, object]:
-        """A copy shows its own arrays, not copies of those that are shown."""
-        return self.__dict__ | {"_shown": None}
-
     def copy(self) -> StochasticMap:
         """An independent copy."""
         return copy.deepcopy(self)
@@ -314,7 +282,7 @@ class StochasticMap:
         x[:d] = self._x[:d]
         for row in range(d):  # memory below the diagonal is never touched, and so never taken
             P[row, row:d] = self._P[row, row:d]
-        self._x, self._P, self._shown = x, P, None
+        self._x, self._P = x, P
         counted, sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
         counted[:, : self.n], sized[:, : self.n] = self._counted[:, : self.n], self._sized[:, : self.n]
         self._counted, self._sized = counted, sized
@@ -324,10 +292,15 @@ class StochasticMap:
         """What compiled functions work on: no copies, so whoever writes to them says so with `learned`."""
         return self._x, self._P, self._counted, self._sized
 
+    @property
+    def numbers(self) -> tuple[int, int, int]:
+        """Features, steps ended, and the id of the next feature."""
+        return self.n, self.step, self.next_id
+
     def moved(self) -> None:
         """The estimate has changed: what was predicted from it is out of date, and says so when it is asked."""
-        self._estimate.stands = False
-        self._estimate = Estimate()
+        self.estimate.stands = False
+        self.estimate = Estimate()
 
     def learned(self, created: int) -> None:
         """Take over what a compiled step has made of the arrays: so many features were added, or removed where < 0."""
@@ -338,8 +311,3 @@ class StochasticMap:
     @property
     def _d(self) -> int:
         return 3 + 2 * self.n
-
-    def _joint_covariance(self, features: IntArray) -> JointCovariance:
-        if self._shown is None:
-            self._shown = read_only(self._x), read_only(self._P)
-        return JointCovariance(*self._shown, features, self.spec.second_order, self._estimate)

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Identities
@@ -19,8 +20,8 @@ from slam_gym.simulation.driver import Command, commands
 from slam_gym.simulation.episode import Episode, Site
 from slam_gym.simulation.goals import FRONTIERS, LOOK, Goals, Places, propose
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.slam.slam import Slam, SlamSpec, send
-from slam_gym.types import Array, Hypothesis, Odometry, Prediction, Scan, Truth
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import Array, Hypothesis, Odometry, Scan, Truth
 from slam_gym.world import corridor
 
 
@@ -122,7 +123,7 @@ class DrivenRun:
         self.prediction = self.episode.begin_tick(*command)
 
     def associate(self, hypothesis: Hypothesis) -> None:
-        self.episode.end_tick(hypothesis)
+        self.episode.end_tick(self.prediction, hypothesis)
         self._places.pass_by(self.episode.estimates[-1][:2])
 
     def map_error(self) -> float:
@@ -169,12 +170,11 @@ class LoggedRun:
         if found is None:
             raise ValueError(f"log {self.log.name!r}: ends after {self.scans} scans, not {self.length}")
         odometry, self.scan, self.truth = found
-        self._asking = self._judged.asking_step(odometry, self.scan, self.truth)
-        self.prediction = next(self._asking)
+        self.prediction = self.slam.predict(odometry, self.scan)
         self.scans += 1
 
     def associate(self, hypothesis: Hypothesis) -> None:
-        send(self._asking, hypothesis)
+        self._judged.learn(self.scan, self.prediction, hypothesis, self.truth)
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slam_gym.association.prediction import Associator, Prediction, SlamStep
 from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.metrics import map_quality
 from slam_gym.metrics.association import Tally
@@ -27,8 +28,8 @@ from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.kidnapping import Kidnapping, is_right
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import Relocate
-from slam_gym.slam.slam import Slam, SlamSpec, send
-from slam_gym.types import Array, Associator, BoolArray, Hypothesis, IntArray, Prediction, SlamStep
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import Array, BoolArray, Hypothesis, IntArray
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
 from slam_gym.world.ray_casting import WallIndex
@@ -122,17 +123,16 @@ class Episode:
     def tick(self, forward: float, turn: float) -> None:
         """Drive for one tick with fractions in [−1, 1] of the greatest speeds, look, and take a SLAM step."""
         self._drive(forward, turn)
-        self._take_in(self._judged.step(self.odometry, self.scan, self.truth, plain=True))
+        self._take_in(self._judged.step(self.odometry, self.scan, self.truth))
 
     def begin_tick(self, forward: float, turn: float) -> Prediction:
         """First half of a tick for those who associate from outside: drive, look, and predict what the scan shows."""
         self._drive(forward, turn)
-        self._asking = self._judged.asking_step(self.odometry, self.scan, self.truth)
-        return next(self._asking)
+        return self.slam.predict(self.odometry, self.scan)
 
-    def end_tick(self, hypothesis: Hypothesis) -> None:
+    def end_tick(self, prediction: Prediction, hypothesis: Hypothesis) -> None:
         """Second half: the rest of the SLAM step, with their `hypothesis` on the scan."""
-        self._take_in(send(self._asking, hypothesis))
+        self._take_in(self._judged.learn(self.scan, prediction, hypothesis, self.truth))
 
     def _drive(self, forward: float, turn: float) -> None:
         motion = self.world.tick(forward, turn)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Protocol
 
-from slam_gym.association import true_association
+from slam_gym.association import resolve_associator, true_association
+from slam_gym.association.prediction import Associator, Prediction, SlamStep
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities, Tally
-from slam_gym.slam.asked import asked
-from slam_gym.slam.slam import AskingStep, send
-from slam_gym.types import Associator, Hypothesis, Odometry, Prediction, Scan, SlamStep, Truth
+from slam_gym.types import Hypothesis, Odometry, Scan, Truth
 
 CEILING = "true_association"
 """The associator that is handed the truth. It is known by this name alone: no callable ever gets to see the truth."""
@@ -22,11 +20,9 @@ class Steps(Protocol):
     @property
     def map(self) -> StochasticMap: ...
 
-    def step(
-        self, odometry: Odometry, scan: Scan, associator: str | Associator = ..., *, plain: bool = ...
-    ) -> SlamStep: ...
+    def predict(self, odometry: Odometry, scan: Scan) -> Prediction: ...
 
-    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep: ...
+    def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep: ...
 
 
 class JudgedSlam:
@@ -34,26 +30,18 @@ class JudgedSlam:
 
     Arguments:
         slam: what takes the steps.
-        associator: a name, `"module:function"` or a callable. `CEILING`, by name, is told the truth of every scan.
-        informed: the map of `CEILING` is told as well: every labelled feature goes in when it is first seen, whatever
-            it is compatible with, and nothing else does.
-        identities: to go on from; by default nothing has been judged yet.
+        associator: a name, `"module:function"` or a callable. `CEILING`, by name, is handed the truth of every scan.
+        informed: so is the map of `CEILING`: every labelled feature goes in when it is first seen, whatever it is
+            compatible with, and nothing else does.
 
     Raises ValueError for an unknown associator.
     """
 
-    def __init__(
-        self,
-        slam: Steps,
-        associator: str | Associator = "jcbb",
-        *,
-        informed: bool = False,
-        identities: Identities | None = None,
-    ) -> None:
+    def __init__(self, slam: Steps, associator: str | Associator = "jcbb", *, informed: bool = False) -> None:
         self.slam = slam
-        self.identities = identities or Identities()
-        self._truth_told = isinstance(associator, str) and associator == CEILING
-        self._associate = asked(associator)
+        self.identities = Identities()
+        self._knows_truth = isinstance(associator, str) and associator == CEILING
+        self._associate = resolve_associator(associator)
         self._informed = informed
 
     @property
@@ -66,28 +54,22 @@ class JudgedSlam:
         """The decisions of the last step."""
         return self.identities.last
 
-    def step(self, odometry: Odometry, scan: Scan, truth: Truth, *, plain: bool = False) -> SlamStep:
-        """One SLAM step, judged. Raises as `Slam.step`, which says what `plain` is."""
-        if not self._truth_told:
-            return self._judge(self.slam.step(odometry, scan, self._associate, plain=plain), truth)
-        asking = self.slam.asking_step(odometry, scan)
-        return self._judge(send(asking, self.associate(scan, next(asking), truth)), truth)
+    def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
+        """One SLAM step, judged. Raises as `Slam.step`."""
+        prediction = self.slam.predict(odometry, scan)
+        return self.learn(scan, prediction, self.associate(scan, prediction, truth), truth)
 
     def associate(self, scan: Scan, prediction: Prediction, truth: Truth) -> Hypothesis:
-        """What the associator says; `CEILING` is told the truth."""
-        return self._associator(truth)(scan, prediction)
+        """What the associator says; `CEILING` is handed the truth."""
+        if not self._knows_truth:
+            return self._associate(scan, prediction)
+        known = self.identities.source_of(self.slam.map.ids)
+        return true_association(
+            scan, prediction, sources=truth.sources, identities=known, new_features=self._informed
+        )
 
-    def asking_step(self, odometry: Odometry, scan: Scan, truth: Truth) -> AskingStep:
-        """The same where somebody outside associates: see `slam_gym.slam.slam.AskingStep`."""
-        step = yield from self.slam.asking_step(odometry, scan)
-        return self._judge(step, truth)
-
-    def _judge(self, step: SlamStep, truth: Truth) -> SlamStep:
+    def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, truth: Truth) -> SlamStep:
+        """What follows the answer, whoever gave it, judged. Raises as `Slam.learn`."""
+        step = self.slam.learn(scan, prediction, hypothesis)
         self.identities.judge(step, truth)
         return step
-
-    def _associator(self, truth: Truth) -> Associator:
-        if not self._truth_told:
-            return self._associate
-        known = self.identities.source_of(self.slam.map.ids)
-        return functools.partial(true_association, sources=truth.sources, identities=known, new_features=self._informed)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.metrics.map_quality import align_se2
@@ -17,7 +18,7 @@ from slam_gym.simulation.driver import carry_out
 from slam_gym.simulation.episode import Episode, Site, survey
 from slam_gym.simulation.goals import LOOK, Places, propose
 from slam_gym.slam.relocate import LocalityName, locality_of
-from slam_gym.types import SPURIOUS, UNPAIRED, Array, Associator, IntArray, Landmarks, Locality, Scan
+from slam_gym.types import SPURIOUS, UNPAIRED, Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 

@@ -8,7 +8,7 @@ among them. (Associators that weigh all hypotheses are offered them all the same
 
 **First links.** Where a scan pairs a feature or two that the robot has not seen for long, a neighbour that is not
 mapped may be what was measured, half a metre beside it: a door has two jambs, and 20 m away a gate is as wide. Such
-pairings are rejected until there are so many that chance hardly brings them all (`kernels.hold_back`). A robot that
+pairings are rejected until there are so many that chance hardly brings them all (`learn.hold_back`). A robot that
 waits for them with few others in view is soon so uncertain that everything fits something, and learns nothing more:
 with `SlamSpec.start_features_from_rejected`, a measurement whose pairing was rejected starts a new feature, and the
 recent part of the map grows all the same. Associators that weigh all hypotheses refuse by themselves what is ambiguous,
@@ -35,10 +35,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slam_gym.association.compatibility import chi2_gate, plain
+from slam_gym.association.prediction import Prediction, SlamStep
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam import kernels
+from slam_gym.slam import learn
 from slam_gym.slam.places.fusion import (
     Fusion,
     MappedArea,
@@ -51,7 +52,7 @@ from slam_gym.slam.places.fusion import (
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.tracker import Tracker
-from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, IntArray, Prediction, Scan, SlamStep
+from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, IntArray, Scan
 
 
 @dataclass(frozen=True)
@@ -114,21 +115,21 @@ class Atlas:
             return prediction
         k = len(prediction)
         kept, gate = np.empty(k, np.int64), chi2_gate(2, prediction.confidence)
-        left = kernels.unambiguous(
-            prediction.near,
-            prediction.positions,
-            prediction.features,
+        left = learn.unambiguous(
+            plain(prediction.near),
+            plain(prediction.positions),
+            plain(prediction.features),
             m.arrays,
             k * gate / reach**2,
             self.max_accidental_matches,
             kept,
         )
-        return prediction if left == k else prediction.rows(kept[:left])
+        return prediction if left == k else prediction.subset(kept[:left])
 
     def accepted(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, m: StochasticMap, new_gate: float
     ) -> Hypothesis:
-        """The hypothesis without pairings with old features that may all be chance: see `kernels.hold_back`.
+        """The hypothesis without pairings with old features that may all be chance: see `learn.hold_back`.
 
         Who weighs all hypotheses has refused by itself what is ambiguous; with `starts_from_rejected` it only pairs,
         and new features start by the rule of the step, whose gate is `new_gate`.
@@ -137,9 +138,14 @@ class Atlas:
         if weighs_all and not self.starts_from_rejected:
             return hypothesis
         features = np.array(hypothesis.features)
-        expected = prediction.features, prediction.near, prediction.positions, prediction.covariances
+        expected = (
+            plain(prediction.features),
+            plain(prediction.near),
+            plain(prediction.positions),
+            plain(prediction.covariances),
+        )
         gate = chi2_gate(2, prediction.confidence)
-        held = kernels.hold_back(
+        held = learn.hold_back(
             features, expected, m.arrays[2], scan.covariances, gate, m.spec.confirmations, self.max_chance_probability
         )
         new = None if weighs_all else hypothesis.new
@@ -213,7 +219,7 @@ def _new_beside(scan: Scan, prediction: Prediction, features: IntArray, gate: fl
     """(m,) measurements that start a feature by the rule of the step where old features are not believed."""
     new, near = np.empty(len(scan), np.bool_), prediction.near
     expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
-    kernels.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, gate, new)
+    learn.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, gate, new)
     return new
 
 

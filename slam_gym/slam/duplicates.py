@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import Candidates, chi2_gate
-from slam_gym.association.tracking.branch_and_bound import complete
-from slam_gym.association.tree import Tree, interpretation_tree
+from slam_gym.association.compatibility import chi2_gate, joint_gates
+from slam_gym.association.tracking.jcbb import branch_and_bound
+from slam_gym.association.tracking.near_first import together
+from slam_gym.association.tree import Pairings
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree
-from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray
 
 _SEARCHES = 64
 
@@ -53,16 +54,16 @@ def find_duplicates(
     is given twice, and for a confidence that is none.
     """
     older, newer = np.sort(np.asarray(older, np.int64)), np.sort(np.asarray(newer, np.int64))
-    together = np.concatenate([older, newer])
-    if len(np.unique(together)) < len(together) or np.any((together < 0) | (together >= m.n)):
+    features = np.concatenate([older, newer])
+    if len(np.unique(features)) < len(features) or np.any((features < 0) | (features >= m.n)):
         raise ValueError(f"older, newer: not distinct features of a map of {m.n}")
-    positions, P = m.positions[together], m.covariance_of(together)
+    positions, P = m.positions[features], m.covariance_of(features)
     eligible = attributes_agree(m, older, newer)
     first, second = np.arange(len(older)), len(older) + np.arange(len(newer))  # among those together
     pairs, distances = _compatible(positions, P, first, second, eligible, chi2_gate(2, individual_confidence))
     chosen, distance, spent = _one_to_one(positions, P, pairs, distances, confidence, node_limit)
     effort = replace(spent, individual_tests=int(eligible.sum()), unary_tests=eligible.size)
-    return Duplicates(together[pairs[chosen]], distance, 2 * len(chosen), effort)
+    return Duplicates(features[pairs[chosen]], distance, 2 * len(chosen), effort)
 
 
 def _one_to_one(
@@ -82,11 +83,11 @@ def _one_to_one(
             effort = replace(effort, limit_hit=True)
             break
         searches += 1
-        rows, distance, spent = complete(
-            _tree(positions, P, pairs[left], distances[left], confidence), None, node_limit
-        )
-        chosen = left[rows[rows != UNPAIRED]]
-        effort = _sum(effort, spent)
+        pairings = _pairings(positions, P, pairs[left])
+        rows, slots = np.full(len(pairings.noise), UNPAIRED), pairings.slots
+        spent = branch_and_bound(pairings, slots, joint_gates(len(rows), confidence), node_limit, rows)
+        chosen, distance = left[rows[rows != UNPAIRED]], spent.distance
+        effort = together(effort, Effort(spent.nodes, 0, spent.tests, spent.limit_hit))
         if len(chosen) < len(best) or (len(chosen) == len(best) and not distance < best_distance):
             continue
         rivals = _claimed_twice(pairs[chosen, 0], distances[chosen])
@@ -107,24 +108,15 @@ def _claimed_twice(older: IntArray, distances: Array) -> tuple[int, int] | None:
     return None
 
 
-def _tree(positions: Array, P: Array, pairs: IntArray, distances: Array, confidence: float) -> Tree:
-    """The interpretation tree over the pairs (c, 2), ordered by their newer features: those are its levels."""
-    newer, starts = np.unique(pairs[:, 1], return_index=True)
-    levels, slots = np.arange(len(newer)), np.arange(len(pairs))
+def _pairings(positions: Array, P: Array, pairs: IntArray) -> Pairings:
+    """The tree over the pairs (c, 2), ordered by their newer features: those are its levels."""
+    newer, older = pairs[:, 1], pairs[:, 0]
+    _, level = np.unique(newer, return_inverse=True)
+    noise = np.zeros((int(level.max()) + 1, 2, 2))
+    innovations = positions[newer] - positions[older]
+    everything_is_local = np.empty((0, 0), np.bool_)
     covariance = _pair_covariance(P, pairs)
-    scan = Scan.from_points(positions[newer], sigma=0.0)
-    at = np.ascontiguousarray(positions[pairs[:, 0]])
-    prediction = replace(Prediction.from_gaussian(at, covariance, confidence=confidence), features=pairs[:, 0].copy())
-    measured = np.searchsorted(newer, pairs[:, 1])
-    innovations = scan.points[measured] - at
-    ends = np.append(starts, len(pairs)).astype(np.int64)
-    candidates = Candidates(levels, ends, measured, slots, distances, innovations, slots, 0)
-    return interpretation_tree(scan, prediction, candidates)
-
-
-def _sum(a: Effort, b: Effort) -> Effort:
-    limit_hit = a.limit_hit or b.limit_hit
-    return Effort(nodes=a.nodes + b.nodes, joint_tests=a.joint_tests + b.joint_tests, limit_hit=limit_hit)
+    return Pairings(np.arange(len(pairs)), level, innovations, noise, covariance, everything_is_local, 0)
 
 
 @compiled

@@ -20,13 +20,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from slam_gym.association import resolve_associator
+from slam_gym.association.prediction import Associator, Prediction, SlamStep
 from slam_gym.mapping.local_maps import LocalMaps
 from slam_gym.mapping.locality import linked, same_local_map
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam.asked import asked
 from slam_gym.slam.duplicates import Duplicates, find_duplicates
-from slam_gym.slam.slam import AskingStep, Slam, SlamSpec, answered
-from slam_gym.types import Array, Associator, IntArray, Locality, Odometry, Scan, SlamStep
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import Array, Hypothesis, IntArray, Locality, Odometry, Scan
 from slam_gym.validation import check_scan
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
@@ -72,23 +73,27 @@ class LocalMapSlam:
         """(3,) [m, m, rad] of the robot in the base of the first map, before any join."""
         return self.maps.pose
 
-    def step(
-        self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb", *, plain: bool = False
-    ) -> SlamStep:
+    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
         """Move by `odometry`, then learn from `scan`: in the current local map, or in a new one if that is closed.
 
         Arguments and errors are those of `Slam.step`.
         """
-        return answered(self.asking_step(odometry, scan), scan, asked(associator))
+        associate = resolve_associator(associator)
+        prediction = self.predict(odometry, scan)
+        return self.learn(scan, prediction, associate(scan, prediction))
 
-    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
-        """The same where somebody outside associates: see `slam_gym.slam.slam.AskingStep`."""
+    def predict(self, odometry: Odometry, scan: Scan) -> Prediction:
+        """As `Slam.predict`."""
         if self._closed:
             check_scan(scan)
             self.map.predict(odometry)
             self._begin()
             odometry = _STILL
-        step = yield from self.slam.asking_step(odometry, scan)
+        return self.slam.predict(odometry, scan)
+
+    def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
+        """As `Slam.learn`; tells as well what leaves with a local map that is full."""
+        step = self.slam.learn(scan, prediction, hypothesis)
         full = self.features_per_map is not None and self.map.n >= self.features_per_map
         self._closed, self._asked = full or self._asked, False
         return replace(step, removed=np.concatenate([step.removed, self.map.ids])) if self._closed else step

@@ -9,12 +9,13 @@ import numpy as np
 
 from slam_gym.association import RELOCATORS, resolve_relocator
 from slam_gym.association.acceptance import min_pairings
+from slam_gym.association.prediction import predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, within
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.slam.asked import locked
+from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam.tracker import EXPECTED
-from slam_gym.types import Array, IntArray, Locality, Relocation, Relocator, Scan, View
+from slam_gym.types import Array, IntArray, Locality, Relocation, Relocator, Scan
 
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
 
@@ -24,10 +25,7 @@ SEARCH = "gcbb"
 LocalityName = Literal["covisibility", "two-hop covisibility", "distance"]
 LOCALITIES: tuple[LocalityName, ...] = get_args(LocalityName)
 
-ViewFrom = Callable[[Array], View]
-"""From a pose (3,) in B to `Prediction.view`: what the sensor would have in view from there."""
-
-Relocate = Callable[[Scan, StochasticMap, CovisibilityGraph, float, ViewFrom | None], Relocation | None]
+Relocate = Callable[[Scan, StochasticMap, CovisibilityGraph, float, ViewsFrom | None], Relocation | None]
 """From a scan, a map, its covisibility, the reach [m] of the sensor and what it has in view, if that is known, to where
 the robot is; None where the scan does not decide."""
 
@@ -50,10 +48,10 @@ def relocate_by(
         raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
 
     def relocate(
-        scan: Scan, m: StochasticMap, graph: CovisibilityGraph, reach: float, view_from: ViewFrom | None
+        scan: Scan, m: StochasticMap, graph: CovisibilityGraph, reach: float, view_from: ViewsFrom | None
     ) -> Relocation | None:
         landmarks = m.landmarks()
-        found = find(scan if own else locked(scan), landmarks, locality_of(graph, m.positions, reach, locality))
+        found = find(scan if own else scan.read_only(), landmarks, locality_of(graph, m.positions, reach, locality))
         if not found.accepted or found.pairings < min_pairings(scan, landmarks, probability=probability):
             return None
         explains = found.pairings >= _EXPLAINED * len(scan)
@@ -71,11 +69,12 @@ def locality_of(graph: CovisibilityGraph, positions: Array, reach: float, kind: 
     return covisible(graph, hops=2 if kind == "two-hop covisibility" else 1)
 
 
-def _shows(found: Relocation, m: StochasticMap, reach: float, view_from: ViewFrom) -> bool:
+def _shows(found: Relocation, m: StochasticMap, reach: float, view_from: ViewsFrom) -> bool:
     """Most of the established features that should be in view from the pose found are paired."""
     there = m.copy()
     there.place(found.pose, found.covariance)
-    prediction = there.prediction(reach)
-    visibility = view_from(found.pose)(prediction.positions, prediction.covariances)
-    expected: IntArray = prediction.features[(visibility >= EXPECTED) & ~there.provisional[prediction.features]]
+    prediction = predict(there, reach, sight=view_from)
+    visibility = prediction.visibility()
+    assert visibility is not None
+    expected: IntArray = prediction.features[(visibility >= EXPECTED) & ~prediction.provisional]
     return int(np.isin(expected, found.features).sum()) >= _EXPLAINED * len(expected)

@@ -5,51 +5,41 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from slam_gym._compile import announce_compilation, compiled
+from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.refusals import bad_measurement, refused_update
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam import kernels
-from slam_gym.slam.asked import asked
-from slam_gym.slam.at_once import Attempt, are_plain, attempt, form_of, may_be_at_once, weighs_all
+from slam_gym.navigation.visibility import ViewsFrom
+from slam_gym.slam import learn
 from slam_gym.slam.atlas import Atlas, AtlasSpec
-from slam_gym.slam.kernels import Learned, Settings
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
-from slam_gym.slam.relocate import Relocate, ViewFrom
+from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.tracker import Tracker
-from slam_gym.slam.whole_step import Nature
 from slam_gym.types import (
     NO_ID,
     UNPAIRED,
     Array,
-    Associator,
     BoolArray,
     Effort,
-    Expectation,
     Experience,
     Hypothesis,
     IntArray,
     Odometry,
-    Prediction,
     Relocation,
     Scan,
-    SlamStep,
 )
 from slam_gym.validation import check_hypothesis, check_inputs, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
-
-AskingStep = Generator[Prediction, Hypothesis, SlamStep]
-"""A step that somebody else associates for: yields the prediction, is sent the hypothesis, returns the step."""
-
 
 @dataclass(frozen=True)
 class SlamSpec:
@@ -84,7 +74,7 @@ class Slam:
 
     Arguments:
         spec: settings.
-        view_from: tells associators what the sensor should have in view.
+        view_from: what the sensor should have in view from a pose, which associators and the tracker ask for.
         relocate: finds a robot that is lost (`slam_gym.slam.relocate.relocate_by`). A scan that pairs too little of
             what should be in view is then doubted, and not learned from. After too many of them in a row the robot is
             lost, and searched for scan after scan. None: every scan is learned from.
@@ -96,7 +86,7 @@ class Slam:
     def __init__(
         self,
         spec: SlamSpec | None = None,
-        view_from: ViewFrom | None = None,
+        view_from: ViewsFrom | None = None,
         *,
         relocate: Relocate | None = None,
         atlas: AtlasSpec | None = None,
@@ -116,62 +106,84 @@ class Slam:
             )
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
+        self.fused = NO_PAIRS  # (k, 2) ids of features that became one in the last step, the one that is kept first
         self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, in turns
         self._learned = 0  # scans
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
-        self._fused = NO_PAIRS  # ids, in the last step
         self._warned = False
-        m, given = self.spec.map, self.spec.new_confidence
-        gate = chi2_gate(2, m.confidence if given is None else given)
-        self._known_reach = None if self.spec.reach is None else float(self.spec.reach)
-        self._fixed = m.iterations, float(m.settled), m.right_invariant, gate, m.confirmations  # of the settings
 
     def __repr__(self) -> str:
         return f"Slam: {self.map!r}"
 
-    def step(
-        self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb", *, plain: bool = False
-    ) -> SlamStep:
-        """Move by `odometry`, then learn from `scan` as `associator` (a name, `"module:function"`, a callable) decides.
+    def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
+        """The step of Castellanos, Neira and Tardós (2006): predict, associate, update, add, maintain.
 
-        `plain`: the arrays are known to have the shapes and types that they should, as those of a `Sensor` have.
-        Raises ValueError, before anything is changed, for non-finite numbers, covariances that are none and an unknown
-        associator; and for a hypothesis that does not fit scan and map, when only the motion has been predicted.
+        `associator` is a name, `"module:function"` or a callable. Raises ValueError, before anything is changed, as
+        `predict`, and for an unknown associator; and as `learn` once the motion has been predicted.
         """
-        if not plain:
-            check_inputs(odometry, scan)
-        associate: Associator = associator if callable(associator) else asked(associator)
-        form = form_of(associate)
-        taken = None if form is None else self._at_once(odometry, scan, form, plain)
-        if taken is None:
-            associate = asked(associate)
-            return answered(self.asking_step(odometry, scan), scan, associate)
-        expected, hypothesis, learned = taken
-        if hypothesis is None:
-            hypothesis = associate(scan, expected.prediction)
-        return self._conclude(scan, expected, hypothesis, learned)
+        associate = resolve_associator(associator)
+        prediction = self.predict(odometry, scan)
+        hypothesis = associate(scan, prediction)
+        return self.learn(scan, prediction, hypothesis)
 
-    def asking_step(self, odometry: Odometry, scan: Scan) -> AskingStep:
-        """The step of Castellanos, Neira and Tardós (2006), whoever associates: see `AskingStep`. Raises as `step`.
+    def predict(self, odometry: Odometry, scan: Scan) -> Prediction:
+        """Move by `odometry`; what `scan` should show from there, with the localities to search first.
 
-        A measurement starts a feature if it is unpaired *and* individually compatible with nothing in the map: what is
-        compatible but unpaired is more likely a mapped feature than a new one, and is discarded.
+        Raises ValueError, nothing changed, for non-finite numbers and covariances that are none.
         """
+        check_inputs(odometry, scan)
         check_scan(scan)
-        # predict
-        prediction = self.predict_features(scan, odometry)
-        # associate
-        hypothesis = check_hypothesis((yield prediction), len(scan), self.map.n)
-        # update, add, maintain
-        return self._conclude(scan, prediction, hypothesis)
-
-    def predict_features(self, scan: Scan, odometry: Odometry | None = None) -> Prediction:
-        """What `scan` should show from the pose predicted by `odometry`, with the localities to search first."""
         prediction = self._features_in_reach(scan, odometry)
         return prediction if self.atlas is None else self.atlas.offered(prediction, self.map, self.reach)
 
-    def relocate(self, prediction: Prediction, scan: Scan) -> SlamStep:
+    def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
+        """What follows the associator's answer: the map learns from the scan, unless that is not believed.
+
+        Raises ValueError for a hypothesis that does not fit scan and map; only the motion has been predicted then.
+        """
+        hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
+        if self.tracker is not None and not self.tracker.believes(scan, prediction, hypothesis):
+            return self.close_loops(self.relocate(scan, prediction), scan)
+        if self.tracker is not None and self.atlas is not None:
+            hypothesis = self.atlas.accepted(scan, prediction, hypothesis, self.map, self._new_gate)
+            self.tracker.accept(hypothesis)  # what is rejected is not expected to be seen again
+        return self.close_loops(self.update(scan, prediction, hypothesis), scan)
+
+    def update(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
+        """Update the map with the pairings, add what is new, and drop what was not confirmed in time.
+
+        New is what the associator says. Where it does not say, a measurement starts a feature if it is unpaired *and*
+        individually compatible with nothing in the map: what is compatible but unpaired is more likely a mapped feature
+        than a new one, and is discarded. A gate of confidence γ turns away 1 − γ of the right pairings, and each would
+        start a duplicate: where scans come by the hundred, the rule deserves a wider gate (`new_confidence`).
+        """
+        m, graph, count = self.map, self.covisibility, len(scan.points)
+        m.make_room(count)
+        graph.make_room(count)
+        is_decided, recent, ids = hypothesis.new is not None, self._row_for(count), np.empty(count, np.int64)
+        created = np.array(hypothesis.new) if is_decided else np.empty(count, np.bool_)
+        decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.expected
+        ended = learn.NARROW
+        while ended == learn.NARROW:
+            ended, what, added = learn.learn(
+                m.arrays, m.numbers, graph.arrays, recent, scan.arrays, decisions, expected, self._settings()
+            )
+            if ended == learn.NARROW:
+                graph.widen(what)
+        self._experience = hypothesis.experience or self._experience
+        m.learned(added)
+        graph.learned(added)
+        if ended != learn.DONE:
+            raise self._refusal(ended, what, scan, hypothesis.features)
+        if added and self.spec.reach is not None:
+            self._warn_of_reach(scan, created, self.spec.reach)
+        self._learned += 1
+        removed = self._forget(what) if what else _NO_FEATURES
+        m.end_of_step()
+        return SlamStep(prediction, hypothesis, ids, created, removed)
+
+    def relocate(self, scan: Scan, prediction: Prediction) -> SlamStep:
         """The step of a scan that is not believed. The map learns nothing, unless the robot is lost and found by it.
 
         The robot is then moved to the pose found, with a covariance that says nothing, and the update with the pairings
@@ -187,7 +199,7 @@ class Slam:
             return self._go_on_from(found, scan, self.tracker)
         if self.atlas is not None and self.atlas.gives_up(self.tracker):
             removed = self._begin_map(self.atlas, self.tracker)
-            return replace(self._learn(scan, self.predict_features(scan, _STILL), nothing), removed=removed)
+            return replace(self.update(scan, self.predict(_STILL, scan), nothing), removed=removed)
         self.map.end_of_step()
         return SlamStep(prediction, nothing, np.full(len(scan), NO_ID), np.zeros(len(scan), np.bool_), _NO_FEATURES)
 
@@ -198,7 +210,7 @@ class Slam:
         fusion = self.atlas.fusion(MappedArea(self.map, self.covisibility), step, scan, self.reach)
         if fusion is None:
             return step
-        self.map, self.covisibility, self._fused = fusion.map, fusion.covisibility, fusion.ids
+        self.map, self.covisibility, self.fused = fusion.map, fusion.covisibility, fusion.ids
         self._renumber(fusion.became)
         if self.tracker is not None and len(fusion.returned):
             self.tracker.relocations += 1
@@ -226,20 +238,21 @@ class Slam:
         return self.tracker is not None and self.tracker.doubted > 0
 
     @property
-    def fused(self) -> IntArray:
-        """(k, 2) ids of features that became one in the last step, the one that is kept first."""
-        return self._fused
-
-    @property
     def relocations(self) -> int:
         """How often the robot was found again so far."""
         return 0 if self.tracker is None else self.tracker.relocations
 
-    def _features_in_reach(self, scan: Scan, odometry: Odometry | None) -> Prediction:
+    def _features_in_reach(self, scan: Scan, odometry: Odometry) -> Prediction:
         """The prediction of all features in reach, whether an atlas offers them or not."""
-        reach, graph = self._reach_for(scan), self.covisibility if self.spec.locality else None
-        prediction = self.map.prediction(reach, graph, self._recent.ravel(), self.view_from, odometry)
-        return prediction if self._experience is None else replace(prediction, experience=self._experience)
+        return predict(
+            self.map,
+            self._reach_for(scan),
+            odometry=odometry,
+            graph=self.covisibility if self.spec.locality else None,
+            recent=self._recent.ravel(),
+            sight=self.view_from,
+            experience=self._experience,
+        )
 
     def _go_on_from(self, found: Relocation, scan: Scan, tracker: Tracker) -> SlamStep:
         """The step of a scan that says where the robot is. Raises ValueError, the robot unmoved, where it cannot be."""
@@ -249,7 +262,7 @@ class Slam:
         tracker.accept(hypothesis)
         tracker.relocations += 1
         everything = self._features_in_reach(scan, _STILL)  # nothing is known of the pose: all would be ambiguous
-        return self._learn(scan, everything, hypothesis)
+        return self.update(scan, everything, hypothesis)
 
     def _begin_map(self, atlas: Atlas, tracker: Tracker) -> IntArray:
         """Go on in an empty map; the ids of the features that are left behind."""
@@ -261,112 +274,33 @@ class Slam:
 
     def _reach_for(self, scan: Scan) -> float:
         """[m] within which features are predicted for a scan, from now on."""
-        if self._known_reach is not None:
-            return self._known_reach
+        if self.spec.reach is not None:
+            return self.spec.reach
         every = np.ones(len(scan), np.bool_)
         self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, every, 3.0))
         return self._farthest
 
-    def _nature(self, reach: float) -> Nature:
-        """How `whole_step` is to be taken."""
-        spec, ambiguous, chance, enough = self.spec, math.inf, 1.0, (0.0, False)
-        if self.atlas is not None:
-            chance = self.atlas.max_chance_probability
-            ambiguous = self.atlas.max_accidental_matches if self._experience is None else math.inf
-        if self.tracker is not None:
-            enough = self.tracker.enough(blind=self.view_from is None)
-        return spec.map.second_order, spec.locality, reach, ambiguous, chance, *enough
+    def _settings(self) -> learn.Settings:
+        """What `learn.learn` takes as its settings."""
+        spec = self.spec.map
+        before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
+        return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
-    def _at_once(self, odometry: Odometry, scan: Scan, form: int, plain: bool) -> Attempt | None:
-        """As much of the step as one compiled call can do; None, and nothing done, where it is the page's business."""
-        if not may_be_at_once(form, self.view_from, self._experience):
-            return None
-        if self.atlas is not None and self.atlas.starts_from_rejected and weighs_all(form):
-            return None  # `marginal_step` knows no rule that keeps anything from who weighs all hypotheses
-        if not (plain or are_plain(odometry, scan)):
-            return None
-        m, graph, count = self.map, self.covisibility, len(scan.points)
-        m.make_room(count)
-        graph.make_room(count)
-        if count > self._recent.shape[1]:
-            self._turn(count)
-        recent, nature = (self._recent, self._learned % len(self._recent)), self._nature(self._reach_for(scan))
-        settings = self._settings()
-        return attempt(m, graph, recent, odometry, scan, form, nature, settings, self.view_from, self._experience)
-
-    def _conclude(
-        self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned | None = None
-    ) -> SlamStep:
-        """What follows the associator's answer; `learned`, where `whole_step` has gone on already."""
-        self._fused = NO_PAIRS
-        if learned is not None:
-            if self.tracker is not None:
-                self.tracker.accept(hypothesis)
-                if self.view_from is None:
-                    self.tracker.look(scan.points)
-            return self.close_loops(self._remember(scan, expected, hypothesis, learned), scan)
-        prediction = expected.prediction
-        if self.tracker is not None:
-            if not self.tracker.believes(scan, prediction, hypothesis):
-                return self.close_loops(self.relocate(prediction, scan), scan)
-            if self.atlas is not None:
-                hypothesis = self.atlas.accepted(scan, prediction, hypothesis, self.map, self._fixed[3])
-                self.tracker.accept(hypothesis)  # what is rejected is not expected to be seen again
-        return self.close_loops(self._learn(scan, prediction, hypothesis), scan)
-
-    def _learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
-        """Update with the pairings, add what is new, maintain: see `slam.kernels`.
-
-        New is what the associator says, or what the rule of the step has. A gate of confidence γ turns away 1 − γ of
-        the right pairings, and each would start a duplicate: where scans come by the hundred, the rule deserves a wider
-        gate (`new_confidence`) than the pairings do.
-        """
-        m, graph, count, features = self.map, self.covisibility, len(scan.points), hypothesis.features
-        m.make_room(count)
-        graph.make_room(count)
-        recent, ids = self._turn(count), np.empty(count, np.int64)
-        told = hypothesis.new is not None
-        created = np.array(hypothesis.new) if told else np.empty(count, np.bool_)
-        ended = kernels.NARROW
-        while ended == kernels.NARROW:
-            ended, what, added = kernels.learn(
-                m.arrays, m.n, m.step, m.next_id, graph.arrays, recent,
-                (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds), features, told, created,
-                (prediction.positions, prediction.covariances), self._settings(), ids,
-            )  # fmt: skip
-            if ended == kernels.NARROW:
-                graph.widen(what)
-        return self._remember(scan, prediction, hypothesis, (ended, what, added, ids, created))
-
-    def _remember(self, scan: Scan, expected: Expectation, hypothesis: Hypothesis, learned: Learned) -> SlamStep:
-        """What is kept beside the arrays follows what the compiled step has made of them."""
-        ended, what, added, ids, created = learned
-        self._experience = hypothesis.experience or self._experience
-        self.map.learned(added)
-        self.covisibility.learned(added)
-        if ended != kernels.DONE:
-            raise self._refusal(ended, what, scan, hypothesis.features)
-        if added and self.spec.reach is not None:
-            self._warn_of_reach(scan, created, self.spec.reach)
-        self._learned += 1
-        removed = self._forget(what, *self._settings()[-2:]) if what else _NO_FEATURES
-        self.map.end_of_step()
-        return SlamStep(expected, hypothesis, ids, created, removed)
-
-    def _settings(self) -> Settings:
-        """What `kernels.learn` takes as its settings."""
-        age = self.spec.map.unconfirmed_age
-        return *self._fixed, -1 if age is None else self.map.step - age
+    @property
+    def _new_gate(self) -> float:
+        """χ² gate within which a new feature must not be compatible with anything."""
+        given = self.spec.new_confidence
+        return chi2_gate(2, self.spec.map.confidence if given is None else given)
 
     def _refusal(self, ended: int, what: int, scan: Scan, features: IntArray) -> ValueError:
-        """Why `kernels.learn` did not come to its end."""
-        if ended == kernels.REFUSED:
+        """Why `learn.learn` did not come to its end."""
+        if ended == learn.REFUSED:
             return refused_update(what, scan, features, self.map.n)
-        if ended == kernels.NOT_ADDED:
+        if ended == learn.NOT_ADDED:
             return bad_measurement(scan, what)
         return ValueError(f"scan.covariances[{what}] leaves the innovation covariance singular")
 
-    def _turn(self, count: int) -> IntArray:
+    def _row_for(self, count: int) -> IntArray:
         """Where to enter the features of this scan of so many measurements, in place of those of the oldest one."""
         rows, width = self._recent.shape
         if count > width:
@@ -386,11 +320,12 @@ class Slam:
             stacklevel=4,
         )
 
-    def _forget(self, due: int, confirmations: int, before: int) -> IntArray:
+    def _forget(self, due: int) -> IntArray:
         """Drop the features that are due; everything indexed by feature is renumbered. Returns their ids."""
         m, graph = self.map, self.covisibility
         became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
-        kernels.forget(m.arrays, m.n, graph.arrays, confirmations, before, became, removed)
+        *_, confirmations, before = self._settings()
+        learn.forget(m.arrays, m.n, graph.arrays, (confirmations, before), became, removed)
         m.learned(-due)
         graph.learned(-due)
         self._renumber(became)
@@ -401,21 +336,6 @@ class Slam:
         self._recent = np.append(became, UNPAIRED)[self._recent]
         if self.tracker is not None:
             self.tracker.renumber(became)
-
-
-def answered(step: AskingStep, scan: Scan, associate: Associator) -> SlamStep:
-    """The whole of a step that asks, `associate` giving the answer."""
-    return send(step, associate(scan, next(step)))
-
-
-def send(step: AskingStep, hypothesis: Hypothesis) -> SlamStep:
-    """The rest of a step that asks, with the hypothesis that it is sent."""
-    try:
-        step.send(hypothesis)
-    except StopIteration as end:
-        done: SlamStep = end.value
-        return done
-    raise RuntimeError("the step asked twice")
 
 
 @compiled

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Scan
 
 EXPECTED = 0.5  # visibility from which a feature should be in view
 _STILL_EXPECTED = 0.1  # … and from which it should if the last scan paired it
@@ -72,16 +73,13 @@ class Tracker:
 
         Chance pairs some now and then, so once lost it takes twice the fraction, and twice the number, to be believed.
         """
-        blind = prediction.view is None
+        blind = not prediction.has_view
         if blind:
             self.look(scan.points)
-        established = np.ones(len(prediction), np.bool_)
-        if prediction.provisional is not None:
-            established = ~prediction.provisional
         (fraction, any_will_do), measured = self.enough(blind), len(hypothesis.features)
-        pairings = _pairings_with(prediction.features, established, hypothesis.features)
+        pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
         plainly_right = pairings >= fraction * measured or (any_will_do and pairings > 0)
-        if plainly_right or not self._misses_too_much(prediction, hypothesis, established):
+        if plainly_right or not self._misses_too_much(prediction, hypothesis):
             self.accept(hypothesis)
             return True
         self.doubted += 1
@@ -107,16 +105,17 @@ class Tracker:
         """Each of the map's n features `became` (n,) another, or UNPAIRED where it is gone."""
         self._last_paired = np.append(became, UNPAIRED)[self._last_paired]
 
-    def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis, established: BoolArray) -> bool:
+    def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
+        established = ~prediction.provisional
         known, last = set(prediction.features[established].tolist()), set(self._last_paired.tolist())
         expected = set(prediction.features[established & self._should_be_seen(prediction)].tolist())
-        still = known & last if prediction.view is not None else expected
+        still = known & last if prediction.has_view else expected
         paired = known.intersection(hypothesis.features.tolist())
         measured = len(hypothesis.features)
         fraction = self.fraction * (_BELIEVED_AGAIN if self.lost else 1.0)
         missing = len(expected) >= self.min_expected and len(expected & paired) < fraction * len(expected)
         few = measured >= self.min_expected and len(paired) < fraction * measured
-        unresolved = self.doubted > 0 and prediction.view is None
+        unresolved = self.doubted > 0 and not prediction.has_view
         strange = few and (unresolved or len(still) >= self.min_expected)
         unsure = self.lost and len(expected & paired) < _BELIEVED_AGAIN * self.min_expected
         return (missing and len(paired) < _EXPLAINED * measured) or strange or unsure
@@ -137,13 +136,13 @@ class Tracker:
 
 
 @compiled
-def _pairings_with(features: IntArray, chosen: BoolArray, decisions: IntArray) -> int:
-    """How many of the decisions (m,) are one of the `chosen` (k,) of the features (k,)."""
+def _pairings_with(features: IntArray, sightings: IntArray, confirmations: int, decisions: IntArray) -> int:
+    """How many of the decisions (m,) are one of the features (k,) seen so often that they are confirmed."""
     count = 0
     for decision in decisions:
         if decision != UNPAIRED:
             for row in range(len(features)):
-                if chosen[row] and features[row] == decision:
+                if sightings[row] >= confirmations and features[row] == decision:
                     count += 1
                     break
     return count

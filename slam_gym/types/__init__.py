@@ -10,17 +10,15 @@ from slam_gym.types._arguments import UNKNOWN_KIND, Array, BoolArray, IntArray
 from slam_gym.types.decided import (
     NO_ID,
     UNPAIRED,
-    Associator,
     Effort,
+    Experience,
     Hypothesis,
     Posterior,
     Relocation,
     Relocator,
-    SlamStep,
 )
-from slam_gym.types.expected import DenseCovariance, Expectation, Experience, Prediction, View
 from slam_gym.types.mapped import Landmarks, Locality
-from slam_gym.types.measured import SPURIOUS, UNLABELLED, Beams, Odometry, Scan, Truth
+from slam_gym.types.measured import SPURIOUS, UNLABELLED, Beams, Odometry, Scan, ScanArrays, Truth
 
 __all__ = [
     "NO_ID",
@@ -29,12 +27,9 @@ __all__ = [
     "UNLABELLED",
     "UNPAIRED",
     "Array",
-    "Associator",
     "Beams",
     "BoolArray",
-    "DenseCovariance",
     "Effort",
-    "Expectation",
     "Experience",
     "Hypothesis",
     "IntArray",
@@ -42,11 +37,9 @@ __all__ = [
     "Locality",
     "Odometry",
     "Posterior",
-    "Prediction",
     "Relocation",
     "Relocator",
     "Scan",
-    "SlamStep",
+    "ScanArrays",
     "Truth",
-    "View",
 ]

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-
-import numpy as np
+from dataclasses import dataclass
 
 from slam_gym.types._arguments import Array, BoolArray, IntArray
 from slam_gym.types._records import quick
-from slam_gym.types.expected import Expectation, Experience, Prediction
 from slam_gym.types.mapped import Landmarks, Locality
 from slam_gym.types.measured import Scan
 
@@ -20,7 +17,15 @@ NO_ID = -1
 """In `SlamStep.ids`: the measurement was discarded."""
 
 
-_NOTHING: IntArray = np.empty(0, np.int64)
+@quick
+@dataclass(frozen=True, slots=True)
+class Experience:
+    """What an associator has learned of the scans of a run: it says so in its `Hypothesis`, and the next `Prediction`
+    reminds it. Associators stay functions, and what they learn goes with the run. Counts fade from scan to scan."""
+
+    unpaired: float  # measurements of what is not in the map
+    area: float  # [m²] that the scans showed
+    detections: Array  # (d,) log weights of the values that P_D may have
 
 
 @quick
@@ -101,31 +106,5 @@ class Relocation:
         return self.pairings >= self.min_pairings and not self.ambiguous
 
 
-Associator = Callable[[Scan, Prediction], Hypothesis]
-"""The narrow waist: whatever decides where measurements come from."""
-
 Relocator = Callable[[Scan, Landmarks, Locality | None], Relocation]
 """Whatever finds the robot in a map without a prior. Locality None: all features are local to all."""
-
-
-@quick
-@dataclass(frozen=True, slots=True)
-class SlamStep:
-    """What one SLAM step decided, in terms that outlive it.
-
-    A map feature is addressed by its index 0..n−1, which shifts when features are removed, and known by its id, which
-    never changes and is never given twice.
-    """
-
-    expected: Expectation  # before the scan
-    hypothesis: Hypothesis
-    ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NO_ID = discarded
-    created: BoolArray  # (m,) the measurement started a feature
-    removed: IntArray  # ids of the features that the map has no longer at the end of the step
-    returned: IntArray = field(default_factory=lambda: _NOTHING)
-    # ids of features that were removed before, as another map was begun, and are back, as it was joined
-
-    @property
-    def prediction(self) -> Prediction:
-        """What the map expected."""
-        return self.expected.prediction

@@ -30,6 +30,10 @@ UNLABELLED = -2
 """The source of a measurement that nobody has labelled (recordings only)."""
 
 
+ScanArrays = tuple[Array, Array, Array, Array, IntArray]
+"""Points, covariances, sizes, size variances and kinds of a scan, as compiled functions take them."""
+
+
 @quick
 @dataclass(frozen=True, slots=True)
 class Odometry:
@@ -70,6 +74,24 @@ class Scan:
 
     def __repr__(self) -> str:
         return f"Scan of {len(self)} measurements"
+
+    @property
+    def arrays(self) -> ScanArrays:
+        """As compiled functions take it; they are compiled for arrays that may be written to, and write to none."""
+        arrays = self.points, self.covariances, self.sizes, self.size_variances, self.kinds
+        if self.points.flags.writeable:
+            return arrays
+        points, covariances, sizes, size_variances, kinds = (array.view() for array in arrays)
+        for array in (points, covariances, sizes, size_variances, kinds):
+            array.flags.writeable = True
+        return points, covariances, sizes, size_variances, kinds
+
+    def read_only(self) -> Scan:
+        """The same measurements in arrays that cannot be written to."""
+        views = [array.view() for array in self.arrays]
+        for view in views:
+            view.flags.writeable = False
+        return Scan(*views)
 
     @classmethod
     def from_points(

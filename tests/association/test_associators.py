@@ -23,7 +23,8 @@ from slam_gym.association import (
     resolve_relocator,
     singles,
 )
-from slam_gym.types import UNPAIRED, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
 
 BLIND = [associator for name, associator in ASSOCIATORS.items() if name != "true_association"]
@@ -101,12 +102,8 @@ def test_covariances_that_are_none_are_named(search, matrix):
 
 @pytest.mark.parametrize("search", SEARCHES)
 def test_a_singular_innovation_covariance_is_named(search):
-    scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
-    certain = dataclasses.replace(
-        prediction,
-        positions=np.tile(scan.points[:1], (5, 1)),
-        covariances=np.tile([[1.0, 1.0], [1.0, 1.0]], (5, 1, 1)),
-    )
+    scan, _ = oracles.problem(np.random.default_rng(0), 4, 5)
+    certain = Prediction.from_gaussian(np.tile(scan.points[:1], (5, 1)), np.ones((10, 10)))
     with pytest.raises(ValueError, match="singular"):
         search(dataclasses.replace(scan, covariances=np.zeros((4, 2, 2))), certain)
 

@@ -69,10 +69,8 @@ def test_compatibility_does_not_depend_on_the_axes():
     turned_scan = dataclasses.replace(
         scan, points=transform(turn, scan.points), covariances=rotate_covariances(turn[2], scan.covariances)
     )
-    turned = dataclasses.replace(
-        prediction,
-        positions=transform(turn, prediction.positions),
-        covariances=rotate_covariances(turn[2], prediction.covariances),
+    turned = with_rows(
+        prediction, transform(turn, prediction.positions), rotate_covariances(turn[2], prediction.covariances)
     )
     before, after = individual(scan, prediction), individual(turned_scan, turned)
     assert len(before.slots) > 10
@@ -97,8 +95,17 @@ def broken(what, entry, value):
     owner = scan if what.startswith("scan") else prediction
     array = getattr(owner, what.split(".")[1]).copy()
     array[entry] = value
-    spoilt = dataclasses.replace(owner, **{what.split(".")[1]: array})
-    return (spoilt, prediction) if owner is scan else (scan, spoilt)
+    if owner is scan:
+        return dataclasses.replace(scan, **{what.split(".")[1]: array}), prediction
+    positions = array if what.endswith("positions") else prediction.positions
+    return scan, with_rows(prediction, positions, array if what.endswith("covariances") else prediction.covariances)
+
+
+def with_rows(prediction, positions, covariances):
+    """The same with other positions and covariances."""
+    counted, sized, near, _, _, across = prediction.rows
+    rows = counted, sized, near, np.array(positions), np.array(covariances), across
+    return dataclasses.replace(prediction, rows=rows)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -117,10 +124,7 @@ def test_noise_that_is_no_covariance_is_refused_by_name(value):
 
 def test_exact_measurements_of_exactly_known_features_are_refused():
     scan, prediction = broken("scan.covariances", slice(None), 0.0)
-    certain = dataclasses.replace(
-        prediction,
-        positions=np.tile(scan.points[:1], (len(prediction), 1)),
-        covariances=np.tile([[1.0, 1.0], [1.0, 1.0]], (len(prediction), 1, 1)),
-    )
+    k = len(prediction)
+    certain = with_rows(prediction, np.tile(scan.points[:1], (k, 1)), np.ones((k, 2, 2)))
     with pytest.raises(ValueError, match="singular"):
         individual(scan, certain)

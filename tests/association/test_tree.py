@@ -5,16 +5,14 @@ import pytest
 
 from slam_gym.association import jcbb
 from slam_gym.association.compatibility import individual, joint_distance
-from slam_gym.association.tracking.branch_and_bound import complete
 from slam_gym.association.tree import branches, decided, extend, hypothesis, interpretation_tree, root
 from slam_gym.types import UNPAIRED, Effort
 from tests.oracles import association as oracles
 
 
-def plant(seed, m=5, n=7, **options):
-    rng = np.random.default_rng(seed)
-    scan, prediction = oracles.problem(rng, m, n, spread=1.5, locality=bool(options.get("local")))
-    return interpretation_tree(scan, prediction, individual(scan, prediction), **options)
+def plant(seed, m=5, n=7):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), m, n, spread=1.5)
+    return interpretation_tree(scan, prediction, individual(scan, prediction))
 
 
 def random_leaf(tree, rng):
@@ -92,7 +90,7 @@ def test_a_node_carries_the_factored_innovation_covariance_of_its_path(seed):
 
 @pytest.mark.parametrize("seed", range(30))
 def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_legal(seed):
-    tree = plant(seed, local=seed % 2 == 0)
+    tree = plant(seed)
     for node in random_leaf(tree, np.random.default_rng(seed))[:-1]:
         offer = branches(tree, node)
         pairs = pairs_of(tree, node)
@@ -101,17 +99,12 @@ def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_l
         assert offer.individual == pytest.approx([d2 for d2, _ in expected])
         for row, joint, legal in zip(offer.rows, offer.joint, offer.legal):
             taken = int(row) in [j for _, j in pairs]
-            strange = tree.pairings.local.size and pairs and not local(tree, pairs[0][1], row)
-            if taken or strange:
+            if taken:
                 assert joint == np.inf and not legal
                 continue
             longer = [*pairs, (node.level, int(row))]
             assert joint == pytest.approx(oracles.distance(tree.scan, tree.prediction, longer))
             assert legal == (joint < oracles.gate(2 * len(longer), 0.99))
-
-
-def local(tree, a, b):
-    return tree.prediction.local(np.array([a, b]))[0, 1]
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -124,59 +117,6 @@ def test_the_best_leaf_of_an_unbounded_walk_is_the_oracle_s_and_jcbb_s(seed):
     ours, theirs = hypothesis(tree, leaf, Effort()), jcbb(tree.scan, tree.prediction)
     assert ours.features.tolist() == theirs.features.tolist()
     assert (ours.joint_distance, ours.dof) == (pytest.approx(theirs.joint_distance), theirs.dof)
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_any_node_is_completed_as_the_best_leaf_below_it(seed):
-    tree = plant(seed, m=4, n=6, local=seed % 2 == 0)
-    for node in random_leaf(tree, np.random.default_rng(seed)):
-        leaf = best_leaf(tree, node)
-        rows, distance, _ = complete(tree, node)
-        assert rows.tolist() == decided(tree, leaf).tolist()
-        assert distance == pytest.approx(leaf.distance)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_pairings_given_are_part_of_every_path(seed):
-    rng = np.random.default_rng(seed)
-    scan, prediction = oracles.problem(rng, 6, 8, spread=1.5, locality=True)
-    first = interpretation_tree(scan, prediction, individual(scan, prediction, measurements=np.arange(3)))
-    given = decided(first, random_leaf(first, rng)[-1])
-    eligible = np.ones(8, np.bool_)
-    eligible[given[given != UNPAIRED]] = False
-    left = individual(scan, prediction, measurements=np.flatnonzero(given == UNPAIRED), eligible=eligible)
-    tree = interpretation_tree(scan, prediction, left, given=given, local=True)
-    related = prediction.local(np.arange(8))
-    rows, distance = oracles.best_path(scan, prediction, 0.99, allowed=eligible, given=given.tolist(), related=related)
-    leaf = best_leaf(tree, root(tree))
-    assert decided(tree, leaf).tolist() == rows
-    assert leaf.distance == pytest.approx(distance)
-    ours, our_distance, _ = complete(tree)
-    assert (ours.tolist(), our_distance) == (rows, pytest.approx(distance))
-
-
-def test_pairings_given_stay_even_where_they_are_not_compatible():
-    scan, prediction = oracles.problem(np.random.default_rng(4), 4, 6, spread=3.0)
-    far = np.argsort(-np.linalg.norm(prediction.positions - scan.points[0], axis=1))[:2]
-    given = np.array([far[0], far[1], UNPAIRED, UNPAIRED])
-    left = individual(scan, prediction, measurements=np.arange(2, 4), eligible=~np.isin(np.arange(6), far))
-    tree = interpretation_tree(scan, prediction, left, given=given)
-    rows, distance, _ = complete(tree)
-    assert rows[:2].tolist() == far.tolist()
-    pairs = [(i, int(row)) for i, row in enumerate(rows) if row != UNPAIRED]
-    assert distance == pytest.approx(oracles.distance(scan, prediction, pairs))
-    assert distance > oracles.gate(4, 0.99)
-
-
-def test_measurements_may_be_decided_in_any_order():
-    rng = np.random.default_rng(5)
-    scan, prediction = oracles.problem(rng, 5, 6, spread=1.5)
-    order = np.array([3, 0, 4, 1, 2])
-    tree = interpretation_tree(scan, prediction, individual(scan, prediction, measurements=order))
-    rows, distance, _ = complete(tree)
-    leaf = best_leaf(tree, root(tree))
-    assert rows.tolist() == decided(tree, leaf).tolist()
-    assert distance == pytest.approx(oracles.distance(scan, prediction, [(i, j) for i, j in enumerate(rows) if j >= 0]))
 
 
 def test_without_candidates_every_branch_is_star():
@@ -198,18 +138,3 @@ def test_illegal_steps_are_refused():
         branches(tree, leaf)
     with pytest.raises(ValueError, match="leaf"):
         extend(tree, leaf, UNPAIRED)
-
-
-def test_a_tree_that_contradicts_itself_is_refused():
-    scan, prediction = oracles.problem(np.random.default_rng(1), 5, 7, spread=1.0)
-    candidates = individual(scan, prediction)
-    given = np.full(5, UNPAIRED)
-    given[0] = candidates.rows[0]
-    with pytest.raises(ValueError, match="given"):
-        interpretation_tree(scan, prediction, candidates, given=given)
-    later = individual(scan, prediction, measurements=np.arange(1, 5))
-    assert given[0] in later.rows
-    with pytest.raises(ValueError, match="given"):
-        interpretation_tree(scan, prediction, later, given=given)
-    with pytest.raises(ValueError, match="no locality"):
-        interpretation_tree(scan, prediction, candidates, local=True)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from slam_gym.association.prediction import Prediction
 from slam_gym.envs.observation import (
     GOAL_FIELDS,
     POINT_FIELDS,
@@ -18,7 +19,7 @@ from slam_gym.geometry import transform
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.simulation.goals import FRONTIERS, SLOTS, Goals
-from slam_gym.types import Prediction, Scan
+from slam_gym.types import Scan
 
 NOTHING = Scan.from_points(np.empty((0, 2)), sigma=0.1)
 NOTHING_EXPECTED = Prediction.from_gaussian(np.empty((0, 2)), np.empty((0, 0)))

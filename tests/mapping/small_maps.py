@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from slam_gym.association.prediction import Prediction, predict
 from slam_gym.geometry import observe, wrap_angle
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.types import Array, IntArray, Odometry, Prediction
+from slam_gym.types import Array, IntArray, Odometry
 from tests.oracles.map import KnownAssociation, TextbookMap, wander
 
 KEEP = MapSpec(iterations=1, right_invariant=False, second_order=False, unconfirmed_age=None)  # the textbook filter
@@ -39,7 +40,7 @@ def predicted(
     odometry: Odometry | None = None,
 ) -> Prediction:
     lately = np.empty(0, np.int64) if recent is None else recent
-    return m.prediction(reach, graph, lately, None, odometry)
+    return predict(m, reach, odometry=odometry, graph=graph, recent=lately)
 
 
 def numerical(f, x: Array, wrapped: int | None = None, step: float = 1e-6) -> Array:

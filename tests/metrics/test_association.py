@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.association.prediction import Prediction, SlamStep
 from slam_gym.metrics.association import Decision, Identities, Tally
-from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Effort, Hypothesis, Prediction, SlamStep, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Effort, Hypothesis, Truth
 
 
 def step(ids, created=None, removed=()):

@@ -12,12 +12,72 @@ from collections.abc import Callable
 import numpy as np
 from scipy.stats import chi2
 
-from slam_gym.types import UNPAIRED, Array, Hypothesis, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import UNPAIRED, Array, Hypothesis, Scan
+
+
+def expecting(
+    positions: Array,
+    P: Array,
+    *,
+    features: Array | None = None,
+    near: Array | None = None,
+    related: Array | None = None,
+    heading_variance: float = 0.0,
+    across: Array | None = None,
+    sightings: Array | None = None,
+    confirmations: int = 0,
+    confidence: float = 0.99,
+) -> Prediction:
+    """A prediction of k positions (k, 2) with joint covariance (2k, 2k), and what else may be known of its rows."""
+    k = len(positions)
+    plain = Prediction.from_gaussian(positions, P, confidence=confidence)
+    features = np.arange(k) if features is None else features
+    n = int(features.max(initial=-1)) + 1
+    x, whole = np.zeros(3 + 2 * n), np.zeros((3 + 2 * n, 3 + 2 * n))
+    entries = np.array([3 + 2 * j + a for j in features for a in range(2)], np.int64)
+    x[entries], whole[np.ix_(entries, entries)] = positions.ravel(), P
+    counted, sized, all_near, at, blocks, nowhere = plain.rows
+    counted = np.stack([features, counted[1], counted[2], counted[3] if sightings is None else sightings])
+    neighbours, degrees = plain.source[3:5]
+    if related is not None:
+        lists = [np.flatnonzero(related[j]) for j in range(k)]
+        neighbours, degrees = np.zeros((n, max((len(l) for l in lists), default=1)), np.int64), np.zeros(n, np.int64)
+        for j, feature in enumerate(features):
+            degrees[feature] = len(lists[j])
+            neighbours[feature, : len(lists[j])] = features[lists[j]]
+    rows = counted, sized, all_near if near is None else near, at, blocks, nowhere if across is None else across
+    source = np.array([0.0, 0.0, 0.0, heading_variance]), x, whole, neighbours, degrees, *plain.source[5:]
+    return dataclasses.replace(
+        plain, rows=rows, source=source, size=(k, n, False, True), confirmations=confirmations
+    )
+
+
+def turning_by(prediction: Prediction, variance: float) -> Prediction:
+    """The same for a heading of that variance [rad²], which is not correlated with anything."""
+    _, *source = prediction.source
+    return dataclasses.replace(prediction, source=(np.array([0.0, 0.0, 0.0, variance]), *source))
+
+
+def related_by(prediction: Prediction, related: Array) -> Prediction:
+    """The same with localities (k, k)."""
+    k, joint = len(prediction), prediction.joint(np.arange(len(prediction))) if len(prediction) else np.empty((0, 0))
+    return expecting(
+        prediction.positions.reshape(k, 2),
+        joint,
+        features=np.array(prediction.features),
+        near=np.array(prediction.near),
+        related=related,
+        confidence=prediction.confidence,
+    )
 
 
 def without_locality(prediction: Prediction) -> Prediction:
     """The same, with all features local to all."""
-    return dataclasses.replace(prediction, near=np.ones(len(prediction), np.bool_), local=None)
+    counted, sized, near, *rest = prediction.rows
+    *before, _, _, sight, visible = prediction.source
+    source = *before, np.empty((0, 0), np.int64), np.empty(0, np.int64), sight, visible
+    return dataclasses.replace(prediction, rows=(counted, sized, np.ones(len(near), np.bool_), *rest), source=source)
 
 
 def problem(
@@ -51,15 +111,12 @@ def problem(
     for i, j in zip(real, rng.permutation(n)):
         points[i] = drawn.reshape(-1, 2)[j] + np.linalg.cholesky(R[i]) @ rng.standard_normal(2)
     features = np.sort(rng.permutation(3 * n)[:n])
-    prediction = Prediction.from_gaussian(positions, P, confidence=confidence)
-    prediction = dataclasses.replace(prediction, features=features)
+    near = related = None
     if locality:
         group, stray = rng.integers(0, 3, n), rng.random((n, n)) < 0.1
         related = (group[:, None] == group) | stray | stray.T
         near = (group == 0) & (rng.random(n) < 0.9)
-        prediction = dataclasses.replace(
-            prediction, near=near, local=lambda rows: np.ascontiguousarray(related[np.ix_(rows, rows)])
-        )
+    prediction = expecting(positions, P, features=features, near=near, related=related, confidence=confidence)
     return Scan.from_points(points, R), prediction
 
 
@@ -159,7 +216,7 @@ def best_path(
 
 def jcbb(scan: Scan, prediction: Prediction, confidence: float, *, locality: bool = True) -> tuple[list[int], float]:
     """JCBB as the best of all paths; with locality in the two searches it is defined by."""
-    if not locality or prediction.local is None:
+    if not locality or not prediction.has_localities:
         return best_path(scan, prediction, confidence)
     near = prediction.near
     first, _ = best_path(scan, prediction, confidence, allowed=near)
@@ -214,7 +271,7 @@ def check(answer: Hypothesis, scan: Scan, prediction: Prediction, rows: list[int
 def near_first(prediction: Prediction, m: int, search: Callable[..., list[int]]) -> list[int]:
     """`search(allowed rows, given row per measurement, relation or None)` once, or near first and then elsewhere."""
     n = len(prediction)
-    if prediction.local is None:
+    if not prediction.has_localities:
         return search(np.ones(n, bool), [UNPAIRED] * m, None)
     first = search(prediction.near, [UNPAIRED] * m, None)
     return search(~prediction.near, first, prediction.local(np.arange(n))) if UNPAIRED in first else first

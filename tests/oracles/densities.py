@@ -9,7 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slam_gym.types import UNPAIRED, Array, IntArray, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.navigation.grid import ExploredCells
+from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
+from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 from tests.oracles.association import compatible, problem
 
 
@@ -21,18 +24,25 @@ class Rates(NamedTuple):
     density: float  # [1/m²] λ
 
 
-def edge(positions: Array, covariances: Array) -> Array:
-    """A sensor that sees to the right of a soft edge."""
-    out: Array = 1.0 / (1.0 + np.exp(-3.0 * positions[:, 0] + np.trace(covariances, axis1=1, axis2=2)))
-    return out
+SIGHT = ViewsFrom(FieldOfView(1.2, 1.6), ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
+"""A sensor that sees a part of the small problems, over space in which nothing hides a feature."""
 
 
-def everywhere(positions: Array, covariances: Array) -> Array:
-    """A sensor that is as likely to miss one feature as another."""
-    return np.full(len(positions), 0.7)
+def looking(prediction: Prediction, sight: ViewsFrom | None = SIGHT, moves: bool = True) -> Prediction:
+    """The same for a robot that knows what its sensor shows."""
+    *before, _, visible = prediction.source
+    nobody = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
+    source = *before, nobody if sight is None else sight.arrays, visible
+    return dataclasses.replace(prediction, source=source, size=(*prediction.size[:3], moves))
 
 
-VIEWS = (None, everywhere, edge, edge)
+def dressed(prediction: Prediction, seed: int) -> Prediction:
+    """With no view, with a fixed one, or with one that depends on where a hypothesis puts the robot."""
+    if seed % 4 == 0:
+        return prediction
+    if seed % 4 == 1:
+        return prediction.with_visibility(np.random.default_rng(seed).uniform(0.0, 1.0, len(prediction)))
+    return looking(prediction, moves=seed % 4 == 2)
 
 
 def log_density(scan: Scan, prediction: Prediction, rows: list[int], rates: Rates) -> float:
@@ -58,17 +68,18 @@ def fit(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> flo
 
 def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> Array | None:
     """v_j of every row, from where the hypothesis puts the robot; None where nobody knows."""
-    if prediction.view is None:
-        return None
+    fixed = prediction.visibility()
+    if fixed is None or len(prediction.source[6]):
+        return fixed
     n = len(prediction)
     positions, P = prediction.positions.ravel(), prediction.joint(np.arange(n)) if n else np.zeros((0, 0))
-    if pairs and prediction.view_moves:
+    if pairs and prediction.size[3]:
         nu, S = _stacked(scan, prediction, pairs)
         entries = np.array([2 * j + a for _, j in pairs for a in range(2)])
         gain = P[:, entries] @ np.linalg.inv(S)
         positions, P = positions + gain @ nu, P - gain @ P[entries]
     blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-    return prediction.view(positions.reshape(n, 2), blocks)
+    return SIGHT.field.in_view(positions.reshape(n, 2), blocks)
 
 
 def every_hypothesis(
@@ -118,4 +129,4 @@ def small_problem(seed: int, **options: Any) -> tuple[Scan, Prediction]:
     rng = np.random.default_rng(seed)
     m, n = int(rng.integers(0, 5)), int(rng.integers(0, 6))
     scan, prediction = problem(rng, m, n, spread=float(rng.choice([1.0, 1.5, 2.0])), **options)
-    return scan, dataclasses.replace(prediction, view=VIEWS[seed % 4], view_moves=False)
+    return scan, dressed(prediction, (0, 1, 3, 3)[seed % 4])

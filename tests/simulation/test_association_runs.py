@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb, nearest_neighbour, true_association
+from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe
 from slam_gym.metrics.map_quality import map_error
 from slam_gym.simulation.association_runs import (
@@ -20,7 +21,7 @@ from slam_gym.simulation.association_runs import (
 from slam_gym.simulation.goals import FRONTIERS, LOOK, SLOTS, Goals
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Prediction, Scan
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
 from slam_gym.world import corridor
 from tests.simulation.episodes import SMALL, circle, site_of
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb, true_association
+from slam_gym.association.prediction import Prediction
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.simulation.judged import CEILING, JudgedSlam
-from slam_gym.slam.slam import Slam, SlamSpec, send
-from slam_gym.types import SPURIOUS, UNPAIRED, Effort, Hypothesis, Odometry, Prediction, Scan, Truth
+from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.types import SPURIOUS, UNPAIRED, Effort, Hypothesis, Odometry, Scan, Truth
 from tests.simulation.episodes import circle
 from tests.slam.strangers import reachable
 
@@ -31,8 +32,8 @@ def test_where_somebody_outside_associates_the_step_and_its_judgement_are_the_sa
     told, asking = JudgedSlam(Slam(), "jcbb"), JudgedSlam(Slam())
     for odometry, scan, truth in LOG:
         told.step(odometry, scan, truth)
-        pending = asking.asking_step(odometry, scan, truth)
-        send(pending, jcbb(scan, next(pending)))
+        prediction = asking.slam.predict(odometry, scan)
+        asking.learn(scan, prediction, jcbb(scan, prediction), truth)
     assert told.tally == asking.tally
     np.testing.assert_array_equal(told.slam.map.covariance, asking.slam.map.covariance)
 
@@ -107,17 +108,3 @@ def test_informed_every_labelled_feature_goes_in_when_it_is_first_seen_and_nothi
         created[informed] = judged.step(still, second, Truth(np.zeros(3), sources)).created.tolist()
     assert created[True] == [False, True, False, False]
     assert created[False] == [False, False, True, True]
-
-
-def test_identities_may_be_gone_on_from() -> None:
-    slam = Slam()
-    before = JudgedSlam(slam, "jcbb")
-    for look in LOG[:8]:
-        before.step(*look)
-    went_on, whole = JudgedSlam(slam, CEILING, identities=before.identities), JudgedSlam(Slam(), "jcbb")
-    for look in LOG[8:]:
-        went_on.step(*look)
-    for look in LOG[:8]:
-        whole.step(*look)
-    assert went_on.identities is before.identities and went_on.tally.scans == len(LOG) > whole.tally.scans
-    assert went_on.tally.fp == whole.tally.fp  # the truth makes no mistake about features mapped before it came

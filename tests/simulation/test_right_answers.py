@@ -7,7 +7,7 @@ from slam_gym.association.tracking.walk import Walk
 from slam_gym.metrics.association import Decision
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.simulation.right_answers import RightAnswers, decisions
-from slam_gym.slam.slam import Slam, send
+from slam_gym.slam.slam import Slam
 from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Truth
 from tests.simulation.episodes import circle
 
@@ -48,8 +48,7 @@ def test_decisions_and_right_actions_along_walks_agree_with_the_tally(seed: int)
     judged, rng = JudgedSlam(Slam()), np.random.default_rng(seed)
     right = wrong = 0
     for odometry, scan, truth in circle(12, seed, 25, spread=1.2, sigma=0.1, spurious=0.1, unlabelled=0.1):
-        pending = judged.asking_step(odometry, scan, truth)
-        prediction = next(pending)
+        prediction = judged.slam.predict(odometry, scan)
         answers = RightAnswers.of(truth, judged.identities.source_of(judged.slam.map.ids))
         walk = Walk(scan, prediction, compatibility="individual")
         while not walk.done:
@@ -63,7 +62,7 @@ def test_decisions_and_right_actions_along_walks_agree_with_the_tally(seed: int)
                 assert feature == answers.right[measurement]
             walk.take(action)
         told, hypothesis = decisions(walk, answers), walk.hypothesis()
-        send(pending, hypothesis)
+        judged.learn(scan, prediction, hypothesis, truth)
         paired = hypothesis.features != UNPAIRED
         judgement = judged.identities.decisions
         spurious = paired & (judgement == Decision.SPURIOUS)  # which a picture tells apart, and a reward does not
@@ -79,8 +78,7 @@ def test_what_is_not_decided_yet_is_told_apart_from_what_is_refused() -> None:
     (first, *_), (odometry, scan, truth), *_ = circle(3)
     slam = Slam()
     slam.step(first, scan)
-    pending = slam.asking_step(odometry, scan)
-    walk = Walk(scan, next(pending))
+    walk = Walk(scan, slam.predict(odometry, scan))
     answers = RightAnswers.of(truth, np.arange(slam.map.n))
     undecided = decisions(walk, answers)
     assert (undecided[walk.candidates.measurements[walk.level :]] == -1).all()

@@ -9,9 +9,11 @@ from slam_gym.geometry import compose, relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.trajectory import ate
+from slam_gym.navigation.grid import ExploredCells
+from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam
-from slam_gym.types import Array, IntArray, Odometry, Scan, Truth, View
+from slam_gym.types import Array, IntArray, Odometry, Scan, Truth
 
 RADIUS, REACH, HALF_VIEW = 20.0, 10.0, 1.0  # [m, m, rad]
 
@@ -57,14 +59,10 @@ def look(landmarks: Array, pose: Array, rng: np.random.Generator) -> tuple[Scan,
     return Scan.from_points(at[seen] + rng.normal(0.0, 0.05, (len(seen), 2)), sigma=0.05), seen
 
 
-def view_from(pose: Array) -> View:
-    """What the sensor has in view, as a robot knows that has nothing in its way."""
+EXPLORED = ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0)
 
-    def view(positions: Array, covariances: Array) -> Array:
-        ahead = np.abs(np.arctan2(positions[:, 1], positions[:, 0])) < HALF_VIEW
-        return (ahead & (np.hypot(*positions.T) < REACH)).astype(float)
-
-    return view
+VIEW = ViewsFrom(FieldOfView(2.0 * HALF_VIEW, REACH), EXPLORED)
+"""What the sensor has in view, as a robot knows that has nothing in its way."""
 
 
 def enter(m: StochasticMap, graph: CovisibilityGraph, points: Array, rng: np.random.Generator, sigma: float) -> None:

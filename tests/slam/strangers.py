@@ -34,12 +34,3 @@ def _behind(thing: object) -> list[object]:
     if isinstance(thing, (np.ndarray, memoryview)):  # which the garbage collector does not know
         return [getattr(thing, "base", None), getattr(thing, "obj", None)]
     return gc.get_referents(thing)
-
-
-def writable(array: np.ndarray) -> bool:
-    """Whether an array can be written to, if need be after it has been told so."""
-    try:
-        array.flags.writeable = True
-    except ValueError:
-        return False
-    return True

@@ -16,7 +16,7 @@ from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import IntArray, Odometry, Truth
-from tests.slam.rings import Drive, drive, duplicates, map_it, ring_of_landmarks, view_from
+from tests.slam.rings import VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
 
@@ -50,7 +50,7 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
     for seed in range(4):
         log = loop_drive(seed)
         plain, without = map_it(Slam(SPEC), log)
-        slam = Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
+        slam = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
         judged, error = map_it(slam, log)
         assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0, f"seed {seed}"
         assert duplicates(judged) <= 1, f"seed {seed}"
@@ -60,7 +60,7 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
 
 
 def test_a_closed_loop_leaves_a_valid_map() -> None:
-    log, slam = loop_drive(2), Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
+    log, slam = loop_drive(2), Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
     map_it(slam, log)
     m, graph = slam.map, slam.covisibility
     assert fused(slam, "loop") and is_covariance(m.covariance)
@@ -75,7 +75,7 @@ def test_a_closed_loop_leaves_a_valid_map() -> None:
 
 def test_the_steps_tell_which_features_went_and_came() -> None:
     for carried_at in (None, 100):
-        slam, alive = Slam(SPEC, view_from, relocate=nobody, atlas=EARLY), set()
+        slam, alive = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY), set()
         for odometry, scan, _ in loop_drive(1, 340, carried_at, 0.014).steps:
             step = slam.step(odometry, scan)
             alive |= set(step.ids[step.created].tolist()) | set(step.returned.tolist())
@@ -88,7 +88,7 @@ def test_the_steps_tell_which_features_went_and_came() -> None:
 
 def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_joined() -> None:
     for seed in range(4):
-        log, slam = loop_drive(seed, 340, 100, 0.014), Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
+        log, slam = loop_drive(seed, 340, 100, 0.014), Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
         judged = JudgedSlam(slam)
         numbers = []
         for (odometry, scan, sources), pose in zip(log.steps, log.poses):
@@ -105,7 +105,7 @@ def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_j
 def test_after_joining_the_pose_is_where_the_older_map_says_within_its_covariance() -> None:
     distances = []
     for seed in range(6):
-        log, slam = loop_drive(seed, 215, 100, 0.006), Slam(SPEC, view_from, relocate=nobody, atlas=EARLY)
+        log, slam = loop_drive(seed, 215, 100, 0.006), Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
         judged, _ = map_it(slam, log)
         if not fused(slam, "maps"):
             continue
@@ -167,7 +167,7 @@ def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_
     rejecting, kept = replace(SPEC, max_chance_probability=0.05, start_features_from_rejected=True), []
     for seed in range(4):
         log = loop_drive(seed)
-        by_itself, by_rule = (Slam(spec, view_from, relocate=nobody, atlas=EARLY) for spec in (SPEC, rejecting))
+        by_itself, by_rule = (Slam(spec, VIEW, relocate=nobody, atlas=EARLY) for spec in (SPEC, rejecting))
         (without, _), (judged, _) = (map_it(slam, log, "marginal") for slam in (by_itself, by_rule))
         assert fused(by_rule, "loop") and sources_differ(judged, fused(by_rule, "loop")) == 0, f"seed {seed}"
         assert not fused(by_itself, "loop") and duplicates(judged) <= 1, f"seed {seed}"
@@ -176,14 +176,14 @@ def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_
 
 
 def test_without_patience_there_is_one_map_only() -> None:
-    log, slam = loop_drive(0, 160, 100, 0.014), Slam(SPEC, view_from, relocate=nobody, atlas=AtlasSpec(patience=None))
+    log, slam = loop_drive(0, 160, 100, 0.014), Slam(SPEC, VIEW, relocate=nobody, atlas=AtlasSpec(patience=None))
     map_it(slam, log)
     assert slam.lost and slam.maps == (slam.map,)
 
 
 def test_a_map_too_small_to_be_recognised_is_dropped() -> None:
     log, spec = loop_drive(0, 60, 30, 0.014), AtlasSpec(RecognitionSpec(min_pairs=100), patience=0)
-    slam = Slam(SPEC, view_from, relocate=nobody, atlas=spec)
+    slam = Slam(SPEC, VIEW, relocate=nobody, atlas=spec)
     removed = [slam.step(odometry, scan).removed for odometry, scan, _ in log.steps]
     assert max(map(len, removed)) > 8 and slam.maps == (slam.map,)
 
@@ -200,7 +200,7 @@ def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
 
 
 def test_bad_numbers_are_refused_as_by_slam() -> None:
-    slam, log = Slam(SPEC, view_from, relocate=nobody, atlas=EARLY), loop_drive(0, 2)
+    slam, log = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY), loop_drive(0, 2)
     bad = Odometry(np.array([np.nan, 0.0, 0.0]), np.eye(3))
     with pytest.raises(ValueError, match="odometry"):
         slam.step(bad, log.steps[0][1])

@@ -9,7 +9,7 @@ from benchmarks.corridor import run_corridor
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.geometry import compose, observe
 from slam_gym.mapping.stochastic_map import MapSpec
-from slam_gym.slam.slam import Slam, SlamSpec, send
+from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Effort, Hypothesis, Odometry, Scan
 
 STILL = Odometry(np.zeros(3), np.diag([1e-4, 1e-4, 1e-5]))
@@ -67,14 +67,14 @@ def test_locality_offers_first_what_is_near_what_was_just_paired() -> None:
     slam = slam_of(recent=1, reach=20.0)
     slam.step(STILL, scan_of([[1, 0], [2, 1]]))
     slam.step(STILL, scan_of([[10, 0], [11, 1]]))
-    prediction = slam.predict_features(scan_of([]))
+    prediction = slam.predict(STILL, scan_of([]))
     np.testing.assert_array_equal(prediction.features, [0, 1, 2, 3])
     np.testing.assert_array_equal(prediction.near, [False, False, True, True])
     among = prediction.local(np.array([0, 1, 2]))
     np.testing.assert_array_equal(among, [[True, True, False], [True, True, False], [False, False, True]])
     slam.spec = replace(slam.spec, locality=False)
-    prediction = slam.predict_features(scan_of([]))
-    assert prediction.local is None and prediction.near.all()
+    prediction = slam.predict(STILL, scan_of([]))
+    assert not prediction.has_localities and prediction.near.all()
 
 
 @pytest.mark.parametrize(
@@ -134,16 +134,39 @@ def test_a_reach_shorter_than_the_sensor_s_is_warned_of() -> None:
         slam.step(STILL, scan_of([[9, 0], [2, 1]]))
 
 
-def test_a_step_that_asks_is_the_same_step() -> None:
-    told, asked = slam_of(), slam_of()
+def test_whoever_associates_the_step_is_the_same() -> None:
+    whole, halves = slam_of(), slam_of()
     rng = np.random.default_rng(0)
     for _ in range(6):
         scan = scan_of([[1, 0], [2, 1], [0, -3]] + 0.02 * rng.standard_normal((3, 2)))
-        told.step(STILL, scan, "jcbb")
-        pending = asked.asking_step(STILL, scan)
-        send(pending, jcbb(scan, next(pending)))
-    np.testing.assert_array_equal(told.map.mean, asked.map.mean)
-    np.testing.assert_array_equal(told.map.covariance, asked.map.covariance)
+        whole.step(STILL, scan, "jcbb")
+        prediction = halves.predict(STILL, scan)
+        halves.learn(scan, prediction, jcbb(scan, prediction))
+    np.testing.assert_array_equal(whole.map.mean, halves.map.mean)
+    np.testing.assert_array_equal(whole.map.covariance, halves.map.covariance)
+
+
+def test_a_stranger_can_change_neither_the_scan_nor_the_prediction() -> None:
+    scan, slam = scan_of([[1, 0], [2, 1]]), slam_of()
+    slam.step(STILL, scan)
+
+    def writing(seen: Scan, prediction) -> Hypothesis:
+        for array in (seen.points, seen.covariances, prediction.positions, prediction.covariances, prediction.features):
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0
+        return jcbb(seen, prediction)
+
+    assert slam.step(STILL, scan, writing).hypothesis.pairings == 2
+
+
+def test_a_prediction_tells_when_the_map_has_changed() -> None:
+    slam, scan = slam_of(), scan_of([[1, 0], [2, 1]])
+    slam.step(STILL, scan)
+    prediction = slam.predict(STILL, scan)
+    assert prediction.joint(np.arange(2)).shape == (4, 4)
+    slam.learn(scan, prediction, jcbb(scan, prediction))
+    with pytest.raises(RuntimeError, match="the map has changed"):
+        prediction.joint(np.arange(2))
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.association.prediction import Prediction
 from slam_gym.slam.tracker import Tracker
-from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, Prediction, Scan
+from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, Scan
 
 FEATURES = 10
 
@@ -14,7 +15,7 @@ FEATURES = 10
 def prediction(visibility=None) -> Prediction:
     positions = np.random.default_rng(0).uniform(-5, 5, (FEATURES, 2))
     made = Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
-    return made if visibility is None else replace(made, view=lambda positions, covariances: visibility)
+    return made.with_visibility(visibility)
 
 
 def paired(count: int) -> Hypothesis:
@@ -27,7 +28,8 @@ def doubts(
 ) -> bool:
     """Whether the tracker doubts a scan that measured ahead of the robot."""
     if established is not None:
-        expected = replace(expected, provisional=~established)
+        expected.rows[0][3] = established  # sightings
+        expected = replace(expected, confirmations=1)
     scan = Scan.from_points(np.full((len(hypothesis.features), 2), [2.0, 0.0]), sigma=0.1)
     return not tracker.believes(scan, expected, hypothesis)
 
@@ -94,7 +96,7 @@ def test_without_visibilities_what_was_paired_last_is_expected() -> None:
 def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
     positions = np.column_stack([np.full(FEATURES, 2.0), np.linspace(-1.0, 1.0, FEATURES)])
     ahead = Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
-    behind = replace(ahead, positions=-positions)
+    behind = Prediction.from_gaussian(-positions, 0.01 * np.eye(2 * FEATURES))
     for learned in (True, False):
         tracker = Tracker(0.3, 3, 4)
         for _ in range(20 if learned else 2):
@@ -106,7 +108,7 @@ def test_what_a_turn_has_put_out_of_view_is_not_missed() -> None:
 def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
     positions = np.column_stack([np.full(FEATURES, 2.0), np.linspace(-1.0, 1.0, FEATURES)])
     ahead = Prediction.from_gaussian(positions, 0.01 * np.eye(2 * FEATURES))
-    behind, tracker = replace(ahead, positions=-positions), Tracker(0.3, 3, 4)
+    behind, tracker = Prediction.from_gaussian(-positions, 0.01 * np.eye(2 * FEATURES)), Tracker(0.3, 3, 4)
     for _ in range(20):
         tracker.look(positions)
     assert not doubts(tracker, ahead, paired(FEATURES))

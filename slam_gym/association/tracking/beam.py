@@ -20,7 +20,6 @@ from slam_gym._compile import apart, compiled, inlined
 from slam_gym.association.tracking.path import Path, append
 from slam_gym.association.tree import (
     Innovation,
-    PairingArrays,
     Pairings,
     Pivot,
     condition,
@@ -56,10 +55,6 @@ class Beam(NamedTuple):
     joined: Path  # by node: each pairing as it joined those before it
 
 
-BeamArrays = tuple[Array, IntArray, IntArray, IntArray, IntArray, Array, Array]
-"""All arrays of a `Beam`, as it comes to Python: a named tuple of compiled code takes as long as three arrays."""
-
-
 class BeamSearch(NamedTuple):
     """What a beam search came to."""
 
@@ -67,13 +62,6 @@ class BeamSearch(NamedTuple):
     nodes: int
     tests: int  # joint tests
     cut: bool  # the width turned hypotheses away
-
-
-class Moved(NamedTuple):
-    """Features after an update with each hypothesis."""
-
-    positions: Array  # (b, k, 2) [m]
-    covariances: Array  # (b, k, 2, 2) [m²]
 
 
 class _Room(NamedTuple):
@@ -201,14 +189,14 @@ def _pair(
 
 
 @compiled
-def updated(arrays: PairingArrays, beam: Beam, positions: Array) -> tuple[Array, Array]:
-    """`Moved`: features after an update with each hypothesis of the beam.
+def updated(pairings: Pairings, beam: Beam, positions: Array) -> tuple[Array, Array]:
+    """Positions (b, k, 2) [m] and covariances (b, k, 2, 2) [m²] of features after an update with each hypothesis.
 
     positions (k, 2) are those predicted, the covariance of `pairings` (2k, 2k); slot s is feature s. What a feature
     would be measured at, free of noise, is conditioned on the path like any candidate: here all features at once, each
     by what `tree.condition` does, so that w stands by rows and the loops over it run along them.
     """
-    pairings, k, room = Pairings(*arrays), len(positions), beam.made.shape[1]
+    k, room = len(positions), beam.made.shape[1]
     P, slots, made, path, pivots = pairings.covariance, pairings.slots, beam.made, beam.nodes, beam.joined.pivots
     moved, left = np.empty((len(made), k, 2)), np.empty((len(made), k, 2, 2))
     w, e = np.empty((2 * room, 2 * k)), np.empty((room + 1, 5, k))
@@ -263,13 +251,6 @@ def _lessen(before: Array, after: Array, x: Array, y: Array, u: float, v: float)
         after[2, j] = before[2, j] - s00 * s00 - s10 * s10
         after[3, j] = before[3, j] - s00 * s01 - s10 * s11
         after[4, j] = before[4, j] - s01 * s01 - s11 * s11
-
-
-@inlined
-def plainly(beam: Beam) -> BeamArrays:
-    """Its arrays."""
-    joined = beam.joined
-    return beam.score, beam.pairings, beam.made, beam.nodes, joined.pairings, joined.pivots, joined.w
 
 
 @compiled

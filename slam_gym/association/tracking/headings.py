@@ -16,14 +16,13 @@ covariances are off by up to a fifth at σ = .3 rad. Maps come out better all th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import plain
-from slam_gym.types import Array, IntArray, Prediction
+from slam_gym.association.prediction import Expected, joint
+from slam_gym.types import Array, IntArray
 
 NARROW = 0.08  # [rad] s: at 6 m the tangent is off by 2 cm
 _WIDE = 0.09  # [rad] σ from which a heading is split
@@ -31,24 +30,46 @@ _SIGMAS = 2.0  # of √(σ² − s²) that the headings cover …
 _MOST = 5  # … but no more of them than so many to either side
 
 
-class Heading(NamedTuple):
-    """One part of the mixture."""
+class Part(NamedTuple):
+    """One narrow heading of the mixture."""
 
     log_weight: float
-    prediction: Prediction
+    variance: float  # [rad²] of the heading in it
+    positions: Array  # (k, 2) [m]
+    covariances: Array  # (k, 2, 2) [m²]
+    phi: float  # [rad] φ_k
+    across: Array  # (k, 2) [m/rad] g_j
+    given: Array  # (2k, 2k) [m²] covariance once the heading is known, or (0, 0) where the heading is not split
 
 
-def headings(prediction: Prediction) -> list[Heading]:
-    """The parts of a prediction: one, itself, where its heading is well known."""
-    phi, log_weights = split(prediction.heading_variance)
-    if len(phi) == 1 or not len(prediction):
-        return [Heading(0.0, prediction)]
-    joint, variance = prediction.joint(np.arange(len(prediction))), max(prediction.heading_variance, 0.0)
-    parts = predicted(plain(prediction.positions), plain(prediction.heading_covariances), plain(joint), variance, phi)
-    return [
-        Heading(weight, _turned(prediction, turn, parts, k))
-        for k, (turn, weight) in enumerate(zip(phi.tolist(), log_weights.tolist()))
-    ]
+@compiled
+def whole(expected: Expected) -> Part:
+    """The prediction itself, as if its heading were narrow."""
+    variance, unsplit = expected.pose[3], np.empty((0, 0))
+    return Part(0.0, variance, expected.positions, expected.covariances, 0.0, expected.across, unsplit)
+
+
+@compiled
+def parts_of(expected: Expected) -> list[Part]:
+    """The narrow headings of a prediction: one, itself, where its heading is well known."""
+    positions, variance = expected.positions, expected.pose[3]
+    phi, log_weights = split(variance)
+    if len(phi) == 1 or len(positions) == 0:
+        return [whole(expected)]
+    everything = joint(expected, np.arange(len(positions)))
+    moved, across, spread, given = predicted(positions, expected.across, everything, max(variance, 0.0), phi)
+    out: list[Part] = []
+    for k in range(len(phi)):
+        out.append(Part(log_weights[k], NARROW * NARROW, moved[k], spread[k], phi[k], across[k], given))
+    return out
+
+
+@compiled
+def joint_in(expected: Expected, part: Part, rows: IntArray) -> Array:
+    """(2r, 2r) [m²] covariance of the features at `rows` together, in a narrow heading."""
+    if part.given.size == 0:
+        return joint(expected, rows)
+    return joint_of_part(part.given, part.phi, part.across, rows)
 
 
 @compiled
@@ -67,31 +88,6 @@ def split(variance: float) -> tuple[Array, Array]:
     for k in range(2 * n + 1):
         weights[k] = math.log(weights[k] / total)
     return phi, weights
-
-
-@dataclass(frozen=True, slots=True)
-class _Joint:
-    """`Prediction.joint` of a part."""
-
-    given: Array  # (2k, 2k) [m²] covariance of all features once the heading is known
-    phi: float  # [rad] φ_k
-    across: Array  # (k, 2) [m/rad] g_j
-
-    def __call__(self, rows: IntArray) -> Array:
-        return joint_of_part(self.given, self.phi, self.across, rows)
-
-
-def _turned(prediction: Prediction, phi: float, parts: tuple[Array, Array, Array, Array], k: int) -> Prediction:
-    """Part number k, with heading φ_k = phi."""
-    positions, across, covariances, given = parts
-    return replace(
-        prediction,
-        positions=positions[k],
-        covariances=covariances[k],
-        joint=_Joint(given, phi, across[k]),
-        heading_variance=NARROW**2,
-        heading_covariances=NARROW**2 * across[k],
-    )
 
 
 @compiled

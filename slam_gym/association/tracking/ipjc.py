@@ -1,65 +1,135 @@
-"""IPJC: joint compatibility tested after the pose has been optimised on the hypothesis."""
+"""IPJC: joint compatibility tested after the pose has been optimised on the hypothesis.
+
+Olson and Li, "IPJC: the incremental posterior joint compatibility test for fast feature cloud matching", IROS 2012.
+JCBB tests linearised at the predicted pose, which is wrong by about r φ²/2 for a feature at range r once the robot
+turns out to have turned by φ. For a robot turned by φ from its predicted heading, a feature predicted at p̂_j lies at
+Rot(−φ)(p̂_j + δ_j), so that measurement i, turned into the predicted axes, misses it by
+
+    e(φ) = ν + (cos φ − 1) z_i + sin φ J z_i − φ a_j,   a_j = J p̂_j + c_j / σ²,   J = [0 −1; 1 0],
+
+where σ² is the variance of the heading and c_j = Cov(h_j, θ); δ given φ is Gaussian with covariance S − c cᵀ/σ². With
+G the 4 × 4 matrix of the products of these four vectors, whitened by S_{H|θ}, and q = (1, cos φ − 1, sin φ, −φ),
+
+    D²_H = min over φ of φ²/σ² + qᵀ G q.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
-from slam_gym.association.tracking.branch_and_bound import complete
-from slam_gym.association.tracking.heading import Turning
-from slam_gym.association.tracking.jcbb import check_node_limit
-from slam_gym.association.tracking.near_first import Found, near_first
-from slam_gym.association.tree import Tree, as_hypothesis
-from slam_gym.types import Hypothesis, Prediction, Scan
+from slam_gym._compile import compiled
+from slam_gym.association.compatibility import joint_gates
+from slam_gym.association.prediction import Prediction
+from slam_gym.association.tracking.jcbb import check_node_limit, jcbb
+from slam_gym.association.tracking.near_first import Offer, near_first
+from slam_gym.association.tree import Pairings, may_follow
+from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
+
+_ITERATIONS, _CONVERGED = 30, 1e-10  # [rad]
 
 
-def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 100_000) -> Hypothesis:
+def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hypothesis:
     """The hypothesis with most pairings, then least D²_H, each prefix compatible at the pose that fits it best.
 
-    Olson and Li, "IPJC: the incremental posterior joint compatibility test for fast feature cloud matching", IROS 2012.
-    JCBB tests linearised at the predicted pose, which is wrong by about r φ²/2 for a feature at range r once the robot
-    turns out to have turned by φ. Here D²_H is the least value of the cost of which an EKF update is one Gauss-Newton
-    step: of prior and measurements together, over pose and features. Everything is linear but for the heading, so the
-    optimum is found in one dimension (`heading`); a prediction whose heading is certain is linear, and this is JCBB.
-    Candidates must pass the individual gate at the predicted pose, as in `jcbb`.
+    Candidates must pass the individual gate at the predicted pose, as in `jcbb`; a prediction whose heading is certain
+    is linear, and this is JCBB. Every hypothesis is factored as a whole: a plain baseline, many times slower than JCBB.
 
-    `joint_distance` is D²_H so optimised. `node_limit`, locality, `effort.limit_hit` and errors are those of `jcbb`.
+    `joint_distance` is D²_H so optimised. `node_limit`, locality, `effort.limit_hit` and errors are those
+    of `jcbb`.
     """
     check_node_limit(node_limit)
-    certain = not prediction.heading_variance > 0.0
+    variance = prediction.heading_variance
+    if not variance > 0.0:
+        return jcbb(scan, prediction, node_limit=node_limit)
+    gates, optimised = joint_gates(len(scan), prediction.confidence), [0.0]
 
-    def search(tree: Tree) -> Found[float]:
-        if certain or not len(tree.pairings.slots):
-            best = complete(tree, node_limit=node_limit)
-        else:
-            turning = turning_of(tree)
-            best = complete(_given_heading(tree), None, node_limit, turning)
-        return Found(best.rows, best.effort, best.distance)
+    def search(offer: Offer, rows: IntArray) -> Effort:
+        p, at, across = offer.pairings, prediction.positions[offer.rows], prediction.heading_covariances[offer.rows]
+        z = scan.points[p.measured]
+        slopes = (np.column_stack([-at[:, 1], at[:, 0]]) + across / variance)[p.slots]
+        errors = np.stack([p.innovations, z, np.column_stack([-z[:, 1], z[:, 0]]), slopes], axis=2)
+        p = p._replace(covariance=p.covariance - np.outer(across, across) / variance)
+        path, nodes, limit_hit = _search(p, offer.starts, errors, variance, gates, node_limit)
+        optimised.append(_distance(p, errors, path, variance))
+        rows[p.measured[path]] = offer.rows[p.slots[path]]
+        return Effort(nodes=nodes, joint_tests=nodes, limit_hit=limit_hit)
 
-    found = near_first(scan, prediction, search)
-    return as_hypothesis(prediction, found.rows, found.extra, found.effort)
-
-
-def turning_of(tree: Tree) -> Turning:
-    """The uncertain heading of a prediction, with the three further vectors of each pairing's error, see `heading`."""
-    prediction, slots = tree.prediction, tree.pairings.slots
-    at, across = prediction.positions[tree.rows], prediction.heading_covariances[tree.rows]
-    z, variance = tree.scan.points[tree.pairings.measured], prediction.heading_variance
-    depth, count = len(tree.gates), len(slots)
-    errors = np.empty((depth, count, 2, 3))
-    errors[0, :, :, 0], errors[0, :, 0, 1], errors[0, :, 1, 1] = z, -z[:, 1], z[:, 0]
-    errors[0, :, :, 2] = (np.column_stack([-at[:, 1], at[:, 0]]) + across / variance)[slots]
-    return Turning(
-        variance,
-        errors,
-        np.empty((depth, 2, 3)),
-        np.zeros((depth, 4, 4)),
-        np.zeros(depth),
-        np.zeros((depth, count)),
-    )
+    return replace(near_first(scan, prediction, search), joint_distance=optimised[-1])
 
 
-def _given_heading(tree: Tree) -> Tree:
-    """The tree with the covariance that is left once the heading is known."""
-    across = tree.prediction.heading_covariances[tree.rows].ravel()
-    left = tree.pairings.covariance - np.outer(across, across) / tree.prediction.heading_variance
-    return tree._replace(pairings=tree.pairings._replace(covariance=left))
+@compiled
+def _search(
+    pairings: Pairings, starts: IntArray, errors: Array, variance: float, gates: Array, node_limit: int
+) -> tuple[IntArray, int, bool]:
+    """The pairings of the best hypothesis, the nodes visited, and whether there were too many: depth first, `*` last.
+
+    `errors` (c, 2, 4) are the vectors of e(φ).
+    """
+    levels, first = len(starts) - 1, pairings.given + starts
+    later = np.zeros(levels + 1, np.int64)  # levels from here on that have a candidate
+    for level in range(levels - 1, -1, -1):
+        later[level] = later[level + 1] + (first[level] < first[level + 1])
+    path = np.arange(pairings.given + levels)
+    distance, made = np.zeros(levels + 1), np.full(levels + 1, pairings.given)
+    distance[0] = _distance(pairings, errors, path[: pairings.given], variance)
+    best, least, best_path = -1, math.inf, path[:0].copy()
+    trial, level, nodes = first.copy(), 0, 0
+    while level >= 0 and nodes < node_limit:
+        bound = made[level] + later[level]
+        hopeless = bound < best or (bound == best and distance[level] >= least)
+        if level == levels or hopeless or trial[level] > first[level + 1]:
+            if level == levels and not hopeless:
+                best, least, best_path = made[level], distance[level], path[: made[level]].copy()
+            trial[level] = first[level]
+            level -= 1
+            continue
+        c, p = trial[level], made[level]
+        trial[level] += 1
+        nodes += 1
+        if c == first[level + 1]:  # `*`
+            made[level + 1], distance[level + 1] = p, distance[level]
+            level += 1
+        elif may_follow(pairings, path, p, c):
+            path[p] = c
+            total = _distance(pairings, errors, path[: p + 1], variance)
+            if total < gates[p + 1]:
+                made[level + 1], distance[level + 1] = p + 1, total
+                level += 1
+    return best_path, nodes, level >= 0
+
+
+@compiled
+def _distance(pairings: Pairings, errors: Array, path: IntArray, variance: float) -> float:
+    """min over φ of φ²/σ² + qᵀ G q, by Gauss–Newton from φ = 0."""
+    p = len(path)
+    S, E = np.empty((2 * p, 2 * p)), np.empty((2 * p, 4))
+    for a in range(p):
+        E[2 * a : 2 * a + 2] = errors[path[a]]
+        for b in range(p):
+            i, j = 2 * pairings.slots[path[a]], 2 * pairings.slots[path[b]]
+            S[2 * a : 2 * a + 2, 2 * b : 2 * b + 2] = pairings.covariance[i : i + 2, j : j + 2]
+        S[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] += pairings.noise[pairings.measured[path[a]]]
+    G = E.T @ np.linalg.solve(S, E)
+    phi, value = 0.0, G[0, 0]
+    for _ in range(_ITERATIONS):
+        q = np.array([1.0, math.cos(phi) - 1.0, math.sin(phi), -phi])
+        slope = np.array([0.0, -math.sin(phi), math.cos(phi), -1.0])
+        Gq = G @ q
+        step = -(phi / variance + slope @ Gq) / (1.0 / variance + slope @ (G @ slope))
+        after = _cost(G, variance, phi + step)
+        while after > value and abs(step) > _CONVERGED:
+            step *= 0.5
+            after = _cost(G, variance, phi + step)
+        if abs(step) <= _CONVERGED:
+            break
+        phi, value = phi + step, after
+    return value
+
+
+@compiled
+def _cost(G: Array, variance: float, phi: float) -> float:
+    q = np.array([1.0, math.cos(phi) - 1.0, math.sin(phi), -phi])
+    return phi * phi / variance + q @ (G @ q)

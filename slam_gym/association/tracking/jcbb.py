@@ -1,35 +1,256 @@
-"""JCBB: joint compatibility branch and bound (Neira and Tardós, IEEE TRA 17(6), 2001), with covisibility locality."""
+"""JCBB: joint compatibility branch and bound (Neira and Tardós, IEEE TRA 17(6), 2001), with covisibility locality.
+
+The search is depth first. Every candidate that may still follow the hypothesis H on the path is kept conditioned on H,
+as in a `tree.Node`, but for each number of pairings on the path, so that the search can step back.
+"""
 
 from __future__ import annotations
 
-from slam_gym.association.tracking.branch_and_bound import NODE_LIMIT, complete
-from slam_gym.association.tracking.near_first import Found, near_first
-from slam_gym.association.tree import Tree, as_hypothesis
-from slam_gym.types import Hypothesis, Prediction, Scan
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._arrays import fill_from
+from slam_gym._compile import compiled, inlined
+from slam_gym.association.compatibility import joint_gates
+from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
+from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_over, offer
+from slam_gym.association.tree import (
+    Node,
+    Pairings,
+    condition,
+    is_local,
+    may_follow,
+    pivot_of,
+    read,
+    root_of,
+    store,
+    write_rows,
+)
+from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan, ScanArrays
+
+NODE_LIMIT = 100_000  # of a search, unless another is given
+TEST_LIMIT = 1_000_000  # joint tests of a search: where a robot is lost, a node has thousands of candidates
+_UNDECIDED = -1  # in place of a level
 
 
 def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) -> Hypothesis:
     """The jointly compatible hypothesis with most pairings, and of those the one with least D²_H.
 
-    Where the prediction carries a locality, there are two searches: measurements are first offered the features near
-    those paired in recent scans; those left over are then offered the other features, with the pairings of the first
-    search kept, and there the first pairing restricts the others to its own locality.
-
-    `node_limit` bounds each of the two searches, and so do a million joint tests; where one is met, `effort.limit_hit`
-    says so and the best hypothesis found until then is returned. Raises ValueError as `individual` does, and for a node
-    limit below 1.
+    Where the prediction carries a locality, there are two searches (`near_first`). `node_limit` bounds each of them,
+    and so do a million joint tests; where one is met, `effort.limit_hit` says so and the best hypothesis found until
+    then is returned. Raises ValueError as `check_fault`, and for a node limit below 1.
     """
     check_node_limit(node_limit)
-
-    def search(tree: Tree) -> Found[float]:
-        best = complete(tree, node_limit=node_limit)
-        return Found(best.rows, best.effort, best.distance)
-
-    found = near_first(scan, prediction, search)
-    return as_hypothesis(prediction, found.rows, found.extra, found.effort)
+    gates = joint_gates(len(scan), prediction.confidence)
+    return _decide(scan.arrays, prediction.arrays, gates, node_limit).hypothesis()
 
 
 def check_node_limit(node_limit: int) -> None:
     """Raises ValueError for a limit below 1."""
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
+
+
+@compiled
+def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_limit: int) -> Decided:
+    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    rows, distance, spent, fault, entry = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False), 0, -1
+    for search in range(2):
+        found = offer(scan, expected, rows, search == 0, gates[1])
+        fault, entry, best = found.fault, found.entry, _Best(distance, 0, 0, False)
+        if fault == 0 and len(found.pairings.slots) > found.pairings.given:
+            best = branch_and_bound(found.pairings, found.rows, gates, node_limit, rows)
+        distance = best.distance
+        spent = Spent(
+            spent.nodes + best.nodes,
+            spent.individual_tests + found.tests,
+            spent.joint_tests + best.tests,
+            spent.limit_hit or best.limit_hit,
+        )
+        if fault != 0 or is_over(expected, rows):
+            break
+    return decided(expected, rows, distance, spent, fault, entry)
+
+
+class _Best(NamedTuple):
+    """D² of the best hypothesis of a search, and what it took."""
+
+    distance: float  # D²_H
+    nodes: int
+    tests: int  # joint tests
+    limit_hit: bool
+
+
+class _Stack(NamedTuple):
+    """By p, the number of pairings of the hypothesis H on the path: what may follow it, conditioned on H."""
+
+    alive: IntArray  # (P + 1, c) candidates that can still be legal, level by level, by ascending D²_ij
+    total: Array  # (P + 1, c) D² of H and the candidate
+    innovations: Array  # (P + 1, c, 5) `tree.Innovation`
+    w: Array  # (c, 2P + 2, 2) w; its first 2p rows belong to H
+    end: IntArray  # (P + 1,) number of alive candidates
+    levels: IntArray  # (P + 1,) number of their levels, less those decided with `*` since
+    features: IntArray  # (P + 1,) number of their features
+    distance: Array  # (P + 1,) D²_H
+    floor: Array  # (P + 1,) D² of a hypothesis with a pairing of each of those levels is no less
+    stamps: IntArray  # (u + 1,) number of the count that last met each feature; at the end, of the last count
+
+
+@compiled
+def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limit: int, out: IntArray) -> _Best:
+    """The hypothesis with most pairings, then least D²_H, every prefix being compatible, entered in `out` (m,).
+
+    `rows` (u,) are those of the slots. Branches are tried by ascending D²_ij, and `*` last. A branch is visited if its
+    bound (pairings so far + what may follow) beats the best, or equals it while its D²_H is below the best's. What may
+    follow is the lesser of the levels left with a candidate and of their distinct unused features. Only candidates that
+    can still be legal count: D²_H never shrinks along a path, so a candidate is out of the whole subtree once D² of H
+    and itself exceeds the gate of the largest hypothesis that it could complete.
+
+    By p: path[p] the pairing that comes next, position[p] in alive[p] of the candidate to try next, level[p] its level.
+    """
+    node, given = root_of(pairings), pairings.given
+    measured, depth = pairings.measured, len(gates)
+    stack = _stack_at(pairings, node, depth)
+    alive, total, _, _, end, levels, features, distances, floors, _ = stack
+    path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
+    fill_from(path, node.path)
+    best_path, best, best_distance = path.copy(), given, distances[given]
+    p, nodes, tests, limit_hit = given, 0, 0, False
+    while p >= given:
+        follows = levels[p], features[p], distances[p], floors[p]
+        if position[p] == end[p] or not _promises(p, *follows, best, best_distance):
+            p -= 1
+            continue
+        if nodes == node_limit or tests >= TEST_LIMIT:
+            limit_hit = True
+            break
+        c = alive[p, position[p]]
+        if level[p] == _UNDECIDED:
+            level[p] = measured[c]
+        if measured[c] != level[p]:
+            # All pairings of this level are done: `*`. It leaves H as it is, so its node takes the place of its parent.
+            nodes += 1
+            levels[p] -= 1
+            floors[p], level[p] = distances[p], measured[c]
+            continue
+        position[p] += 1
+        if not total[p, c] < gates[p + 1]:
+            continue
+        nodes += 1
+        path[p] = c
+        tests += _pair(pairings, stack, p, c, position[p], best, gates)
+        p += 1
+        position[p], level[p] = 0, _UNDECIDED
+        if p > best or (p == best and distances[p] < best_distance):
+            best, best_distance = p, distances[p]
+            for q in range(p):
+                best_path[q] = path[q]
+    write_rows(pairings, best_path[:best], rows, out)
+    return _Best(best_distance, nodes, tests, limit_hit)
+
+
+@inlined
+def _promises(
+    p: int, levels: int, features: int, distance: float, floor: float, best: int, best_distance: float
+) -> bool:
+    """Whether something may follow H that beats the best: by pairings, or by D² with as many."""
+    bound = p + min(levels, features)
+    if bound != best:
+        return bool(bound > best)
+    return bool((floor if levels <= features else distance) < best_distance)
+
+
+@compiled
+def _stack_at(pairings: Pairings, node: Node, depth: int) -> _Stack:
+    """The stack with what may follow the root."""
+    count, features, held, slots = len(pairings.slots), len(pairings.covariance) // 2, len(node.path), pairings.slots
+    stack = _Stack(
+        np.empty((depth, count), np.int64),
+        np.empty((depth, count)),
+        np.empty((depth, count, 5)),
+        np.empty((count, 2 * depth, 2)),
+        np.zeros(depth, np.int64),
+        np.zeros(depth, np.int64),
+        np.zeros(depth, np.int64),
+        np.zeros(depth),
+        np.zeros(depth),
+        np.zeros(features + 1, np.int64),
+    )
+    for c in range(count):
+        for r in range(2 * held):
+            stack.w[c, r, 0], stack.w[c, r, 1] = node.w[c, r, 0], node.w[c, r, 1]
+    distance, kept, last = node.distance, 0, _UNDECIDED
+    for c in range(held, count):
+        if not may_follow(pairings, node.path, held, c):
+            continue
+        e = read(node.innovations, c)
+        store(stack.innovations[held], c, e)
+        stack.total[held, c] = distance + node.added[c]
+        stack.alive[held, kept] = c
+        kept += 1
+        if pairings.measured[c] != last:
+            stack.levels[held], last = stack.levels[held] + 1, pairings.measured[c]
+    stack.end[held], stack.distance[held], stack.floor[held] = kept, distance, distance
+    stack.features[held] = _count_features(slots, stack.alive[held, :kept], stack.stamps)
+    return stack
+
+
+@inlined
+def _pair(
+    pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array
+) -> int:
+    """Candidate d joins the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Joint tests made.
+
+    Drops the candidates that cannot become legal any more: a candidate can at most be preceded by one pairing of each
+    level before its own that still has a candidate. Gives up, with none alive, once the bound must end below `best`.
+    """
+    # once: naming a field counts a reference
+    slots, measured, _, _, covariance, local, given = pairings
+    alive, totals, innovations, w, end, level_counts, feature_counts, distances, floors, stamps = stack
+    before, after, restricted = innovations[p], innovations[p + 1], p == given
+    pivot = pivot_of(slots[d], read(before, d))
+    q, distance, left, kept, tests = p + 1, totals[p, d], level_counts[p] - 1, 0, 0
+    levels, level, least, floor = 0, measured[d], math.inf, distance
+    end[q], level_counts[q], distances[q] = 0, 0, distance
+    for k in range(first, end[p]):
+        c = alive[p, k]
+        if measured[c] == measured[d] or slots[c] == slots[d]:
+            continue
+        if restricted and not is_local(local, slots[d], slots[c]):
+            continue
+        if measured[c] != level:
+            if least < math.inf:
+                levels, floor, least = levels + 1, max(floor, least), math.inf
+            if q + levels + left < best:
+                return tests
+            left, level = left - 1, measured[c]
+        tests += 1
+        e = condition(covariance, w, pivot, d, p, c, slots[c], read(before, c))
+        # eᵀ S⁻¹ e < gate − D²_H, without the division: most candidates end here
+        numerator = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y
+        determinant = e.xx * e.yy - e.xy * e.xy
+        if not (e.xx > 0.0 and numerator < (gates[q + levels + 1] - distance) * determinant):
+            continue
+        total = distance + numerator / determinant
+        store(after, c, e)
+        totals[q, c], alive[q, kept] = total, c
+        kept, least = kept + 1, min(least, total)
+    if least < math.inf:
+        levels, floor = levels + 1, max(floor, least)
+    end[q], level_counts[q], floors[q] = kept, levels, floor
+    feature_counts[q] = _count_features(slots, alive[q, :kept], stamps)
+    return tests
+
+
+@inlined
+def _count_features(slots: IntArray, chosen: IntArray, stamps: IntArray) -> int:
+    """Distinct features among the candidates `chosen`."""
+    stamps[-1] += 1
+    count = 0
+    for c in chosen:
+        if stamps[slots[c]] != stamps[-1]:
+            stamps[slots[c]] = stamps[-1]
+            count += 1
+    return count

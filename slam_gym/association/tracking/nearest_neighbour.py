@@ -1,59 +1,55 @@
-"""The two associators that look at one pairing at a time."""
+"""The two associators that look at one pairing at a time: nearest neighbour and singles."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import individual, joint_distance
-from slam_gym.association.tree import as_hypothesis
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.association.compatibility import chi2_gate, gate_pairings
+from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
+from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of
+from slam_gym.types import UNPAIRED, Hypothesis, Scan, ScanArrays
 
 
 def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     """ICNN: each measurement is paired with its individually compatible feature of least D²_ij.
 
     Measurements are decided independently and never reconsidered, so a feature may be paired more than once.
-    Raises ValueError as `individual` does.
+    Raises ValueError as `check_fault`.
     """
-    candidates = individual(scan, prediction)
-    rows = nearest(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
-    return _answer(scan, prediction, rows, candidates.tests)
+    return _decide(scan.arrays, prediction.arrays, _gate(prediction), False).hypothesis(exclusive=False)
 
 
 def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
     """SINGLES: measurement and feature are paired only where each is the other's only individually compatible one.
 
-    Raises ValueError as `individual` does.
+    Raises ValueError as `check_fault`.
     """
-    candidates = individual(scan, prediction)
-    rows = mutual(len(scan.points), candidates.starts, candidates.slots, candidates.rows)
-    return _answer(scan, prediction, rows, candidates.tests)
+    return _decide(scan.arrays, prediction.arrays, _gate(prediction), True).hypothesis(exclusive=False)
+
+
+def _gate(prediction: Prediction) -> float:
+    return chi2_gate(2, prediction.confidence)
 
 
 @compiled
-def nearest(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
-    """(m,) row of the first candidate of each measurement."""
-    out = np.full(m, UNPAIRED)
-    for i in range(m):
-        if starts[i] < starts[i + 1]:
-            out[i] = rows[slots[starts[i]]]
-    return out
-
-
-@compiled
-def mutual(m: int, starts: IntArray, slots: IntArray, rows: IntArray) -> IntArray:
-    """(m,) row of the only candidate of each measurement, where that is nobody else's."""
-    out, wanted = np.full(m, UNPAIRED), np.zeros(len(rows), np.int64)
-    for slot in slots:
-        wanted[slot] += 1
-    for i in range(m):
-        if starts[i] + 1 == starts[i + 1] and wanted[slots[starts[i]]] == 1:
-            out[i] = rows[slots[starts[i]]]
-    return out
-
-
-def _answer(scan: Scan, prediction: Prediction, rows: IntArray, tests: int) -> Hypothesis:
-    distance = joint_distance(scan, prediction, rows).squared
-    effort = Effort(nodes=len(rows), individual_tests=tests)
-    return as_hypothesis(prediction, rows, distance, effort, exclusive=False)
+def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual: bool) -> Decided:
+    """Pair each measurement with its first candidate, by ascending D²_ij; `mutual`: with its only one, if that is
+    nobody else's."""
+    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    m = len(scan[0])
+    rows, everywhere = np.full(m, UNPAIRED), expected.near[:0]
+    fault, entry, starts, _, slots, _, _, offered, tests = gate_pairings(
+        scan[0], scan[1], expected.positions, expected.covariances, np.arange(m), everywhere, gate
+    )
+    if fault == 0:
+        wanted = np.zeros(len(offered), np.int64)
+        for slot in slots:
+            wanted[slot] += 1
+        for i in range(m):
+            if starts[i] == starts[i + 1]:
+                continue
+            if not mutual or (starts[i] + 1 == starts[i + 1] and wanted[slots[starts[i]]] == 1):
+                rows[i] = offered[slots[starts[i]]]
+    distance = joint_distance_of(scan, expected, rows)
+    return decided(expected, rows, distance, Spent(m, tests, 0, False), fault, entry)

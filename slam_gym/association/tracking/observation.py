@@ -141,7 +141,7 @@ def surroundings_of(tree: Tree) -> Surroundings:
         prediction.size_variances[rows],
         prediction.near[rows],
         prediction.ages[rows],
-        _ALL_LOCAL if prediction.local is None else prediction.local(rows),
+        prediction.local(rows) if prediction.has_localities else _ALL_LOCAL,
     )
 
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from slam_gym._arrays import ascending
 from slam_gym._compile import compiled
-from slam_gym.association.compatibility import chi2_gate, joint_distance
-from slam_gym.association.tracking.near_first import Found, near_first
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.prediction import Prediction
+from slam_gym.association.tracking.near_first import Offer, near_first
 from slam_gym.association.tracking.path import append, distances_after, distances_with, follow, path_of
-from slam_gym.association.tree import Pairings, Tree, as_hypothesis, is_local
-from slam_gym.types import Array, Effort, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.association.tree import Pairings, is_local
+from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
 
 
 class _Draws(NamedTuple):
@@ -37,7 +38,7 @@ def one_point_ransac(
     Draws end once the chance to have missed a right candidate is below 1 − `success`, taking as many of the c
     candidates for right as the best draw pairs: log(1 − success) / log(1 − pairings / c), or after `tries`
     (`effort.limit_hit`). Gates are individual: nothing tests all pairings together. A locality of the prediction is
-    used as in `jcbb`. Raises ValueError as `individual` does, for fewer tries than one, and for a `success` that is no
+    used as in `jcbb`. Raises ValueError as `check_fault`, for fewer tries than one, and for a `success` that is no
     probability below one.
     """
     if tries < 1:
@@ -46,19 +47,15 @@ def one_point_ransac(
         raise ValueError(f"success: {success} is not between 0 and 1")
     gate, rng = chi2_gate(2, prediction.confidence), np.random.default_rng(seed)
 
-    def search(tree: Tree) -> Found[None]:
-        rows, pairings, g = tree.given.copy(), tree.pairings, tree.pairings.given
+    def search(offer: Offer, rows: IntArray) -> Effort:
+        pairings, g = offer.pairings, offer.pairings.given
         count = len(pairings.slots) - g
-        if not count:
-            return Found(rows, Effort(individual_tests=tree.candidates.tests), None)
         draws = _draw(pairings, g + rng.permutation(count), gate, success, tries)
-        rows[pairings.measured[draws.chosen]] = tree.rows[pairings.slots[draws.chosen]]
-        limit_hit, tests = draws.drawn == tries and tries < count, tree.candidates.tests + draws.drawn * count
-        return Found(rows, Effort(draws.drawn, tests, tries=draws.drawn, limit_hit=limit_hit), None)
+        rows[pairings.measured[draws.chosen]] = offer.rows[pairings.slots[draws.chosen]]
+        limit_hit = draws.drawn == tries and tries < count
+        return Effort(draws.drawn, draws.drawn * count, tries=draws.drawn, limit_hit=limit_hit)
 
-    found = near_first(scan, prediction, search)
-    distance = joint_distance(scan, prediction, found.rows).squared
-    return as_hypothesis(prediction, found.rows, distance, found.effort)
+    return near_first(scan, prediction, search)
 
 
 @compiled

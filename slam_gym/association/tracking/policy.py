@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.types import Associator, BoolArray, Hypothesis, Prediction, Scan
+from slam_gym.types import BoolArray, Hypothesis, Scan
 
 Policy = Callable[[Observation, BoolArray], int]
 """Observation of a walk and mask (K + 1,) -> a legal action: a < K pairs with the a-th candidate on offer, K is `*`."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam_gym.association.compatibility import joint_distance
-from slam_gym.association.tree import as_hypothesis
-from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.association.tracking.near_first import Spent, answer
+from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, IntArray, Scan
 
 
 def true_association(
@@ -28,9 +28,9 @@ def true_association(
     for row, source in enumerate(identities[prediction.features].tolist()):
         row_of.setdefault(source, row)
     rows = np.array([row_of.get(s, UNPAIRED) if s >= 0 else UNPAIRED for s in sources.tolist()], np.int64)
-    distance = joint_distance(scan, prediction, rows).squared
+    found = answer(scan.arrays, prediction.arrays, rows, Spent(len(rows), 0, 0, False)).hypothesis(exclusive=False)
     new = _first_seen(sources, identities) if new_features else None
-    return as_hypothesis(prediction, rows, distance, Effort(nodes=len(rows)), exclusive=False, new=new)
+    return Hypothesis(found.features, found.joint_distance, found.dof, found.effort, new=new, exclusive=False)
 
 
 def _first_seen(sources: IntArray, identities: IntArray) -> BoolArray:

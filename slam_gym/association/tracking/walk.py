@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym.association.compatibility import Candidates, individual
+from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.observation import (
     Choice,
     Observation,
@@ -24,7 +25,7 @@ from slam_gym.association.tree import (
     interpretation_tree,
     root,
 )
-from slam_gym.types import UNPAIRED, Array, Effort, Hypothesis, IntArray, Prediction, Scan
+from slam_gym.types import UNPAIRED, Array, Effort, Hypothesis, IntArray, Scan
 
 Order = Literal["as_scanned", "nearest_first", "fewest_candidates"]
 """In which order measurements are decided: as the scan has them; by distance from the robot; those first that have the

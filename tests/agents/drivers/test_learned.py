@@ -20,11 +20,12 @@ from agents.drivers.learned import (
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
+from slam_gym.association.prediction import Prediction
 from slam_gym.envs.observation import encode_goals, observe
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.simulation.goals import Goals
-from slam_gym.types import Beams, Prediction, Scan
+from slam_gym.types import Beams, Scan
 from slam_gym.weights import Weights, card_of, load
 from tests.agents.drivers import offered
 

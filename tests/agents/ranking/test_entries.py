@@ -11,6 +11,7 @@ from agents.ranking import protocol
 from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
 from agents.ranking.protocol import FIRST, LOST, EntryTask
 from slam_gym.association import gcbb, marginal
+from slam_gym.association.prediction import predict
 from slam_gym.slam.slam import Slam
 from tests.rollouts import differences, relocate
 
@@ -89,7 +90,7 @@ def test_an_associator_that_answers_nonsense_is_refused(started, name, said):
     episode = env.unwrapped.episode
     slam.step(episode.odometry, episode.scan, "jcbb")
     with pytest.raises(EntryError, match=said):
-        served(episode.scan, slam.map.prediction(6.0))
+        served(episode.scan, predict(slam.map, 6.0))
 
 
 @pytest.mark.parametrize(

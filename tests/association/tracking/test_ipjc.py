@@ -1,6 +1,5 @@
 """IPJC against scipy's nonlinear optimum over the whole state, and against JCBB where nothing turns."""
 
-import dataclasses
 import functools
 import math
 
@@ -9,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from slam_gym.association import ASSOCIATORS, ipjc, jcbb
-from slam_gym.types import UNPAIRED, Prediction, Scan
+from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -33,9 +32,7 @@ def turning_problem(rng, m, n, heading_sigma, spread=3.0):
     for i, j in zip(range(round(0.7 * min(m, n))), rng.permutation(n)):
         points[i], truth[i] = look(drawn[:3], drawn[3:].reshape(-1, 2)[j]) + sigma * rng.standard_normal(2), j
     order = rng.permutation(m)
-    prediction = dataclasses.replace(
-        Prediction.from_gaussian(features, S), heading_variance=float(P[2, 2]), heading_covariances=across
-    )
+    prediction = oracles.expecting(features, S, heading_variance=float(P[2, 2]), across=across)
     scan = Scan.from_points(points[order], sigma=sigma)
     return scan, prediction, state, P, truth[order]
 
@@ -94,7 +91,7 @@ def test_ipjc_is_jcbb_where_nothing_turns(seed):
     scan, prediction, _ = oracles.smaller_problem(seed, locality=seed % 2 == 0)
     expected = jcbb(scan, prediction)
     for variance, close in ((0.0, 1e-8), (1e-12, 1e-4)):
-        answer = ipjc(scan, dataclasses.replace(prediction, heading_variance=variance))
+        answer = ipjc(scan, oracles.turning_by(prediction, variance))
         assert answer.features.tolist() == expected.features.tolist()
         assert answer.joint_distance == pytest.approx(expected.joint_distance, rel=close, abs=close)
 

@@ -50,3 +50,52 @@ def test_the_node_limit_is_reported_and_leaves_the_best_answer_so_far():
 def test_a_meaningless_node_limit_is_refused():
     with pytest.raises(ValueError, match="node_limit"):
         jcbb(*oracles.problem(np.random.default_rng(0), 3, 3), node_limit=0)
+
+
+@pytest.mark.parametrize("seed", range(300))
+def test_jcbb_with_locality(seed):
+    scan, prediction, confidence = oracles.small_problem(1000 + seed, locality=True)
+    oracles.check(
+        jcbb(scan, prediction),
+        scan,
+        prediction,
+        oracles.jcbb(scan, prediction, confidence)[0],
+    )
+    oracles.check(
+        jcbb(scan, oracles.without_locality(prediction)),
+        scan,
+        prediction,
+        oracles.jcbb(scan, prediction, confidence, locality=False)[0],
+    )
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_jcbb_on_scans_of_full_size_is_legal_and_no_worse_than_a_greedy_path(seed):
+    rng = np.random.default_rng(seed)
+    scan, prediction = oracles.problem(rng, 14, 25, spread=3.0)
+    answer = jcbb(scan, prediction)
+    row_of = {int(feature): row for row, feature in enumerate(prediction.features)}
+    pairs = [(i, row_of[int(f)]) for i, f in enumerate(answer.features) if f != UNPAIRED]
+    assert len({row for _, row in pairs}) == len(pairs)
+    for k in range(1, len(pairs) + 1):
+        assert oracles.distance(scan, prediction, pairs[:k]) < oracles.gate(2 * k, 0.99)
+    greedy = oracles.greedy(scan, prediction, 0.99)
+    assert len(pairs) >= sum(row != UNPAIRED for row in greedy)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_bound_counts_features_that_are_left_not_only_levels(seed):
+    """Ten measurements of the same three features: a bound by levels would visit more than a thousand hypotheses."""
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 10, 3, spread=0.2, noise=0.3)
+    answer = jcbb(scan, prediction)
+    assert answer.dof == 6
+    assert answer.effort.nodes < 500
+
+
+def test_joint_tests_are_limited_where_a_node_has_thousands_of_candidates():
+    """A lost robot: all may be paired with all. A hundred thousand nodes would be some thirty million tests."""
+    scan, prediction = oracles.problem(np.random.default_rng(2), 20, 300, noise=1.0)
+    answer = jcbb(scan, prediction)
+    assert answer.effort.limit_hit and answer.effort.nodes < 20_000
+    assert 1_000_000 <= answer.effort.joint_tests <= 1_000_000 + 20 * 300
+    assert (answer.features != UNPAIRED).sum() == 20, "it is the best so far"

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb, map_hypothesis
-from slam_gym.types import UNPAIRED, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
 
@@ -33,34 +34,30 @@ def hypotheses(scan, prediction, allowed, given, related):
     return sorted(((log_density(scan, prediction, rows), rows) for rows in every), reverse=True)
 
 
-def dressed(prediction, seed):
-    """With one view or another, or none."""
-    return dataclasses.replace(prediction, view=densities.VIEWS[seed % len(densities.VIEWS)])
-
-
 def check(answer, prediction, ranking):
+    """What is hardly in view from the predicted pose is not looked up again: hence the slack."""
     best, rows = ranking[0]
     features = [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in rows]
     assert answer.features.tolist() == features
-    assert answer.posterior.log_density == pytest.approx(best, rel=1e-8, abs=1e-8)
+    assert answer.posterior.log_density == pytest.approx(best, abs=5e-3)
     shares = np.exp(np.array([density for density, _ in ranking]) - best)
     shares /= shares.sum()
-    assert answer.posterior.probability == pytest.approx(shares[0])
+    assert answer.posterior.probability == pytest.approx(shares[0], abs=2e-3)
     alike = np.array([[j == rows[i] for i, j in enumerate(other)] for _, other in ranking]).reshape(len(ranking), -1)
-    assert answer.posterior.marginals == pytest.approx(shares @ alike)
+    assert answer.posterior.marginals == pytest.approx(shares @ alike, abs=2e-3)
     second = (
         [UNPAIRED if j == UNPAIRED else int(prediction.features[j]) for j in ranking[1][1]]
         if len(ranking) > 1
         else None
     )
-    assert answer.posterior.runner_up_probability == pytest.approx(shares[1] if second else 0.0)
+    assert answer.posterior.runner_up_probability == pytest.approx(shares[1] if second else 0.0, abs=2e-3)
     assert answer.posterior.runner_up.tolist() == (second or [UNPAIRED] * len(rows))
 
 
 @pytest.mark.parametrize("seed", range(240))
 def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(seed):
     scan, prediction = small_problem(seed)
-    prediction = dressed(prediction, seed)
+    prediction = densities.dressed(prediction, seed)
     everything = hypotheses(scan, prediction, np.ones(len(prediction), bool), [UNPAIRED] * len(scan), None)
     answer = map_hypothesis(scan, prediction, **MODEL, **WIDE)
     check(answer, prediction, everything)
@@ -69,19 +66,22 @@ def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(see
 
 @pytest.mark.parametrize("seed", range(120))
 def test_with_locality_what_is_near_is_decided_first(seed):
-    scan, prediction = small_problem(500 + seed, locality=True)
     # localities without strays: each pairing is local to all that are local to the first
-    group = np.random.default_rng(seed).integers(0, 3, len(prediction))
-    prediction = dataclasses.replace(dressed(prediction, seed), local=lambda rows: group[rows][:, None] == group[rows])
-    near, related = prediction.near, prediction.local(np.arange(len(prediction)))
+    scan, prediction = small_problem(500 + seed, locality=True)
+    related = grouped(prediction, seed)
+    prediction, near = densities.dressed(oracles.related_by(prediction, related), seed), prediction.near
     ranking = hypotheses(scan, prediction, near, [UNPAIRED] * len(scan), None)
     first = ranking[0][1]
     lists = oracles.compatible(scan, prediction, 0.999)
     if any(not near[j] for i, found in enumerate(lists) if first[i] == UNPAIRED for _, j in found):
         ranking = hypotheses(scan, prediction, ~near, first, related)
     check(map_hypothesis(scan, prediction, **MODEL, **WIDE), prediction, ranking)
-    apart = hypotheses(scan, prediction, np.ones(len(prediction), bool), [UNPAIRED] * len(scan), None)
-    check(map_hypothesis(scan, oracles.without_locality(prediction), **MODEL, **WIDE), prediction, apart)
+
+
+def grouped(prediction, seed):
+    """(k, k) features in three groups."""
+    group = np.random.default_rng(seed).integers(0, 3, len(prediction))
+    return group[:, None] == group
 
 
 def test_the_problems_above_are_hard_enough():
@@ -93,7 +93,7 @@ def test_the_problems_above_are_hard_enough():
         other += not np.array_equal(
             plain.features, jcbb(scan, dataclasses.replace(prediction, confidence=0.999)).features
         )
-        looking = map_hypothesis(scan, dataclasses.replace(prediction, view=densities.edge), **MODEL)
+        looking = map_hypothesis(scan, densities.looking(prediction), **MODEL)
         seen += not np.array_equal(plain.features, looking.features)
         close += plain.posterior.runner_up_probability > 0.1
     assert other > 30 and seen > 10 and close > 30, (other, seen, close)
@@ -126,16 +126,35 @@ def test_meaningless_options_are_refused(options):
 
 @pytest.mark.parametrize("v", [[0.5, 0.5], [0.5, 0.5, 1.5], [0.5, math.nan, 0.5]])
 def test_a_visibility_that_is_no_probability_is_refused(v):
-    scan, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
+    _, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
     with pytest.raises(ValueError, match="visibility"):
-        map_hypothesis(scan, dataclasses.replace(prediction, view=lambda positions, covariances: np.array(v)))
+        prediction.with_visibility(v)
 
 
-def test_a_view_that_does_not_move_weighs_what_is_missed_from_the_predicted_pose():
-    """Two features explain one measurement equally well: the one that should not be in view is not taken."""
+def test_a_feature_that_should_not_be_in_view_is_not_taken():
+    """Two features explain one measurement equally well."""
     at = np.array([[3.0, 0.1], [3.0, -0.1]])
     scan, prediction = Scan.from_points([[3.0, 0.0]], sigma=0.05), Prediction.from_gaussian(at, 0.01 * np.eye(4))
     for hidden in (0, 1):
         seen = np.where(np.arange(2) == hidden, 0.01, 0.99)
-        still = dataclasses.replace(prediction, view=lambda positions, covariances, v=seen: v, view_moves=False)
-        assert map_hypothesis(scan, still).features.tolist() == [1 - hidden]
+        assert map_hypothesis(scan, prediction.with_visibility(seen)).features.tolist() == [1 - hidden]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_beam_of_the_default_width_loses_nothing_on_larger_problems(seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 9, 12, spread=2.5)
+    answer = map_hypothesis(scan, prediction)
+    wide = map_hypothesis(scan, prediction, width=4000, margin=1e9)
+    assert answer.features.tolist() == wide.features.tolist()
+    assert answer.posterior.probability == pytest.approx(wide.posterior.probability, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_narrow_beam_says_so(seed):
+    scan, prediction = oracles.problem(np.random.default_rng(seed), 9, 12, spread=2.0)
+    narrow = map_hypothesis(scan, prediction, width=1)
+    assert narrow.effort.limit_hit
+    assert narrow.posterior.probability == 1.0 and narrow.posterior.runner_up_probability == 0.0
+    wide = map_hypothesis(scan, prediction)
+    assert wide.posterior.log_density >= narrow.posterior.log_density
+    assert wide.effort.nodes > narrow.effort.nodes

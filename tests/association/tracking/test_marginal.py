@@ -1,4 +1,4 @@
-"""What is decided by marginals, and what is told of it."""
+"""Marginals against the sum over every hypothesis there is; whether they come true; and what is decided by them."""
 
 import dataclasses
 import itertools
@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp
 
 from slam_gym.association import jcbb, marginal
 from slam_gym.association.compatibility import individual
-from slam_gym.association.tracking.marginals import marginals
+from slam_gym.association.prediction import Prediction
+from slam_gym.association.tracking.marginal import DETECTIONS, NOTHING_SEEN, marginals
 from slam_gym.slam.slam import Slam
-from slam_gym.types import UNPAIRED, Odometry, Prediction, Scan
+from slam_gym.types import UNPAIRED, Experience, Odometry, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
 from tests.oracles.densities import MODEL, RATES, WIDE, small_problem
@@ -89,7 +90,9 @@ def test_a_wrong_pairing_with_a_provisional_feature_may_cost_less():
     p = marginals(scan, prediction).pairings[0]
     assert 0.6 < p[0] < 0.9  # worth it at a cost of 1, not at 10
     for provisional, price, expected in ((True, 1.0, 0), (True, 10.0, UNPAIRED), (False, 1.0, UNPAIRED)):
-        told = dataclasses.replace(prediction, provisional=np.array([provisional, False]))
+        told = oracles.expecting(
+            prediction.positions, 0.05 * np.eye(4), sightings=np.array([1 if provisional else 5, 5]), confirmations=2
+        )
         assert marginal(scan, told, provisional_cost=price).features.tolist() == [expected]
         assert marginal(scan, told).features.tolist() == [UNPAIRED]
 
@@ -143,3 +146,102 @@ def test_of_two_features_at_one_place_none_is_paired():
 def test_meaningless_options_are_refused(options):
     with pytest.raises(ValueError, match=f"{next(iter(options))}: "):
         marginal(*oracles.problem(np.random.default_rng(0), 3, 3), **options)
+
+
+def summed(m, n, every, log_densities):
+    """(m, n) marginals of every pairing."""
+    weights = np.exp(np.array(log_densities) - logsumexp(log_densities))
+    out = np.zeros((m, n))
+    for rows, weight in zip(every, weights):
+        for i, j in enumerate(rows):
+            if j != UNPAIRED:
+                out[i, j] += weight
+    return out
+
+
+@pytest.mark.parametrize("seed", range(120))
+def test_marginals_are_sums_over_every_hypothesis(seed):
+    scan, prediction = small_problem(seed, locality=seed % 2 == 0)  # of which nothing is left out
+    every = densities.every_hypothesis(scan, prediction)
+    expected = summed(
+        len(scan), len(prediction), every, [densities.log_density(scan, prediction, rows, RATES) for rows in every]
+    )
+    found = marginals(scan, prediction, **MODEL, **WIDE)
+    assert found.pairings == pytest.approx(expected, abs=1e-9)
+    assert found.unpaired == pytest.approx(1.0 - expected.sum(axis=1), abs=1e-9)
+    near = marginals(scan, prediction, **MODEL)
+    assert near.pairings == pytest.approx(expected, abs=0.002)
+
+
+def area_shown(scan):
+    """[m²] of the box around the measurements, and no less than a sector as far as the farthest, two radians wide."""
+    if not len(scan):
+        return 0.0
+    box, farthest = np.prod(np.ptp(scan.points, axis=0)), np.hypot(*scan.points.T).max()
+    return max(float(box), 0.5 * 2.0 * farthest**2, 1.0)
+
+
+def test_a_scan_of_one_measurement_shows_more_than_a_square_metre():
+    """Where a robot looks √13 m far and sees one thing, λ is one in 13 m²."""
+    known, prediction = None, Prediction.from_gaussian([[9.0, 9.0]], 0.01 * np.eye(2))
+    for _ in range(100):
+        scan = Scan.from_points([[3.0, 2.0]], sigma=0.1)
+        known = marginal(scan, dataclasses.replace(prediction, experience=known)).experience
+    assert known.area / known.unpaired == pytest.approx(13.0)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_what_is_not_known_is_integrated_out(seed):
+    """λ by its Γ distribution, P_D over its values, both as the run has shown them so far."""
+    scan, prediction = small_problem(1000 + seed)
+    rng = np.random.default_rng(seed)
+    known = Experience(float(rng.uniform(0, 20)), float(rng.uniform(0, 200)), rng.normal(0.0, 2.0, len(DETECTIONS)))
+    every = densities.every_hypothesis(scan, prediction)
+    a, b = 1.0 + known.unpaired, 50.0 + known.area + area_shown(scan)
+    log_densities = []
+    for rows in every:
+        u = rows.count(UNPAIRED)
+        by_value = [
+            weight + densities.log_density(scan, prediction, rows, densities.Rates(value, 0.05, 1.0))
+            for weight, value in zip(known.detections, DETECTIONS)
+        ]
+        log_densities.append(logsumexp(by_value) + gammaln(a + u) - (a + u) * math.log(b))
+    expected = summed(len(scan), len(prediction), every, log_densities)
+    found = marginals(scan, dataclasses.replace(prediction, experience=known), **WIDE)
+    assert found.pairings == pytest.approx(expected, abs=1e-9)
+
+
+def drawn_from_the_model(rng, n, detection, density):
+    """A scan as the model has it: a map of n correlated features, detected with P_D, and clutter in a box."""
+    _, prediction = oracles.problem(rng, 0, n, spread=3.0)
+    S = np.linalg.cholesky(prediction.joint(np.arange(n)))
+    at = prediction.positions + (S @ rng.standard_normal(2 * n)).reshape(n, 2)
+    seen = np.flatnonzero(rng.random(n) < detection)
+    clutter = rng.uniform(-4.0, 4.0, (rng.poisson(density * 64.0), 2))
+    points = np.concatenate([at[seen] + 0.1 * rng.standard_normal((len(seen), 2)), clutter])
+    sources = np.concatenate([seen, np.full(len(clutter), UNPAIRED)])
+    order = rng.permutation(len(points))
+    return Scan.from_points(points[order], sigma=0.1), prediction.with_visibility(np.ones(n)), sources[order]
+
+
+def test_marginals_are_calibrated_where_the_model_holds():
+    rng, predicted, right = np.random.default_rng(3), [], []
+    for _ in range(500):
+        scan, prediction, sources = drawn_from_the_model(rng, 6, 0.85, 0.1)
+        found = marginals(scan, prediction, detection=0.85, density=0.1)
+        predicted.append(found.pairings[found.pairings > 0.0])
+        right.append((sources[:, None] == np.arange(6))[found.pairings > 0.0])
+    p, hit = np.concatenate(predicted), np.concatenate(right)
+    for low, high in ((0.02, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 0.995)):
+        own = (p > low) & (p <= high)
+        deviation = (hit[own].sum() - p[own].sum()) / math.sqrt((p[own] * (1.0 - p[own])).sum())
+        assert own.sum() > 50 and abs(deviation) < 4.0, (low, high, p[own].mean(), hit[own].mean())
+
+
+def test_rates_are_learned_from_the_scans_of_a_run():
+    rng, known = np.random.default_rng(5), NOTHING_SEEN
+    for _ in range(80):
+        scan, prediction, _ = drawn_from_the_model(rng, 8, 0.7, 0.3)
+        known = marginal(scan, dataclasses.replace(prediction, experience=known)).experience
+    assert known.unpaired / known.area == pytest.approx(0.3, rel=0.35)
+    assert DETECTIONS[np.argmax(known.detections)] == 0.7

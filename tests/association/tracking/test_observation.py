@@ -15,10 +15,11 @@ def test_observations_are_finite_scaled_fresh_and_as_long_as_said(locality):
     rng = np.random.default_rng(1)
     for scan, prediction in problems(30, locality=locality):
         k = len(prediction)
-        prediction = replace(prediction, sizes=rng.uniform(0.1, 1.0, k), size_variances=np.full(k, 0.01))
+        prediction.rows[1][:] = rng.uniform(0.1, 1.0, k), np.full(k, 0.01)  # sizes
+        prediction.rows[0][2] = np.arange(k)  # ages
         sizes = np.where(rng.random(len(scan)) < 0.5, np.nan, 0.3)
         scan = replace(scan, sizes=sizes, size_variances=np.full(len(scan), 0.01))
-        for walk, _ in walked(scan, replace(prediction, ages=np.arange(k)), rng, candidates=4):
+        for walk, _ in walked(scan, prediction, rng, candidates=4):
             seen, again = walk.observation(), walk.observation()
             assert {name: len(vector) for name, vector in seen.items()} == lengths(4)
             for name, vector in seen.items():
@@ -32,7 +33,7 @@ def test_observations_are_finite_scaled_fresh_and_as_long_as_said(locality):
 def test_candidates_show_what_they_say():
     rng, checked = np.random.default_rng(2), 0
     for scan, prediction in problems(40, locality=True):
-        prediction = replace(prediction, ages=rng.integers(0, 300, len(prediction)))
+        prediction.rows[0][2] = rng.integers(0, 300, len(prediction))  # ages
         compatible = oracles.compatible(scan, prediction, CONFIDENCE)
         related = prediction.local(np.arange(len(prediction)))
         for walk, pairs in walked(scan, prediction, rng, candidates=9):

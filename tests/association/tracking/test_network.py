@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam_gym.association.learned.network import FARTHEST, Network, log_odds, network_of, shapes_for
+from slam_gym.association.tracking.network import FARTHEST, Network, log_odds, network_of, shapes_for
 
 
 def drawn(rng: np.random.Generator, n: int, h: int) -> dict[str, np.ndarray]:

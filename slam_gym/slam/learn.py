@@ -1,4 +1,4 @@
-"""What `Slam.asking_step` does after the associator's answer, and an atlas before it, in one compiled call each."""
+"""What a step of SLAM does with the associator's answer, in one compiled call: update, add, maintain."""
 
 from __future__ import annotations
 
@@ -12,57 +12,48 @@ from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import count_pairs, keep_nodes
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.update import ACCEPTED, update
-from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray
+from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, ScanArrays
 
 DONE, NARROW, REFUSED, SINGULAR, NOT_ADDED = range(5)  # what `learn` answers
 
-ScanArrays = tuple[Array, Array, Array, Array, IntArray]  # points, covariances, sizes, size variances, kinds
 GraphArrays = tuple[IntArray, IntArray, IntArray]  # neighbours, counts, degrees
 Settings = tuple[int, float, bool, float, int, int]
 """Iterations; σ that settles them; right-invariant; χ² gate of a new feature; sightings that confirm; step before which
 a feature must have been confirmed."""
 
 
-Learned = tuple[int, int, int, IntArray, BoolArray]
-"""What `learn` has made of a scan: its answer; (m,) id of the feature behind each measurement, or NO_ID; (m,) which of
-them have begun."""
-
-
 @compiled
 def learn(
     arrays: MapArrays,
-    n: int,
-    step: int,
-    next_id: int,
+    numbers: tuple[int, int, int],
     graph: GraphArrays,
     recent: IntArray,
     scan: ScanArrays,
-    features: IntArray,
-    told: bool,
-    new: BoolArray,
-    expected: tuple[Array, Array],
+    decisions: tuple[IntArray, BoolArray, bool, IntArray],
+    expected: tuple[Array, Array, int],
     settings: Settings,
-    ids: IntArray,
 ) -> tuple[int, int, int]:
     """Update the map with the pairings of a scan, add features, and remember what was seen together.
 
     There must be room for as many more features as the scan has measurements.
 
     Arguments:
-        arrays, n, step, next_id: of the map.
+        arrays: of the map.
+        numbers: its features, steps and next id.
         graph: neighbours and counts (≥ n, width) and degrees (≥ n,) of its covisibility, changed in place.
-        recent: (≥ m,) is told the features that the scan has updated or started, and UNPAIRED.
-        features: (m,) decisions; where they are `told` as well, `new` (m,) start a feature, otherwise those that are
-            unpaired and compatible with none of the features `expected`, positions (k, 2) and covariances (k, 2, 2).
-        ids: (m,) is told the feature behind each measurement, or NO_ID; `new` (m,) which of them have begun.
+        recent: (≥ m,) receives the features that the scan has updated or started, and UNPAIRED.
+        decisions: map features (m,); which measurements (m,) start one; whether those are decided already, otherwise
+            they are those that are unpaired and compatible with nothing that is expected, and are entered here; and the
+            ids (m,) of the features behind the measurements, or NO_ID, which are entered here.
+        expected: positions (≥ k, 2) and covariances (≥ k, 2, 2) of the k features expected.
 
     Returns how it ended, what there is to say about that, and the number of features added: DONE and the number of
     features that are due to be removed; NARROW and the width that the graph needs, nothing changed; REFUSED and the
     answer of `update`, nothing changed; SINGULAR or NOT_ADDED and the measurement from which no feature can be started.
     """
-    (x, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
-    points, covariances, sizes, variances, kinds = scan
-    iterations, settled, invariant, gate, confirmations, before = settings
+    (x, P, counted, sized), (neighbours, counts, degrees), (n, step, next_id) = arrays, graph, numbers
+    (points, covariances, sizes, variances, kinds), (features, new, is_decided, ids) = scan, decisions
+    (positions, spreads, k), (iterations, settled, invariant, gate, confirmations, before) = expected, settings
     m, added, s = len(features), 0, 0
     width = _width_needed(degrees, features)
     if width > neighbours.shape[1]:
@@ -73,8 +64,8 @@ def learn(
         return REFUSED, refused, 0
     ekf.record(features, step, (sizes, variances, kinds), counted, sized)
     # add
-    if not told:
-        singular = fit_nothing(points, covariances, features, expected, gate, new)
+    if not is_decided:
+        singular = fit_nothing(points, covariances, features, (positions[:k], spreads[:k]), gate, new)
         if singular != UNPAIRED:
             return SINGULAR, singular, 0
     for i in range(m):
@@ -104,8 +95,7 @@ def forget(
     arrays: MapArrays,
     n: int,
     graph: GraphArrays,
-    confirmations: int,
-    before: int,
+    rule: tuple[int, int],
     became: IntArray,
     removed: IntArray,
 ) -> None:
@@ -113,7 +103,7 @@ def forget(
 
     `became` (n,) is told the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those that are gone.
     """
-    (x, P, counted, sized), (neighbours, counts, degrees) = arrays, graph
+    (x, P, counted, sized), (neighbours, counts, degrees), (confirmations, before) = arrays, graph, rule
     kept, left, gone = np.empty(n - len(removed), np.int64), 0, 0
     for j in range(n):
         if counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before:

@@ -1,11 +1,10 @@
 """Predictions from users' arrays, and some rows of them."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from slam_gym.types import Prediction
+from slam_gym.association.prediction import Prediction
 
 
 def random_covariance(k: int) -> np.ndarray:
@@ -35,11 +34,9 @@ def test_a_covariance_that_does_not_fit_is_refused() -> None:
 
 
 def test_some_rows_of_a_prediction_are_those_of_all() -> None:
-    P = np.diag(np.arange(1.0, 9.0))
-    whole = Prediction.from_gaussian([[0, 0], [1, 0], [2, 0], [3, 0]], P)
-    whole = replace(whole, local=lambda rows: np.subtract.outer(rows, rows) % 2 == 0)
-    some = whole.rows(np.array([1, 3]))
+    whole = Prediction.from_gaussian([[0, 0], [1, 0], [2, 0], [3, 0]], np.diag(np.arange(1.0, 9.0)))
+    some = whole.with_visibility([0.1, 0.2, 0.3, 0.4]).subset(np.array([1, 3]))
     assert some.features.tolist() == [1, 3] and len(some) == 2
     np.testing.assert_array_equal(some.positions, [[1, 0], [3, 0]])
     np.testing.assert_array_equal(some.joint(np.array([1, 0])), np.diag([7.0, 8.0, 3.0, 4.0]))
-    assert some.local is not None and some.local(np.array([0, 1])).all()
+    assert some.visibility().tolist() == [0.2, 0.4] and some.local(np.array([0, 1])).all()

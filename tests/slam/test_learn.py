@@ -8,10 +8,11 @@ import pytest
 
 from slam_gym.association import jcbb
 from slam_gym.association.compatibility import individual
+from slam_gym.association.prediction import predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_state import state_of
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam.kernels import hold_back, unambiguous
+from slam_gym.slam.learn import hold_back, unambiguous
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Hypothesis, Odometry, Scan
 from tests.rollouts import explore
@@ -26,9 +27,8 @@ class WrittenOut:
 
     def step(self, odometry: Odometry, scan: Scan, associate: Any) -> tuple[Any, ...]:
         m, graph = self.map, self.graph if self.spec.locality else None
-        m.predict(odometry)
         recent = np.concatenate(self.recent) if self.recent else np.empty(0, np.int64)
-        prediction = m.prediction(self.spec.reach, graph, recent)
+        prediction = predict(m, self.spec.reach, odometry=odometry, graph=graph, recent=recent)
         hypothesis: Hypothesis = associate(scan, prediction)
         m.update(scan, hypothesis.features)
         left = np.flatnonzero(hypothesis.features == UNPAIRED)
@@ -117,8 +117,8 @@ def rows_of(rng: np.random.Generator, n: int = 14) -> tuple[Any, ...]:
         points[1] = points[0] + [0.8, 0.1]  # as a door has two jambs
         m.add(Scan.from_points(points, sigma=0.03), np.arange(count))
         m.predict(Odometry(np.array([1.0, 0.0, 0.1]), np.diag([0.2, 0.2, 0.02]) ** 2 * rng.uniform(0.0, 3.0)))
-    prediction, near = m.prediction(30.0), rng.random(n) < 0.4
-    return m, prediction.features, near, prediction.positions, prediction.covariances
+    prediction, near = predict(m, 30.0), rng.random(n) < 0.4
+    return m, np.array(prediction.features), near, np.array(prediction.positions), np.array(prediction.covariances)
 
 
 def test_what_others_may_be_taken_for_is_what_the_definition_says() -> None:

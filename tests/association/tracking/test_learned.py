@@ -7,10 +7,11 @@ import pytest
 
 from slam_gym import Slam, learned_associator, marginal, weights
 from slam_gym.association import resolve_associator
-from slam_gym.association.learned.associator import WEIGHTS, learned_odds
-from slam_gym.association.learned.inputs import INPUTS, VERSION
-from slam_gym.association.learned.network import shapes_for
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Prediction, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.association.tracking.learned import WEIGHTS, examples
+from slam_gym.association.tracking.marginal import marginals
+from slam_gym.association.tracking.network import INPUTS, VERSION, load_network, log_odds, shapes_for
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
 from tests.oracles import association as oracles
 
 
@@ -18,8 +19,13 @@ def problem(seed):
     """Eight measurements before ten features, sizes and all."""
     rng = np.random.default_rng(seed)
     scan, prediction = oracles.problem(rng, 8, 10, spread=2.0)
-    few, many = ({"sizes": rng.uniform(0.2, 1.0, k), "size_variances": np.full(k, 0.01)} for k in (8, 10))
-    return dataclasses.replace(scan, **few), dataclasses.replace(prediction, **many)
+    few = {"sizes": rng.uniform(0.2, 1.0, 8), "size_variances": np.full(8, 0.01)}
+    return dataclasses.replace(scan, **few), with_sizes(prediction, rng.uniform(0.2, 1.0, 10), 0.01)
+
+
+def with_sizes(prediction, sizes, variance):
+    counted, _, *rest = prediction.rows
+    return dataclasses.replace(prediction, rows=(counted, np.stack([sizes, np.full(len(sizes), variance)]), *rest))
 
 
 def test_it_goes_by_its_name_wherever_associators_do():
@@ -36,10 +42,8 @@ def test_sizes_tell_apart_what_places_do_not():
     """Two features, each as near as the other: `marginal` refuses, and so does the learned one without sizes."""
     at = [[1.0, 0.2], [1.0, -0.2], [2.0, 1.5], [3.0, -1.0], [2.5, 0.5]]
     prediction = Prediction.from_gaussian(at, 0.02 * np.eye(10), sizes=[0.2, 0.9, 0.5, 0.4, 0.3], size_sigma=0.02)
-    prediction = dataclasses.replace(
-        prediction, ages=np.full(5, 30), sightings=np.full(5, 12), provisional=np.zeros(5, np.bool_), view_moves=False,
-        view=lambda p, c: np.full(len(p), 0.9),
-    )  # fmt: skip
+    prediction.rows[0][2], prediction.rows[0][3] = 30, 12  # ages and sightings
+    prediction = prediction.with_visibility(np.full(5, 0.9))
     seen = [[1.0, 0.0], [2.0, 1.5], [3.0, -1.0], [2.5, 0.5]]
     scan = Scan.from_points(seen, sigma=0.03, sizes=[0.21, 0.5, 0.4, 0.3], size_sigma=0.05)
     nameless = Scan.from_points(seen, sigma=0.03)
@@ -49,12 +53,21 @@ def test_sizes_tell_apart_what_places_do_not():
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_an_answer_depends_neither_on_the_order_of_features_nor_on_where_the_map_begins(seed):
+def test_learned_odds_are_added_to_every_hypothesis_that_makes_their_pairing(seed):
     scan, prediction = problem(seed)
-    order = np.random.default_rng(seed).permutation(10)
-    first, second = learned_associator(scan, prediction), learned_associator(scan, prediction.rows(order))
-    assert first.features.tolist() == second.features.tolist()
-    np.testing.assert_allclose(first.posterior.marginals, second.posterior.marginals, atol=1e-6)
+    network, wide = load_network(WEIGHTS, VERSION, INPUTS), {"width": 5000, "margin": 60.0}
+    (example,) = examples(scan, prediction, **wide)
+    slots = np.unique(example.rows, return_inverse=True)[1]
+    odds = np.zeros((8, 11))
+    odds[example.measured, example.rows] = log_odds(network, example.inputs, example.measured, slots)
+    scores = example.log_densities + odds[np.arange(8), example.hypotheses].sum(axis=1)  # row UNPAIRED is the last
+    weights = np.exp(scores - scores.max())
+    expected = np.zeros((8, 11))
+    for rows, weight in zip(example.hypotheses, weights / weights.sum()):
+        expected[np.arange(8), rows] += weight
+    found = marginals(scan, prediction, **wide, network=network)
+    assert found.pairings == pytest.approx(expected[:, :10], abs=1e-6)
+    assert found.unpaired == pytest.approx(expected[:, 10], abs=1e-6)
 
 
 @pytest.mark.parametrize("told", ["nothing", "sizes", "kinds", "view"])
@@ -64,9 +77,8 @@ def test_where_places_are_all_there_is_marginal_decides_alone(told):
         (scan, prediction), nan = problem(seed), np.full(8, np.nan)
         sizes = {} if told == "sizes" else {"sizes": nan, "size_variances": nan}
         kinds = np.full(8, 1 if told == "kinds" else UNKNOWN_KIND)
-        view = (lambda p, c: np.full(len(p), 0.5)) if told == "view" else None
         scan = dataclasses.replace(scan, **sizes, kinds=kinds)
-        prediction = dataclasses.replace(prediction, view=view)
+        prediction = prediction.with_visibility(np.full(10, 0.5) if told == "view" else None)
         own, other = learned_associator(scan, prediction), marginal(scan, prediction)
         differ += not np.array_equal(own.posterior.unpaired, other.posterior.unpaired)
     assert (differ == 0) == (told == "nothing")
@@ -80,12 +92,7 @@ def test_weights_for_other_inputs_are_refused_by_name():
     with pytest.raises(ValueError, match="made for other inputs"):
         weights.load(WEIGHTS, VERSION, (*INPUTS[:-1], "run: something else"), shapes)
     with pytest.raises(ValueError, match=r"weights .nonsense.: unknown; known: .*associator"):
-        learned_odds("nonsense")
-
-
-def test_the_network_is_small():
-    network = learned_odds().network
-    assert sum(array.size for array in network) < 50_000
+        learned_associator(*problem(0), weights="nonsense")
 
 
 def test_cost_is_that_of_marginal():

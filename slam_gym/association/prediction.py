@@ -1,0 +1,372 @@
+"""What the stochastic map expects of a scan: arrays only, and the compiled functions that look more up in them.
+
+With the measurement function h_j(x) = (⊖R) ⊕ F_j and its Jacobian H_j, feature j is predicted at h_j(x) with covariance
+H_j P H_jᵀ, without the sensor's own noise. What would cost more than everything else together is worked out only for
+the features that a search asks for: the joint covariance H P Hᵀ of several features, which of them are local to each
+other, and whether the sensor should have them in view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slam_gym._compile import compiled
+from slam_gym.mapping import ekf
+from slam_gym.mapping.covisibility import CovisibilityGraph, among
+from slam_gym.mapping.foresight import RowArrays, foresee, keep_rows, rows_for
+from slam_gym.mapping.linear_algebra import padded
+from slam_gym.mapping.measurement import joint_covariance
+from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
+from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
+from slam_gym.types import (
+    Array,
+    BoolArray,
+    Experience,
+    Hypothesis,
+    IntArray,
+    Odometry,
+    Scan,
+)
+from slam_gym.types._arguments import floats, kinds_of, points_of, sizes_of
+from slam_gym.types._records import quick
+
+Entry = TypeVar("Entry", bound=np.generic)
+
+SourceArrays = tuple[Array, Array, Array, IntArray, IntArray, SightArrays, Array]
+"""What more is looked up in: pose (4,) that is predicted, and the variance of its heading; state x and covariance P
+(upper triangle) of the map; neighbours and degrees of its covisibility graph, empty where all features are local to
+all; the field of view and the explored space; a visibility (k,) that is given, or (0,)."""
+
+Sizes = tuple[int, int, bool, bool]
+"""Rows k of the prediction; features n of the map; whether joint covariances are to second order; whether what is in
+view may be looked up from other poses than the predicted one."""
+
+PredictionArrays = tuple[RowArrays, SourceArrays, Sizes]
+"""A prediction as compiled functions take it: plain tuples, which cross from Python faster than named ones."""
+
+_NO_SENSOR: SightArrays = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
+_NOTHING = np.empty(0)
+_NO_NEIGHBOURS, _NO_DEGREES = np.empty((0, 0), np.int64), np.empty(0, np.int64)
+_NO_RECENT = np.empty(0, np.int64)
+_STILL, _CERTAIN = np.zeros(3), np.zeros((3, 3))
+_FEATURES, _KINDS, _AGES, _SIGHTINGS = range(4)  # rows of the first array of `RowArrays`
+
+
+class Expected(NamedTuple):
+    """A prediction within compiled functions: k features, and where more is looked up."""
+
+    features: IntArray  # (k,) as in `Prediction`, up to `across`
+    kinds: IntArray
+    ages: IntArray
+    sightings: IntArray
+    sizes: Array
+    size_variances: Array
+    near: BoolArray
+    positions: Array
+    covariances: Array
+    across: Array  # (k, 2) H_j P e_θ
+    pose: Array  # (4,) predicted, and the variance of its heading; from here on as in `SourceArrays`
+    state: Array
+    covariance: Array
+    neighbours: IntArray
+    degrees: IntArray
+    sight: SightArrays
+    visible: Array
+    n: int
+    second_order: bool
+    view_moves: bool
+
+
+@compiled
+def expected_of(rows: RowArrays, source: SourceArrays, sizes: Sizes) -> Expected:
+    """The same, taken apart."""
+    (counted, sized, near, positions, covariances, across), (k, n, second_order, view_moves) = rows, sizes
+    pose, state, covariance, neighbours, degrees, sight, visible = source
+    return Expected(
+        counted[_FEATURES, :k], counted[_KINDS, :k], counted[_AGES, :k], counted[_SIGHTINGS, :k],
+        sized[ekf.SIZES, :k], sized[ekf.VARIANCES, :k], near[:k], positions[:k], covariances[:k], across[:k],
+        pose, state, covariance, neighbours, degrees, sight, visible, n, second_order,
+        view_moves,
+    )  # fmt: skip
+
+
+@compiled
+def joint(expected: Expected, rows: IntArray) -> Array:
+    """H P Hᵀ (2j, 2j) [m²] of the features at `rows` (j,) together, with all cross-covariances."""
+    return joint_covariance(expected.state, expected.covariance, expected.features[rows], expected.second_order)
+
+
+@compiled
+def local(expected: Expected, rows: IntArray) -> BoolArray:
+    """(j, j) which of the features at `rows` (j,) are local to each other; (0, 0): all are, to all."""
+    if len(expected.neighbours) == 0:
+        return np.empty((0, 0), np.bool_)
+    return among(expected.neighbours, expected.degrees, expected.n, expected.features[rows])
+
+
+@compiled
+def visibility(expected: Expected, positions: Array, covariances: Array) -> tuple[Array, int]:
+    """Probability (k,) that the sensor has features in view that lie at `positions` (k, 2) [m] in R, and the first one
+    whose numbers are not finite, or −1. (0,) where nobody can tell."""
+    if len(expected.visible) > 0 or expected.sight[0][2] <= 0.0:
+        return expected.visible, -1
+    return probabilities_in_view(positions, covariances, expected.sight[0], expected.sight[1], expected.pose[:3])
+
+
+@quick
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What the stochastic map expects to measure from the predicted pose: the k features in reach, one a row.
+
+    Its arrays are read-only. `joint`, `local` and `visibility` look things up in the map, and so are valid until that
+    next changes.
+    """
+
+    rows: RowArrays
+    source: SourceArrays
+    size: Sizes
+    confidence: float  # of the χ² gates
+    confirmations: int = 0  # sightings that confirm a feature
+    experience: Experience | None = None  # of the associator, from its last hypothesis of this run that had any
+    estimate: Estimate = field(default_factory=Estimate)  # that the map had as it predicted
+
+    @property
+    def arrays(self) -> PredictionArrays:
+        """As compiled functions take it; not to be written to."""
+        return self.rows, self.source, self.size
+
+    @property
+    def counted(self) -> tuple[IntArray, IntArray]:
+        """`features` and `sightings`, not to be written to."""
+        known, k = self.rows[0], self.size[0]
+        return known[_FEATURES, :k], known[_SIGHTINGS, :k]
+
+    @property
+    def points(self) -> tuple[Array, Array, Array]:
+        """`positions`, `covariances` and `sizes`, not to be written to."""
+        k = self.size[0]
+        return self.rows[3][:k], self.rows[4][:k], self.rows[1][ekf.SIZES, :k]
+
+    @property
+    def expected(self) -> tuple[Array, Array, int]:
+        """Positions (≥ k, 2) and covariances (≥ k, 2, 2), and k; not to be written to."""
+        return self.rows[3], self.rows[4], self.size[0]
+
+    @property
+    def features(self) -> IntArray:
+        """(k,) index of each feature in the map."""
+        return _locked(self.rows[0][_FEATURES, : self.size[0]])
+
+    @property
+    def kinds(self) -> IntArray:
+        """(k,) class of each feature, UNKNOWN_KIND where it has none."""
+        return _locked(self.rows[0][_KINDS, : self.size[0]])
+
+    @property
+    def ages(self) -> IntArray:
+        """(k,) [steps] since each feature was first seen."""
+        return _locked(self.rows[0][_AGES, : self.size[0]])
+
+    @property
+    def sightings(self) -> IntArray:
+        """(k,) number of scans that updated or started each feature; 0 where nobody counts."""
+        return _locked(self.rows[0][_SIGHTINGS, : self.size[0]])
+
+    @property
+    def sizes(self) -> Array:
+        """(k,) [m] mapped intrinsic attribute, NaN where unknown."""
+        return _locked(self.rows[1][ekf.SIZES, : self.size[0]])
+
+    @property
+    def size_variances(self) -> Array:
+        """(k,) [m²]."""
+        return _locked(self.rows[1][ekf.VARIANCES, : self.size[0]])
+
+    @property
+    def near(self) -> BoolArray:
+        """(k,) paired in a recent scan, or local to a feature that was; all, without localities."""
+        return _locked(self.rows[2][: self.size[0]])
+
+    @property
+    def positions(self) -> Array:
+        """(k, 2) [m] h_j(x) in R."""
+        return _locked(self.rows[3][: self.size[0]])
+
+    @property
+    def covariances(self) -> Array:
+        """(k, 2, 2) [m²] H_j P H_jᵀ."""
+        return _locked(self.rows[4][: self.size[0]])
+
+    @property
+    def heading_covariances(self) -> Array:
+        """(k, 2) [m·rad] Cov(h_j, θ) = H_j P e_θ."""
+        return _locked(self.rows[5][: self.size[0]])
+
+    @property
+    def heading_variance(self) -> float:
+        """[rad²] of the robot's heading θ."""
+        return self.source[0].item(3)
+
+    @property
+    def provisional(self) -> BoolArray:
+        """(k,) seen too seldom for the map to believe in it."""
+        return _locked(self.sightings < self.confirmations)
+
+    @property
+    def has_localities(self) -> bool:
+        """Whether covisibility tells which features are local to each other; otherwise all are, to all."""
+        return len(self.source[3]) > 0
+
+    @property
+    def has_view(self) -> bool:
+        """Whether anybody can tell what the sensor should have in view."""
+        return bool(self.source[5][0][2] > 0.0 or len(self.source[6]))
+
+    def __len__(self) -> int:
+        return self.size[0]
+
+    def __repr__(self) -> str:
+        return f"Prediction of {len(self)} features at confidence {self.confidence}"
+
+    def joint(self, rows: IntArray) -> Array:
+        """H P Hᵀ (2j, 2j) [m²] of the features at `rows` (j,). Raises RuntimeError once the map has changed."""
+        if not self.estimate.stands:
+            raise RuntimeError("the map has changed since this prediction was made")
+        _, state, covariance, *_ = self.source
+        return joint_covariance(state, covariance, self.features[rows], self.size[2])
+
+    def local(self, rows: IntArray) -> BoolArray:
+        """(j, j) which of the features at `rows` (j,) are local to each other; symmetric, true on its diagonal."""
+        if not self.has_localities:
+            return np.ones((len(rows), len(rows)), np.bool_)
+        _, _, _, neighbours, degrees, *_ = self.source
+        return among(neighbours, degrees, self.size[1], self.features[rows])
+
+    def visibility(self) -> Array | None:
+        """(k,) probability that the sensor has each feature in view, walls considered; None where nobody can tell."""
+        pose, *_, sight, visible = self.source
+        if not self.has_view:
+            return None
+        if len(visible):
+            return visible.copy()
+        rows, k = self.rows, self.size[0]
+        return probabilities_in_view(rows[3][:k], rows[4][:k], *sight, pose[:3])[0]
+
+    def with_visibility(self, visibility: ArrayLike | None) -> Prediction:
+        """The same with probabilities (k,) of being in view, whatever the pose; None: nobody can tell.
+
+        Raises ValueError for what is no probability.
+        """
+        visible = _NOTHING if visibility is None else floats("visibility", visibility, (len(self),))
+        if not ((visible >= 0.0) & (visible <= 1.0)).all():
+            raise ValueError(f"visibility: expected probabilities, got {visible.tolist()}")
+        return replace(self, source=(*self.source[:5], _NO_SENSOR, visible))
+
+    def subset(self, kept: IntArray) -> Prediction:
+        """Of the features in the rows `kept` (j,), ascending, alone."""
+        rows = tuple([array.copy() for array in self.rows])
+        keep_rows(rows, kept)
+        *source, visible = self.source
+        visible = visible[kept] if len(visible) else visible
+        return replace(self, rows=rows, source=(*source, visible), size=(len(kept), *self.size[1:]))
+
+    @classmethod
+    def from_gaussian(
+        cls,
+        mean: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        confidence: float = 0.99,
+        sizes: ArrayLike | None = None,
+        size_sigma: ArrayLike | None = None,
+        kinds: ArrayLike | None = None,
+    ) -> Prediction:
+        """Features 0 … k−1 of predicted positions `mean` (k, 2) [m] in R with their full covariance (2k, 2k) [m²].
+
+        The robot's pose is taken for known: it is that of a map whose features have that covariance. Other arguments
+        and errors are those of `Scan.from_points`.
+        """
+        at = points_of("mean", mean)
+        k = len(at)
+        P = floats("covariance", covariance, (2 * k, 2 * k))
+        side = padded(3 + 2 * k)
+        x, whole = np.zeros(side), np.zeros((side, side))
+        x[3 : 3 + 2 * k], whole[3 : 3 + 2 * k, 3 : 3 + 2 * k] = at.ravel(), P
+        blocks = np.ascontiguousarray(P.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :])
+        counted = np.stack([np.arange(k), kinds_of(kinds, k), np.zeros(k, np.int64), np.zeros(k, np.int64)])
+        rows = counted, np.stack(sizes_of(sizes, size_sigma, k)), np.ones(k, np.bool_), at, blocks, np.zeros((k, 2))
+        source = np.zeros(4), x, whole, _NO_NEIGHBOURS, _NO_DEGREES, _NO_SENSOR, _NOTHING
+        return cls(rows, source, (k, k, False, False), confidence)
+
+
+Associator = Callable[[Scan, Prediction], Hypothesis]
+"""The narrow waist: whatever decides where measurements come from."""
+
+
+NO_SIGHTINGS: IntArray = np.empty(0, np.int64)
+
+
+@quick
+@dataclass(frozen=True, slots=True)
+class SlamStep:
+    """What one SLAM step decided, in terms that outlive it.
+
+    A map feature is addressed by its index 0..n−1, which shifts when features are removed, and known by its id, which
+    never changes and is never given twice.
+    """
+
+    prediction: Prediction  # before the scan
+    hypothesis: Hypothesis
+    ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NO_ID = discarded
+    created: BoolArray  # (m,) the measurement started a feature
+    removed: IntArray  # ids of the features that the map has no longer at the end of the step
+    returned: IntArray = field(default_factory=lambda: NO_SIGHTINGS)
+    # ids of features that were removed before, as another map was begun, and are back, as it was joined
+
+
+def predict(
+    m: StochasticMap,
+    reach: float,
+    *,
+    odometry: Odometry | None = None,
+    graph: CovisibilityGraph | None = None,
+    recent: IntArray = _NO_RECENT,
+    sight: ViewsFrom | None = None,
+    view_moves: bool = True,
+    experience: Experience | None = None,
+) -> Prediction:
+    """The robot moves by `odometry`, and what a scan should show from there: features within `reach` [m] + 3σ.
+
+    Arguments:
+        graph: of which the localities are; without it, all features are local to all.
+        recent: (r,) features that recent scans paired, or UNPAIRED: near are these and what is local to them.
+        sight: what the sensor has in view from a pose.
+        view_moves: hypotheses may look that up from where they put the robot; False where the pose is poorly known.
+        experience: of the associator.
+
+    Raises ValueError where the odometry is not finite or its covariance is none.
+    """
+    moves = odometry is not None
+    motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
+    rows, pose = rows_for(m.n), np.empty(4)
+    neighbours, degrees = (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
+    locality = neighbours, degrees, recent
+    k = foresee(m.arrays, (m.n, m.step), (moves, motion, Q), float(reach), m.spec.second_order, locality, pose, rows)
+    if k < 0:
+        raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
+    if moves:
+        m.moved()
+    x, P, _, _ = m.arrays
+    source = pose, x, P, neighbours, degrees, _NO_SENSOR if sight is None else sight.arrays, _NOTHING
+    size = k, m.n, m.spec.second_order, view_moves
+    return Prediction(rows, source, size, m.spec.confidence, m.spec.confirmations, experience, m.estimate)
+
+
+def _locked(array: NDArray[Entry]) -> NDArray[Entry]:
+    array.flags.writeable = False
+    return array
