@@ -150,7 +150,7 @@ class Execute:
         return Execution(self.jobs, self.backend, command_line(), self.resume, Console())
 
     @contextmanager
-    def told_how_to_resume(self, out: Path) -> Iterator[None]:
+    def resumable(self, out: Path) -> Iterator[None]:
         """Say how to go on where it is interrupted."""
         try:
             yield

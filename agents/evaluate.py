@@ -34,7 +34,7 @@ def main(
     arguments, numbers = world.arguments("office", split="test"), episodes.range(EPISODES)
     out, how = execute.folder(world_of(arguments.plain).split(".")[0]), execute.execution()
     drivers = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust)
-    with execute.told_how_to_resume(out):
+    with execute.resumable(out):
         results = carry_out(driver_evaluation(drivers, arguments, numbers), out, how)
         if films:
             from agents.reports.film import make_films  # ffmpeg and pygame are needed for films only

@@ -81,7 +81,7 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Candidates:
     """Who is evaluated: associators, and the searches that find a lost robot."""
 
     associators: Annotated[Names, Option(help=f"Of {', '.join(shipped())}, module:function or a model file.")] = None
@@ -99,7 +99,7 @@ class Asked:
 
 
 def main(
-    asked: Asked,
+    candidates: Candidates,
     execute: Execute,
     loop: Loop,
     suite_options: Suite,
@@ -113,19 +113,19 @@ def main(
     require_rerun(loop.rerun)
     kind = "suite" if suite else "recording" if recording else "association"
     _refuse_what_does_not_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
-    if suite and asked.relocation:
+    if suite and candidates.relocation:
         raise ValueError("--relocation is not for --suite, whose searches --relocators names")
     out, how = execute.folder(kind), execute.execution()
-    with execute.told_how_to_resume(out):
+    with execute.resumable(out):
         if suite:
-            evaluation, tables = _suite_evaluation(asked, suite_options), suite_numbers.tables
+            evaluation, tables = _suite_evaluation(candidates, suite_options), suite_numbers.tables
         elif recording:
-            evaluation, tables = _recording_evaluation(asked, recorded, recording, out), recordings.tables
+            evaluation, tables = _recording_evaluation(candidates, recorded, recording, out), recordings.tables
         else:
-            evaluation, tables = _loop_evaluation(asked, loop), associators.tables
+            evaluation, tables = _loop_evaluation(candidates, loop), associators.tables
         results = carry_out(evaluation, out, how)
         if loop.rerun:
-            _log_first_episodes(asked, loop, loop.rerun)
+            _log_first_episodes(candidates, loop, loop.rerun)
     for table in tables(results):
         print_table(table, how.console)
     from agents.reports.page import write_report  # matplotlib takes a second to import
@@ -133,42 +133,44 @@ def main(
     how.console.print(f"report: {write_report(out)}", soft_wrap=True)
 
 
-def _loop_evaluation(asked: Asked, loop: Loop) -> Evaluation:
-    searches = asked.searches(["none", SEARCH])
-    return associator_evaluation(asked.names, _loops(asked, loop), loop.driver, loop.range(EPISODES), searches)
+def _loop_evaluation(candidates: Candidates, loop: Loop) -> Evaluation:
+    searches = candidates.searches(["none", SEARCH])
+    return associator_evaluation(
+        candidates.names, _loops(candidates, loop), loop.driver, loop.range(EPISODES), searches
+    )
 
 
-def _loops(asked: Asked, loop: Loop) -> list[ExploreArguments]:
+def _loops(candidates: Candidates, loop: Loop) -> list[ExploreArguments]:
     return [
         ExploreArguments(
-            name, parsed_overrides(loop.overrides), asked.split, floor_plan=loop.file, resolution=loop.resolution
+            name, parsed_overrides(loop.overrides), candidates.split, floor_plan=loop.file, resolution=loop.resolution
         )
         for name in dict.fromkeys(loop.scenarios or ([ON_A_FLOOR] if loop.file else LOOPS))
     ]
 
 
-def _log_first_episodes(asked: Asked, loop: Loop, target: str) -> None:
+def _log_first_episodes(candidates: Candidates, loop: Loop, target: str) -> None:
     """The first scenario, with the last of the searches."""
     from agents.reports.rerun_log import Drive, log_drives
 
-    first = replace(_loops(asked, loop)[0], relocation=asked.searches(["none", SEARCH])[-1])
-    drives = [Drive(name, first, make_agent(loop.driver), metered(name)[1]) for name in asked.names]
+    first = replace(_loops(candidates, loop)[0], relocation=candidates.searches(["none", SEARCH])[-1])
+    drives = [Drive(name, first, make_agent(loop.driver), metered(name)[1]) for name in candidates.names]
     log_drives(target, loop.first, drives)
 
 
-def _suite_evaluation(asked: Asked, options: Suite) -> Evaluation:
+def _suite_evaluation(candidates: Candidates, options: Suite) -> Evaluation:
     size = QUICK if options.quick else SIZE
-    size = SuiteSize(options.worlds or size.worlds, options.problems or size.problems, options.quick, asked.split)
+    size = SuiteSize(options.worlds or size.worlds, options.problems or size.problems, options.quick, candidates.split)
     experiments = list(dict.fromkeys(options.experiments or EXPERIMENTS))
-    return suite_evaluation(asked.names, options.relocators or list(RELOCATORS), experiments, size)
+    return suite_evaluation(candidates.names, options.relocators or list(RELOCATORS), experiments, size)
 
 
-def _recording_evaluation(asked: Asked, options: Recorded, recording: str, out: Path) -> Evaluation:
+def _recording_evaluation(candidates: Candidates, options: Recorded, recording: str, out: Path) -> Evaluation:
     how = {name: getattr(options, name) for name in ("reference", "every", "merge", "clean")}
     logs = logs_of(Log(recording, str(options.data) if options.data else None, **how), options.robots)
     for name, log in logs.items():
         print(f"{name}: {log.open().source} {log.open().terms}")
-    return recording_evaluation(asked.names, logs, out, asked.searches([SEARCH]))
+    return recording_evaluation(candidates.names, logs, out, candidates.searches([SEARCH]))
 
 
 def _refuse_what_does_not_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:

@@ -58,8 +58,8 @@ class ExploreArguments(_Arguments):
         """The environment; others may stand in for the associator and for the search that finds a lost robot.
         ValueError, with the known names, for what it does not know."""
         others = {"associator": associator, "relocation": relocation}
-        given = self.plain | {name: other for name, other in others.items() if other is not None}
-        return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **given)
+        arguments = self.plain | {name: other for name, other in others.items() if other is not None}
+        return gym.make(EXPLORE, action=action, render_mode=render_mode, disable_env_checker=True, **arguments)
 
 
 @dataclass(frozen=True)

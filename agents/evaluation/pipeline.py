@@ -108,9 +108,9 @@ def read_results(folder: Path) -> Results:
     metadata = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     if metadata.get("kind") not in KINDS:
         raise ValueError(f"{folder} holds no results.json of an evaluation")
-    asked = metadata["asked"]
+    evaluated = metadata["evaluated"]
     frame = _read_records(folder)
-    orders = {column: {value: k for k, value in enumerate(asked[f"{column}s"])} for column in Key._fields}
+    orders = {column: {value: k for k, value in enumerate(evaluated[f"{column}s"])} for column in Key._fields}
     for column, order in orders.items():
         frame = frame[frame[column].isin(list(order))]
     if frame.empty:
@@ -158,9 +158,9 @@ def _progress(calls: Sequence[Callable[[], list[Record]]], execution: Execution)
 
 def _write_metadata(out: Path, evaluation: Evaluation, commands: Sequence[dict[str, Any]], done: set[Key]) -> None:
     keys = [key for task in evaluation.tasks for key in task.keys]
-    asked = {f"{column}s": list(dict.fromkeys(getattr(key, column) for key in keys)) for column in Key._fields}
+    evaluated = {f"{column}s": list(dict.fromkeys(getattr(key, column) for key in keys)) for column in Key._fields}
     head = {"kind": evaluation.kind, "commands": commands, "complete": done.issuperset(keys)}
-    about = {"conditions": _conditions(evaluation), "asked": asked, **evaluation.about, "versions": versions()}
+    about = {"conditions": _conditions(evaluation), "evaluated": evaluated, **evaluation.about, "versions": versions()}
     write_json(out / "results.json", head | about)
 
 

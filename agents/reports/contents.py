@@ -208,12 +208,12 @@ def _ahead_of(frame: pd.DataFrame, name: str, after: str) -> str:
     if not ahead.low > 0.0:
         return f"Not told apart from {display_name(after)} on the same scans: {value} [{bounds}]."
     gaps = {e: suite.paired_difference(worlds[e, name], worlds[e, after]) for e in suite.experiments(frame)}
-    told = {e: f"{e} ({cell(gap, 2, signed=True)[0]})" for e, gap in gaps.items()}
+    gained = {e: f"{e} ({cell(gap, 2, signed=True)[0]})" for e, gap in gaps.items()}
     most = sorted((e for e in gaps if gaps[e].low > 0.0), key=lambda e: -gaps[e].estimate)[:2]
     behind = [e for e in gaps if gaps[e].high < 0.0 and gaps[e].estimate <= -0.005]
     text = f"Ahead of {display_name(after)} by {value} [{bounds}]"
-    text += f", above all in {' and '.join(told[e] for e in most)}" if most else ""
-    return text + (f"; behind it in {', '.join(told[e] for e in behind)}" if behind else "") + "."
+    text += f", above all in {' and '.join(gained[e] for e in most)}" if most else ""
+    return text + (f"; behind it in {', '.join(gained[e] for e in behind)}" if behind else "") + "."
 
 
 def _reliability(frame: pd.DataFrame, colour: Colours) -> Content | None:

@@ -51,7 +51,7 @@ def write_report(folder: Path) -> Path:
 def provenance(metadata: Mapping[str, Any]) -> str:
     """Commands, conditions, models and versions, as text."""
     commands = [f"{c['command']}    # {c['started']}, {c.get('seconds', '?')} s" for c in metadata["commands"]]
-    episodes, split = metadata["asked"]["episodes"], metadata["conditions"].get("split")
+    episodes, split = metadata["evaluated"]["episodes"], metadata["conditions"].get("split")
     seeds = f"episode k: reset(seed=k, options={{'world': k}}) of the {split} split, k = {episodes[0]} … {episodes[-1]}"
     models = [
         f"{Path(path).name}: sha256 {about['sha256']}, {_facts(about.get('training', {}))}"

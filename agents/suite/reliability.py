@@ -26,10 +26,10 @@ _PROMISE = "mean probability of the best hypothesis of a scan, and how often it 
 
 def binned(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> dict[str, list[float]]:
     """The decisions of hypotheses that say how probable each is, held against the right ones (m,), `*` included."""
-    told = [(h.posterior.marginals, h.features == r) for h, r in zip(answers, right)
+    decisions = [(h.posterior.marginals, h.features == r) for h, r in zip(answers, right)
             if h.posterior is not None and h.posterior.marginals is not None]  # fmt: skip
-    p: Array = np.concatenate([np.empty(0), *(marginals for marginals, _ in told)])
-    hit = np.concatenate([np.empty(0, np.bool_), *(agreed for _, agreed in told)])
+    p: Array = np.concatenate([np.empty(0), *(marginals for marginals, _ in decisions)])
+    hit = np.concatenate([np.empty(0, np.bool_), *(agreed for _, agreed in decisions)])
     number = np.clip(np.searchsorted(EDGES, p, side="right") - 1, 0, len(EDGES) - 2)
     weights = {"decisions": np.ones(len(p)), "predicted": p, "right": hit.astype(np.float64)}
     return {key: np.bincount(number, value, len(EDGES) - 1).tolist() for key, value in weights.items()}

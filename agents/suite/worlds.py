@@ -48,13 +48,13 @@ class WorldTask:
 
     setting: str  # id of the level
     episode: int  # number of the world
-    asked: tuple[str, ...]
+    names: tuple[str, ...]
     problems: int
     split: str = "test"
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        return tuple(Key(name, self.setting, self.episode) for name in self.asked)
+        return tuple(Key(name, self.setting, self.episode) for name in self.names)
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         level, names = get_level(self.setting), [key.name for key in wanted]
@@ -65,13 +65,13 @@ class WorldTask:
         about = {"experiment": level.experiment, "knob": level.knob}
         return [key._asdict() | about | found[key.name] for key in wanted]
 
-    def associate(self, asked: Mapping[str, Associator]) -> dict[str, Record]:
+    def associate(self, associators: Mapping[str, Associator]) -> dict[str, Record]:
         """What associators make of the problems of the world, by their names."""
-        answers: dict[str, list[_Answer]] = {name: [] for name in asked}
+        answers: dict[str, list[_Answer]] = {name: [] for name in associators}
         right: list[IntArray] = []
         for problem in problems(TwoLaps(get_level(self.setting), self.episode, self.split), self.problems):
             right.append(problem.truth.right)
-            for name, associate in asked.items():
+            for name, associate in associators.items():
                 start = time.perf_counter()
                 hypothesis = ask(name, associate, problem)
                 answers[name].append(_Answer(hypothesis, hypothesis.effort, time.perf_counter() - start))
@@ -83,17 +83,17 @@ class WorldTask:
             found[name] = association_record(judged) | _effort(own) | reliability
         return found
 
-    def relocate(self, asked: Mapping[str, Relocator]) -> dict[str, Record]:
+    def relocate(self, searches: Mapping[str, Relocator]) -> dict[str, Record]:
         """What relocators make of the problems of the world, by their names."""
-        outcomes: dict[str, Counter[str]] = {name: Counter() for name in asked}
-        answers: dict[str, list[_Answer]] = {name: [] for name in asked}
+        outcomes: dict[str, Counter[str]] = {name: Counter() for name in searches}
+        answers: dict[str, list[_Answer]] = {name: [] for name in searches}
         for problem in relocation_problems(get_level(self.setting), self.episode, self.problems, self.split):
-            for name, search in asked.items():
+            for name, search in searches.items():
                 start = time.perf_counter()
                 found = search(problem.scan, problem.landmarks, problem.locality)
                 answers[name].append(_Answer(None, found.effort, time.perf_counter() - start))
                 outcomes[name][judge_relocation(found, problem.pose)] += 1
-        return {name: relocation_record(outcomes[name]) | _effort(answers[name]) for name in asked}
+        return {name: relocation_record(outcomes[name]) | _effort(answers[name]) for name in searches}
 
 
 class _Answer(NamedTuple):
@@ -153,8 +153,8 @@ def suite_evaluation(
     for name in experiments:
         one_of("experiment", name, EXPERIMENTS)
     for experiment in (EXPERIMENTS[name] for name in experiments):
-        asked = tuple(relocators if experiment.name == RELOCATION else associators)
+        names = tuple(relocators if experiment.name == RELOCATION else associators)
         for level in experiment.levels[:: 2 if size.quick else 1]:
-            worlds = range(size.worlds if asked else 0)
-            tasks += [WorldTask(level.id, k, asked, size.problems, size.split) for k in worlds]
+            worlds = range(size.worlds if names else 0)
+            tasks += [WorldTask(level.id, k, names, size.problems, size.split) for k in worlds]
     return Evaluation("suite", tasks, vars(size))
