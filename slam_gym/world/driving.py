@@ -68,8 +68,9 @@ def push(packed: PackedFigures, forward: float, turn: float, state: Array, wheel
     wheels[0] += way * math.cos(wheels[2] + 0.5 * turned)
     wheels[1] += way * math.sin(wheels[2] + 0.5 * turned)
     wheels[2] += turned
-    rim = _towards(state[RIM], figures.max_speed * forward, figures.max_acceleration * step)
-    spin = _towards(state[SPIN], figures.max_turn * turn, figures.max_angular_acceleration * step)
+    faster, quicker = figures.max_acceleration * step, figures.max_angular_acceleration * step  # at most
+    rim = state[RIM] + min(max(figures.max_speed * forward - state[RIM], -faster), faster)
+    spin = state[SPIN] + min(max(figures.max_turn * turn - state[SPIN], -quicker), quicker)
     now = state[TURNING]
     grip = figures.traction * GRAVITY * step  # [m/s] by which the wheels change the speed at most in a substep
     limit = grip * figures.mass * figures.radius / figures.moment
@@ -156,9 +157,3 @@ def _walls_within(grid: Grid, x: float, y: float, reach: float) -> bool:
                 if squared_distance(x, y, grid.walls, grid.members[k]) < reach * reach:
                     return True
     return False
-
-
-@compiled
-def _towards(value: float, target: float, limit: float) -> float:
-    """`value`, moved towards `target` by no more than `limit`."""
-    return value + min(max(target - value, -limit), limit)

@@ -198,18 +198,6 @@ def _segment_hit(x: float, y: float, dx: float, dy: float, segments: Array, s: i
 
 
 @compiled
-def _disc_hit(x: float, y: float, dx: float, dy: float, disc: Array) -> float:
-    """t in [0, 1] at which (x, y) + t (dx, dy) enters a disc (3,); inf where it does not, or starts within."""
-    cx, cy, radius = x - disc[0], y - disc[1], disc[2]
-    a, b, c = dx * dx + dy * dy, dx * cx + dy * cy, cx * cx + cy * cy - radius * radius
-    root = b * b - a * c
-    if root < 0.0:
-        return math.inf
-    t = (-b - math.sqrt(root)) / a
-    return t if 0.0 <= t <= 1.0 else math.inf
-
-
-@compiled
 def _entry(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
     """t in [0, 1] at which the ray enters the grid's rectangle, 0 from within; inf where it never does."""
     if 0.0 <= x - grid.xmin < grid.cell * grid.columns and 0.0 <= y - grid.ymin < grid.cell * grid.rows:
@@ -263,10 +251,16 @@ def _wall_hit(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
 
 @compiled
 def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> float:
-    """As `_wall_hit`, for the few things that move."""
+    """As `_wall_hit`, for the few things that move. A disc is not met from within."""
     nearest = math.inf
     for d in range(movers.discs.shape[0]):
-        nearest = min(nearest, _disc_hit(x, y, dx, dy, movers.discs[d]))
+        cx, cy, radius = x - movers.discs[d, 0], y - movers.discs[d, 1], movers.discs[d, 2]
+        a, b, c = dx * dx + dy * dy, dx * cx + dy * cy, cx * cx + cy * cy - radius * radius
+        root = b * b - a * c
+        if root >= 0.0:
+            t = (-b - math.sqrt(root)) / a
+            if 0.0 <= t <= 1.0:
+                nearest = min(nearest, t)
     for s in range(movers.segments.shape[0]):
         nearest = min(nearest, _segment_hit(x, y, dx, dy, movers.segments, s))
     return nearest
@@ -301,23 +295,18 @@ def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
 
 
 @compiled
-def _shortened(dx: float, dy: float, pull_back: float) -> float:
-    """The fraction of (dx, dy) that is left when it ends `pull_back` [m] earlier; 0 where nothing is left."""
-    distance = math.hypot(dx, dy)
-    return 1.0 - pull_back / distance if distance > pull_back else 0.0
-
-
-@compiled
 def sees(grid: Grid, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
     """Whether no wall stands between (x, y) and (x, y) + (dx, dy), the latter `pull_back` [m] nearer."""
-    left = _shortened(dx, dy, pull_back)
+    distance = math.hypot(dx, dy)
+    left = 1.0 - pull_back / distance if distance > pull_back else 0.0
     return _wall_hit(grid, x, y, left * dx, left * dy) == math.inf
 
 
 @compiled
 def hides(x: float, y: float, dx: float, dy: float, pull_back: float, movers: Movers) -> bool:
     """Whether one of `movers` stands on the line of sight that `sees` asks the walls about."""
-    left = _shortened(dx, dy, pull_back)
+    distance = math.hypot(dx, dy)
+    left = 1.0 - pull_back / distance if distance > pull_back else 0.0
     return _mover_hit(x, y, left * dx, left * dy, movers) < math.inf
 
 

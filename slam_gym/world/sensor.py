@@ -138,6 +138,7 @@ class Sensor:
         self._walls = index.packed
         self._features = plan.features
         self._positions, self._pull_back = plan.features.positions, pull_back(plan.features)
+        self._unknown_kinds = np.full(self.spec.max_features, UNKNOWN_KIND)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
         self._bearings = part * (np.arange(self.beam_spec.count, dtype=np.float64) + 0.5 * (1 - self.beam_spec.count))
@@ -169,7 +170,7 @@ class Sensor:
         out = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
         m = measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
         points, covariances, sizes, size_variances, sources = out
-        kinds = self._kinds(sources[:m], rng) if self.spec.kinds else np.full(m, UNKNOWN_KIND)
+        kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
         scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
         return scan, Truth(pose.copy(), sources[:m])
 

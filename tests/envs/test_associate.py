@@ -139,30 +139,6 @@ def test_answers_are_those_of_the_tally(scenario, compatibility):
     assert info["score"] == pytest.approx((tally.tp - 3.0 * tally.fp) / tally.in_map)
 
 
-def test_a_decision_earns_its_share_of_its_scan():
-    env = associate("corridor", wrong_cost=7.0)
-    checked = {1: 0, -7: 0, 0: 0}
-
-    def choose(env, info):
-        nonlocal expected
-        action = int(rng.choice(np.flatnonzero(info["action_mask"])))
-        verdict = 0
-        if env.walk is not None and action < env.K:
-            verdict = 1 if action == info["truth"]["action"] else -7
-            known = env.run.identities.source_of(env.run.slam.map.ids)
-            seen = sum(source in known for source in env.run.truth.sources)
-            expected = verdict / max(seen, 1) / 44
-        else:
-            expected = 0.0
-        checked[verdict] += 1
-        return action
-
-    rng, expected = np.random.default_rng(0), 0.0
-    for _, reward, *_ in episode(env, choose, seed=1):
-        assert reward == pytest.approx(expected)
-    assert min(checked.values()) > 10
-
-
 def test_the_right_actions_are_right_and_earn_the_most():
     env = associate("corridor", candidates=8)
     truth = lambda env, info: env.K if info["truth"]["action"] == NOT_OFFERED else info["truth"]["action"]  # noqa: E731
@@ -237,15 +213,6 @@ def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
     assert looks == sorted(looks)
     assert looks[-1] == env.run.length
     assert hid > 0 or scenario != "corridor"
-
-
-def test_an_episode_without_any_choice_ends_with_its_first_step():
-    env = associate(replace(CORRIDOR, length=1))
-    observation, info = env.reset(seed=0)
-    assert info["action_mask"].tolist() == [False] * 5 + [True]
-    assert not any(vector.any() for vector in observation.values())
-    _, reward, terminated, _, _ = env.step(env.K)
-    assert (reward, terminated) == (0.0, True)
 
 
 # -- floor plans ---------------------------------------------------------------------------------------------------

@@ -190,16 +190,6 @@ def test_twins_are_equal_bit_for_bit_whatever_one_did_before(case) -> None:
 
 
 @every_case
-def test_other_seeds_worlds_and_splits_are_other_episodes(case) -> None:
-    seen = []
-    for split in ("train", "test"):
-        env = made(case, split=split)
-        starts = [env.reset(seed=k, options=o)[0] for k in range(2) for o in ({}, {"world": 0}, {"world": 1})]
-        seen += [b"".join(part.tobytes() for part in start.values()) for start in starts]
-    assert len(set(seen)) == len(seen)
-
-
-@every_case
 def test_the_agent_may_keep_and_scribble_on_all_that_it_is_given(case) -> None:
     def arrays(value):
         return [a for v in value.values() for a in arrays(v)] if isinstance(value, dict) else [np.asarray(value)]
@@ -341,19 +331,6 @@ def test_a_window_shows_every_change_and_closes_twice(name, monkeypatch) -> None
     count = len(shown)
     copy.deepcopy(env)
     assert len(shown) == count, "a replay shows nothing"
-
-
-@every_environment
-def test_watchers_see_every_change_but_no_replay(name) -> None:
-    env, seen = small(name), []
-    env.watch(seen.append)
-    _, info = env.reset(seed=0)
-    env.step(random_action(env, info, np.random.default_rng(0)))
-    assert len(seen) >= 2 and all(watched is env for watched in seen)
-    count = len(seen)
-    env.restore(env.snapshot())
-    copy.deepcopy(env).reset(seed=1)
-    assert len(seen) == count
 
 
 def test_a_step_that_fails_is_not_done_and_the_way_back_is_open() -> None:

@@ -72,14 +72,6 @@ def test_info_sums_up_to_the_tally_and_the_ticks() -> None:
     assert infos[-1]["map_quality"] == env.map_quality()
 
 
-def test_watchers_see_every_tick_also_within_goals() -> None:
-    env, ticks = explore(short(60)), []
-    env.watch(lambda watched: ticks.append((watched.episode.ticks, bool(watched.goals.legal[LOOK]))))
-    for _ in episode(env):
-        pass
-    assert ticks == [(tick, True) for tick in range(61)]
-
-
 # -- truth cannot leak ---------------------------------------------------------------------------------------------
 
 

@@ -1,7 +1,5 @@
 """`Relocate-v0`: checkers, kidnappings and who judges them, searches and policies through it, twins, snapshots."""
 
-from dataclasses import replace
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import gcbb, jcbb
 from slam_gym.association.relocation.observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
 from slam_gym.association.relocation.policy import SampledRelocation, greedy_relocation, relocator_from_policy
-from slam_gym.envs import relocate as module
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.relocation_problems import KNOWN, kidnap, map_world
@@ -101,17 +98,6 @@ def test_bad_arguments_are_refused_by_name(options, message):
         RelocateEnv(**options)
 
 
-def one_floor(_rng):
-    return OfficeGenerator(rooms=2)(np.random.default_rng(0))
-
-
-def test_where_there_is_but_one_world_there_is_no_outside():
-    only = replace(SMALL, name="only", generator=one_floor)
-    relocate(only, outside=0.0).reset(seed=0)
-    with pytest.raises(ValueError, match="'only' has one world only"):
-        relocate(only, outside=1.0).reset(seed=0)
-
-
 # -- kidnappings ---------------------------------------------------------------------------------------------------
 
 
@@ -184,24 +170,6 @@ def test_what_gcbb_finds_can_be_played_and_comes_to_the_same(name, locality):
         assert found.min_pairings == expected.min_pairings
 
 
-def test_policies_succeed_with_less_effort_than_gcbb_and_sampling_more_often_than_greedy():
-    env = relocate(get_scenario("office-small"), sizes=False, order="random", outside=0.0, node_cost=0.0)
-    success, nodes = {}, {}
-    for name, policy in POLICIES.items():
-        env.reset(seed=3)
-        ends = [list(episode(env, by(policy)))[-1][4]["score"] for _ in range(20)]
-        success[name] = np.mean([end["right"] for end in ends])
-        nodes[name] = np.median([end["nodes"] for end in ends])
-    env.reset(seed=3)
-    effort = []
-    for _ in range(20):
-        env.reset()
-        tree = env.walk.tree
-        effort.append(gcbb(tree.scan, tree.landmarks, tree.locality).effort.nodes)
-    assert success["sampled"] > 0.7 and success["sampled"] > success["greedy"] > 0.2
-    assert nodes["greedy"] < nodes["sampled"] < 0.2 * np.median(effort)
-
-
 def test_a_policy_sees_as_a_relocator_what_it_sees_in_the_environment():
     env, seen, shown = relocate(short(250), order="nearest_first", sizes=False), [], []
     for observation, *_ in episode(env, by(POLICIES["sampled"]), seed=4):
@@ -261,22 +229,6 @@ def test_observations_are_inside_their_space_and_info_has_fixed_keys(options):
         assert terminated
 
 
-def test_a_lying_truth_changes_no_observation_and_no_mask(monkeypatch):
-    env = relocate(short(250), order="random", outside=0.0)
-    honest = list(episode(env, by(POLICIES["sampled"]), seed=2))
-
-    def lie(*args):
-        drawn = kidnap(*args)
-        return replace(drawn, pose=drawn.pose + 5.0, features=drawn.features[::-1].copy(), inside=False)
-
-    monkeypatch.setattr(module, "kidnap", lie)
-    lied_to = list(episode(env, by(POLICIES["sampled"]), seed=2))
-    for one, other in zip(honest, lied_to, strict=True):
-        assert not differences(one[0], other[0])
-        assert not differences({k: one[4][k] for k in INFO[:-1]}, {k: other[4][k] for k in INFO[:-1]})
-    assert differences(honest[0][4]["truth"], lied_to[0][4]["truth"])
-
-
 # -- pictures ------------------------------------------------------------------------------------------------------
 
 
@@ -293,3 +245,19 @@ def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_s
     assert relocate(None, floor_plan=path).scenario.sensor == get_scenario("building").sensor
     with pytest.raises(ValueError, match=r"resolution=0\.1 goes with a floor_plan"):
         relocate(resolution=0.1)
+
+
+def test_a_lying_truth_changes_no_observation_and_no_mask(monkeypatch):
+    env = relocate(short(250), order="random", outside=0.0)
+    honest = list(episode(env, by(POLICIES["sampled"]), seed=2))
+
+    def lie(*args):
+        drawn = kidnap(*args)
+        return replace(drawn, pose=drawn.pose + 5.0, features=drawn.features[::-1].copy(), inside=False)
+
+    monkeypatch.setattr(module, "kidnap", lie)
+    lied_to = list(episode(env, by(POLICIES["sampled"]), seed=2))
+    for one, other in zip(honest, lied_to, strict=True):
+        assert not differences(one[0], other[0])
+        assert not differences({k: one[4][k] for k in INFO[:-1]}, {k: other[4][k] for k in INFO[:-1]})
+    assert differences(honest[0][4]["truth"], lied_to[0][4]["truth"])

@@ -15,12 +15,10 @@ from slam_gym.rendering.scene import (
     Scene,
     draw_scene,
     legend,
-    paired_positions,
     scene_of_episode,
     scene_of_log,
     shown_in,
 )
-from slam_gym.types import NO_ID
 from tests.rollouts import associate, episode, explore, short
 
 pytest.importorskip("pygame")
@@ -62,12 +60,6 @@ def test_each_decision_shows_in_its_colour(decision) -> None:
     assert pixel(picture, 2.0, 2.0) == symbols.DECISIONS[decision]
 
 
-def test_a_pairing_is_a_line_from_measurement_to_landmark() -> None:
-    points, paired = np.array([[2.0, 2.0]]), np.array([[2.0, 5.0]])
-    picture = drawn(scan_points=points, decisions=np.array([1]), paired_positions=paired)
-    assert pixel(picture, 2.0, 3.5) == symbols.DECISIONS[Decision.WRONG]
-
-
 def test_the_plan_is_drawn_from_where_the_robot_is_by_now() -> None:
     path = np.array([[1.0, 2.0], [9.0, 2.0]])
     far, near = (drawn(path=path, pose=np.array([x, 2.0, 0.0])) for x in (1.0, 7.0))
@@ -93,19 +85,6 @@ def test_the_scene_of_an_episode_is_in_the_world_and_that_of_a_log_in_the_frame_
     assert scene.grid is None and len(scene.features) == len(logged.run.targets)
     unknown = replace(scene, true_pose=np.full(3, np.nan))
     assert count(drawn(true_pose=unknown.true_pose, pose=scene.pose), symbols.INK) == 0
-
-
-def test_measurements_are_paired_with_the_landmarks_that_they_updated() -> None:
-    env = explore(short(60), action="twist")
-    for _ in episode(env, 30):
-        pass
-    step, slam_map = env.episode.last_step, env.episode.slam.map
-    positions = paired_positions(env.episode, slam_map.positions)
-    updated = (step.ids != NO_ID) & ~step.created
-    np.testing.assert_array_equal(np.isfinite(positions).all(axis=1), updated & np.isin(step.ids, slam_map.ids))
-    for number in np.flatnonzero(updated):
-        index = list(slam_map.ids).index(step.ids[number])
-        np.testing.assert_array_equal(positions[number], slam_map.positions[index])
 
 
 pytest.importorskip("pygame")

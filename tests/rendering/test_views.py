@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from slam_gym.rendering import associate_view, explore_view, relocate_view, symbols
+from slam_gym.rendering import explore_view, symbols
 from slam_gym.rendering.canvas import pixels
 from slam_gym.rendering.explore_view import arrange, draw_floor
 from slam_gym.rendering.scene import Grid, Scene
@@ -116,13 +116,6 @@ def test_every_stage_has_its_picture(scenario) -> None:
     np.testing.assert_array_equal(env.render(), env.render())
 
 
-def test_a_picture_may_be_small() -> None:
-    env = associate(short(20))
-    env.reset(seed=1)
-    surface = associate_view.draw(env.run, env.walk, env._answers, (("look", "1 of 9"),), (700, 480))
-    assert pixels(surface).shape == (480, 700, 3)
-
-
 pytest.importorskip("pygame")
 
 
@@ -136,10 +129,3 @@ def test_pictures_of_every_state_differ(name, outside) -> None:
         assert pictures[-1].dtype == np.uint8 and pictures[-1].shape == (720, 1140, 3)
         assert len(np.unique(pictures[-1][::3, ::3].astype(np.int32) @ [65536, 256, 1])) > 50
     assert all(not np.array_equal(a, b) for a, b in pairwise(pictures[:-1]))
-
-
-def test_a_picture_may_be_small_and_the_offer_large() -> None:
-    env = relocate(candidates=200, locality=None)
-    env.reset(seed=0)
-    surface = relocate_view.draw(env.walk, env.mapped, env.kidnapped, env._figures(), (800, 560))
-    assert pixels(surface).shape == (560, 800, 3)

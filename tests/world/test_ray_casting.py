@@ -53,23 +53,6 @@ def test_no_ray_leaves_a_closed_room_through_its_corners():
         assert index.cast(origin, angles, 50.0).max() < 10.0
 
 
-def test_a_disc_around_the_origin_is_not_seen():
-    around = np.array([[2.0, 1.5, 0.3]])
-    ranges = WallIndex(ROOM).cast(np.array([2.1, 1.5]), np.zeros(1), 6.0, discs=around)
-    np.testing.assert_allclose(ranges, [1.9])
-
-
-def test_a_line_of_sight_is_cut_by_walls_discs_and_segments_only_where_they_stand():
-    index, origin = WallIndex(np.vstack([ROOM, [2, 0, 2, 1.8]])), np.array([1.0, 1.0])
-    targets = np.array([[3.0, 1.0], [3.0, 2.9], [1.0, 2.5], [0.1, 0.1]])
-    np.testing.assert_array_equal(index.visible(origin, targets, np.zeros(4)), [False, True, True, True])
-    disc, segment = np.array([[1.0, 2.0, 0.2]]), np.array([[0.2, 0.8, 0.8, 0.2]])
-    np.testing.assert_array_equal(index.visible(origin, targets, np.zeros(4), disc), [False, True, False, True])
-    np.testing.assert_array_equal(
-        index.visible(origin, targets, np.zeros(4), segments=segment), [False, True, True, False]
-    )
-
-
 def test_visible_is_what_the_ranges_say():
     rng = np.random.default_rng(11)
     walls, discs = random_walls(rng), np.column_stack([rng.uniform(0, 15, (5, 2)), np.full(5, 0.3)])

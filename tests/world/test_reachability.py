@@ -70,16 +70,6 @@ def test_a_disc_can_move_straight_between_neighbouring_cells():
                 assert index.visible(a, b[None], np.zeros(1))[0]
 
 
-def test_free_cells_keep_their_distance_from_walls_and_obstacles():
-    plan, furniture = two_rooms(0.9), np.array([[3.0, 2.5, 1.0, 0.6, 0.5]])
-    cells = free_cells(plan, 0.3, 0.1, outlines(furniture))
-    centres = cells.centres(np.flatnonzero(cells.free))
-    index = WallIndex(np.vstack([plan.walls, outlines(furniture)]))
-    angles = np.linspace(-np.pi, np.pi, 180)
-    for centre in centres[:: len(centres) // 200]:
-        assert index.cast(centre, angles, 5.0).min() >= 0.3 - 1e-9
-
-
 def test_nothing_is_reachable_where_nothing_is_free():
     cells = reachable(FloorPlan("crack", rectangle(0, 0, 5, 0.3), NO_FEATURES, (room("crack", 0, 0, 5, 0.3),)), 0.2)
     assert cells.shape == (0, 2)
@@ -120,12 +110,6 @@ def test_starts_are_free_of_walls_and_furniture_and_cover_the_floor():
     assert np.abs(starts[:, 2]).max() > 3.0 and np.abs(starts[:, 2]).min() < 0.1
     again = free_start(plan, cells, np.random.default_rng(8))
     np.testing.assert_array_equal(free_start(plan, cells, np.random.default_rng(8)), again)
-
-
-def test_a_floor_full_of_furniture_has_no_start():
-    plan = two_rooms(0.9, furniture=[(3, 2.5, 5.9, 4.9, 0), (8, 2.5, 3.9, 4.9, 0)])
-    with pytest.raises(ValueError, match="furniture stands within"):
-        free_start(plan, reachable(plan, 0.2), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(("radius", "cell"), [(0.0, 0.25), (np.nan, 0.25), (0.2, 0.0), (0.2, np.inf)])
