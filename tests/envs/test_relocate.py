@@ -1,5 +1,7 @@
 """`Relocate-v0`: checkers, kidnappings and who judges them, searches and policies through it, twins, snapshots."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import gcbb, jcbb
 from slam_gym.association.relocation.observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
 from slam_gym.association.relocation.policy import SampledRelocation, greedy_relocation, relocator_from_policy
+from slam_gym.envs import relocate as module
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.relocation_problems import KNOWN, kidnap, map_world
