@@ -56,12 +56,21 @@ def map_error(estimated: Array, true: Array, sigma0: float) -> float:
     return error_of(estimated, indexed(true, 2.0 * sigma0))
 
 
+@compiled
 def error_of(estimated: Array, packed: PackedIndex) -> float:
     """`map_error` against true features that are `indexed` with a cutoff of 2σ₀."""
     true, _, _, cutoff = packed
     (_, cost, pairs), sigma0 = assign_to(estimated, packed, 1.0), 0.5 * cutoff
     unpaired = len(estimated) + len(true) - 2 * pairs
     return float((cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1)))
+
+
+@compiled
+def error_and_coverage(
+    estimated: Array, base: Array, packed: PackedIndex, cells: NDArray[np.uint8], places: IntArray
+) -> tuple[float, float]:
+    """`error_of` features (e, 2) in the frame of `base` (3,), and `coverage` of `places`, in one call."""
+    return error_of(transform(base, estimated), packed), coverage(cells, places)
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:
