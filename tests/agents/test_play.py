@@ -152,7 +152,7 @@ def test_an_associator_is_switched_from_one_scan_to_the_next():
     switch, slam = Switch(["nearest_neighbour", "jcbb", "nearest_neighbour"]), Slam()
     scan = Scan.from_points([[3.0, 0.0], [3.0, 0.4], [5.0, 1.0]], sigma=0.3)
     slam.step(Odometry.from_motion([0, 0, 0], 0.1), scan, "jcbb")
-    prediction = slam.map.prediction(10.0)
+    prediction = slam.predict(Odometry.from_motion([0, 0, 0], 0.1), scan)
     for name, same in (("nearest_neighbour", nearest_neighbour), ("jcbb", jcbb), ("nearest_neighbour", None)):
         assert switch.name == name
         if same:
