@@ -19,7 +19,7 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import is_covariance
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray, ScanArrays
 
 IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS = range(5)  # id, steps in which it was seen, first and last of them, class
 SIZES, VARIANCES = range(2)
@@ -108,11 +108,13 @@ def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gat
 
 
 @compiled
-def add(x: Array, P: Array, d: int, point: Array, R: Array) -> bool:
-    """Append x_F = x_R ⊕ z to the state, its covariance by linearisation; False where z or R is no good.
+def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i: int) -> bool:
+    """Append feature n, x_F = x_R ⊕ z with z measurement i, its covariance by linearisation; False where z is no good.
 
     P_F· = [I JΔ] P_R·, P_FF = [I JΔ] P_RR [I JΔ]ᵀ + C R Cᵀ, with Δ = x_F − t.
     """
+    (x, P, counted, sized), (points, covariances, sizes, variances, kinds) = arrays, scan
+    d, point, R = 3 + 2 * n, points[i], covariances[i]
     if not (math.isfinite(point[0] + point[1]) and is_covariance(R)):
         return False
     c, s = math.cos(x[2]), math.sin(x[2])
@@ -124,32 +126,30 @@ def add(x: Array, P: Array, d: int, point: Array, R: Array) -> bool:
     rxx, rxy, ryy = turned(c, s, R[0, 0], R[0, 1], R[1, 1])
     P[d, d], P[d, d + 1] = P[0, d] - dy * P[2, d] + rxx, P[0, d + 1] - dy * P[2, d + 1] + rxy
     P[d + 1, d + 1] = P[1, d + 1] + dx * P[2, d + 1] + ryy
+    counted[IDS, n], counted[SEEN, n], counted[KINDS, n] = next_id, 1, kinds[i]
+    counted[FIRST_SEEN, n] = counted[LAST_SEEN, n] = step
+    sized[SIZES, n], sized[VARIANCES, n] = sizes[i], variances[i]
     return True
 
 
 @compiled
-def keep(x: Array, P: Array, kept: IntArray) -> None:
+def keep(arrays: MapArrays, kept: IntArray) -> None:
     """Keep only the robot and the features `kept` (n',), ascending: marginalisation, in place."""
+    x, P, counted, sized = arrays
     first = 0  # everything before the first gap stays where it is
     while first < len(kept) and kept[first] == first:
         first += 1
     old = np.arange(3 + 2 * len(kept))
     for j in range(first, len(kept)):
         old[3 + 2 * j], old[4 + 2 * j] = 3 + 2 * kept[j], 4 + 2 * kept[j]
+        for row in range(len(counted)):
+            counted[row, j] = counted[row, kept[j]]
+        for row in range(len(sized)):
+            sized[row, j] = sized[row, kept[j]]
     for i in range(len(old)):
         x[i] = x[old[i]]
         for j in range(max(i, 3 + 2 * first), len(old)):
             P[i, j] = P[old[i], old[j]]
-
-
-@compiled
-def begin(
-    counted: IntArray, sized: Array, n: int, step: int, next_id: int, size: float, variance: float, kind: int
-) -> None:
-    """Enter what is known of feature n, which has just been added."""
-    counted[IDS, n], counted[SEEN, n], counted[KINDS, n] = next_id, 1, kind
-    counted[FIRST_SEEN, n] = counted[LAST_SEEN, n] = step
-    sized[SIZES, n], sized[VARIANCES, n] = size, variance
 
 
 @compiled
@@ -164,21 +164,15 @@ def confirmed(x: Array, counted: IntArray, n: int, confirmations: int) -> Array:
 
 
 @compiled
-def record(
-    features: IntArray, step: int, measured: tuple[Array, Array, IntArray], counted: IntArray, sized: Array
-) -> None:
+def record(arrays: MapArrays, step: int, scan: ScanArrays, features: IntArray) -> None:
     """Count the step in which `features` (m,) were seen, once each; learn their sizes and kinds from the measurements.
 
     A size is updated by a scalar Kalman filter: an unknown one (NaN) takes over the first measured, and a NaN
-    measurement says nothing. The last kind that was told holds.
-
-    Arguments:
-        measured: sizes (m,), size variances (m,) and kinds (m,) of the measurements.
-        counted, sized: of the map's features, changed in place.
+    measurement says nothing. The last kind that was reported holds.
     """
+    (_, _, counted, sized), (_, _, measured_sizes, measured_variances, measured_kinds) = arrays, scan
     seen, last_seen, kinds = counted[SEEN], counted[LAST_SEEN], counted[KINDS]
     sizes, variances = sized[SIZES], sized[VARIANCES]
-    measured_sizes, measured_variances, measured_kinds = measured
     for i in range(len(features)):
         f = features[i]
         if f == UNPAIRED:

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from slam_gym.geometry import compose
 from slam_gym.mapping.map_joining import equate, join
-from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray
 
@@ -48,7 +47,7 @@ class LocalMaps:
 
     def begin(self) -> StochasticMap:
         """Close the current map, not to be changed any more; returns a new one that has its base at the robot."""
-        fresh = successor(self.current)
+        fresh = self.current.successor()
         self._maps.append(fresh)
         self._first_ids.append(fresh.next_id)
         return fresh

@@ -17,11 +17,10 @@ from dataclasses import replace
 import numpy as np
 
 from slam_gym.geometry import wrap_angle
-from slam_gym.mapping.ekf import symmetric
+from slam_gym.mapping import ekf
 from slam_gym.mapping.linear_algebra import ROUNDING, aligned_zeros, cholesky, padded, subtract_squares, whiten
-from slam_gym.mapping.map_state import MapState, map_of_state, state_of
-from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import Array, IntArray
+from slam_gym.mapping.stochastic_map import MapState, StochasticMap
+from slam_gym.types import UNKNOWN_KIND, Array, IntArray
 
 UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
 """[m², m², rad²] Covariance of a pose, or of the relation of two maps, before it is found: it says nothing."""
@@ -33,17 +32,19 @@ def join(a: StochasticMap, b: StochasticMap, *, renumber: bool = False) -> Stoch
     The robot is that of `b`, whose base is the robot of `a`; the settings are those of `a`. With `renumber` the ids of
     `b` are raised by the number of ids that `a` has given. Raises ValueError where an id would be given twice.
     """
-    first, second = state_of(a), state_of(b)
-    ours, theirs = first.columns, second.columns
+    first, second = a.state, b.state
     given = second.next_id
     if renumber:
-        theirs, given = replace(theirs, ids=theirs.ids + first.next_id), given + first.next_id
-    twice = np.intersect1d(ours.ids, theirs.ids)
+        second.counted[ekf.IDS] += first.next_id
+        given += first.next_id
+    twice = np.intersect1d(first.counted[ekf.IDS], second.counted[ekf.IDS])
     if len(twice):
         raise ValueError(f"ids: both maps have features {twice[:5].tolist()}; join with renumber=True")
     mean, covariance = joined_estimate(first.mean, first.covariance, second.mean, second.covariance)
     step, ids = max(first.step, second.step), max(first.next_id, given)
-    return map_of_state(a.spec, MapState(mean, covariance, ours.followed_by(theirs), step, ids))
+    counted = np.concatenate([first.counted, second.counted], axis=1)
+    sized = np.concatenate([first.sized, second.sized], axis=1)
+    return StochasticMap.of_state(a.spec, MapState(mean, covariance, counted, sized, step, ids))
 
 
 def join_at(a: StochasticMap, b: StochasticMap, base: Array, *, renumber: bool = False) -> StochasticMap:
@@ -96,12 +97,34 @@ def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
         raise ValueError(f"pairs: {pairs.tolist()} in a map of {m.n} features")
     if len(np.unique(dropped)) < len(dropped) or len(np.intersect1d(kept, dropped)):
         raise ValueError(f"pairs: {pairs.tolist()} delete a feature twice, or one that is to be kept")
-    state = state_of(m)
+    state = m.state
     mean, covariance = equality_update(state.mean, state.covariance, pairs)
-    columns = state.columns.fused(kept, dropped)
-    equal = map_of_state(m.spec, MapState(mean, covariance, columns, state.step, state.next_id))
+    take_over(state.counted, state.sized, kept, dropped)
+    equal = StochasticMap.of_state(m.spec, replace(state, mean=mean, covariance=covariance))
     equal.remove(dropped)
     return equal
+
+
+def take_over(counted: IntArray, sized: Array, kept: IntArray, dropped: IntArray) -> None:
+    """Feature kept[i] takes over what was known of its duplicate dropped[i], both (k,); nothing is deleted.
+
+    Sightings add up, sizes are averaged by their variances, and an unknown kind gives way to a known one. `counted` and
+    `sized` are those of `MapState`, changed in place.
+    """
+    seen, first_seen, last_seen, kinds = (counted[row] for row in (ekf.SEEN, ekf.FIRST_SEEN, ekf.LAST_SEEN, ekf.KINDS))
+    sizes, variances = sized
+    for a, b in zip(kept.tolist(), dropped.tolist()):
+        seen[a] += seen[b]
+        first_seen[a] = min(first_seen[a], first_seen[b])
+        last_seen[a] = max(last_seen[a], last_seen[b])
+        kinds[a] = kinds[b] if kinds[a] == UNKNOWN_KIND else kinds[a]
+        if np.isfinite(sizes[a]) and np.isfinite(sizes[b]):
+            total = variances[a] + variances[b]
+            gain = variances[a] / total if total > 0.0 else 0.0
+            sizes[a] += gain * (sizes[b] - sizes[a])
+            variances[a] *= 1.0 - gain
+        elif np.isfinite(sizes[b]):
+            sizes[a], variances[a] = sizes[b], variances[b]
 
 
 def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Array]:
@@ -126,4 +149,4 @@ def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Arra
     out = mean + (W[:, :d] * nu[:, None]).sum(axis=0)
     out[2] = wrap_angle(out[2])
     subtract_squares(left, W)
-    return out, symmetric(left, d)
+    return out, ekf.symmetric(left, d)

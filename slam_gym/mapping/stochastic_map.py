@@ -7,17 +7,17 @@ are removed, and known by an id that is never given twice.
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.mapping.linear_algebra import aligned_zeros, padded
-from slam_gym.mapping.map_spec import MapSpec as MapSpec
-from slam_gym.mapping.refusals import bad_measurement, checked_pose, existing, refused_update
-from slam_gym.mapping.update import ACCEPTED, update
+from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
+from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
 from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
 
 _NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
@@ -32,6 +32,41 @@ class Estimate:
 
     def __init__(self) -> None:
         self.stands = True
+
+
+@dataclass(frozen=True)
+class MapSpec:
+    """Settings of the estimator."""
+
+    confidence: float = 0.99  # of the χ² gates in data association: every prediction carries it
+    iterations: int = 3  # of an update, at most: 1 linearises at the prior
+    right_invariant: bool = True  # the error that the filter is linear in (see `mapping.update`); False: x itself
+    second_order: bool = True  # predictions allow for what a poorly known heading bends (see `mapping.measurement`)
+    confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
+    unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
+    settled: ClassVar[float] = 0.1  # [σ of the state] a pass that would move it by less than that is spared
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"MapSpec.confidence: {self.confidence} is not between 0 and 1")
+        if self.iterations < 1:
+            raise ValueError(f"MapSpec.iterations: {self.iterations} is less than 1")
+        if self.confirmations < 1:
+            raise ValueError(f"MapSpec.confirmations: {self.confirmations} is less than 1")
+        if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
+            raise ValueError(f"MapSpec.unconfirmed_age: {self.unconfirmed_age} is negative")
+
+
+@dataclass(frozen=True, slots=True)
+class MapState:
+    """All that a `StochasticMap` knows, but for its settings."""
+
+    mean: Array  # (3 + 2n,) robot [m, m, rad], features [m], in B
+    covariance: Array  # (3 + 2n, 3 + 2n)
+    counted: IntArray  # (5, n) rows IDS to KINDS, see `mapping.ekf`
+    sized: Array  # (2, n) rows SIZES [m] and VARIANCES [m²], NaN where unknown
+    step: int  # steps ended so far
+    next_id: int  # of the next feature
 
 
 class StochasticMap:
@@ -59,7 +94,6 @@ class StochasticMap:
         if capacity < 1:
             raise ValueError(f"capacity: {capacity} is less than 1")
         self.spec = spec or MapSpec()
-        self._passes, self._invariant = self.spec.iterations, self.spec.right_invariant
         self.n = 0  # features
         self.step = 0  # steps ended so far
         self.next_id = 0  # of the next feature; all ids given so far are smaller
@@ -205,27 +239,23 @@ class StochasticMap:
         if len(features) != len(scan):
             raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
         self.moved()
-        measured, passes = (scan.points, scan.covariances), (self._passes, self.spec.settled)
-        refused = update(self._x, self._P, self.n, measured, features, passes, self._invariant)
+        measured, passes = (scan.points, scan.covariances), (self.spec.iterations, self.spec.settled)
+        refused = update(self._x, self._P, self.n, measured, features, passes, self.spec.right_invariant)
         if refused != ACCEPTED:
             raise refused_update(refused, scan, features, self.n)
-        ekf.record(features, self.step, (scan.sizes, scan.size_variances, scan.kinds), self._counted, self._sized)
+        ekf.record(self.arrays, self.step, scan.arrays, features)
 
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
         """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
 
         Raises ValueError at the first measurement that is not finite or has no covariance; those before it are added.
         """
-        first = self.n
+        first, measured = self.n, scan.arrays
         for i in measurements:
             self.make_room(1)
-            if not ekf.add(self._x, self._P, self._d, scan.points[i], scan.covariances[i]):
+            if not ekf.add(self.arrays, self.n, self.step, self.next_id, measured, int(i)):
                 raise bad_measurement(scan, i)
-            known = float(scan.sizes[i]), float(scan.size_variances[i]), int(scan.kinds[i])
-            ekf.begin(self._counted, self._sized, self.n, self.step, self.next_id, *known)
-            self.next_id += 1
-            self.moved()
-            self.n += 1
+            self.learned(1)
         return np.arange(first, self.n)
 
     def remove(self, features: IntArray) -> IntArray:
@@ -239,11 +269,8 @@ class StochasticMap:
         staying = np.ones(self.n, dtype=bool)
         staying[features] = False
         kept = np.flatnonzero(staying)
-        ekf.keep(self._x, self._P, kept)
-        for columns in (self._counted, self._sized):
-            columns[:, : len(kept)] = columns[:, kept]
-        self.n = len(kept)
-        self.moved()
+        ekf.keep(self.arrays, kept)
+        self.learned(len(kept) - self.n)
         return kept
 
     def unconfirmed(self) -> IntArray:
@@ -263,6 +290,38 @@ class StochasticMap:
     def __repr__(self) -> str:
         x, y, heading = self._x[:3]
         return f"StochasticMap of {self.n} features, robot at ({x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f}°)"
+
+    # as a whole
+
+    @property
+    def state(self) -> MapState:
+        """All that the map knows, as copies."""
+        counted, sized = self._counted[:, : self.n].copy(), self._sized[:, : self.n].copy()
+        return MapState(self.mean, self.covariance, counted, sized, self.step, self.next_id)
+
+    @classmethod
+    def of_state(cls, spec: MapSpec, state: MapState) -> StochasticMap:
+        """The map of a state.
+
+        Raises ValueError where lengths do not agree, numbers are not finite or the robot's covariance is none.
+        """
+        n = state.counted.shape[1]
+        d = 3 + 2 * n
+        if state.mean.shape != (d,) or state.covariance.shape != (d, d):
+            raise ValueError(f"mean, covariance: shapes {state.mean.shape}, {state.covariance.shape} for {n} features")
+        if not (np.isfinite(state.mean).all() and np.isfinite(state.covariance).all()):
+            raise ValueError("mean, covariance: not finite")
+        m = cls(spec, state.mean[:3], state.covariance[:3, :3], capacity=max(n, 1))
+        m._x[3:d], m._P[:d, :d] = state.mean[3:], state.covariance
+        m._counted[:, :n], m._sized[:, :n] = state.counted, state.sized
+        m.n, m.step, m.next_id = n, state.step, state.next_id
+        return m
+
+    def successor(self) -> StochasticMap:
+        """An empty map whose base is where the robot stands now; ids and steps go on from those of this map."""
+        fresh = StochasticMap(self.spec)
+        fresh.step, fresh.next_id = self.step, self.next_id
+        return fresh
 
     def copy(self) -> StochasticMap:
         """An independent copy."""
@@ -311,3 +370,42 @@ class StochasticMap:
     @property
     def _d(self) -> int:
         return 3 + 2 * self.n
+
+
+# what is refused
+
+
+def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
+    """Fresh arrays (3,), its heading wrapped, and (3, 3)."""
+    x, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
+    if x.shape != (3,) or not np.all(np.isfinite(x)):
+        raise ValueError(f"pose: expected 3 finite numbers, got {x.tolist()}")
+    if P.shape != (3, 3) or not is_covariance(P):
+        raise ValueError(f"pose_covariance: not a 3 x 3 covariance: {P.tolist()}")
+    x[2] = wrap_angle(x[2])
+    return x, P
+
+
+def existing(features: IntArray, n: int) -> IntArray:
+    """`features` (k,), in one block of memory, once they all exist in a map of n features."""
+    features = np.ascontiguousarray(features, dtype=np.int64)
+    if np.any((features < 0) | (features >= n)):
+        raise ValueError(f"features: {features.tolist()} do not all exist in a map of {n} features")
+    return features
+
+
+def refused_update(refused: int, scan: Scan, features: IntArray, n: int) -> ValueError:
+    """Why an update of a map of n features with these pairings was `refused` (see `mapping.update`)."""
+    if refused == NO_SUCH_FEATURE:
+        return ValueError(f"features: {features.tolist()} for a map of {n} features")
+    if refused == len(scan):
+        return ValueError("the innovation covariance is singular to working precision")
+    return bad_measurement(scan, refused)
+
+
+def bad_measurement(scan: Scan, i: int) -> ValueError:
+    """That measurement i can neither update nor start a feature."""
+    return ValueError(
+        f"scan: measurement {i} is not finite, or its covariance is none: "
+        f"point {scan.points[i].tolist()}, covariance {scan.covariances[i].tolist()}"
+    )

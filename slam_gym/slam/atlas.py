@@ -37,7 +37,6 @@ import numpy as np
 from slam_gym.association.compatibility import chi2_gate, plain
 from slam_gym.association.prediction import Prediction, SlamStep
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam import learn
 from slam_gym.slam.places.fusion import (
@@ -162,7 +161,7 @@ class Atlas:
         recognition = self.spec.recognition or RecognitionSpec()
         if int((~m.provisional).sum()) >= recognition.min_pairs:
             self.inactive.append(MappedArea(m, graph))
-        fresh = successor(m)
+        fresh = m.successor()
         fresh.place(m.pose, np.zeros((3, 3)))
         return fresh
 

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from slam_gym._arrays import fill_from
 from slam_gym._compile import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import count_pairs, keep_nodes
@@ -51,8 +50,8 @@ def learn(
     features that are due to be removed; NARROW and the width that the graph needs, nothing changed; REFUSED and the
     answer of `update`, nothing changed; SINGULAR or NOT_ADDED and the measurement from which no feature can be started.
     """
-    (x, P, counted, sized), (neighbours, counts, degrees), (n, step, next_id) = arrays, graph, numbers
-    (points, covariances, sizes, variances, kinds), (features, new, is_decided, ids) = scan, decisions
+    (x, P, counted, _), (neighbours, counts, degrees), (n, step, next_id) = arrays, graph, numbers
+    (points, covariances, _, _, _), (features, new, is_decided, ids) = scan, decisions
     (positions, spreads, k), (iterations, settled, invariant, gate, confirmations, before) = expected, settings
     m, added, s = len(features), 0, 0
     width = _width_needed(degrees, features)
@@ -62,7 +61,7 @@ def learn(
     refused = update(x, P, n, (points, covariances), features, (iterations, settled), invariant)
     if refused != ACCEPTED:
         return REFUSED, refused, 0
-    ekf.record(features, step, (sizes, variances, kinds), counted, sized)
+    ekf.record(arrays, step, scan, features)
     # add
     if not is_decided:
         singular = fit_nothing(points, covariances, features, (positions[:k], spreads[:k]), gate, new)
@@ -72,9 +71,8 @@ def learn(
         behind = features[i]
         if new[i]:
             behind = n + added
-            if not ekf.add(x, P, 3 + 2 * behind, points[i], covariances[i]):
+            if not ekf.add(arrays, behind, step, next_id + added, scan, i):
                 return NOT_ADDED, i, added
-            ekf.begin(counted, sized, behind, step, next_id + added, sizes[i], variances[i], kinds[i])
             degrees[behind] = 0
             added += 1
         ids[i] = NO_ID
@@ -103,7 +101,7 @@ def forget(
 
     `became` (n,) is told the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those that are gone.
     """
-    (x, P, counted, sized), (neighbours, counts, degrees), (confirmations, before) = arrays, graph, rule
+    counted, (neighbours, counts, degrees), (confirmations, before) = arrays[2], graph, rule
     kept, left, gone = np.empty(n - len(removed), np.int64), 0, 0
     for j in range(n):
         if counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before:
@@ -111,10 +109,8 @@ def forget(
             gone += 1
         else:
             became[j], kept[left] = left, j
-            fill_from(counted[:, left], counted[:, j])
-            fill_from(sized[:, left], sized[:, j])
             left += 1
-    ekf.keep(x, P, kept)
+    ekf.keep(arrays, kept)
     keep_nodes(neighbours, counts, degrees, n, kept)
 
 

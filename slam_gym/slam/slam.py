@@ -15,8 +15,7 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
-from slam_gym.mapping.refusals import bad_measurement, refused_update
-from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam import learn
 from slam_gym.slam.atlas import Atlas, AtlasSpec
@@ -40,6 +39,7 @@ from slam_gym.validation import check_hypothesis, check_inputs, check_scan
 
 _NO_FEATURES = np.empty(0, np.int64)
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
+
 
 @dataclass(frozen=True)
 class SlamSpec:

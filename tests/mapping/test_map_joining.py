@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import compose, transform, wrap_angle
-from slam_gym.mapping.map_joining import equality_update, equate, join, joined_estimate
-from slam_gym.mapping.map_state import successor
+from slam_gym.mapping.map_joining import equality_update, equate, join, joined_estimate, take_over
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import anees_interval, nees
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Odometry, Scan
@@ -87,7 +86,7 @@ def halves(steps: list[Step], at: list[int]) -> tuple[StochasticMap, list[int]]:
     whole, sources = None, []
     previous = StochasticMap(KEEP)
     for first, last in zip([0, *at], [*at, len(steps)]):
-        local = KnownAssociation(successor(previous))
+        local = KnownAssociation(previous.successor())
         for step in steps[first:last]:
             local.step(step)
         if whole is None:
@@ -195,7 +194,7 @@ def two_small_maps() -> tuple[StochasticMap, StochasticMap]:
     a.add(sized([[2, 0], [2, 1], [2, 2]], [0.5, np.nan, 0.3], [0.01, np.nan, 0.02], [3, UNKNOWN_KIND, 2]), np.arange(3))
     a.end_of_step()
     a.predict(Odometry(np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3)))
-    b = successor(a)
+    b = a.successor()
     b.add(sized([[1, 0], [1, 1], [9, 9]], [0.7, 0.4, 0.6], [0.03, 0.05, 0.01], [3, 1, UNKNOWN_KIND]), np.arange(3))
     b.end_of_step()
     return a, b
@@ -282,3 +281,16 @@ def test_equality_stays_psd_for_certainties_of_very_different_sizes() -> None:
         after = equate(m, random_pairs(rng, 10))
         eigenvalues = np.linalg.eigvalsh(after.covariance)
         assert eigenvalues[0] >= -1e-9 * eigenvalues[-1]
+
+
+def test_a_feature_takes_over_what_was_known_of_its_duplicate() -> None:
+    """Of three features, seen once each in steps 4, 5 and 6."""
+    counted = np.array([[0, 1, 2], [1, 1, 1], [4, 5, 6], [4, 5, 6], [2, UNKNOWN_KIND, 1]])
+    sized = np.array([[0.5, np.nan, 0.8], [0.01, np.nan, 0.03]])
+    fused, averaged = counted.copy(), sized.copy()
+    take_over(fused, averaged, np.array([0]), np.array([2]))
+    np.testing.assert_array_equal(fused[1:, 0], [2, 4, 6, 2])  # its own kind, where it has one
+    weight = 1.0 / np.array([0.01, 0.03])
+    assert averaged[:, 0] == pytest.approx([(weight @ [0.5, 0.8]) / weight.sum(), 1.0 / weight.sum()])
+    take_over(counted, sized, np.array([1]), np.array([2]))
+    assert (*sized[:, 1], counted[4, 1]) == (0.8, 0.03, 1)

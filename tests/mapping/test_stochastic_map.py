@@ -2,13 +2,13 @@
 
 import copy
 import pickle
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from slam_gym.mapping.ekf import relative_covariance
-from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, MapState, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import KEEP, h, landmarks, mapped, predicted
 from tests.oracles.map import KnownAssociation, Q, make_scan, random_covariance, wander
@@ -190,6 +190,55 @@ def test_what_is_told_of_some_features_is_that_of_the_whole_map() -> None:
             assert found[a, b] == (pytest.approx(distance, rel=1e-6) if distance < gate else np.inf)
             if i == 4:
                 assert told[b] == pytest.approx((S[0, 0], S[0, 1], S[1, 1]), rel=1e-6, abs=1e-12)
+
+
+# --- taken apart, and put together again ------------------------------------------------------------------------------
+
+
+def used_map() -> StochasticMap:
+    """A map that has lost features, so that ids are no indices, and knows some sizes and kinds."""
+    m, _, _ = mapped()
+    known = make_scan(np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1)), np.array([0.3, np.nan]), np.array([0.01, np.nan]))
+    m.add(replace(known, kinds=np.array([3, UNKNOWN_KIND])), np.arange(2))
+    m.remove(np.array([0, 4]))
+    m.end_of_step()
+    return m
+
+
+def test_put_together_from_its_state_it_is_the_same_map_and_stays_so() -> None:
+    m = used_map()
+    again = StochasticMap.of_state(KEEP, m.state)
+    scan = make_scan(predicted(m).positions[:3] + 0.05, np.tile(0.01 * np.eye(2), (3, 1, 1)))
+    for each in (m, again):
+        each.predict(Odometry(np.array([0.1, 0.0, 0.2]), Q))
+        each.update(scan, np.array([2, 0, -1]))
+        each.add(scan, np.array([2]))
+        each.remove(np.array([1]))
+        each.end_of_step()
+    for field in fields(MapState):
+        np.testing.assert_array_equal(getattr(m.state, field.name), getattr(again.state, field.name))
+
+
+def test_a_successor_is_empty_and_its_ids_and_steps_go_on() -> None:
+    m = used_map()
+    fresh = m.successor()
+    assert fresh.n == 0 and fresh.step == m.step and fresh.next_id == m.next_id > m.ids.max() and fresh.spec == m.spec
+    np.testing.assert_array_equal(fresh.pose, np.zeros(3))
+    np.testing.assert_array_equal(fresh.pose_covariance, np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda state: replace(state, mean=state.mean[:-1]),
+        lambda state: replace(state, covariance=state.covariance[:, :-1]),
+        lambda state: replace(state, mean=np.full_like(state.mean, np.nan)),
+        lambda state: replace(state, covariance=-state.covariance),
+    ],
+)
+def test_a_state_that_cannot_be_is_refused(spoil) -> None:
+    with pytest.raises(ValueError, match="covariance"):
+        StochasticMap.of_state(KEEP, spoil(used_map().state))
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------

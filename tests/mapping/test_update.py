@@ -8,7 +8,6 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from slam_gym.geometry import observe, transform, wrap_angle
-from slam_gym.mapping.map_state import map_of_state, state_of
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.mapping.update import ACCEPTED, update
 from slam_gym.metrics.consistency import anees_interval, pose_nees
@@ -221,7 +220,7 @@ def along_group(x: Array, xi: Array) -> Array:
 
 def map_with(m: StochasticMap, spec: MapSpec) -> StochasticMap:
     """The same map under another spec."""
-    return map_of_state(spec, state_of(m))
+    return StochasticMap.of_state(spec, m.state)
 
 
 def test_round_a_loop_it_is_consistent_where_the_ordinary_error_is_not() -> None:

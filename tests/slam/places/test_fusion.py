@@ -7,7 +7,6 @@ from slam_gym.association import gcbb
 from slam_gym.geometry import relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.linear_algebra import is_covariance
-from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.slam.places.fusion import Fusion, MappedArea, find_duplicates, fuse, join_recognised, join_relocated
 from slam_gym.slam.places.recognition import RecognitionSpec
@@ -24,7 +23,7 @@ def try_to_join(first: Array, second: Array, seed: int) -> tuple[Fusion | None, 
     a = StochasticMap(MapSpec(unconfirmed_age=None))
     graph_a, graph_b = CovisibilityGraph(), CovisibilityGraph()
     enter(a, graph_a, first, rng, SIGMA)
-    b = successor(a)
+    b = a.successor()
     b.place(np.array([30.0, 5.0, 1.0]), np.zeros((3, 3)))
     enter(b, graph_b, second, rng, SIGMA)
     return join_recognised(MappedArea(a, graph_a), MappedArea(b, graph_b), np.arange(b.n), SPEC), a, b

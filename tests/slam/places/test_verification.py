@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.mapping.map_state import Columns, MapState, map_of_state
-from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.mapping.stochastic_map import MapSpec, MapState, StochasticMap
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.places.verification import agreeing, agreement
 from slam_gym.types import Array, IntArray
@@ -14,9 +13,10 @@ from slam_gym.types import Array, IntArray
 def map_of(positions: Array, covariance: Array) -> StochasticMap:
     """A map of features (n, 2) with this covariance (3 + 2n, 3 + 2n)."""
     n = len(positions)
-    zeros, unknown = np.zeros(n, np.int64), np.full(n, np.nan)
-    columns = Columns(np.arange(n), zeros + 5, zeros, zeros, unknown, unknown.copy(), np.full(n, -1))
-    return map_of_state(MapSpec(), MapState(np.append(np.zeros(3), positions.ravel()), covariance, columns, 9, n))
+    zeros = np.zeros(n, np.int64)
+    counted, sized = np.stack([np.arange(n), zeros + 5, zeros, zeros, zeros - 1]), np.full((2, n), np.nan)
+    mean = np.append(np.zeros(3), positions.ravel())
+    return StochasticMap.of_state(MapSpec(), MapState(mean, covariance, counted, sized, 9, n))
 
 
 def twice(rng: np.random.Generator, k: int, sigma: float = 0.05, motion: float = 0.5) -> tuple[StochasticMap, IntArray]:
