@@ -38,7 +38,7 @@ from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.types import Array, BoolArray, IntArray
 
 Infos = dict[str, Any]  # by key arrays (N, …); beside every `key`, `_key` (N,) tells which worlds have it
-Told = list[tuple[int, dict[str, Any]]]  # worlds and their infos, to be entered in this order
+WorldInfos = list[tuple[int, dict[str, Any]]]  # worlds and their infos, to be entered in this order
 
 _WORKER = "import sys; sys.path[:] = {path!r}; from slam_gym.envs.vector import serve; serve()"
 
@@ -214,12 +214,12 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
                 raise RuntimeError("a worker process has ended: make the environment anew") from error
             raise
 
-    def _outcome(self, told: list[Told]) -> tuple[Observation, Infos]:
+    def _outcome(self, pairs: list[WorldInfos]) -> tuple[Observation, Infos]:
         """The observations and infos of all worlds, the latter from what the groups tell."""
         shared: Any = self._shared["observation"]
         infos: Infos = {}
         self._started = True
-        for world, info in itertools.chain(*told):
+        for world, info in itertools.chain(*pairs):
             infos = self._add_info(infos, info, world)
         return {name: np.array(shared[name]) for name in shared.dtype.names}, infos
 
@@ -282,19 +282,19 @@ class _Worlds:
         except WorldError as error:
             return error
 
-    def reset(self, resets: Mapping[int, dict[str, Any]]) -> Told:
+    def reset(self, resets: Mapping[int, dict[str, Any]]) -> WorldInfos:
         """Begin an episode in each of these worlds, with these arguments."""
-        told: Told = []
+        pairs: WorldInfos = []
         for world in filter(self._envs.get, resets):
             with _numbered(world):
                 observation, info = self._envs[world].reset(**resets[world])
-            told.append((world, info))
+            pairs.append((world, info))
             self._hand_out(world, observation, info, 0.0, False, False)
-        return told
+        return pairs
 
-    def step(self) -> Told:
+    def step(self) -> WorldInfos:
         """Carry out the actions; where an episode was or is over, begin the next as the mode has it."""
-        told: Told = []
+        pairs: WorldInfos = []
         for world, env in self._envs.items():
             row = self._shared[world]
             with _numbered(world):
@@ -303,11 +303,11 @@ class _Worlds:
                 else:
                     observation, *ends, info = env.step(row["action"])
                 if (ends[1] or ends[2]) and self._autoreset is AutoresetMode.SAME_STEP:
-                    told.append((world, {"final_obs": observation, "final_info": info}))
+                    pairs.append((world, {"final_obs": observation, "final_info": info}))
                     observation, info = env.reset()
-            told.append((world, info))
+            pairs.append((world, info))
             self._hand_out(world, observation, info, *ends)
-        return told
+        return pairs
 
     def call(self, name: str, arguments: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
         """What the method or attribute of each world gives."""
