@@ -7,6 +7,7 @@ checkpoints/, progress.csv, and TensorBoard logs.
 from __future__ import annotations
 
 import contextlib
+import warnings
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -115,6 +116,7 @@ def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
 
 def _watch(out: Path, plan: TrainingPlan, start: int, held_out: VecEnv) -> EvalCallback:
     """What tries the present weights on held-out worlds, and keeps the best; of a resumed training, the best of all."""
+    warnings.filterwarnings("ignore", "Training and eval env", UserWarning)  # one has processes, the other needs none
     results = [np.load(path)["results"] for path in out.glob("held_out_from_*/evaluations.npz")]
     watch = (MaskableEvalCallback if plan.decision in CHOICES else EvalCallback)(
         held_out,
