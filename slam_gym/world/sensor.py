@@ -174,12 +174,6 @@ class Sensor:
         scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
         return scan, Truth(pose.copy(), sources[:m])
 
-    def in_sight(self, pose: Array, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS) -> IntArray:
-        """The features (k,) of the plan in sight from `pose`, all of them, without noise."""
-        count, _, seen = self._in_sight(pose, (people, furniture))
-        found: IntArray = seen[:count][seen[:count] >= 0]
-        return found
-
     def _in_sight(self, pose: Array, moving: Moving) -> tuple[int, Array, IntArray]:
         """What is in sight, as `measure` takes it."""
         most = len(self._positions) + len(moving[0])
