@@ -140,33 +140,19 @@ def keep(best: Best, path: Path, k: int, pose: Array, covariance: Array, distanc
         state[2] = r
 
 
-@compiled
 def decide(best: Best, gate: float) -> Found:
     """The rival with the least D².
 
-    Two poses are one place when their difference is compatible with both covariances together, `gate` being χ²_3. All
-    UNPAIRED and NaN where nothing was found.
+    Two poses are one place when their difference δ is compatible with both covariances together,
+    δᵀ(Σ_1 + Σ_2)⁻¹δ < `gate`, χ²_3. All UNPAIRED and NaN where nothing was found.
     """
-    if best.state[1] == 0:
-        return Found(np.full(best.features.shape[1], UNPAIRED), np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0)
-    b, ties = best.state[2], 0
-    for r in range(best.state[1]):
-        if r != b and not one_place(best.poses[b], best.covariances[b], best.poses[r], best.covariances[r], gate):
-            ties += 1
-    return Found(best.features[b].copy(), best.poses[b].copy(), best.covariances[b].copy(), best.distances[b], ties)
-
-
-@compiled
-def one_place(pose: Array, covariance: Array, other: Array, of_other: Array, gate: float) -> bool:
-    """Whether δᵀ(Σ_1 + Σ_2)⁻¹δ < gate for the difference δ of two poses (3,)."""
-    x, y, t = pose[0] - other[0], pose[1] - other[1], wrap_angle(pose[2] - other[2])
-    S = covariance + of_other
-    lxx = math.sqrt(S[0, 0])
-    lyx, ltx = S[1, 0] / lxx, S[2, 0] / lxx
-    lyy = math.sqrt(max(S[1, 1] - lyx * lyx, 1e-300))
-    lty = (S[2, 1] - ltx * lyx) / lyy
-    ltt = math.sqrt(max(S[2, 2] - ltx * ltx - lty * lty, 1e-300))
-    u = x / lxx
-    v = (y - lyx * u) / lyy
-    w = (t - ltx * u - lty * v) / ltt
-    return bool(u * u + v * v + w * w < gate)
+    _, rivals, b = best.state.tolist()
+    if rivals == 0:
+        nowhere = np.full(3, math.nan), np.full((3, 3), math.nan)
+        return Found(np.full(best.features.shape[1], UNPAIRED), *nowhere, 0.0, 0)
+    apart = best.poses[:rivals] - best.poses[b]
+    apart[:, 2] = [wrap_angle(turn) for turn in apart[:, 2].tolist()]
+    both = best.covariances[:rivals] + best.covariances[b]
+    squares = np.einsum("ra,ra->r", apart, np.linalg.solve(both, apart[:, :, None])[:, :, 0])
+    features, pose, covariance = best.features[b].copy(), best.poses[b].copy(), best.covariances[b].copy()
+    return Found(features, pose, covariance, float(best.distances[b]), int((squares >= gate).sum()))

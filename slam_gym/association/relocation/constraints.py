@@ -9,7 +9,6 @@ with marginals alone the gate of their distance would be far too loose.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -57,14 +56,6 @@ class Gates(NamedTuple):
     two: float  # χ²_2: distances of what is closer than its noise
 
 
-@dataclass(frozen=True, slots=True)
-class Pairing:
-    """Measurement i of the scan comes from feature j of the map."""
-
-    measurement: int
-    feature: int
-
-
 def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArray:
     """Which measurement may be which feature by size and kind alone, (m, n).
 
@@ -72,32 +63,6 @@ def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArr
     that is UNKNOWN_KIND say nothing and agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
     """
     return unary_table(*scan_arrays(scan)[2:], *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
-
-
-def binary(scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, confidence: float = 0.99) -> bool:
-    """Whether two pairings agree in the distance between their measurements and that between their features.
-
-    With g the distance, (g_scan − g_map)² < χ²_{1,conf} (σ²_scan + σ²_map), where σ²_scan = uᵀ(R_i + R_k)u and
-    σ²_map = uᵀ(P_jj + P_ll − P_jl − P_lj)u, u being the unit vector from one point to the other. Points closer than 4 σ
-    have no such direction: there |g_scan − g_map|, which never exceeds the error e of the difference vector, is held
-    against χ²_{2,conf} times the largest variance that e may have. Raises ValueError as `scan_arrays` and
-    `map_arrays` do, and where a measurement or a feature does not exist.
-    """
-    rows = _checked(scan, landmarks, (first, second))
-    return bool(_binary(*scan_arrays(scan)[:2], rows, mapped_of(map_arrays(landmarks)), gates(confidence)))
-
-
-def orientation(
-    scan: Scan, landmarks: Landmarks, first: Pairing, second: Pairing, third: Pairing, confidence: float = 0.99
-) -> bool:
-    """Whether three pairings go round in the same sense in scan and map, or the noise leaves it open.
-
-    The signed areas of the two triangles must have the same sign, unless noise explains the difference:
-    (A_scan − A_map)² < χ²_{1,conf} (σ²_scan + σ²_map), by linearisation with full cross-covariances. Raises ValueError
-    as `binary` does.
-    """
-    rows = _checked(scan, landmarks, (first, second, third))
-    return bool(_orientation(*scan_arrays(scan)[:2], rows, mapped_of(map_arrays(landmarks)), gates(confidence)))
 
 
 def gates(confidence: float) -> Gates:
@@ -108,13 +73,6 @@ def gates(confidence: float) -> Gates:
 def mapped_of(arrays: MapArrays) -> Mapped:
     """What the constraints look at of a map."""
     return Mapped(arrays[0], arrays[1], *arrays[5:])
-
-
-def _checked(scan: Scan, landmarks: Landmarks, pairings: tuple[Pairing, ...]) -> IntArray:
-    for pairing in pairings:
-        if not (0 <= pairing.measurement < len(scan) and 0 <= pairing.feature < len(landmarks)):
-            raise ValueError(f"{pairing}: there are {len(scan)} measurements and {len(landmarks)} features")
-    return np.array([(pairing.measurement, pairing.feature) for pairing in pairings])
 
 
 @compiled
@@ -198,7 +156,13 @@ def far_apart(error: float, spread: float, trace: float, of_other: float, gate: 
 
 @compiled
 def binary_test(scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k: int, l: int) -> bool:
-    """`binary` for the pairings (i, j) and (k, l)."""
+    """Whether pairings (i, j) and (k, l) agree in the distance of their measurements and that of their features.
+
+    With g the distance, (g_scan − g_map)² < χ²_{1,conf} (σ²_scan + σ²_map), where σ²_scan = uᵀ(R_i + R_k)u and
+    σ²_map = uᵀ(P_jj + P_ll − P_jl − P_lj)u, u being the unit vector from one point to the other. Points closer than 4 σ
+    have no such direction: there |g_scan − g_map|, which never exceeds the error e of the difference vector, is held
+    against χ²_{2,conf} times the largest variance that e may have.
+    """
     x, y = mapped.positions[l, 0] - mapped.positions[j, 0], mapped.positions[l, 1] - mapped.positions[j, 1]
     square, spread = x * x + y * y, scan.spreads[i, k]
     error = scan.distances[i, k] - math.sqrt(square)
@@ -217,7 +181,11 @@ def binary_test(scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k:
 def orientation_test(
     scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k: int, l: int, p: int, q: int
 ) -> bool:
-    """`orientation` for the pairings (i, j), (k, l) and (p, q)."""
+    """Whether pairings (i, j), (k, l) and (p, q) go round in the same sense in scan and map, or noise leaves it open.
+
+    The signed areas of the two triangles must have the same sign, unless noise explains the difference:
+    (A_scan − A_map)² < χ²_{1,conf} (σ²_scan + σ²_map), by linearisation with full cross-covariances.
+    """
     z, F = scan.points, mapped.positions
     seen = _twice_area(z[i, 0], z[i, 1], z[k, 0], z[k, 1], z[p, 0], z[p, 1])
     known = _twice_area(F[j, 0], F[j, 1], F[l, 0], F[l, 1], F[q, 0], F[q, 1])
@@ -259,15 +227,3 @@ def unary_table(
         for j in range(len(of_sizes)):
             table[i, j] = unary_test(sizes[i], variances[i], kinds[i], of_sizes[j], of_variances[j], of_kinds[j], gate)
     return table
-
-
-@compiled
-def _binary(points: Array, noise: Array, pairings: IntArray, mapped: Mapped, gates: Gates) -> bool:
-    (i, j), (k, l) = pairings[0], pairings[1]
-    return binary_test(measured(points, noise), mapped, gates, i, j, k, l)
-
-
-@compiled
-def _orientation(points: Array, noise: Array, pairings: IntArray, mapped: Mapped, gates: Gates) -> bool:
-    (i, j), (k, l), (p, q) = pairings[0], pairings[1], pairings[2]
-    return orientation_test(measured(points, noise), mapped, gates, i, j, k, l, p, q)

@@ -9,7 +9,6 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.relocation.answer import (
     Best,
-    Found,
     decide,
     location_gates,
     nothing_found,
@@ -57,7 +56,8 @@ def gcbb(
         raise ValueError(f"node_limit: {node_limit} is less than 1")
     levels, start = _from_centre(scan.points) if outwards else np.arange(len(scan)), time.perf_counter()
     problem = problem_of(scan, landmarks, locality, confidence)
-    found = _gcbb(problem, levels, location_gates(len(scan), confidence), node_limit, rivals)
+    gates = location_gates(len(scan), confidence)
+    found = decide(_gcbb(problem, levels, gates, node_limit, rivals), gates[-1])
     seconds = time.perf_counter() - start
     return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
@@ -71,7 +71,7 @@ def _from_centre(points: Array) -> IntArray:
 
 
 @compiled
-def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, rivals: bool) -> Found:
+def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, rivals: bool) -> Best:
     """The search, level l deciding measurement levels[l].
 
     By level: how many pairings there are above it, and how many candidates were tried.
@@ -104,7 +104,7 @@ def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, riv
             p += 1
         level += 1
         above[level], tried[level] = p, 0
-    return decide(best, gates[m + 1])
+    return best
 
 
 @compiled

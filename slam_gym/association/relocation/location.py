@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +25,6 @@ from slam_gym.validation import check_scan
 _ITERATIONS = 50
 _STEP = 1e-9  # [m, rad] converged when no component of a step is larger
 _FLOOR = 1e-12  # [m²] added to every variance, so that error-free points can be located too
-
-_DONE, _NO_FEATURE, _NO_COVARIANCE = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,39 +54,16 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
         integers(landmarks.block_columns),
         floats(landmarks.blocks),
     )
-    fault, pose, covariance, distance, pairings = _locate(
-        floats(scan.points), floats(scan.covariances), mapped, integers(features)
-    )
-    if fault == _NO_FEATURE:
+    paired = np.flatnonzero(features != UNPAIRED)
+    path, k = Path(paired, integers(features[paired])), len(paired)
+    if k and not (path.features.min() >= 0 and path.features.max() < len(landmarks)):
         raise ValueError(f"features: {features.tolist()} for a map of {len(landmarks)} features")
-    if fault == _NO_COVARIANCE:
+    pose, covariance, distance = np.full(3, math.nan), np.full((3, 3), math.nan), 0.0
+    if k >= 2:
+        distance = locate_pairings(floats(scan.points), floats(scan.covariances), mapped, path, k, pose, covariance)
+    if math.isnan(distance):
         raise ValueError(f"landmarks: the joint covariance of features {features.tolist()} is none, or not finite")
-    return Located(pose, covariance, distance, max(2 * pairings - 3, 0))
-
-
-class _Fit(NamedTuple):
-    fault: int
-    pose: Array  # (3,)
-    covariance: Array  # (3, 3)
-    distance: float  # D²
-    pairings: int
-
-
-@compiled
-def _locate(points: Array, noise: Array, mapped: Mapped, features: IntArray) -> _Fit:
-    path, k = Path(np.empty(len(features), np.int64), np.empty(len(features), np.int64)), 0
-    pose, pose_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
-    for i in range(len(features)):
-        if features[i] == UNPAIRED:
-            continue
-        if not 0 <= features[i] < len(mapped.positions):
-            return _Fit(_NO_FEATURE, pose, pose_covariance, 0.0, 0)
-        path.measurements[k], path.features[k] = i, features[i]
-        k += 1
-    if k < 2:
-        return _Fit(_DONE, pose, pose_covariance, 0.0, k)
-    distance = locate_pairings(points, noise, mapped, path, k, pose, pose_covariance)
-    return _Fit(_NO_COVARIANCE if math.isnan(distance) else _DONE, pose, pose_covariance, distance, k)
+    return Located(pose, covariance, distance, max(2 * k - 3, 0))
 
 
 @compiled

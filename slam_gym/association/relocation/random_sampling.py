@@ -11,7 +11,6 @@ import numpy as np
 from slam_gym._compile import compiled
 from slam_gym.association.relocation.answer import (
     Best,
-    Found,
     decide,
     keep,
     location_gates,
@@ -69,7 +68,8 @@ def random_sampling(
     drawn = tries(p_fail, p_good, sample) if m >= sample else 0
     samples = np.array([rng.permutation(m)[:sample] for _ in range(drawn)], np.int64).reshape(drawn, sample)
     start, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
-    found = _random_sampling(problem, location_gates(m, confidence), samples, node_limit)
+    gates = location_gates(m, confidence)
+    found = decide(_random_sampling(problem, gates, samples, node_limit), gates[-1])
     seconds = time.perf_counter() - start
     return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
 
@@ -81,7 +81,7 @@ def tries(p_fail: float, p_good: float, sample: int) -> int:
 
 
 @compiled
-def _random_sampling(problem: Problem, gates: Array, samples: IntArray, node_limit: int) -> Found:
+def _random_sampling(problem: Problem, gates: Array, samples: IntArray, node_limit: int) -> Best:
     """The best of all tries."""
     best = nothing_found(len(problem.where.allowed))
     for sample in samples:
@@ -89,7 +89,7 @@ def _random_sampling(problem: Problem, gates: Array, samples: IntArray, node_lim
             break
         problem.effort[TRIES] += 1
         _try(best, problem, gates, sample, node_limit)
-    return decide(best, gates[len(problem.where.allowed) + 1])
+    return best
 
 
 @compiled
