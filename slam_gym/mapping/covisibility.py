@@ -6,13 +6,11 @@ to each other on two sides of a wall are never seen together (Neira, Tardós and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._compile import compiled
-from slam_gym.mapping.linear_algebra import read_only
 from slam_gym.types import UNPAIRED, BoolArray, IntArray
 
 _ROOM, _WIDTH = 64, 16  # nodes and neighbours to make room for at first
@@ -37,11 +35,6 @@ class CovisibilityGraph:
         self._neighbours = np.zeros((_ROOM, _WIDTH), np.int64)
         self._counts = np.zeros((_ROOM, _WIDTH), np.int64)
         self._degrees = np.zeros(_ROOM, np.int64)
-        self._shown: tuple[IntArray, IntArray] | None = None  # read-only neighbours and degrees, once asked for
-
-    def __getstate__(self) -> dict[str, object]:
-        """A copy shows its own arrays, not copies of those that are shown."""
-        return self.__dict__ | {"_shown": None}
 
     @property
     def arrays(self) -> tuple[IntArray, IntArray, IntArray]:
@@ -58,7 +51,7 @@ class CovisibilityGraph:
         while self.n + more > room:
             room *= 2
         if room > len(self._degrees):
-            rows, self._shown = room - len(self._degrees), None
+            rows = room - len(self._degrees)
             self._degrees = np.pad(self._degrees, (0, rows))
             self._neighbours = np.pad(self._neighbours, ((0, rows), (0, 0)))
             self._counts = np.pad(self._counts, ((0, rows), (0, 0)))
@@ -66,7 +59,7 @@ class CovisibilityGraph:
     def widen(self, needed: int) -> None:
         """Room for so many neighbours of each node, or more."""
         columns = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
-        self._neighbours, self._shown = np.pad(self._neighbours, ((0, 0), (0, columns))), None
+        self._neighbours = np.pad(self._neighbours, ((0, 0), (0, columns)))
         self._counts = np.pad(self._counts, ((0, 0), (0, columns)))
 
     def add(self, count: int) -> None:
@@ -146,12 +139,6 @@ class CovisibilityGraph:
         """
         return among(self._neighbours, self._degrees, self.n, self._existing(features, 0))
 
-    def among_rows(self, features: IntArray) -> LocalRows:
-        """`among` for rows of `features` (k,), from read-only arrays that go on with the graph: `Prediction.local`."""
-        if self._shown is None:
-            self._shown = read_only(self._neighbours), read_only(self._degrees)
-        return LocalRows(*self._shown, self.n, features)
-
     def _existing(self, features: IntArray, lowest: int) -> IntArray:
         features = np.ascontiguousarray(features, dtype=np.int64)
         if ((features < lowest) | (features >= self.n)).any():
@@ -184,19 +171,6 @@ def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
     graph._counts[ends[order], at] = np.concatenate([edges.counts, edges.counts])[order]
     graph._degrees[:n] = degrees
     return graph
-
-
-@dataclass(frozen=True, slots=True)
-class LocalRows:
-    """Which of chosen rows are local to each other: rows (j,) -> (j, j), symmetric, true on the diagonal."""
-
-    neighbours: IntArray  # (n, width) ascending
-    degrees: IntArray  # (n,)
-    n: int
-    features: IntArray  # (k,) node of each row
-
-    def __call__(self, rows: IntArray) -> BoolArray:
-        return among(self.neighbours, self.degrees, self.n, self.features[rows])
 
 
 @compiled
