@@ -208,7 +208,7 @@ def redraw(
         cell = journal[i]
         if hits[cell] == old_hits[i] and crossings[cell] == old_crossings[i]:
             continue
-        weight = HIT * np.int64(hits[cell]) + MISS * np.int64(crossings[cell])
+        weight = int(HIT) * int(hits[cell]) + int(MISS) * int(crossings[cell])
         layers.evidence.ravel()[cell] = min(SATURATION, max(-SATURATION, weight))
         seen = UNKNOWN if hits[cell] + crossings[cell] == 0 else (WALL if weight > 0 else FREE)
         if layers.cells.ravel()[cell] != seen:

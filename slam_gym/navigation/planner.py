@@ -76,8 +76,10 @@ class DistanceField:
         stride, ways = max(1, round(spacing / self.resolution)), []
         for goal in goals:
             cell = self.cell(goal)
-            reached = cell is not None and math.isfinite(self.costs[cell])
-            ways.append(_trace(self.steps, *cell)[::-stride][::-1] if reached else np.empty((0, 2), np.int64))
+            if cell is None or not math.isfinite(self.costs[cell]):
+                ways.append(np.empty((0, 2), np.int64))
+            else:
+                ways.append(_trace(self.steps, *cell)[::-stride][::-1])
         cells = np.concatenate([np.empty((0, 2), np.int64), *ways])
         counts = np.array([len(way) for way in ways], np.int64)
         return self.origin + (cells[:, ::-1] + 0.5) * self.resolution, counts

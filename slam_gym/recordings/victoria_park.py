@@ -117,8 +117,8 @@ def _detections(path: Path, cells: Array, scans: int) -> list[Array]:
     if cells.dtype != object or cells.size != scans:
         raise RecordingError(f"{path}: variable 'zt': expected {scans} cells, found {cells.dtype} {cells.shape}")
     tables = []
-    for k, cell in enumerate(cells.ravel(), 1):
-        cell = np.asarray(cell)
+    for k, entry in enumerate(cells.ravel(), 1):
+        cell = np.asarray(entry)
         if cell.dtype.kind not in "fiu" or cell.size % 3 or not (np.abs(cell) <= _FARTHEST).all():
             raise RecordingError(f"{path}: variable 'zt': cell {k} is no table of 3 rows of finite numbers")
         tables.append(cell.astype(np.float64).reshape(3, -1).T)
