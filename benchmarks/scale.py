@@ -88,7 +88,7 @@ def drive(count: int, per_map: int | None, joined: bool, seed: int) -> Record:
         times.append(taken)
         source |= dict(zip(step.ids[step.created].tolist(), seen[step.created].tolist()))
     maps = [slam.map] if per_map is None else list(slam.maps)
-    bases = [np.zeros(3)] if per_map is None else list(slam.maps.bases)
+    bases = [np.zeros(3)] if per_map is None else list(slam.bases)
     ids = np.concatenate([m.ids for m in maps])
     places = transform(way[0], np.concatenate([transform(base, m.positions) for base, m in zip(bases, maps)]))
     row: Record = {"features": count, "map": "one" if per_map is None else "local", "maps": len(maps)}

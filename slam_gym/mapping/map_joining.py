@@ -12,7 +12,6 @@ update with the noise-free measurement F_a − F_b = 0, and one of each pair is 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -26,35 +25,31 @@ UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
 """[m², m², rad²] Covariance of a pose, or of the relation of two maps, before it is found: it says nothing."""
 
 
-def join(a: StochasticMap, b: StochasticMap, *, renumber: bool = False) -> StochasticMap:
+def join(a: StochasticMap, b: StochasticMap) -> StochasticMap:
     """Both maps in the base of `a`: the features of `a`, then those of `b`, none of them matched yet.
 
-    The robot is that of `b`, whose base is the robot of `a`; the settings are those of `a`. With `renumber` the ids of
-    `b` are raised by the number of ids that `a` has given. Raises ValueError where an id would be given twice.
+    The robot is that of `b`, whose base is the robot of `a`; the settings are those of `a`. Raises ValueError where
+    both have given an id.
     """
     first, second = a.state, b.state
-    given = second.next_id
-    if renumber:
-        second.counted[ekf.IDS] += first.next_id
-        given += first.next_id
     twice = np.intersect1d(first.counted[ekf.IDS], second.counted[ekf.IDS])
     if len(twice):
-        raise ValueError(f"ids: both maps have features {twice[:5].tolist()}; join with renumber=True")
+        raise ValueError(f"ids: both maps have features {twice[:5].tolist()}")
     mean, covariance = joined_estimate(first.mean, first.covariance, second.mean, second.covariance)
-    step, ids = max(first.step, second.step), max(first.next_id, given)
+    step, next_id = max(first.step, second.step), max(first.next_id, second.next_id)
     counted = np.concatenate([first.counted, second.counted], axis=1)
     sized = np.concatenate([first.sized, second.sized], axis=1)
-    return StochasticMap.of_state(a.spec, MapState(mean, covariance, counted, sized, step, ids))
+    return StochasticMap.of_state(a.spec, MapState(mean, covariance, counted, sized, step, next_id))
 
 
-def join_at(a: StochasticMap, b: StochasticMap, base: Array, *, renumber: bool = False) -> StochasticMap:
+def join_at(a: StochasticMap, b: StochasticMap, base: Array) -> StochasticMap:
     """Both maps in the base of `a`, that of `b` at the pose `base` (3,), of which nothing is known for certain.
 
     What is known of it comes with `equate`. Neither map is changed. Raises as `join`.
     """
     placed = a.copy()
     placed.place(base, UNKNOWN_POSE)
-    return join(placed, b, renumber=renumber)
+    return join(placed, b)
 
 
 def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Local maps as a mode of the core, on the corridor."""
+"""Local maps on the corridor, what joins them, and how features that two maps hold are found."""
 
 import functools
 import math
@@ -6,16 +6,19 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.geometry import wrap_angle
+from slam_gym.geometry import compose, relative, wrap_angle
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, locality_sizes
-from slam_gym.mapping.stochastic_map import MapSpec
+from slam_gym.mapping.map_joining import join
+from slam_gym.mapping.map_state import successor
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import anees_interval, nees
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.slam.local_maps import LocalMapSlam
+from slam_gym.slam.local_maps import LocalMapSlam, jointly_compatible
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import Array, Odometry, Scan
+from slam_gym.types import Array, IntArray, Odometry, Scan
 from slam_gym.world import corridor
+from tests.oracles.association import gate
 
 WORLD = corridor.features()
 
@@ -32,7 +35,7 @@ class Loop:
         self.pose, self.starts, self.views, self.scans = np.zeros(3), [np.zeros(3)], [], []
         for step, (odometry, scan, seen) in enumerate(corridor.walk_round(rng)):
             if ask and step and step % ask == 0:
-                self.slam.new_map()
+                self.slam.close_map()
             self.pose = seen.pose
             self.scans.append(seen.sources)
             before = len(self.slam.maps)
@@ -58,14 +61,15 @@ def loop(seed: int, features_per_map: int | None, truth: bool = True) -> Loop:
     return Loop(seed, features_per_map, truth=truth)
 
 
-def test_maps_are_closed_when_full_and_start_from_nothing() -> None:
-    run = loop(0, 20)
-    assert len(run.slam.maps) > 5
-    for closed in list(run.slam.maps)[:-1]:
-        assert 20 <= closed.n < 40
-    for base, start in zip(run.slam.maps.bases, run.starts):
+def test_maps_are_closed_when_full_and_start_certain_where_the_last_one_ended() -> None:
+    slam, starts = loop(0, 20).slam, loop(0, 20).starts
+    assert len(slam.maps) > 5 and all(20 <= closed.n < 40 for closed in slam.maps[:-1])
+    for base, start in zip(slam.bases, starts):
         np.testing.assert_allclose(base[:2], start[:2], atol=2.0)
-    np.testing.assert_array_equal(run.slam.maps.bases[0], np.zeros(3))
+    for closed, base, after in zip(slam.maps, slam.bases, slam.bases[1:]):
+        np.testing.assert_allclose(relative(base, after), closed.pose, atol=1e-12)
+    np.testing.assert_array_equal(slam.bases[0], np.zeros(3))
+    np.testing.assert_allclose(slam.pose, compose(slam.bases[-1], slam.map.pose))
 
 
 def test_each_map_is_right_in_its_base_and_begins_as_certain_as_a_scan() -> None:
@@ -158,6 +162,27 @@ def test_at_a_border_no_local_map_holds_what_the_robot_sees() -> None:
     assert max(np.isin(in_view, covisible(graph).of(j)).mean() for j in in_view) == 1.0
 
 
+def test_joining_leaves_each_feature_once_under_its_oldest_id_and_closed_maps_are_joined_once() -> None:
+    calls: list[int] = []
+
+    def match(m: StochasticMap, older: IntArray, newer: IntArray) -> IntArray:
+        calls.append(len(newer))
+        sources = run.identities.source_of(m.ids)
+        first = {int(source): int(j) for j, source in zip(older[::-1], sources[older[::-1]])}
+        pairs = [(first[int(sources[i])], int(i)) for i in newer if int(sources[i]) in first]
+        return np.array(pairs, np.int64).reshape(-1, 2)
+
+    run = Loop(0, 20)
+    run.slam._match = match
+    joined, joins = run.slam.joined(), len(run.slam.maps) - 1
+    sources, ids = run.identities.source_of(joined.ids), np.concatenate([m.ids for m in run.slam.maps])
+    assert len(calls) == joins and len(np.unique(sources)) == len(sources)
+    for source, i in zip(sources, joined.ids):
+        assert i == ids[run.identities.source_of(ids) == source].min()
+    joined.remove(np.arange(joined.n))  # what was handed out is no window
+    assert run.slam.joined().n == len(sources) and len(calls) == joins + 1  # the current map alone is matched again
+
+
 def test_a_new_map_on_demand() -> None:
     asked = Loop(3, None, ask=10)
     assert len(asked.slam.maps) == 5
@@ -189,3 +214,94 @@ def test_a_bad_scan_is_refused_before_a_new_map_begins() -> None:
     np.testing.assert_array_equal(slam.map.pose_covariance, before)
     with pytest.raises(ValueError, match="features_per_map"):
         LocalMapSlam(SlamSpec(), 0)
+
+
+# --- what two maps hold -----------------------------------------------------------------------------------------------
+
+
+def two_maps(rng: np.random.Generator, shared: int, own: int, spread: float = 1.2) -> tuple[StochasticMap, IntArray]:
+    """A join of two small crowded maps; the number of older features, and the true pairs."""
+    landmarks = np.array([2.0, 0.0]) + rng.uniform(-spread, spread, (shared + 2 * own, 2))
+    base = np.array([0.3, -0.2, 0.1])
+    groups = [np.arange(shared + own), np.concatenate([np.arange(shared), np.arange(shared + own, len(landmarks))])]
+    Q, sigma, maps = np.diag([0.15, 0.15, 0.05]) ** 2, 0.12, [StochasticMap(MapSpec(unconfirmed_age=None))]
+    for group, pose in zip(groups, (np.zeros(3), base)):
+        seen = np.array([relative(pose, np.array([*landmark, 0.0]))[:2] for landmark in landmarks[group]])
+        scan = Scan.from_points(seen + sigma * rng.standard_normal(seen.shape), sigma=sigma)
+        maps[-1].add(scan, np.arange(len(group)))
+        maps.append(successor(maps[-1]))
+    maps[0].predict(Odometry(base + np.sqrt(np.diag(Q)) * rng.standard_normal(3), Q))
+    pairs = np.column_stack([np.arange(shared), shared + own + np.arange(shared)])
+    return join(maps[0], maps[1]), pairs
+
+
+def pair_distance(x: Array, P: Array, pairs: list[tuple[int, int]]) -> float:
+    """D² of F_i = F_j for all pairs (j, i), by the formula: ν = H x, S = H P Hᵀ with H = [… I … −I …]."""
+    j, i = ((3 + 2 * np.array(column)[:, None] + np.arange(2)).ravel() for column in zip(*pairs))
+    HP = P[i] - P[j]
+    nu = x[i] - x[j]
+    return float(nu @ np.linalg.solve(HP[:, i] - HP[:, j], nu))
+
+
+def best_pairs(m: StochasticMap, older: int) -> tuple[int, float]:
+    """Most pairs, then least D², over every one-to-one path of jointly compatible prefixes."""
+    best, x, P = (0, 0.0), m.mean, m.covariance
+    stack: list[tuple[int, list[tuple[int, int]]]] = [(older, [])]
+    options = {
+        i: [j for j in range(older) if pair_distance(x, P, [(j, i)]) < gate(2, 0.9999)] for i in range(older, m.n)
+    }
+    while stack:
+        i, pairs = stack.pop()
+        if i == m.n:
+            distance = pair_distance(x, P, pairs) if pairs else 0.0
+            if len(pairs) > best[0] or (len(pairs) == best[0] and distance < best[1]):
+                best = (len(pairs), distance)
+            continue
+        stack.append((i + 1, pairs))
+        for j in options[i]:
+            longer = [*pairs, (j, i)]
+            if all(j != used for used, _ in pairs) and pair_distance(x, P, longer) < gate(2 * len(longer), 0.99):
+                stack.append((i + 1, longer))
+    return best
+
+
+def test_what_two_maps_hold_is_the_best_of_all_paths() -> None:
+    rng, largest, worse = np.random.default_rng(0), 0, 0
+    for _ in range(150):
+        shared, own = int(rng.integers(0, 4)), int(rng.integers(0, 3))
+        m, _ = two_maps(rng, shared, own)
+        pairs = [(int(j), int(i)) for j, i in jointly_compatible(m, *np.split(np.arange(m.n), [shared + own]))]
+        assert len({j for j, _ in pairs}) == len({i for _, i in pairs}) == len(pairs)
+        distance = pair_distance(m.mean, m.covariance, pairs) if pairs else 0.0
+        assert not pairs or distance < gate(2 * len(pairs), 0.99)
+        count, least = best_pairs(m, shared + own)
+        largest = max(largest, count)
+        worse += (len(pairs), distance) != (count, pytest.approx(least, rel=1e-6, abs=1e-9))
+    assert largest >= 4 and worse <= 3  # after so many searches, the best so far is taken
+
+
+def test_features_in_common_are_found_under_a_poor_relation() -> None:
+    rng, right, wrong = np.random.default_rng(1), 0, 0
+    for _ in range(40):
+        m, true = two_maps(rng, 6, 2, spread=3.0)
+        found = jointly_compatible(m, np.arange(8), np.arange(8, 16))
+        hits = len(set(map(tuple, found.tolist())) & set(map(tuple, true.tolist())))
+        right, wrong = right + hits, wrong + len(found) - hits
+    assert right > 0.9 * 240 and wrong < 0.15 * right
+
+
+def test_sizes_and_kinds_tell_features_apart() -> None:
+    m, exact = StochasticMap(), np.tile(0.01 * np.eye(2), (4, 1, 1))
+    points = np.array([[1.0, 0.0], [3.0, 0.0], [1.02, 0.0], [3.01, 0.0]])
+    sizes, variances = np.array([0.2, 0.5, 0.9, 0.5]), np.full(4, 1e-3)
+    m.add(Scan(points, exact, sizes, variances, np.array([0, 1, 0, 1])), np.arange(4))
+    np.testing.assert_array_equal(jointly_compatible(m, np.arange(2), np.arange(2, 4)), [[1, 3]])
+    m = StochasticMap()
+    m.add(Scan(points, exact, np.full(4, np.nan), np.full(4, np.nan), np.array([0, 1, 0, 2])), np.arange(4))
+    np.testing.assert_array_equal(jointly_compatible(m, np.arange(2), np.arange(2, 4)), [[0, 2]])
+
+
+def test_nothing_to_compare_gives_no_pairs() -> None:
+    m, _ = two_maps(np.random.default_rng(4), 2, 1)
+    for older, newer in (([], []), ([0], []), ([], [5])):
+        assert jointly_compatible(m, np.array(older, np.int64), np.array(newer, np.int64)).shape == (0, 2)

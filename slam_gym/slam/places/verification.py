@@ -44,10 +44,7 @@ def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
 
     Raises ValueError where a feature does not exist; LinAlgError where it is in two pairs.
     """
-    k, positions = len(pairs), m.positions
-    P = m.covariance_of(pairs.T.ravel())
-    HP = P[2 * k :] - P[: 2 * k]
-    C = HP[:, 2 * k :] - HP[:, : 2 * k]
+    k, positions, C = len(pairs), m.positions, difference_covariance(m, pairs)
     moved = positions[pairs[:, 1]]
     nu, G = (moved - positions[pairs[:, 0]]).ravel(), rigid_motions(moved)
     W = np.linalg.inv(0.5 * (C + C.T) + _FLOOR * np.eye(2 * k))
@@ -57,6 +54,14 @@ def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
     added = np.einsum("ki,kij,kj->k", left, np.linalg.inv(Q.reshape(k, 2, k, 2)[rows, :, rows, :]), left)
     shape = max(float(nu @ Q @ nu), 0.0)
     return Agreement(shape, 2 * k - 3, max(float(nu @ W @ nu) - shape, 0.0), added)
+
+
+def difference_covariance(m: StochasticMap, pairs: IntArray) -> Array:
+    """(2k, 2k) [m²] of F_i − F_j for all pairs (j, i) of an older and a newer feature, (k, 2), together."""
+    k, P = len(pairs), m.covariance_of(pairs.T.ravel())
+    HP = P[2 * k :] - P[: 2 * k]
+    C: Array = HP[:, 2 * k :] - HP[:, : 2 * k]
+    return C
 
 
 def agreeing(m: StochasticMap, pairs: IntArray, spec: RecognitionSpec, *, prior: bool) -> IntArray:
