@@ -141,17 +141,6 @@ def test_joined_maps_are_consistent() -> None:
     assert low < sum(values) / dofs < high
 
 
-def test_stays_psd_through_many_joins() -> None:
-    rng = np.random.default_rng(5)
-    landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (30, 2))
-    steps = list(wander(rng, 150, landmarks))
-    joined, _ = halves(steps, list(range(5, 150, 5)))
-    eigenvalues = np.linalg.eigvalsh(joined.covariance)
-    assert np.array_equal(joined.covariance, joined.covariance.T)
-    assert eigenvalues[0] > -1e-9 * eigenvalues[-1]
-    assert np.all(np.diagonal(joined.covariance) > 0.0)
-
-
 def test_joining_never_makes_a_feature_of_the_older_map_less_certain() -> None:
     rng = np.random.default_rng(6)
     landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (25, 2))
@@ -162,22 +151,6 @@ def test_joining_never_makes_a_feature_of_the_older_map_less_certain() -> None:
     before, after = alone.covariances, both.covariances[: len(sources)]
     assert np.linalg.eigvalsh(before - after).min() > -1e-12
     assert np.trace(after.sum(axis=0)) < 0.99 * np.trace(before.sum(axis=0))
-
-
-def test_a_joined_map_goes_on_as_a_map() -> None:
-    """The filter can be run on from it: predict, update, add, remove."""
-    rng = np.random.default_rng(7)
-    landmarks = rng.uniform([-4.0, -2.0], [5.0, 7.0], (25, 2))
-    steps = list(wander(rng, 60, landmarks))
-    joined, sources = halves(steps[:40], [20])
-    on = KnownAssociation(joined)
-    on.sources = sources
-    for step in steps[40:]:
-        on.step(step)
-    x, P = by_source(on.map, on.sources)
-    error = x - np.concatenate([steps[-1].pose, landmarks[np.sort(on.sources)].ravel()])
-    assert nees(error, P) < 2.0 * len(x)
-    assert len(set(on.map.ids.tolist())) == on.map.n
 
 
 # --- bookkeeping ------------------------------------------------------------------------------------------------------
@@ -232,36 +205,11 @@ def test_ids_are_given_once() -> None:
         join(a, a)
 
 
-def test_joining_with_an_empty_map_is_a_change_of_base() -> None:
-    a, b = two_small_maps()
-    alone = join(a, StochasticMap(KEEP))
-    np.testing.assert_allclose(alone.mean, a.mean, atol=1e-12)
-    np.testing.assert_allclose(alone.covariance, a.covariance, atol=1e-12)
-    same = join(StochasticMap(KEEP), b)
-    np.testing.assert_allclose(same.mean, b.mean, atol=1e-12)
-    np.testing.assert_allclose(same.covariance, b.covariance, atol=1e-12)
-
-
 @pytest.mark.parametrize("pairs", [[[0, 6]], [[-1, 2]], [[0, 3], [1, 3]], [[0, 1], [1, 2]], [[2, 2]]])
 def test_pairs_that_make_no_sense_are_refused(pairs: list[list[int]]) -> None:
     a, b = two_small_maps()
     with pytest.raises(ValueError, match="pairs"):
         equate(join(a, b), np.array(pairs))
-
-
-def test_two_features_known_exactly_cannot_be_made_equal() -> None:
-    m, exact = StochasticMap(KEEP), make_scan(np.array([[1.0, 0.0], [2.0, 0.0]]), np.zeros((2, 2, 2)))
-    m.add(exact, np.arange(2))
-    with pytest.raises(ValueError, match="singular"):
-        equate(m, np.array([[0, 1]]))
-
-
-def test_no_pairs_change_nothing() -> None:
-    a, b = two_small_maps()
-    m = join(a, b)
-    same = equate(m, np.empty((0, 2), np.int64))
-    np.testing.assert_array_equal(same.mean, m.mean)
-    np.testing.assert_array_equal(same.covariance, m.covariance)
 
 
 def random_pairs(rng: np.random.Generator, n: int) -> IntArray:

@@ -13,9 +13,8 @@ from slam_gym.metrics.map_quality import align_se2
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
-from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import IntArray, Odometry, Truth
+from slam_gym.types import IntArray, Truth
 from tests.slam.rings import VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
@@ -131,16 +130,6 @@ def test_nothing_changes_to_the_last_bit_while_nothing_is_found() -> None:
     np.testing.assert_array_equal(plain.map.covariance, atlas.map.covariance)
 
 
-def test_the_same_log_makes_the_same_map() -> None:
-    log, maps = loop_drive(3, 340, 100, 0.014), []
-    for _ in range(2):
-        slam = Slam(SPEC, relocate=relocate_by("gcbb"), atlas=AtlasSpec())
-        map_it(slam, log)
-        maps.append(slam.map)
-    np.testing.assert_array_equal(maps[0].mean, maps[1].mean)
-    np.testing.assert_array_equal(maps[0].ids, maps[1].ids)
-
-
 def test_old_features_that_are_ambiguous_are_not_offered_and_others_are() -> None:
     log = loop_drive(2)
     offered, known = {}, {}
@@ -197,10 +186,3 @@ def test_an_atlas_without_relocation_is_refused() -> None:
 def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         AtlasSpec(**wrong)  # type: ignore[arg-type]
-
-
-def test_bad_numbers_are_refused_as_by_slam() -> None:
-    slam, log = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY), loop_drive(0, 2)
-    bad = Odometry(np.array([np.nan, 0.0, 0.0]), np.eye(3))
-    with pytest.raises(ValueError, match="odometry"):
-        slam.step(bad, log.steps[0][1])

@@ -117,11 +117,16 @@ def test_a_doubt_stands_until_a_scan_pairs_something() -> None:
 
 
 def test_what_the_last_scan_paired_is_followed_through_removals() -> None:
-    tracker, out_of_view = Tracker(0.3, 3, 4), prediction(np.full(FEATURES, 0.05))
-    assert not doubts(tracker, out_of_view, paired(5))
-    became = np.arange(FEATURES) - 1
-    became[0] = UNPAIRED
-    tracker.renumber(became)
-    assert [feature for feature in tracker._last_paired.tolist() if feature != UNPAIRED] == [0, 1, 2, 3]
+    out_of_view, gone = prediction(np.full(FEATURES, 0.05)), np.full(FEATURES, UNPAIRED)
+    for became, doubted in ((np.arange(FEATURES), True), (gone, False)):
+        tracker = Tracker(0.3, 3, 4)
+        assert not doubts(tracker, out_of_view, paired(5))
+        tracker.renumber(became)
+        assert doubts(tracker, out_of_view, paired(0)) is doubted
+
+
+def test_in_another_map_nothing_is_expected_of_the_last_one() -> None:
+    tracker = Tracker(0.3, 1, 4)
+    assert not doubts(tracker, prediction(), paired(5)) and doubts(tracker, prediction(), paired(0)) and tracker.lost
     tracker.forget()
-    assert not len(tracker._last_paired) and tracker.doubted == 0
+    assert not tracker.lost and not doubts(tracker, prediction(), paired(0))

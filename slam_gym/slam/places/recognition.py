@@ -126,15 +126,12 @@ def recognise(
 
 
 def as_scan(m: StochasticMap, group: IntArray) -> Scan:
-    """Features `group` (g,) of a map as if they were measured from its base, with conservative covariances.
+    """Features `group` (g,), g ≥ 3, of a map as if they were measured from its base, with conservative covariances.
 
-    See the head of this file. Raises ValueError for fewer than three features, or ones that do not exist.
+    See the head of this file.
     """
-    group = np.asarray(group, dtype=np.int64)
-    if len(group) < 3 or group.min() < 0 or group.max() >= m.n:
-        raise ValueError(f"group: {group.tolist()} are not three or more features of a map of {m.n}")
     points = m.positions[group]
-    shape = shape_covariance(points, m.covariance_of(group))
+    shape = _shape_covariance(points, m.covariance_of(group))
     g = np.arange(len(group))
     blocks = shape.reshape(len(group), 2, len(group), 2)[g, :, g, :] + _FLOOR * np.eye(2)
     roots = np.linalg.cholesky(blocks)
@@ -145,7 +142,7 @@ def as_scan(m: StochasticMap, group: IntArray) -> Scan:
     return Scan(points, covariances, m.sizes[group], m.size_variances[group], m.kinds[group])
 
 
-def shape_covariance(points: Array, P: Array) -> Array:
+def _shape_covariance(points: Array, P: Array) -> Array:
     """J P Jᵀ (2g, 2g): the covariance of points (g, 2), less every motion of all of them together."""
     G = rigid_motions(points)
     J = np.eye(len(G)) - G @ np.linalg.pinv(G)
