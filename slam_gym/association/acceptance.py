@@ -27,6 +27,10 @@ Buildings are no Poisson process: corners and doors repeat along walls, and chan
 should. So one more is required, unless the pairings explain most of the scan, which in another building they do not.
 (To refuse what is no better than for the mirror image of the scan in the same map makes wrong answers as few, but costs
 a sixth of the right ones: many a room is its own mirror image.)
+
+With a prior on the pose the same is asked of old features, which the robot has not seen lately and so knows less well
+from where it is: how many others are expected in the gate of one. Those with too many are not offered to associators
+(`unambiguous_rows`), and pairings with the others stand once chance hardly brings them all (`reject_accidental`).
 """
 
 from __future__ import annotations
@@ -42,7 +46,8 @@ from slam_gym._compile import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import floats, integers, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of, unary_table
-from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray, Landmarks, Scan
+from slam_gym.mapping.ekf import relative_covariance
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
 
 EXPLAINED = 0.7  # fraction of a scan that, once paired, needs no margin
 _SAMPLE = 1000  # landmarks looked at for their errors and for what passes the unary constraints
@@ -237,3 +242,86 @@ def _relative_variance(mapped: Mapped, sample: IntArray, neighbours: IntArray) -
         xx, _, yy = difference_covariance(mapped, j, neighbours[j])
         total += 0.25 * max(xx + yy, 0.0)
     return total / len(sample) if len(sample) > 0 else math.nan
+
+
+Rows = tuple[IntArray, BoolArray, Array, Array, IntArray]
+"""Of the rows of a prediction: features, which of them are near, positions (k, 2), covariances (k, 2, 2), sightings."""
+
+
+@compiled
+def unambiguous_rows(rows: Rows, P: Array, per_area: float, most: float, kept: IntArray) -> int:
+    """Rows of a prediction but for old features with more than `most` accidental matches to be expected.
+
+    Old are features near none of those lately paired. How well one is known is taken relative to the feature amid those
+    that are near: what the robot does not know of its own place is the same for all. How many others are in its gate is
+    taken from the area of that, as if features were spread evenly.
+
+    `P` is the covariance of the map, upper triangle; `per_area` the number of features in a gate for each [m²] of √det
+    of its covariance. The rows are entered in `kept` (k,); returns their number.
+    """
+    features, near, positions, _, _ = rows
+    x = y = 0.0
+    around = 0
+    for row in range(len(near)):
+        if near[row]:
+            x, y, around = x + positions[row, 0], y + positions[row, 1], around + 1
+    amid, least = UNPAIRED, math.inf
+    for row in range(len(near)):
+        if near[row]:
+            u, v = positions[row, 0] - x / around, positions[row, 1] - y / around
+            if u * u + v * v < least:
+                amid, least = features[row], u * u + v * v
+    count = 0
+    for row in range(len(near)):
+        if not near[row] and amid != UNPAIRED:
+            xx, xy, yy = relative_covariance(P, amid, features[row])
+            if per_area * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
+                continue
+        kept[count] = row
+        count += 1
+    return count
+
+
+@compiled
+def reject_accidental(
+    features: IntArray, rows: Rows, noise: Array, gate: float, confirmations: int, max_probability: float
+) -> int:
+    """Make the pairings (m,) with old features UNPAIRED if all of them may be accidental; returns how many that were.
+
+    Where an old feature is paired, another one may be what was measured, one that is not mapped yet. How many others
+    are to be expected in the gate the map itself tells: it is how many stand so near each feature on average. That all
+    of the pairings are accidental has the product of these numbers for its probability, and they stand where it is at
+    most `max_probability`. Features seen in fewer scans than confirm one do not count.
+    """
+    probability, old = 1.0, np.full(len(features), UNPAIRED)
+    for i in range(len(features)):
+        for row in range(len(rows[0])):
+            if rows[0][row] == features[i] and not rows[1][row]:
+                old[i] = row
+        if old[i] != UNPAIRED:
+            probability *= min(1.0, _accidental_matches(old[i], rows, noise[i], gate, confirmations))
+    rejected = 0
+    if probability > max_probability:
+        for i in range(len(features)):
+            if old[i] != UNPAIRED:
+                features[i] = UNPAIRED
+                rejected += 1
+    return rejected
+
+
+@compiled
+def _accidental_matches(row: int, rows: Rows, noise: Array, gate: float, confirmations: int) -> float:
+    """How many other features there are on average so near a feature as the gate of that in `row` is wide."""
+    _, _, positions, covariances, sightings = rows
+    xx, yy = covariances[row, 0, 0] + noise[0, 0], covariances[row, 1, 1] + noise[1, 1]
+    xy = covariances[row, 0, 1] + noise[0, 1]
+    limit, pairs, count = gate * (xx * yy - xy * xy), 0, 0
+    for a in range(len(positions)):
+        if sightings[a] < confirmations:
+            continue
+        count += 1
+        for b in range(a):
+            x, y = positions[a, 0] - positions[b, 0], positions[a, 1] - positions[b, 1]
+            near = x * x < gate * xx and yy * x * x - 2.0 * xy * x * y + xx * y * y < limit
+            pairs += 2 * (near and sightings[b] >= confirmations)
+    return pairs / max(count, 1)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -311,6 +312,19 @@ Associator = Callable[[Scan, Prediction], Hypothesis]
 NO_SIGHTINGS: IntArray = np.empty(0, np.int64)
 
 
+class StartRule(Enum):
+    """Why measurements have started features. Those of one scan have all done so by one rule."""
+
+    FITS_NOTHING = "unpaired, and compatible with nothing that was expected"
+    FITS_NOTHING_NEAR = "pairings with old features were rejected as accidental: compatible with nothing seen lately"
+    ASSOCIATOR = "the associator says that they are new"
+
+    @classmethod
+    def of(cls, hypothesis: Hypothesis) -> StartRule:
+        """The rule for a hypothesis that is learned from as it is."""
+        return cls.FITS_NOTHING if hypothesis.new is None else cls.ASSOCIATOR
+
+
 @quick
 @dataclass(frozen=True, slots=True)
 class SlamStep:
@@ -323,8 +337,9 @@ class SlamStep:
     prediction: Prediction  # before the scan
     hypothesis: Hypothesis
     ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NO_ID = discarded
-    created: BoolArray  # (m,) the measurement started a feature
+    created: BoolArray  # (m,) the measurement started a feature …
     removed: IntArray  # ids of the features that the map has no longer at the end of the step
+    rule: StartRule = StartRule.FITS_NOTHING  # … and why
     returned: IntArray = field(default_factory=lambda: NO_SIGHTINGS)
     # ids of features that were removed before, as another map was begun, and are back, as it was joined
 

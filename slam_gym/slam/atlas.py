@@ -8,12 +8,12 @@ among them. (Associators that weigh all hypotheses are offered them all the same
 
 **First links.** Where a scan pairs a feature or two that the robot has not seen for long, a neighbour that is not
 mapped may be what was measured, half a metre beside it: a door has two jambs, and 20 m away a gate is as wide. Such
-pairings are rejected until there are so many that chance hardly brings them all (`learn.hold_back`). A robot that
-waits for them with few others in view is soon so uncertain that everything fits something, and learns nothing more:
-with `SlamSpec.start_features_from_rejected`, a measurement whose pairing was rejected starts a new feature, and the
-recent part of the map grows all the same. Associators that weigh all hypotheses refuse by themselves what is ambiguous,
-and would starve if more was kept from them; with that setting they go by the same rules as all others, that for new
-features included.
+pairings are rejected until there are so many that chance hardly brings them all (`association.acceptance`). A robot
+that waits for them with few others in view is soon so uncertain that everything fits something, and learns nothing
+more: with `SlamSpec.start_features_from_rejected`, a measurement whose pairing was rejected starts a new feature, and
+the recent part of the map grows all the same. Associators that weigh all hypotheses refuse by themselves what is
+ambiguous, and would starve if more was kept from them; with that setting they go by the same rules as all others, that
+for new features included.
 
 **Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
 robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
@@ -34,8 +34,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from slam_gym.association.acceptance import Rows, reject_accidental, unambiguous_rows
 from slam_gym.association.compatibility import chi2_gate, plain
-from slam_gym.association.prediction import Prediction, SlamStep
+from slam_gym.association.prediction import Prediction, SlamStep, StartRule
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam import learn
@@ -51,7 +52,7 @@ from slam_gym.slam.places.fusion import (
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.tracker import Tracker
-from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, IntArray, Scan
+from slam_gym.types import UNPAIRED, Hypothesis, IntArray, Scan
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,13 @@ class AtlasSpec:
             raise ValueError(f"AtlasSpec.patience: {self.patience} is negative")
         if self.rejoin < 1:
             raise ValueError(f"AtlasSpec.rejoin: {self.rejoin} is less than 1")
+
+
+class Accepted(NamedTuple):
+    """The part of a hypothesis that is learned from."""
+
+    hypothesis: Hypothesis
+    rule: StartRule  # by which measurements start features
 
 
 class FusionRecord(NamedTuple):
@@ -103,7 +111,7 @@ class Atlas:
         self._relocate = relocate
         self._search_everywhere = False  # for duplicates, since much has moved
 
-    def offered(self, prediction: Prediction, m: StochasticMap, reach: float) -> Prediction:
+    def offered(self, prediction: Prediction, reach: float) -> Prediction:
         """The prediction without old features that are ambiguous, unless the associator weighs all hypotheses.
 
         Such a one says what it learns from scan to scan. It refuses by itself what is ambiguous, and would take for new
@@ -112,45 +120,31 @@ class Atlas:
         weighs_all = prediction.experience is not None
         if self.max_accidental_matches == math.inf or (weighs_all and not self.starts_from_rejected):
             return prediction
-        k = len(prediction)
-        kept, gate = np.empty(k, np.int64), chi2_gate(2, prediction.confidence)
-        left = learn.unambiguous(
-            plain(prediction.near),
-            plain(prediction.positions),
-            plain(prediction.features),
-            m.arrays,
-            k * gate / reach**2,
-            self.max_accidental_matches,
-            kept,
-        )
-        return prediction if left == k else prediction.subset(kept[:left])
+        k, (_, _, P, *_) = len(prediction), prediction.source
+        kept, per_area = np.empty(k, np.int64), k * chi2_gate(2, prediction.confidence) / reach**2
+        count = unambiguous_rows(_rows_of(prediction), P, per_area, self.max_accidental_matches, kept)
+        return prediction if count == k else prediction.subset(kept[:count])
 
-    def accepted(
-        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, m: StochasticMap, new_gate: float
-    ) -> Hypothesis:
-        """The hypothesis without pairings with old features that may all be chance: see `learn.hold_back`.
+    def accepted(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float) -> Accepted:
+        """The hypothesis without pairings with old features that may all be accidental: see `reject_accidental`.
 
         Who weighs all hypotheses has refused by itself what is ambiguous; with `starts_from_rejected` it only pairs,
         and new features start by the rule of the step, whose gate is `new_gate`.
         """
         weighs_all = hypothesis.experience is not None
         if weighs_all and not self.starts_from_rejected:
-            return hypothesis
-        features = np.array(hypothesis.features)
-        expected = (
-            plain(prediction.features),
-            plain(prediction.near),
-            plain(prediction.positions),
-            plain(prediction.covariances),
-        )
-        gate = chi2_gate(2, prediction.confidence)
-        held = learn.hold_back(
-            features, expected, m.arrays[2], scan.covariances, gate, m.spec.confirmations, self.max_chance_probability
-        )
-        new = None if weighs_all else hypothesis.new
-        if held and self.starts_from_rejected:
-            new = _new_beside(scan, prediction, features, new_gate)
-        return replace(hypothesis, features=features, dof=hypothesis.dof - 2 * held, new=new)
+            return Accepted(hypothesis, StartRule.of(hypothesis))
+        features, gate = np.array(hypothesis.features), chi2_gate(2, prediction.confidence)
+        rows, confirmations, most = _rows_of(prediction), prediction.confirmations, self.max_chance_probability
+        rejected = reject_accidental(features, rows, scan.covariances, gate, confirmations, most)
+        dof, new = hypothesis.dof - 2 * rejected, None if weighs_all else hypothesis.new
+        if rejected and self.starts_from_rejected:
+            new, near = np.empty(len(scan), np.bool_), prediction.near
+            expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
+            learn.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, new_gate, new)
+            return Accepted(replace(hypothesis, features=features, dof=dof, new=new), StartRule.FITS_NOTHING_NEAR)
+        kept = replace(hypothesis, features=features, dof=dof, new=new)
+        return Accepted(kept, StartRule.of(kept))
 
     def gives_up(self, tracker: Tracker) -> bool:
         """Whether the robot has been lost for so long that it starts another map."""
@@ -214,12 +208,10 @@ class Atlas:
         return fusion
 
 
-def _new_beside(scan: Scan, prediction: Prediction, features: IntArray, gate: float) -> BoolArray:
-    """(m,) measurements that start a feature by the rule of the step where old features are not believed."""
-    new, near = np.empty(len(scan), np.bool_), prediction.near
-    expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
-    learn.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, gate, new)
-    return new
+def _rows_of(prediction: Prediction) -> Rows:
+    """The rows of a prediction as the rules of acceptance take them."""
+    p = prediction
+    return plain(p.features), plain(p.near), plain(p.positions), plain(p.covariances), plain(p.sightings)
 
 
 def _features_of(step: SlamStep, m: StochasticMap) -> IntArray:

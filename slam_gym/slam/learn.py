@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from slam_gym._compile import compiled
@@ -157,100 +155,3 @@ def _fits(point: Array, noise: Array, expected: tuple[Array, Array], gate: float
         if (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant < gate:
             found = 1
     return found
-
-
-@compiled
-def unambiguous(
-    near: BoolArray, positions: Array, features: IntArray, arrays: MapArrays, worth: float, most: float, kept: IntArray
-) -> int:
-    """Rows of a prediction but for features near none of those lately paired, in whose gates others are to be expected.
-
-    How well they are known is asked from the feature amid those that are near: what the robot does not know of its own
-    place is the same for all. How many others are in a gate is taken from its area, as if features were spread evenly.
-
-    `worth`: others in a gate for each [m²] of √det of the covariance; `most`: how many an old feature may have. The
-    rows are entered in `kept` (k,); returns their number.
-    """
-    amid, count = _amid(near, positions, features), 0
-    for row in range(len(near)):
-        if not near[row] and amid != UNPAIRED:
-            xx, xy, yy = ekf.relative_covariance(arrays[1], amid, features[row])
-            if worth * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
-                continue
-        kept[count] = row
-        count += 1
-    return count
-
-
-@compiled
-def _amid(near: BoolArray, positions: Array, features: IntArray) -> int:
-    """The feature that stands amid those that are near, or UNPAIRED where none is."""
-    x = y = 0.0
-    around = 0
-    for row in range(len(near)):
-        if near[row]:
-            x, y, around = x + positions[row, 0], y + positions[row, 1], around + 1
-    amid, least = UNPAIRED, math.inf
-    for row in range(len(near)):
-        if near[row]:
-            u, v = positions[row, 0] - x / around, positions[row, 1] - y / around
-            if u * u + v * v < least:
-                amid, least = features[row], u * u + v * v
-    return amid
-
-
-Expected = tuple[IntArray, BoolArray, Array, Array]
-"""Of the rows of a prediction: features, which of them are near, positions (k, 2) and covariances (k, 2, 2)."""
-
-
-@compiled
-def hold_back(
-    features: IntArray, expected: Expected, counted: IntArray, noise: Array, gate: float, sure: int, most: float
-) -> int:
-    """Make the pairings with old features UNPAIRED if they may all be chance; returns how many that were.
-
-    Old are features near none of those lately paired. Where one of them is paired, another feature may be what was
-    measured, one that nobody has mapped yet: how often features stand so close together that both lie in one gate, the
-    map itself tells. That chance brings all of the pairings has the product of these fractions for its probability, and
-    they stand where it is at `most` so great. Features seen fewer than `sure` times do not count.
-    """
-    chance, old = 1.0, 0
-    for i in range(len(features)):
-        row = _row_of(features[i], expected)
-        if row != UNPAIRED:
-            chance *= min(1.0, _rivals(row, expected, counted[ekf.SEEN], noise[i], gate, sure))
-            old += 1
-    if old == 0 or chance <= most:
-        return 0
-    for i in range(len(features)):
-        if _row_of(features[i], expected) != UNPAIRED:
-            features[i] = UNPAIRED
-    return old
-
-
-@compiled
-def _row_of(feature: int, expected: Expected) -> int:
-    """The row of a feature that is not near, or UNPAIRED."""
-    if feature != UNPAIRED:
-        for row in range(len(expected[0])):
-            if expected[0][row] == feature:
-                return UNPAIRED if expected[1][row] else row
-    return UNPAIRED
-
-
-@compiled
-def _rivals(row: int, expected: Expected, seen: IntArray, noise: Array, gate: float, sure: int) -> float:
-    """How many other features there are on average so near a feature as the gate of that in `row` is wide."""
-    features, _, positions, covariances = expected
-    xx, yy = covariances[row, 0, 0] + noise[0, 0], covariances[row, 1, 1] + noise[1, 1]
-    xy = covariances[row, 0, 1] + noise[0, 1]
-    limit, pairs, counted = gate * (xx * yy - xy * xy), 0, 0
-    for a in range(len(features)):
-        if seen[features[a]] < sure:
-            continue
-        counted += 1
-        for b in range(a):
-            x, y = positions[a, 0] - positions[b, 0], positions[a, 1] - positions[b, 1]
-            if x * x < gate * xx and yy * x * x - 2.0 * xy * x * y + xx * y * y < limit and seen[features[b]] >= sure:
-                pairs += 2
-    return pairs / max(counted, 1)

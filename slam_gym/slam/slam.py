@@ -12,7 +12,7 @@ import numpy as np
 from slam_gym._compile import announce_compilation, compiled
 from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.prediction import Associator, Prediction, SlamStep, predict
+from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
@@ -135,7 +135,7 @@ class Slam:
         check_inputs(odometry, scan)
         check_scan(scan)
         prediction = self._features_in_reach(scan, odometry)
-        return prediction if self.atlas is None else self.atlas.offered(prediction, self.map, self.reach)
+        return prediction if self.atlas is None else self.atlas.offered(prediction, self.reach)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """What follows the associator's answer: the map learns from the scan, unless that is not believed.
@@ -145,12 +145,15 @@ class Slam:
         hypothesis, self.fused = check_hypothesis(hypothesis, len(scan), self.map.n), NO_PAIRS
         if self.tracker is not None and not self.tracker.believes(scan, prediction, hypothesis):
             return self.close_loops(self.relocate(scan, prediction), scan)
+        rule = StartRule.of(hypothesis)
         if self.tracker is not None and self.atlas is not None:
-            hypothesis = self.atlas.accepted(scan, prediction, hypothesis, self.map, self._new_gate)
+            hypothesis, rule = self.atlas.accepted(scan, prediction, hypothesis, self._new_gate)
             self.tracker.accept(hypothesis)  # what is rejected is not expected to be seen again
-        return self.close_loops(self.update(scan, prediction, hypothesis), scan)
+        return self.close_loops(self.update(scan, prediction, hypothesis, rule), scan)
 
-    def update(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
+    def update(
+        self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, rule: StartRule = StartRule.FITS_NOTHING
+    ) -> SlamStep:
         """Update the map with the pairings, add what is new, and drop what was not confirmed in time.
 
         New is what the associator says. Where it does not say, a measurement starts a feature if it is unpaired *and*
@@ -181,7 +184,7 @@ class Slam:
         self._learned += 1
         removed = self._forget(what) if what else _NO_FEATURES
         m.end_of_step()
-        return SlamStep(prediction, hypothesis, ids, created, removed)
+        return SlamStep(prediction, hypothesis, ids, created, removed, rule)
 
     def relocate(self, scan: Scan, prediction: Prediction) -> SlamStep:
         """The step of a scan that is not believed. The map learns nothing, unless the robot is lost and found by it.

@@ -10,13 +10,19 @@ from scipy.stats import chi2
 
 from slam_gym.association import gcbb
 from slam_gym.association.acceptance import (
+    Rows,
     crowding_of,
     extent,
     least_pairings,
     log_expected,
     min_pairings,
+    reject_accidental,
+    unambiguous_rows,
 )
-from slam_gym.types import UNKNOWN_KIND
+from slam_gym.association.compatibility import plain
+from slam_gym.association.prediction import predict
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
 from tests.oracles import relocation as oracles
 
 
@@ -145,3 +151,58 @@ def test_a_probability_that_is_none_is_refused():
     scan, landmarks = world(4, 10, 4)
     with pytest.raises(ValueError, match="probability"):
         min_pairings(scan, landmarks, probability=0.0)
+
+
+GATE = 9.21  # χ² of two degrees of freedom at 0.99
+
+
+def old_and_near(rng: np.random.Generator, n: int = 14) -> tuple[StochasticMap, Rows]:
+    """A map of n features that were measured from poses less and less certain, and what it predicts of them."""
+    m, half = StochasticMap(MapSpec()), n // 2
+    for count in (half, n - half):
+        points = rng.uniform(-6.0, 6.0, (count, 2))
+        points[1] = points[0] + [0.8, 0.1]  # as a door has two jambs
+        m.add(Scan.from_points(points, sigma=0.03), np.arange(count))
+        m.predict(Odometry(np.array([1.0, 0.0, 0.1]), np.diag([0.2, 0.2, 0.02]) ** 2 * rng.uniform(0.0, 3.0)))
+    p, near = predict(m, 30.0), rng.random(n) < 0.4
+    return m, (plain(p.features), near, plain(p.positions), plain(p.covariances), plain(p.sightings))
+
+
+def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate() -> None:
+    per_area, most, left = 10.0, 0.5, []
+    for seed in range(40):
+        m, (features, near, at, *others) = old_and_near(np.random.default_rng(seed))
+        near &= seed % 4 > 0  # now and then none
+        expected = np.zeros(len(features))
+        if near.any():
+            amid = features[near][np.hypot(*(at[near] - at[near].mean(axis=0)).T).argmin()]
+            for row in np.flatnonzero(~near):
+                P = m.covariance_of(np.array([amid, features[row]]))
+                relative = P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]
+                expected[row] = per_area * np.sqrt(max(np.linalg.det(relative), 0.0))
+        kept = np.empty(len(features), np.int64)
+        count = unambiguous_rows((features, near, at, *others), m.arrays[1], per_area, most, kept)
+        np.testing.assert_array_equal(kept[:count], np.flatnonzero(near | (expected <= most)))
+        left.append(len(features) - count)
+    assert 0 in left and max(left) > 4
+
+
+def test_pairings_with_old_features_stand_if_chance_hardly_brings_them_all() -> None:
+    stood = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        _, (features, near, at, covariances, sightings) = old_and_near(rng)
+        paired = np.append(rng.permutation(len(features))[:4], UNPAIRED)
+        decisions = np.where(paired == UNPAIRED, UNPAIRED, features[paired])
+        noise = np.array([np.diag(rng.uniform(0.01, 0.4, 2)) ** 2 for _ in paired])
+        probability, old = 1.0, (paired != UNPAIRED) & ~near[paired]
+        for row, R in zip(paired[old], noise[old]):
+            W, apart = np.linalg.inv(covariances[row] + R), at[:, None] - at[None]
+            within = np.einsum("abi,ij,abj->ab", apart, W, apart) < GATE
+            probability *= min(1.0, (within.sum() - len(at)) / len(at))
+        stands, left = not old.any() or probability <= 0.05, decisions.copy()
+        rejected = reject_accidental(left, (features, near, at, covariances, sightings), noise, GATE, 1, 0.05)
+        assert rejected == (0 if stands else old.sum()), f"seed {seed}"
+        np.testing.assert_array_equal(left, np.where(old & (not stands), UNPAIRED, decisions))
+        stood.append(stands)
+    assert 10 < sum(stood) < 50

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.association.prediction import StartRule
 from slam_gym.geometry import compose, relative
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.mapping.stochastic_map import MapSpec
@@ -14,7 +15,7 @@ from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import IntArray, Truth
+from slam_gym.types import NO_ID, IntArray, Truth
 from tests.slam.rings import VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
@@ -162,6 +163,34 @@ def test_where_loops_shall_find_what_is_kept_from_pairing_all_associators_go_by_
         assert not fused(by_itself, "loop") and duplicates(judged) <= 1, f"seed {seed}"
         kept.append(duplicates(without))
     assert max(kept) > 5
+
+
+def test_a_measurement_whose_pairing_is_rejected_starts_a_feature_where_it_is_told_to() -> None:
+    """Landmarks stand in pairs, so that one old feature is no proof; the step says by which rule features start."""
+    rng = np.random.default_rng(3)
+    landmarks = ring_of_landmarks(rng)
+    log = drive(np.concatenate([landmarks, landmarks + 0.5]), rng, 330, 0.02)
+    never_ambiguous = AtlasSpec(max_accidental_matches=1e9)
+    believing, waiting, starting = (
+        Slam(
+            replace(SPEC, max_chance_probability=most, start_features_from_rejected=start),
+            VIEW,
+            relocate=nobody,
+            atlas=never_ambiguous,
+        )
+        for most, start in ((1.0, False), (0.05, False), (0.05, True))
+    )
+    for odometry, scan, _ in log.steps:
+        paired, held, begun = (slam.step(odometry, scan) for slam in (believing, waiting, starting))
+        if (paired.ids != held.ids).any():
+            break
+        np.testing.assert_array_equal(begun.ids, held.ids)
+        assert begun.rule is StartRule.FITS_NOTHING
+    rejected = (held.ids == NO_ID) & (paired.ids != NO_ID)
+    assert rejected.any() and begun.created[rejected].any() and not held.created[rejected].any()
+    assert (begun.ids == held.ids)[~begun.created].all()
+    assert begun.rule is StartRule.FITS_NOTHING_NEAR and held.rule is StartRule.FITS_NOTHING
+    assert Slam(SPEC).step(odometry, scan, "marginal").rule is StartRule.ASSOCIATOR
 
 
 def test_without_patience_there_is_one_map_only() -> None:

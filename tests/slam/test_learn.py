@@ -11,7 +11,6 @@ from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import predict
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.slam.learn import hold_back, unambiguous
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, UNPAIRED, Hypothesis, Odometry, Scan
 from tests.rollouts import explore
@@ -103,67 +102,3 @@ def test_a_scan_larger_than_any_before_finds_room() -> None:
         assert (step.ids != NO_ID).all()
     assert slam.map.n == 150 and len(slam.covisibility.neighbours(7)) == 149
     np.testing.assert_allclose(slam.map.positions, points, atol=0.05)
-
-
-GATE = 9.21  # χ² of two degrees of freedom at .99
-
-
-def rows_of(rng: np.random.Generator, n: int = 14) -> tuple[Any, ...]:
-    """A map of n features that were measured from poses less and less certain, and all it predicts."""
-    m, half = StochasticMap(MapSpec()), n // 2
-    for count in (half, n - half):
-        points = rng.uniform(-6.0, 6.0, (count, 2))
-        points[1] = points[0] + [0.8, 0.1]  # as a door has two jambs
-        m.add(Scan.from_points(points, sigma=0.03), np.arange(count))
-        m.predict(Odometry(np.array([1.0, 0.0, 0.1]), np.diag([0.2, 0.2, 0.02]) ** 2 * rng.uniform(0.0, 3.0)))
-    prediction, near = predict(m, 30.0), rng.random(n) < 0.4
-    return m, np.array(prediction.features), near, np.array(prediction.positions), np.array(prediction.covariances)
-
-
-def test_what_others_may_be_taken_for_is_what_the_definition_says() -> None:
-    worth, most, left = 10.0, 0.5, []
-    for seed in range(40):
-        m, features, near, at, _ = rows_of(np.random.default_rng(seed))
-        near &= seed % 4 > 0  # now and then none
-        amid = None
-        if near.any():
-            centre = at[near].mean(axis=0)
-            amid = features[near][np.hypot(*(at[near] - centre).T).argmin()]
-        expected = []
-        for row, feature in enumerate(features):
-            others = 0.0
-            if amid is not None:
-                P = m.covariance_of(np.array([amid, feature]))
-                others = worth * np.sqrt(max(np.linalg.det(P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]), 0.0))
-            if near[row] or others <= most:
-                expected.append(row)
-        kept = np.empty(len(features), np.int64)
-        count = unambiguous(near, at, features, m.arrays, worth, most, kept)
-        assert kept[:count].tolist() == expected, f"seed {seed}"
-        left.append(len(features) - count)
-    assert 0 in left and max(left) > 4
-
-
-def test_pairings_with_old_features_stand_if_chance_does_not_bring_so_many() -> None:
-    stood = []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        m, features, near, at, covariances = rows_of(rng)
-        paired = np.append(rng.permutation(len(features))[:4], UNPAIRED)
-        decisions = np.where(paired == UNPAIRED, UNPAIRED, features[paired])
-        noise = np.array([np.diag(rng.uniform(0.01, 0.4, 2)) ** 2 for _ in paired])
-        chance = 1.0
-        for row, R in zip(paired, noise):
-            if row != UNPAIRED and not near[row]:
-                W = np.linalg.inv(covariances[row] + R)
-                apart = at[:, None] - at[None]
-                within = np.einsum("abi,ij,abj->ab", apart, W, apart) < GATE
-                chance *= min(1.0, (within.sum() - len(at)) / len(at))
-        old = (paired != UNPAIRED) & ~near[paired]
-        held = decisions.copy()
-        number = hold_back(held, (features, near, at, covariances), m.arrays[2], noise, GATE, 1, 0.05)
-        stands = not old.any() or chance <= 0.05
-        assert number == (0 if stands else old.sum()), f"seed {seed}"
-        np.testing.assert_array_equal(held, np.where(old & (not stands), UNPAIRED, decisions))
-        stood.append(stands)
-    assert 10 < sum(stood) < 50
