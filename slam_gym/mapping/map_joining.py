@@ -12,6 +12,7 @@ update with the noise-free measurement F_a − F_b = 0, and one of each pair is 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 

@@ -27,7 +27,6 @@ from slam_gym.association.tree import Pairings
 from slam_gym.geometry import compose
 from slam_gym.mapping.locality import linked, same_local_map
 from slam_gym.mapping.map_joining import equate, join
-from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree, difference_covariance
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -121,7 +120,7 @@ class LocalMapSlam:
 
     def _begin_map(self) -> None:
         self.slam, self._is_closed = Slam(self.spec), False
-        self.slam.map = successor(self.map)
+        self.slam.map = self.map.successor()
         self.maps.append(self.slam.map)
         self._graphs.append(self.slam.covisibility)
         self._first_ids.append(self.map.next_id)

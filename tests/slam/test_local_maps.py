@@ -10,7 +10,6 @@ from slam_gym.geometry import compose, relative, wrap_angle
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import covisible, locality_sizes
 from slam_gym.mapping.map_joining import join
-from slam_gym.mapping.map_state import successor
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import anees_interval, nees
 from slam_gym.simulation.judged import JudgedSlam
@@ -229,7 +228,7 @@ def two_maps(rng: np.random.Generator, shared: int, own: int, spread: float = 1.
         seen = np.array([relative(pose, np.array([*landmark, 0.0]))[:2] for landmark in landmarks[group]])
         scan = Scan.from_points(seen + sigma * rng.standard_normal(seen.shape), sigma=sigma)
         maps[-1].add(scan, np.arange(len(group)))
-        maps.append(successor(maps[-1]))
+        maps.append(maps[-1].successor())
     maps[0].predict(Odometry(base + np.sqrt(np.diag(Q)) * rng.standard_normal(3), Q))
     pairs = np.column_stack([np.arange(shared), shared + own + np.arange(shared)])
     return join(maps[0], maps[1]), pairs
