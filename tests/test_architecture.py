@@ -35,7 +35,6 @@ ALLOWED = {
     "simulation": SIMULATION,
     "rendering": SIMULATION | {"simulation"},
     "envs": SIMULATION | {"simulation", "rendering"},
-    "bench": SIMULATION | {"simulation", "rendering", "envs", "__init__"},
     "commands": {"__init__", "_compile", "recordings", "validation"},
     "__main__": {"commands"},
     "__init__": SIMULATION,

@@ -270,11 +270,11 @@ class Prediction:
 
     def subset(self, kept: IntArray) -> Prediction:
         """Of the features in the rows `kept` (j,), ascending, alone."""
-        rows = tuple([array.copy() for array in self.rows])
+        counted, sized, near, positions, covariances, across = self.rows
+        rows = counted.copy(), sized.copy(), near.copy(), positions.copy(), covariances.copy(), across.copy()
         keep_rows(rows, kept)
-        *source, visible = self.source
-        visible = visible[kept] if len(visible) else visible
-        return replace(self, rows=rows, source=(*source, visible), size=(len(kept), *self.size[1:]))
+        visible = self.source[6][kept] if len(self.source[6]) else self.source[6]
+        return replace(self, rows=rows, source=(*self.source[:6], visible), size=(len(kept), *self.size[1:]))
 
     @classmethod
     def from_gaussian(

@@ -33,8 +33,8 @@ def _packages() -> Iterator[str]:
     which some are missing a line that installs it. What several extras ask for stands at the smallest."""
     asked: dict[str, set[str]] = {}
     for requirement in requires("slam_gym") or []:
-        extra = re.search(r"extra == ['\"](\w+)", requirement)
-        asked.setdefault(extra[1] if extra else "", set()).add(re.split(r"[^\w.-]", requirement)[0])
+        condition = re.search(r"extra == ['\"](\w+)", requirement)
+        asked.setdefault(condition[1] if condition else "", set()).add(re.split(r"[^\w.-]", requirement)[0])
     seen, missing = {"slam_gym"}, []
     for extra, names in sorted(asked.items(), key=lambda each: (each[0] != "", len(each[1]))):
         lacking = []

@@ -198,8 +198,10 @@ def jointly_compatible(m: StochasticMap, older: IntArray, newer: IntArray) -> In
 def _with_one_older_feature(pairs: IntArray, distances: Array) -> IntArray:
     """Two of the pairs (k, 2) with one older feature, that of less D² first; none where there are no such pairs."""
     features, times = np.unique(pairs[:, 0], return_counts=True)
-    rivals = np.flatnonzero(pairs[:, 0] == features[times.argmax()])[:2] if len(pairs) and times.max() > 1 else []
-    return np.array(sorted(rivals, key=distances.__getitem__), np.int64)
+    if not (times > 1).any():
+        return np.empty(0, np.int64)
+    rivals = np.flatnonzero(pairs[:, 0] == features[times.argmax()])[:2]
+    return rivals[np.argsort(distances[rivals], kind="stable")]
 
 
 def _jcbb(m: StochasticMap, pairs: IntArray) -> tuple[IntArray, float]:

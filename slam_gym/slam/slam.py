@@ -19,6 +19,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurem
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam import learn
 from slam_gym.slam.atlas import Atlas, AtlasSpec
+from slam_gym.slam.learn import Settings
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
 from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.tracker import Tracker
@@ -283,7 +284,7 @@ class Slam:
         self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, every, 3.0))
         return self._farthest
 
-    def _settings(self) -> learn.Settings:
+    def _settings(self) -> Settings:
         """What `learn.learn` takes as its settings."""
         spec = self.spec.map
         before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age

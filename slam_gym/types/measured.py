@@ -81,17 +81,11 @@ class Scan:
         arrays = self.points, self.covariances, self.sizes, self.size_variances, self.kinds
         if self.points.flags.writeable:
             return arrays
-        points, covariances, sizes, size_variances, kinds = (array.view() for array in arrays)
-        for array in (points, covariances, sizes, size_variances, kinds):
-            array.flags.writeable = True
-        return points, covariances, sizes, size_variances, kinds
+        return _views(arrays, writeable=True)
 
     def read_only(self) -> Scan:
         """The same measurements in arrays that cannot be written to."""
-        views = [array.view() for array in self.arrays]
-        for view in views:
-            view.flags.writeable = False
-        return Scan(*views)
+        return Scan(*_views(self.arrays, writeable=False))
 
     @classmethod
     def from_points(
@@ -149,6 +143,15 @@ class Scan:
         covariances[:, 0, 1] = covariances[:, 1, 0] = c * s * (along - across)
         points = np.column_stack([r * c, r * s])
         return cls.from_points(points, covariances, sizes=sizes, size_sigma=size_sigma, kinds=kinds)
+
+
+def _views(arrays: ScanArrays, *, writeable: bool) -> ScanArrays:
+    """Views of the arrays of a scan, all of which may be written to, or none."""
+    points, covariances, sizes, size_variances, kinds = arrays
+    views = points.view(), covariances.view(), sizes.view(), size_variances.view(), kinds.view()
+    for view in views:
+        view.flags.writeable = writeable
+    return views
 
 
 @quick

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.types import Landmarks, Locality
-from tests.types.test_expected import random_covariance
+from tests.association.test_prediction import random_covariance
 
 
 def test_marginals_are_the_blocks_of_a_joint_covariance() -> None:

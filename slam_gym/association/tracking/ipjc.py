@@ -113,7 +113,7 @@ def _distance(pairings: Pairings, errors: Array, path: IntArray, variance: float
             S[2 * a : 2 * a + 2, 2 * b : 2 * b + 2] = pairings.covariance[i : i + 2, j : j + 2]
         S[2 * a : 2 * a + 2, 2 * a : 2 * a + 2] += pairings.noise[pairings.measured[path[a]]]
     G = E.T @ np.linalg.solve(S, E)
-    phi, value = 0.0, G[0, 0]
+    phi, value = 0.0, float(G[0, 0])
     for _ in range(_ITERATIONS):
         q = np.array([1.0, math.cos(phi) - 1.0, math.sin(phi), -phi])
         slope = np.array([0.0, -math.sin(phi), math.cos(phi), -1.0])
@@ -132,4 +132,4 @@ def _distance(pairings: Pairings, errors: Array, path: IntArray, variance: float
 @compiled
 def _cost(G: Array, variance: float, phi: float) -> float:
     q = np.array([1.0, math.cos(phi) - 1.0, math.sin(phi), -phi])
-    return phi * phi / variance + q @ (G @ q)
+    return float(phi * phi / variance + q @ (G @ q))
