@@ -203,7 +203,7 @@ def _scenario_index() -> str:
         "# Scenarios",
         "A scenario is everything that defines an episode but its seed: a generator of worlds, a robot with its "
         "sensors, noise and filter, and a budget. [Your own scenario](../own/scenario.md) says how to change one.",
-        _table("Scenario | Ticks (.1 s) | Worlds | ", [*rows, suite]),
+        _table("Scenario | Ticks (0.1 s) | Worlds | ", [*rows, suite]),
     )
 
 
@@ -240,7 +240,7 @@ def _scenario(scenario: Scenario) -> str:
         f"# {scenario.name}",
         f"![A world of {scenario.name}](../pictures/scenario_{scenario.name}.png){{ .picture }}",
         f"**{_about(scenario)}**" if _about(scenario) else "",
-        f"*Test world 1, driven by `information_gain` for all of its {scenario.budget} ticks of .1 s.*",
+        f"*Test world 1, driven by `information_gain` for all of its {scenario.budget} ticks of 0.1 s.*",
         f"`{type(generator).__name__}`: {inspect.getdoc(type(generator))}",
         "## What differs from the defaults",
         _table("Setting | Here | Default", rows) if rows else "Everything is at its default.",
