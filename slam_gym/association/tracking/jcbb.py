@@ -43,7 +43,7 @@ def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) ->
     then is returned. Raises ValueError as `check_fault`, and for a node limit below 1.
     """
     check_node_limit(node_limit)
-    gates = joint_gates(len(scan), prediction.confidence)
+    gates = joint_gates(max(len(scan), 1), prediction.confidence)
     return _decide(scan.arrays, prediction.arrays, gates, node_limit).hypothesis()
 
 
