@@ -132,7 +132,7 @@ class Atlas:
         and new features start by the rule of the step, whose gate is `new_gate`.
         """
         weighs_all = hypothesis.experience is not None
-        if weighs_all and not self.starts_from_rejected:
+        if self.max_chance_probability >= 1.0 or (weighs_all and not self.starts_from_rejected):
             return Accepted(hypothesis, StartRule.of(hypothesis))
         features, gate = np.array(hypothesis.features), chi2_gate(2, prediction.confidence)
         rows, confirmations, most = _rows_of(prediction), prediction.confirmations, self.max_chance_probability
@@ -210,8 +210,8 @@ class Atlas:
 
 def _rows_of(prediction: Prediction) -> Rows:
     """The rows of a prediction as the rules of acceptance take them."""
-    p = prediction
-    return plain(p.features), plain(p.near), plain(p.positions), plain(p.covariances), plain(p.sightings)
+    (features, sightings), (positions, covariances, k) = prediction.counted, prediction.expected
+    return features, prediction.rows[2][:k], positions[:k], covariances[:k], sightings
 
 
 def _features_of(step: SlamStep, m: StochasticMap) -> IntArray:
