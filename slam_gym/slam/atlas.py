@@ -121,6 +121,8 @@ class Atlas:
         if self.max_accidental_matches == math.inf or (weighs_all and not self.starts_from_rejected):
             return prediction
         k, (_, _, P, *_) = len(prediction), prediction.source
+        if prediction.rows[2][:k].all():  # nothing is old
+            return prediction
         kept, per_area = np.empty(k, np.int64), k * chi2_gate(2, prediction.confidence) / reach**2
         count = unambiguous_rows(_rows_of(prediction), P, per_area, self.max_accidental_matches, kept)
         return prediction if count == k else prediction.subset(kept[:count])
@@ -165,7 +167,8 @@ class Atlas:
         None where nothing is.
         """
         fusions: list[Fusion] = []
-        joined = self._joined(active, step, scan, reach) if active.map.step % self.spec.rejoin == 0 else None
+        due = bool(self.inactive) and active.map.step % self.spec.rejoin == 0
+        joined = self._joined(active, step, scan, reach) if due else None
         if joined is not None:
             fusions.append(joined)
             active = MappedArea(joined.map, joined.covisibility)
@@ -190,7 +193,7 @@ class Atlas:
     def _joined(self, active: MappedArea, step: SlamStep, scan: Scan, reach: float) -> Fusion | None:
         """The active map joined with an inactive one in which its recent part, or the scan, is recognised."""
         spec = self.spec.recognition or RecognitionSpec()
-        recent = recent_part(*active, spec) if self.inactive else np.empty(0, np.int64)
+        recent = recent_part(*active, spec)
         for position, older in enumerate(self.inactive):
             joined = join_recognised(older, active, recent, spec)
             found = self._relocate(scan, *older, reach, None) if joined is None else None

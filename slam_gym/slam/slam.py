@@ -113,6 +113,9 @@ class Slam:
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
         self._warned = False
+        given = self.spec.new_confidence
+        # χ² gate within which a new feature must not be compatible with anything
+        self._new_gate = chi2_gate(2, self.spec.map.confidence if given is None else given)
 
     def __repr__(self) -> str:
         return f"Slam: {self.map!r}"
@@ -148,8 +151,10 @@ class Slam:
             return self.close_loops(self.relocate(scan, prediction), scan)
         rule = StartRule.of(hypothesis)
         if self.tracker is not None and self.atlas is not None:
+            believed = hypothesis
             hypothesis, rule = self.atlas.accepted(scan, prediction, hypothesis, self._new_gate)
-            self.tracker.accept(hypothesis)  # what is rejected is not expected to be seen again
+            if hypothesis is not believed:
+                self.tracker.accept(hypothesis)  # what is rejected is not expected to be seen again
         return self.close_loops(self.update(scan, prediction, hypothesis, rule), scan)
 
     def update(
@@ -289,12 +294,6 @@ class Slam:
         spec = self.spec.map
         before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
-
-    @property
-    def _new_gate(self) -> float:
-        """χ² gate within which a new feature must not be compatible with anything."""
-        given = self.spec.new_confidence
-        return chi2_gate(2, self.spec.map.confidence if given is None else given)
 
     def _refusal(self, ended: int, what: int, scan: Scan, features: IntArray) -> ValueError:
         """Why `learn.learn` did not come to its end."""
