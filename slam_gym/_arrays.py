@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._compile import compiled, inlined
+from slam_gym._jit import compiled, inlined
 from slam_gym.types import Array, IntArray
 
 Entry = TypeVar("Entry", bound=np.generic)

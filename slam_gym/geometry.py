@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.types import Array
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Odometry, Scan
 
 _CONDITION = 1e12  # of a measurement's covariance, beyond which an update loses all its digits

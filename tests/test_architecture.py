@@ -9,21 +9,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "geometry", "_claims", "_compile", "_arrays", "_files", "validation", "weights"}
+BASE = {"types", "geometry", "_jit", "_arrays", "_files", "validation", "weights"}
 ESTIMATE = BASE | {"mapping", "navigation", "association"}
 SIMULATION = ESTIMATE | {"world", "slam", "metrics", "recordings", "scenarios"}
 ALLOWED = {
     "types": set(),
-    "_claims": set(),
-    "_typing": set(),
-    "_parts": {"_claims"},
-    "_kernels": {"_claims", "_parts", "_typing"},
-    "_compile": {"_kernels", "_parts"},
-    "_arrays": {"types", "_compile"},
+    "_jit": set(),
+    "_arrays": {"types", "_jit"},
     "_files": set(),
     "weights": {"_files"},
-    "geometry": {"types", "_compile"},
-    "validation": {"types", "_compile"},
+    "geometry": {"types", "_jit"},
+    "validation": {"types", "_jit"},
     "world": BASE,
     "mapping": BASE,
     "navigation": BASE | {"mapping"},
@@ -35,7 +31,7 @@ ALLOWED = {
     "simulation": SIMULATION,
     "rendering": SIMULATION | {"simulation"},
     "envs": SIMULATION | {"simulation", "rendering"},
-    "commands": {"__init__", "_compile", "recordings", "validation"},
+    "commands": {"__init__", "_jit", "recordings", "validation"},
     "__main__": {"commands"},
     "__init__": SIMULATION,
 }

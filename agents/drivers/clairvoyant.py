@@ -12,7 +12,7 @@ import numpy as np
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from agents.drivers.information_gain import InformationGain
 from agents.drivers.true_views import Bits, TrueViews, Ways, bits_of
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.envs.observation import unsquash_goals
 from slam_gym.geometry import compose, observe, transform
 from slam_gym.simulation.episode import Episode

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.simulation.episode import Site
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.ray_casting import Grid, Packed, pull_back, sees

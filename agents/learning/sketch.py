@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, Observation
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.envs.observation import encode_goals
 from slam_gym.geometry import compose, observe, wrap_angle
 from slam_gym.navigation.explored_grid import ExploredGrid

@@ -42,7 +42,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, logsumexp, xlogy
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import floats, integers, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of, unary_table

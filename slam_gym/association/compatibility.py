@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Scan
 

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph, among
 from slam_gym.mapping.foresight import RowArrays, foresee, keep_rows, rows_for

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._arrays import fill_from
-from slam_gym._compile import compiled, inlined
+from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import Candidates, joint_gates, plain
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntArray, Scan

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 import slam_gym
-from slam_gym._compile import cache_folder
+from slam_gym._jit import cache_folder
 from slam_gym.recordings.catalogue import DATA, PUBLISHED
 
 _MUCH = 500  # [MB] of compiled loops, more than one version of the package leaves

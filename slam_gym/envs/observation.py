@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym._arrays import ascending
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe as seen_from
 from slam_gym.mapping.stochastic_map import StochasticMap

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, BoolArray, IntArray
 
 _ROOM, _WIDTH = 64, 16  # nodes and neighbours to make room for at first

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray, ScanArrays

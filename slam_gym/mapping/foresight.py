@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.mapping import ekf, measurement
 from slam_gym.mapping.covisibility import mark_local
 from slam_gym.mapping.ekf import MapArrays

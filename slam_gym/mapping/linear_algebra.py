@@ -13,7 +13,7 @@ from numba import config, float64
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from slam_gym._compile import apart, compiled
+from slam_gym._jit import compiled, inlined
 from slam_gym.types import Array
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -89,7 +89,7 @@ def whiten(L: Array, B: Array, nu: Array) -> None:
             _eliminate(B[i], B[i + 1], w, v, L[i, k : k + 2], L[i + 1, k : k + 2])
 
 
-@apart
+@inlined
 def _eliminate(p: Array, q: Array, w: Array, v: Array, by_p: Array, by_q: Array) -> None:
     """Rows p and q −= rows w and v, times `by_p` (2,) and `by_q` (2,)."""
     pw, pv, qw, qv = by_p[0], by_p[1], by_q[0], by_q[1]
@@ -138,7 +138,7 @@ def subtract_squares(P: Array, W: Array) -> None:
         P[j, j] += ROUNDING * lost[j]
 
 
-@apart
+@inlined
 def _subtract_from(
     p: Array, q: Array, r: Array, s: Array, w: Array, v: Array, by_w: Array, by_v: Array, length: int
 ) -> None:

@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from slam_gym._compile import apart, compiled
+from slam_gym._jit import compiled, inlined
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.ekf import turned
 from slam_gym.mapping.linear_algebra import ROUNDING, cholesky, is_covariance, padded, subtract_squares, whiten
@@ -145,7 +145,7 @@ def _innovation(
     return nu, HP, S
 
 
-@apart
+@inlined
 def _rows_of_HP(where: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
     """[−I −JΔ 0 … I … 0] P for the feature that starts at f; `robot` (3, d) are the robot's rows of P in full."""
     dx, dy = where[f] - where[0], where[f + 1] - where[1]

@@ -13,7 +13,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.prediction import SlamStep
 from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, BoolArray, IntArray, Truth
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.special import chdtri
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 

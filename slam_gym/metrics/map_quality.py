@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.geometry import transform
 from slam_gym.metrics.point_assignment import PackedIndex, assign_points, assign_to, indexed
 from slam_gym.types import Array, IntArray

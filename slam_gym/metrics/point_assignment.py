@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 _NOBODY = -1  # a column that no row has, a row without a column

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.mapping.linear_algebra import cholesky
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import WALL, Cells, ExploredCells, border_crossings

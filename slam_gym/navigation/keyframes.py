@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.types import NO_ID, Array, Beams, BoolArray, IntArray

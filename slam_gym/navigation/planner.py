@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.grid import FREE, WALL, Cells, border_crossings
 from slam_gym.types import Array, BoolArray, IntArray

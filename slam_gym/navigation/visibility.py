@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.navigation.grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
 from slam_gym.types import Array
 

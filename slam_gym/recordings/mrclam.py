@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
 from slam_gym._files import content_of, gunzipped, lines_of
+from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.recordings.reading import (
     Points,

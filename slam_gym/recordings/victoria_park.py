@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.recordings.reading import (
     RecordingError,
     from_polar,

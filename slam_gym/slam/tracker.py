@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Scan
 

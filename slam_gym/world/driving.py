@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._arrays import fill_from
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
 from slam_gym.world.ray_casting import Grid, Packed, box_distance, squared_distance

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import Grid, Movers, Packed, box_distance, hides, outlines, sees, wall_grid

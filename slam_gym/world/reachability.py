@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, Packed, WallIndex, box_distance, pull_back, sees

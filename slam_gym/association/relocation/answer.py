@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.constraints import Path

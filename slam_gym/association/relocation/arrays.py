@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import plain
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import check_scan

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 import networkx as nx
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.relocation.answer import Best, decide, location_gates, nothing_found, offer, relocation
 from slam_gym.association.relocation.constraints import Path, binary_test
 from slam_gym.association.relocation.location import locate_pairings

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import MapArrays, map_arrays, scan_arrays
 from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Scan

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.relocation.answer import (
     Best,
     decide,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.relocation.arrays import floats, integers
 from slam_gym.association.relocation.constraints import Mapped, Path, cross_covariance
 from slam_gym.geometry import wrap_angle

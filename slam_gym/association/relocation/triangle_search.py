@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.relocation.arrays import ScanArrays
 from slam_gym.association.relocation.constraints import largest_eigenvalue, unary_test
 from slam_gym.types import UNPAIRED, Array, IntArray

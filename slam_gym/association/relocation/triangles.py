@@ -16,7 +16,7 @@ import time
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.acceptance import Crowding, least_pairings, log_expected
 from slam_gym.association.acceptance import min_pairings as rule
 from slam_gym.association.compatibility import chi2_gate

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import apart, compiled, inlined
+from slam_gym._jit import compiled, inlined
 from slam_gym.association.tracking.path import Path, append
 from slam_gym.association.tree import (
     Innovation,
@@ -233,7 +233,7 @@ def _condition_all(P: Array, known: Array, pivots: Array, d: int, slot: int, q: 
     _lessen(e[q], e[q + 1], x, y, u, v)
 
 
-@apart
+@inlined
 def _subtract(x: Array, y: Array, row: Array, a: float, b: float) -> None:
     """x −= a · row, y −= b · row."""
     for j in range(len(x)):
@@ -241,7 +241,7 @@ def _subtract(x: Array, y: Array, row: Array, a: float, b: float) -> None:
         y[j] -= b * row[j]
 
 
-@apart
+@inlined
 def _lessen(before: Array, after: Array, x: Array, y: Array, u: float, v: float) -> None:
     """All innovations (5, k) `before` a pairing and `after` it, of which `tree.condition` makes its answer."""
     for j in range(after.shape[1]):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.prediction import Expected, joint
 from slam_gym.types import Array, IntArray
 

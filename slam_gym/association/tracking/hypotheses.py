@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.prediction import Expected, visibility
 from slam_gym.association.tracking.beam import Beam, Prices, updated
 from slam_gym.association.tracking.beam import search as beam_search

@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import joint_gates
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.jcbb import check_node_limit, jcbb

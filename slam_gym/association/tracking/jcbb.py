@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._arrays import fill_from
-from slam_gym._compile import compiled, inlined
+from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import joint_gates
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_over, offer

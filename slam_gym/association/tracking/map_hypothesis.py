@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, visibility
 from slam_gym.association.tracking.beam import Beam

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import check_fault, chi2_gate, gate_pairings
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, visibility
 from slam_gym.association.tracking.beam import greatest_log_density

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import check_fault, chi2_gate, distance_of, gate_pairings, paired_rows
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, joint, local
 from slam_gym.association.tree import Pairings

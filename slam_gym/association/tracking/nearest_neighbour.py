@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate, gate_pairings
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of

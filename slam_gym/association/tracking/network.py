@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.prediction import Expected
 from slam_gym.association.tracking.headings import Part
 from slam_gym.association.tree import Pairings, innovation_of, squared

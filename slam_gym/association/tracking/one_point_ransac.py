@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._arrays import ascending
-from slam_gym._compile import compiled
+from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.near_first import Offer, near_first

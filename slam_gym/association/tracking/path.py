@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._compile import compiled, inlined
+from slam_gym._jit import compiled, inlined
 from slam_gym.association.tree import (
     Innovation,
     Pairings,
