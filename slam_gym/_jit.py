@@ -108,9 +108,9 @@ def _remove_damaged(folder: Path) -> None:
         data, name = file.read_bytes(), file.relative_to(folder).as_posix()
         if known.get(name) == [len(data), zlib.crc32(data)]:
             continue
-        if name not in known or file.stat().st_mtime > noted:  # written since, by a process that did not end
-            if _is_whole(data):
-                continue
+        # a process that did not come to its end has noted nothing of what it wrote
+        if (name not in known or file.stat().st_mtime > noted) and _is_whole(data):
+            continue
         file.unlink(missing_ok=True)
         damaged += 1
     if damaged:
