@@ -189,7 +189,7 @@ def redraw(
     marked, journal = np.zeros(size, np.bool_), np.empty(size, np.int32)
     old_hits, old_crossings = np.empty(size, hits.dtype), np.empty(size, crossings.dtype)
     for k in range(len(ranges)):
-        for pose, change in ((before[k], -1), (after[k], 1)):
+        for pose, is_added in ((before[k], False), (after[k], True)):
             if math.isnan(pose[0]):
                 continue
             echoes, end = trace(layers, sweep, origin, resolution, pose, bearings, ranges[k], max_range)
@@ -200,10 +200,11 @@ def redraw(
                     marked[cell], journal[changed] = True, cell
                     old_hits[changed], old_crossings[changed] = hits[cell], crossings[cell]
                     changed += 1
-                if i < echoes:
-                    hits[cell] += change
+                counts = hits if i < echoes else crossings
+                if is_added:
+                    counts[cell] += 1
                 else:
-                    crossings[cell] += change
+                    counts[cell] -= 1
     for i in range(changed):
         cell = journal[i]
         if hits[cell] == old_hits[i] and crossings[cell] == old_crossings[i]:

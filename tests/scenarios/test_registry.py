@@ -160,7 +160,7 @@ def test_each_level_loses_more_of_its_way_than_the_one_before() -> None:
 def test_the_sides_of_the_loop_do_not_see_each_other(seed) -> None:
     scenario = get_scenario("loop")
     plan = scenario.generator(np.random.default_rng(seed))
-    centres = np.array([room.centre for room in plan.rooms])
+    centres = np.array([room.polygon.mean(axis=0) for room in plan.rooms])
     gaps = np.hypot(*(centres[:, None] - centres[None]).T)
     assert gaps[~np.eye(4, dtype=bool)].min() > scenario.sensor.range
     assert not survey(plan, scenario).index.visible(centres[0], centres[1:], np.zeros(3)).any()
