@@ -489,12 +489,15 @@ def _visit_pairs(table: TriangleHash, look: Look, found: Found, seed: _Seed) -> 
 
 @compiled
 def _cells_around(grid: Grid, x: float, y: float, radius: float) -> tuple[int, int, int, int]:
-    """First and last row, first and last column of what a square of `radius` [m] around a point touches."""
+    """First and last row, first and last column of what a square of `radius` [m] around a point touches.
+
+    Where it touches nothing, the last is less than the first, and the first column no more than one past the grid.
+    """
     (rows, columns), (left, bottom, side) = grid.shape, grid.origin
     return (
         max(math.floor((y - radius - bottom) / side), 0),
         min(math.floor((y + radius - bottom) / side), rows - 1),
-        max(math.floor((x - radius - left) / side), 0),
+        min(max(math.floor((x - radius - left) / side), 0), columns),
         min(math.floor((x + radius - left) / side), columns - 1),
     )
 
