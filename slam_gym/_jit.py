@@ -34,6 +34,7 @@ _DIGESTS = "digests.json"  # size and checksum of every cached file, as the proc
 _ROOM = 1 << 26  # bytes that must be free on the disk
 _STALE_AFTER = 3 * 24 * 3600  # [s] folders of other versions are removed when untouched for so long
 _PERIOD = 5.0  # [s] between two words on how far a compilation is
+_config: Any = numba.config  # whose attributes are set as numba is imported
 _announced = False
 
 
@@ -88,12 +89,11 @@ def _folder() -> Path | None:
 @contextlib.contextmanager
 def _caching_into(folder: Path | None) -> Iterator[bool]:
     """While a function is decorated, numba takes `folder` for the one that caches are in; whether there is one."""
-    config: Any = numba.config
-    before, config.CACHE_DIR = config.CACHE_DIR, str(folder or config.CACHE_DIR)
+    before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder or _config.CACHE_DIR)
     try:
         yield folder is not None
     finally:
-        config.CACHE_DIR = before
+        _config.CACHE_DIR = before
 
 
 def _cached(folder: Path) -> list[Path]:
@@ -157,7 +157,7 @@ def announce_compilation() -> bool:
     Returns whether it was said and what is compiled will be kept.
     """
     global _announced
-    if _announced or numba.config.DISABLE_JIT:
+    if _announced or _config.DISABLE_JIT:
         return False
     _announced = True
     folder = _folder()
