@@ -66,7 +66,7 @@ def _add_episode(scenario: Scenario, world: int, found: Innovations) -> None:
         for feature in now.keys() & last.keys():
             found.lag[:, touching] += [now[feature] @ last[feature], 2.0]
         last = now
-        episode.end_tick(hypothesis)
+        episode.end_tick(prediction, hypothesis)
         found.nees[:] += [episode.nees[-1], 3.0]
 
 
