@@ -65,14 +65,6 @@ def error_of(estimated: Array, packed: PackedIndex) -> float:
     return float((cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1)))
 
 
-@compiled
-def error_and_coverage(
-    estimated: Array, base: Array, packed: PackedIndex, cells: NDArray[np.uint8], places: IntArray
-) -> tuple[float, float]:
-    """`error_of` features (e, 2) in the frame of `base` (3,), and `coverage` of `places`, in one call."""
-    return error_of(transform(base, estimated), packed), coverage(cells, places)
-
-
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:
     """Root mean square distance [m] of features (k, 2) from their true positions (k, 2), row i belonging to row i.
 

@@ -192,12 +192,9 @@ class Episode:
     @property
     def landmarks(self) -> Array:
         """(e, 2) [m] confirmed features of the map, in W; those of maps that are not joined with it come after."""
-        return transform(self.base, self._confirmed())
-
-    def _confirmed(self) -> Array:
-        """(e, 2) [m] the same in B."""
         maps = self.slam.maps
-        return maps[0].confirmed if len(maps) == 1 else np.concatenate([m.confirmed for m in maps])
+        in_base = maps[0].confirmed if len(maps) == 1 else np.concatenate([m.confirmed for m in maps])
+        return transform(self.base, in_base)
 
     def map_error(self) -> float:
         """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
@@ -210,9 +207,8 @@ class Episode:
     def _appraise(self) -> tuple[float, float]:
         """Map error and coverage, once a tick: rewards and info both ask for them."""
         if self._appraised_at != self.ticks:
-            self._appraised = map_quality.error_and_coverage(
-                self._confirmed(), self.base, self._indexed, self._cells, self._places
-            )
+            error = map_quality.error_of(self.landmarks, self._indexed)
+            self._appraised = error, map_quality.coverage(self._cells, self._places)
             self._appraised_at = self.ticks
         return self._appraised
 

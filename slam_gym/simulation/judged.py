@@ -64,9 +64,7 @@ class JudgedSlam:
         if not self._knows_truth:
             return self._associate(scan, prediction)
         known = self.identities.source_of(self.slam.map.ids)
-        return true_association(
-            scan, prediction, sources=truth.sources, identities=known, new_features=self._informed
-        )
+        return true_association(scan, prediction, sources=truth.sources, identities=known, new_features=self._informed)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, truth: Truth) -> SlamStep:
         """What follows the answer, whoever gave it, judged. Raises as `Slam.learn`."""

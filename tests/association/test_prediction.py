@@ -1,6 +1,5 @@
 """Predictions from users' arrays, and some rows of them."""
 
-
 import numpy as np
 import pytest
 

@@ -48,9 +48,7 @@ def expecting(
             neighbours[feature, : len(lists[j])] = features[lists[j]]
     rows = counted, sized, all_near if near is None else near, at, blocks, nowhere if across is None else across
     source = np.array([0.0, 0.0, 0.0, heading_variance]), x, whole, neighbours, degrees, *plain.source[5:]
-    return dataclasses.replace(
-        plain, rows=rows, source=source, size=(k, n, False, True), confirmations=confirmations
-    )
+    return dataclasses.replace(plain, rows=rows, source=source, size=(k, n, False, True), confirmations=confirmations)
 
 
 def turning_by(prediction: Prediction, variance: float) -> Prediction:

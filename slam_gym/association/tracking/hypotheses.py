@@ -169,9 +169,7 @@ def views(
     positions, covariances = updated(wider, beam, part.positions[both])
     first = grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
     width = len(first) * len(both)
-    seen, fault = visibility(
-        expected, positions[first].reshape(width, 2), covariances[first].reshape(width, 2, 2)
-    )
+    seen, fault = visibility(expected, positions[first].reshape(width, 2), covariances[first].reshape(width, 2, 2))
     return Views(group, seen.reshape(len(first), len(both)), np.arange(len(rows))), fault
 
 

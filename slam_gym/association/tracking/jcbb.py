@@ -198,9 +198,7 @@ def _stack_at(pairings: Pairings, node: Node, depth: int) -> _Stack:
 
 
 @inlined
-def _pair(
-    pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array
-) -> int:
+def _pair(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array) -> int:
     """Candidate d joins the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Joint tests made.
 
     Drops the candidates that cannot become legal any more: a candidate can at most be preceded by one pairing of each

@@ -495,9 +495,7 @@ def _by_marginals(kept: Kept, sums: Summed, expected: Expected, rule: Rule, area
 
 
 @compiled
-def _placed(
-    hypotheses: IntArray, weights: Array, rows: IntArray
-) -> tuple[tuple[int, float], tuple[int, float]]:
+def _placed(hypotheses: IntArray, weights: Array, rows: IntArray) -> tuple[tuple[int, float], tuple[int, float]]:
     """The first hypothesis that decides `rows`, and the weight of all that do; the same of the most probable other
     decisions; −1 where there is none."""
     own, second, weight = (-1, 0.0), (-1, 0.0), np.zeros(len(weights))

@@ -195,9 +195,7 @@ def inputs_of(
 
 
 @compiled
-def _of_pairing(
-    scan: ScanArrays, pairings: Pairings, rows: IntArray, expected: Expected, c: int, row: Array
-) -> float:
+def _of_pairing(scan: ScanArrays, pairings: Pairings, rows: IntArray, expected: Expected, c: int, row: Array) -> float:
     """Enter what concerns the pairing alone; its weight among rivals."""
     i, j, e = pairings.measured[c], rows[pairings.slots[c]], innovation_of(pairings, c)
     _, _, measured_sizes, measured_variances, measured_kinds = scan
