@@ -46,6 +46,7 @@ from slam_gym.types import Array, IntArray, Truth
 KNOWN = 3  # trunks in the map that a scan from inside has
 MISLABELLED = 5.0  # [m] a feature so far from its label's place was made of something else
 SETS = 5  # of MR.CLAM
+SURVEYED = 0.01  # [m] by which its landmarks are off, per axis
 STOOD_STILL = Tolerance(0.1, math.radians(5.0))
 ROOM_NEAR = Tolerance(1.0, math.radians(15.0))  # of three barcodes a metre apart, known to 15 cm each
 PARK_NEAR = Tolerance(1.0, math.radians(3.0))  # right answers err by centimetres, wrong ones by tens of metres
@@ -140,17 +141,23 @@ def into_map(optimum: Optimum, mapped: MappedLog, pose: Array, reach: float) -> 
 def room(folder: Path, scans: int) -> list[Place]:
     """The five sets of stationary groups; at most so many scans inside and as many outside, over all of them."""
     sets = [stationary(folder / f"mrclam{number + 1}.mat") for number in range(SETS)]
-    distinct = [poses_apart(cases.poses) for cases in sets]
+    distinct = [poses_apart(groups.reference_poses) for groups in sets]
     places = []
-    for number, cases in enumerate(sets):
+    for number, groups in enumerate(sets):
         other = (number + 2) % SETS  # sets 3 and 4 have the same landmarks
+        elsewhere = sets[other]
         seen, asked = distinct[number][::2], distinct[number][1::2]
-        chosen = [(cases.scan(k), cases.poses[k], True) for k in spread(asked, scans // SETS)]
-        chosen += [(sets[other].scan(k), sets[other].poses[k], False) for k in spread(distinct[other], scans // SETS)]
-        pairs = {pair for k in seen for pair in itertools.combinations(sorted(set(cases.features_of(k).tolist())), 2)}
-        links, count = np.array(sorted(pairs), np.int64).reshape(-1, 2), len(cases.landmarks)
+        chosen = [(groups.scan(k), groups.reference_poses[k], True) for k in spread(asked, scans // SETS)]
+        chosen += [
+            (elsewhere.scan(k), elsewhere.reference_poses[k], False) for k in spread(distinct[other], scans // SETS)
+        ]
+        rows = {identity: row for row, identity in enumerate(groups.landmark_ids.tolist())}
+        together = [sorted({rows[identity] for identity in groups.sources_of(k).tolist()}) for k in seen]
+        pairs = {pair for group in together for pair in itertools.combinations(group, 2)}
+        links, count = np.array(sorted(pairs), np.int64).reshape(-1, 2), len(rows)
         localities = {"covisibility": linked(count, links), "two hops": linked(count, links, 2), "everything": None}
-        places.append(Place("room", cases.map(), localities, chosen, ROOM_NEAR))
+        surveyed = Landmarks.from_points(groups.landmarks, sigma=SURVEYED)
+        places.append(Place("room", surveyed, localities, chosen, ROOM_NEAR))
     return places
 
 

@@ -9,7 +9,6 @@ import gzip
 import io
 import json
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +37,6 @@ def gunzipped(content: bytes, limit: int = MAX_BYTES) -> bytes:
     if len(unpacked) > limit:
         raise ValueError(f"unpacks to more than {limit >> 20} MB")
     return unpacked
-
-
-def lines_of(content: bytes) -> Iterator[tuple[int, str]]:
-    """Number and text of each line that is not empty."""
-    for number, line in enumerate(content.decode("utf-8", errors="replace").split("\n"), 1):
-        if line:
-            yield number, line
 
 
 def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]:

@@ -7,7 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from slam_gym._files import array_of, content_of, gunzipped, json_of, lines_of, zip_members
+from slam_gym._files import array_of, content_of, gunzipped, json_of, zip_members
 
 
 def npy(array: np.ndarray) -> bytes:
@@ -74,7 +74,3 @@ def test_json_is_finite() -> None:
     for text, message in (("[NaN]", "NaN"), ("9" * 5000, "digits"), ("[" * 100_000, "nested too deeply")):
         with pytest.raises(ValueError, match=message):
             json_of(text)
-
-
-def test_lines_have_their_numbers() -> None:
-    assert list(lines_of(b"a\n\n\xff\r\nb")) == [(1, "a"), (3, "\ufffd\r"), (4, "b")]

@@ -6,16 +6,18 @@ m by Gauss–Newton with Levenberg's damping; every step is one sparse least-squ
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_array, identity
+from scipy.sparse import block_array, bsr_array, csc_array, eye_array
 from scipy.sparse.linalg import splu
 
 from slam_gym.geometry import compose
+from slam_gym.recordings.reading import wrapped
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array, IntArray
+
+_HELD = 1e6  # weight of the first pose
 
 
 @dataclass(frozen=True)
@@ -45,17 +47,16 @@ def least_squares(
     residuals, jacobian = problem.linearise(x)
     chi2 = float(residuals @ residuals)
     for iteration in range(1, max_iterations + 1):
-        normal, gradient = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residuals
-        diagonal = identity(len(gradient), format="csc") * damping
-        step = splu(csc_array(normal + diagonal), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        gradient = jacobian.T @ residuals
+        normal = csc_array(jacobian.T @ jacobian + damping * eye_array(len(gradient)))
+        step = splu(normal, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         moved = problem.moved(x, -step.solve(gradient))
-        further = problem.residuals(moved)
-        gain = chi2 - float(further @ further)
-        if gain < 0.0 and gain < -tolerance * chi2:
+        further = problem.linearise(moved)
+        gain = chi2 - float(further[0] @ further[0])
+        if gain < -tolerance * chi2:
             damping *= 10.0
             continue
-        x, damping = moved, 0.1 * damping
-        residuals, jacobian = problem.linearise(x)
+        x, damping, (residuals, jacobian) = moved, 0.1 * damping, further
         chi2 = float(residuals @ residuals)
         if abs(gain) < tolerance * chi2:
             poses, landmarks = problem.split(x)
@@ -98,55 +99,39 @@ class _Problem:
     def moved(self, x: Array, step: Array) -> Array:
         """x + step, headings wrapped."""
         out: Array = x + step
-        out[2 : 3 * self.steps : 3] = _wrapped(out[2 : 3 * self.steps : 3])
+        out[2 : 3 * self.steps : 3] = wrapped(out[2 : 3 * self.steps : 3])
         return out
 
-    def residuals(self, x: Array) -> Array:
-        """Whitened residuals, motions before measurements; the first pose's three come last."""
-        poses, landmarks = self.split(x)
-        before, after = poses[:-1], poses[1:]
-        motion = np.column_stack([_turned(-before[:, 2], after[:, :2] - before[:, :2]), after[:, 2] - before[:, 2]])
-        off = motion - self.log.motions[1:]
-        off[:, 2] = _wrapped(off[:, 2])
-        at = poses[self.pose]
-        seen = _turned(-at[:, 2], landmarks[self.landmark] - at[:, :2]) - self.points
-        start = (poses[0] - self.log.motions[0]) * _HELD
-        return np.concatenate([
-            np.einsum("tij,tj->ti", self.whiten_motion, off).ravel(),
-            np.einsum("kij,kj->ki", self.whiten_point, seen).ravel(),
-            start,
-        ])  # fmt: skip
-
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
-        """Residuals and their sparse Jacobian."""
+        """Whitened residuals, motions before measurements and the first pose's three last; their sparse Jacobian."""
         poses, landmarks = self.split(x)
-        count, T = len(self.pose), self.steps
-        to_before, to_after = _motion_jacobians(poses[:-1], poses[1:])
-        at = poses[self.pose]
-        to_pose, to_landmark = _point_jacobians(at, landmarks[self.landmark])
-        blocks = [
-            _block(self.whiten_motion @ to_before, 0, 3 * np.arange(T - 1)),
-            _block(self.whiten_motion @ to_after, 0, 3 * np.arange(1, T)),
-            _block(self.whiten_point @ to_pose, 3 * (T - 1), 3 * self.pose),
-            _block(self.whiten_point @ to_landmark, 3 * (T - 1), 3 * T + 2 * self.landmark),
-            _block(_HELD * np.eye(3)[None], 3 * (T - 1) + 2 * count, np.zeros(1, np.int64)),
-        ]
-        rows, columns, values = (np.concatenate(part) for part in zip(*blocks))
-        shape = (3 * T + 2 * count, 3 * T + 2 * len(landmarks))
-        return self.residuals(x), csc_array((values, (rows, columns)), shape=shape)
-
-
-_HELD = 1e6  # weight of the first pose
+        before, after, at = poses[:-1], poses[1:], poses[self.pose]
+        moved, moved_by_before, moved_by_after = _seen_from(before, after[:, :2])
+        motion = np.column_stack([moved, after[:, 2] - before[:, 2]]) - self.log.motions[1:]
+        motion[:, 2] = wrapped(motion[:, 2])
+        by_before, by_after = np.zeros((2, len(before), 3, 3))
+        by_before[:, :2], by_before[:, 2, 2] = moved_by_before, -1.0
+        by_after[:, :2, :2], by_after[:, 2, 2] = moved_by_after, 1.0
+        seen, by_pose, by_landmark = _seen_from(at, landmarks[self.landmark])
+        residuals = np.concatenate([
+            np.einsum("tij,tj->ti", self.whiten_motion, motion).ravel(),
+            np.einsum("kij,kj->ki", self.whiten_point, seen - self.points).ravel(),
+            (poses[0] - self.log.motions[0]) * _HELD,
+        ])  # fmt: skip
+        step, width = np.arange(self.steps), poses.size
+        jacobian = block_array([
+            [_blocks(self.whiten_motion @ by_before, step[:-1], width)
+             + _blocks(self.whiten_motion @ by_after, step[1:], width), None],
+            [_blocks(self.whiten_point @ by_pose, self.pose, width),
+             _blocks(self.whiten_point @ by_landmark, self.landmark, landmarks.size)],
+            [_blocks(_HELD * np.eye(3)[None], step[:1], width), None],
+        ], format="csc")  # fmt: skip
+        return residuals, jacobian
 
 
 def _roots(covariances: Array) -> Array:
     """W (k, d, d) with WᵀW = C⁻¹."""
     return np.linalg.inv(np.linalg.cholesky(covariances))
-
-
-def _wrapped(angles: Array) -> Array:
-    wrapped: Array = math.pi - np.remainder(math.pi - angles, 2.0 * math.pi)
-    return wrapped
 
 
 def _turned(headings: Array, vectors: Array) -> Array:
@@ -155,36 +140,15 @@ def _turned(headings: Array, vectors: Array) -> Array:
     return np.column_stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]])
 
 
-def _motion_jacobians(before: Array, after: Array) -> tuple[Array, Array]:
-    """Of (⊖x_{t−1}) ⊕ x_t, (k, 3, 3) each, to x_{t−1} and x_t."""
-    c, s = np.cos(before[:, 2]), np.sin(before[:, 2])
-    relative = _turned(-before[:, 2], after[:, :2] - before[:, :2])
-    second = np.zeros((len(before), 3, 3))
-    second[:, 0, 0], second[:, 0, 1], second[:, 1, 0], second[:, 1, 1], second[:, 2, 2] = c, s, -s, c, 1.0
-    first = -second
-    first[:, 0, 2], first[:, 1, 2] = relative[:, 1], -relative[:, 0]
-    return first, second
-
-
-def _point_jacobians(poses: Array, landmarks: Array) -> tuple[Array, Array]:
-    """Of (⊖x) ⊕ m, (k, 2, 3) to x and (k, 2, 2) to m."""
+def _seen_from(poses: Array, points: Array) -> tuple[Array, Array, Array]:
+    """(⊖x) ⊕ m (k, 2) for poses x (k, 3) and points m (k, 2), and its Jacobians (k, 2, 3) to x and (k, 2, 2) to m."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    seen = _turned(-poses[:, 2], landmarks - poses[:, :2])
-    turn = np.empty((len(poses), 2, 2))
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = c, s, -s, c
-    to_pose = np.empty((len(poses), 2, 3))
-    to_pose[:, :, :2] = -turn
-    to_pose[:, 0, 2], to_pose[:, 1, 2] = seen[:, 1], -seen[:, 0]
-    return to_pose, turn
+    seen = _turned(-poses[:, 2], points - poses[:, :2])
+    by_point = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
+    aside = np.column_stack([seen[:, 1], -seen[:, 0]])
+    return seen, np.concatenate([-by_point, aside[:, :, None]], axis=2), by_point
 
 
-def _block(blocks: Array, first_row: int, columns: IntArray) -> tuple[IntArray, IntArray, Array]:
-    """Rows, columns, values of blocks (k, r, c) stacked from `first_row` on, each at its first column."""
-    count, height, width = blocks.shape
-    rows = first_row + height * np.arange(count)[:, None, None] + np.arange(height)[None, :, None]
-    across = columns[:, None, None] + np.arange(width)[None, None, :]
-    return (
-        np.broadcast_to(rows, blocks.shape).ravel(),
-        np.broadcast_to(across, blocks.shape).ravel(),
-        blocks.ravel(),
-    )
+def _blocks(blocks: Array, columns: IntArray, width: int) -> bsr_array:
+    """Blocks (k, r, c), one below the other, each in its column of blocks, in a sparse array of so many columns."""
+    return bsr_array((blocks, columns, np.arange(len(blocks) + 1)), shape=(len(blocks) * blocks.shape[1], width))

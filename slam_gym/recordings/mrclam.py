@@ -8,6 +8,7 @@ Its stationary groups are relocation cases; S. Choi extracted them (Triangulatio
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,24 +16,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._files import content_of, gunzipped, lines_of
-from slam_gym._jit import compiled
-from slam_gym.geometry import wrap_angle
+from slam_gym._files import content_of, gunzipped
 from slam_gym.recordings.reading import (
-    Points,
     RecordingError,
-    check_finite,
-    check_shapes,
-    check_starts,
+    Spans,
     from_polar,
     naming,
     numbers_of,
     read_matlab,
     refuse_rows,
     starts_of,
+    wrapped,
 )
 from slam_gym.recordings.recording import Recording, interpolate
-from slam_gym.types import SPURIOUS, UNLABELLED, UNPAIRED, Array, IntArray, Landmarks, Scan
+from slam_gym.types import SPURIOUS, Array, IntArray
 
 SOURCE = (
     "MR.CLAM, University of Toronto Institute for Aerospace Studies. Cite: Leung, Halpern, Barfoot and Liu, IJRR 30(8) "
@@ -68,12 +65,17 @@ class Noise:
     range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
     bearing: float = 0.03  # [rad]
 
-    def points(self, ranges: Array, bearings: Array) -> Points:
-        """Barcodes at ranges (M,) [m] and bearings (M,) [rad]."""
+    def points(self, ranges: Array, bearings: Array) -> tuple[Array, Array]:
+        """Barcodes at ranges (M,) [m] and bearings (M,) [rad]: points (M, 2) and their covariances (M, 2, 2) in R."""
         return from_polar(ranges, bearings, self.range**2 + (self.range_per_metre * ranges) ** 2, self.bearing)
 
 
-def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Recording:
+ROAMING = Noise()
+GROUPED = Noise(range=0.15, range_per_metre=0.0, bearing=0.02)
+"""That of the stationary groups, as their poses show it: σ of ranges 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
+
+
+def mrclam(folder: str | Path, robot: int) -> Recording:
     """The log of one robot of a set: one step for each instant at which its camera saw a barcode.
 
     Identities are subject numbers, 6 to 20. Barcodes of other robots, those that nobody wears, and those that were
@@ -84,31 +86,29 @@ def mrclam(folder: str | Path, robot: int, noise: Noise | None = None) -> Record
         raise ValueError(f"robot: {robot} is none of 1 … 5")
     folder = Path(folder)
     with naming(folder):
-        return _recording(_read(folder, robot), noise or Noise(), f"mrclam/{folder.name}/robot{robot}")
+        return _recording(_read(folder, robot), f"mrclam/{folder.name}/robot{robot}")
 
 
-def _recording(tables: _Tables, noise: Noise, name: str) -> Recording:
+def _recording(tables: _Tables, name: str) -> Recording:
     times, start = tables.measured[:, 0], tables.truth[0, 0]
     measured = tables.measured[(times >= start) & (times <= tables.truth[-1, 0])]
     if len(measured) == 0:
         raise RecordingError("nothing was measured while the Vicon saw the robot")
     first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
     times = measured[first, 0]
-    driven = tables.odometry * [1.0, noise.forward_scale, noise.turn_scale] + [noise.delay, 0.0, 0.0]
-    growth = (noise.forward, noise.lateral, noise.turn, noise.drift, noise.turn_drift)
-    motions, covariances = _integrate(times, driven, growth)
-    seen = noise.points(measured[:, 2], measured[:, 3])
+    motions, motion_covariances = _driven(times, tables.odometry, ROAMING)
+    points, covariances = ROAMING.points(measured[:, 2], measured[:, 3])
     return Recording(
         name=name,
         source=SOURCE,
         terms=TERMS,
         times=times - times[0],
         motions=motions,
-        motion_covariances=covariances,
+        motion_covariances=motion_covariances,
         starts=np.append(first, len(measured)).astype(np.int64),
-        points=seen.points,
-        covariances=seen.covariances,
-        sources=_sources(tables, measured, seen.points, _MISREAD),
+        points=points,
+        covariances=covariances,
+        sources=_sources(tables, measured, points, _MISREAD),
         reference_times=tables.truth[:, 0] - times[0],
         reference_poses=tables.truth[:, 1:].copy(),
         landmark_ids=tables.landmarks[:, 0].astype(np.int64),
@@ -161,136 +161,72 @@ def _sources(tables: _Tables, measured: Array, points: Array, limit: float) -> I
 
 
 def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) -> Array:
-    """The numbers (rows, columns) of a text file, or of its gzipped form. Lines that begin with # are comments."""
+    """The numbers (rows, columns) of a text file, or of its gzipped form. What follows a # is a comment."""
     path = next((p for p in (folder / name, folder / f"{name}.gz") if p.is_file()), None)
     if path is None:
         raise FileNotFoundError(f"{folder / name}: not there, gzipped or not. {SOURCE}")
     with naming(path):
         content = content_of(path)
-        lines = list(lines_of(gunzipped(content) if path.suffix == ".gz" else content))
-        rows = [(number, text) for number, line in lines if (text := line.split("#", 1)[0].strip())]
-        table = np.array([_row(number, text, columns) for number, text in rows]).reshape(-1, columns)
-        if len(table) == 0:
+        table = np.loadtxt(io.BytesIO(gunzipped(content) if path.suffix == ".gz" else content), ndmin=2)
+        if len(table) == 0 or table.shape[1] != columns:
             raise RecordingError(f"no table of {columns} columns")
         bad = ~(np.abs(table) <= _LARGEST).all(axis=1)
         if ascending:
             bad |= np.diff(table[:, 0], prepend=-math.inf) < 0.0
         if bad.any():
-            number = rows[int(bad.argmax())][0]
-            raise RecordingError(f"line {number} is not finite, above {_LARGEST:.0e}, or goes back in time")
+            row = int(bad.argmax()) + 1
+            raise RecordingError(f"row {row} is not finite, above {_LARGEST:.0e}, or goes back in time")
     return table
 
 
-def _row(number: int, text: str, columns: int) -> list[float]:
-    words = text.split()
-    if len(words) != columns:
-        raise RecordingError(f"line {number}: {len(words)} columns, expected {columns} columns")
-    try:
-        return [float(word) for word in words]
-    except ValueError as error:
-        raise RecordingError(f"line {number}: {error}") from None
-
-
-@compiled
-def _integrate(times: Array, odometry: Array, growth: tuple[float, float, float, float, float]) -> tuple[Array, Array]:
+def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
     """Motion (T, 3) and covariance (T, 3, 3) between `times`, from rows (time, v, ω) that hold until the next one.
 
-    C ← F C Fᵀ + Q with F = ∂(u ⊕ du)/∂u: what a robot turns too far early on, it is aside of its way later.
+    What a robot turns too far early on, it is aside of its way later: C = Σ F Q Fᵀ over the spans, F = ∂u/∂du.
     """
-    forward, lateral, turn, drift, turn_drift = growth
-    motions, covariances = np.zeros((len(times), 3)), np.zeros((len(times), 3, 3))
-    at = 0
-    for k in range(len(times)):
-        now, C = times[k - 1] if k > 0 else times[0], _AT_REST**2 * np.eye(3)
-        x, y, theta = 0.0, 0.0, 0.0
-        while now < times[k]:
-            while at + 1 < len(odometry) and odometry[at + 1, 0] <= now:
-                at += 1
-            end = min(times[k], odometry[at + 1, 0]) if at + 1 < len(odometry) else times[k]
-            if now < odometry[at, 0]:  # before the first row
-                end = min(end, odometry[at, 0])
-            dt = end - now
-            v, w = (odometry[at, 1], odometry[at, 2]) if odometry[at, 0] <= now else (0.0, 0.0)
-            c, s = math.cos(theta + 0.5 * dt * w), math.sin(theta + 0.5 * dt * w)
-            x, y, theta = x + dt * v * c, y + dt * v * s, theta + dt * w
-            F = np.eye(3)
-            F[0, 2], F[1, 2] = -dt * v * s, dt * v * c
-            C = F @ C @ F.T
-            along, across = dt * ((forward * v) ** 2 + drift**2), dt * ((lateral * v) ** 2 + drift**2)
-            C[0, 0] += c * c * along + s * s * across
-            C[0, 1] += c * s * (along - across)
-            C[1, 0] += c * s * (along - across)
-            C[1, 1] += s * s * along + c * c * across
-            C[2, 2] += dt * ((turn * w) ** 2 + turn_drift**2)
-            now = end
-        motions[k, 0], motions[k, 1], motions[k, 2] = x, y, wrap_angle(theta)
-        covariances[k] = 0.5 * (C + C.T)
+    spans = Spans.between(times, odometry[:, 0] + noise.delay)
+    v, w = np.where(spans.command >= 0, odometry[spans.command, 1:].T, 0.0)
+    v, w, dt = noise.forward_scale * v, noise.turn_scale * w, spans.seconds
+    heading = spans.headings(dt * w) + 0.5 * dt * w
+    c, s = np.cos(heading), np.sin(heading)
+    moved = dt * np.array([v * c, v * s, w])
+    motions = np.column_stack([spans.sums(part, len(times)) for part in moved])
+    so_far = np.cumsum(moved[:2], axis=1)  # of the log; what is left of a step is told by its last span
+    last = np.searchsorted(spans.step, spans.step, side="right") - 1
+    x_left, y_left = so_far[:, last] - so_far
+    along = dt * ((noise.forward * v) ** 2 + noise.drift**2)
+    across = dt * ((noise.lateral * v) ** 2 + noise.drift**2)
+    turned = dt * ((noise.turn * w) ** 2 + noise.turn_drift**2)
+    entries = {
+        (0, 0): c * c * along + s * s * across + y_left**2 * turned,
+        (0, 1): c * s * (along - across) - x_left * y_left * turned,
+        (1, 1): s * s * along + c * c * across + x_left**2 * turned,
+        (0, 2): -y_left * turned,
+        (1, 2): x_left * turned,
+        (2, 2): turned,
+    }
+    covariances = np.tile(_AT_REST**2 * np.eye(3), (len(times), 1, 1))
+    for (row, column), values in entries.items():
+        covariances[:, row, column] += spans.sums(values, len(times))
+        covariances[:, column, row] = covariances[:, row, column]
+    motions[:, 2] = wrapped(motions[:, 2])
     return motions, covariances
 
 
-@dataclass(frozen=True)
-class RelocationCases:
-    """Scans in a surveyed map, the identity behind each measurement, and the pose that each scan was taken from.
-
-    Raises RecordingError, naming the field, where arrays do not fit together or hold what they may not.
-    """
-
-    name: str
-    source: str  # where it is published and what to cite
-    terms: str  # under which it may be used
-    landmark_ids: IntArray  # (L,) identities, none twice
-    landmarks: Array  # (L, 2) [m] in W
-    starts: IntArray  # (C + 1,) the measurements of case k are rows starts[k]:starts[k + 1] of the arrays (M, …)
-    points: Array  # (M, 2) [m] in R
-    covariances: Array  # (M, 2, 2) [m²] in R
-    sources: IntArray  # (M,) identity behind each measurement, −1 spurious, −2 unknown
-    poses: Array  # (C, 3) [m, m, rad] true poses in W
-
-    def __post_init__(self) -> None:
-        L, C, M = len(self.landmark_ids), len(self.poses), len(self.points)
-        shapes = {"landmarks": (L, 2), "starts": (C + 1,), "points": (M, 2), "covariances": (M, 2, 2)}
-        check_shapes(self, {**shapes, "sources": (M,), "poses": (C, 3)})
-        check_finite(self, ("landmarks", "points", "covariances", "poses"))
-        check_starts(self.starts, M)
-        if len(np.unique(self.landmark_ids)) != L:
-            raise RecordingError("field 'landmark_ids' names a landmark twice")
-        if not np.isin(self.sources, [SPURIOUS, UNLABELLED, *self.landmark_ids]).all():
-            raise RecordingError("field 'sources' names a landmark that is not there")
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def scan(self, case: int) -> Scan:
-        """What was measured. Sizes are unknown."""
-        rows = slice(self.starts[case], self.starts[case + 1])
-        return Scan.from_points(self.points[rows], self.covariances[rows])
-
-    def features_of(self, case: int) -> IntArray:
-        """(m,) row of `landmarks` behind each measurement, UNPAIRED where there is none: the true hypothesis."""
-        rows = {identity: row for row, identity in enumerate(self.landmark_ids.tolist())}
-        sources = self.sources[self.starts[case] : self.starts[case + 1]]
-        return np.array([rows.get(source, UNPAIRED) for source in sources.tolist()], dtype=np.int64)
-
-    def map(self, sigma: float = 0.01) -> Landmarks:
-        """The surveyed landmarks, each off by `sigma` [m] per axis, independently of the others."""
-        return Landmarks.from_points(self.landmarks, sigma=sigma)
-
-
-GROUPED = Noise(range=0.15, range_per_metre=0.0, bearing=0.02)
-"""That of the stationary groups, as their poses show it: σ of ranges 0.14 to 0.16 m, of bearings 0.013 to 0.024 rad."""
 _FARTHEST_GROUP = 1e5  # [m], [rad]; and more groups or landmarks than that are none of this dataset
 _COLUMNS = {"landmark": 3, "groundtruth": 4, "measurement": 4}  # of the variables of a file
 
 
-def stationary(path: str | Path, noise: Noise | None = None) -> RelocationCases:
+def stationary(path: str | Path) -> Recording:
     """Groups of three or more measurements that a robot made within a second and a centimetre, with its true pose.
 
-    From a file `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. Gross errors were removed by those who
-    extracted the groups, and barcodes of robots too: nothing is spurious. Most groups repeat the one before, since
-    robots stand still for long. `noise` is by default that of the groups themselves. Raises FileNotFoundError, or
-    RecordingError that names file, variable and row.
+    Each group is a step of its own: nothing is known of the motion between them, which is left at zero, and the poses
+    of the reference are those of the steps. From a file `mrclamN.mat`, N = 1 … 5; landmarks are numbered from 1. Gross
+    errors were removed by those who extracted the groups, and barcodes of robots too: nothing is spurious. Most groups
+    repeat the one before, since robots stand still for long. Raises FileNotFoundError, or RecordingError that names
+    file, variable and row.
     """
-    noise, path = noise or GROUPED, Path(path)
+    path = Path(path)
     content = read_matlab(path, list(_COLUMNS), SOURCE)
     tables = {name: numbers_of(path, name, content[name], columns) for name, columns in _COLUMNS.items()}
     landmarks, truth, measured = tables.values()
@@ -301,21 +237,28 @@ def stationary(path: str | Path, noise: Noise | None = None) -> RelocationCases:
     whole = (landmarks[:, 0] == np.round(landmarks[:, 0])) & (landmarks[:, 0] >= 0) & (landmarks[:, 0] < 1 << 53)
     refuse_rows(path, "landmark", ~whole, "has no whole number")
     if not np.array_equal(truth[:, 0], np.arange(1, len(truth) + 1)):
-        raise RecordingError(f"{path}: variable 'groundtruth': the cases are not numbered 1 … {len(truth)}")
-    for column, known, what in ((0, truth[:, 0], "case"), (1, landmarks[:, 0], "landmark")):
+        raise RecordingError(f"{path}: variable 'groundtruth': the groups are not numbered 1 … {len(truth)}")
+    for column, known, what in ((0, truth[:, 0], "group"), (1, landmarks[:, 0], "landmark")):
         refuse_rows(path, "measurement", ~np.isin(measured[:, column], known), f"is of no {what} that is there")
     measured = measured[np.argsort(measured[:, 0], kind="stable")]
-    points, covariances = noise.points(measured[:, 2], measured[:, 3])
+    points, covariances = GROUPED.points(measured[:, 2], measured[:, 3])
+    times = np.arange(len(truth), dtype=np.float64)
     with naming(path):
-        return RelocationCases(
+        return Recording(
             name=f"mrclam/stationary/{path.stem}",
             source=SOURCE,
             terms=TERMS,
-            landmark_ids=landmarks[:, 0].astype(np.int64),
-            landmarks=landmarks[:, 1:].copy(),
+            times=times,
+            motions=np.zeros((len(truth), 3)),
+            motion_covariances=np.zeros((len(truth), 3, 3)),
             starts=starts_of(np.bincount(measured[:, 0].astype(np.int64) - 1, minlength=len(truth))),
             points=points,
             covariances=covariances,
             sources=measured[:, 1].astype(np.int64),
-            poses=truth[:, 1:].copy(),
+            reference_times=times,
+            reference_poses=truth[:, 1:].copy(),
+            landmark_ids=landmarks[:, 0].astype(np.int64),
+            landmarks=landmarks[:, 1:].copy(),
+            range=_RANGE,
+            field_of_view=_FIELD_OF_VIEW,
         )

@@ -20,15 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._files import content_of, lines_of
-from slam_gym.recordings.reading import RecordingError, naming, starts_of
+from slam_gym._files import content_of
+from slam_gym.recordings.reading import RecordingError, naming
 from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array
 
 _MAX_BYTES = 1 << 25
 _AT_START = 1e-12  # [m²], [rad²] of the first pose: it is where the log begins
-_G2O = {"VERTEX_SE2": 3, "VERTEX_XY": 2, "EDGE_SE2": 3, "EDGE_SE2_XY": 2}  # size of the mean, by tag
-_ISAM = {"ODOMETRY": 3, "LANDMARK": 2}
+_G2O = {"VERTEX_SE2": (1, 3, 0), "VERTEX_XY": (1, 2, 0), "EDGE_SE2": (2, 3, 6), "EDGE_SE2_XY": (2, 2, 3)}
+_ISAM = {"ODOMETRY": (2, 3, 6), "LANDMARK": (2, 2, 3)}
+"""By tag, how many numbers are the key of an entry, its mean and its weight."""
 
 
 class _Entry(NamedTuple):
@@ -40,15 +41,6 @@ class _Entry(NamedTuple):
     weight: list[float]  # of an edge: upper triangle, by rows, of the information matrix or of its root
 
 
-class _Graph(NamedTuple):
-    """What a file holds."""
-
-    poses: list[_Entry]
-    landmarks: list[_Entry]
-    motions: list[_Entry]
-    measurements: list[_Entry]
-
-
 def g2o(path: str | Path, *, reference: bool = False) -> Recording:
     """A log from a g2o file with landmarks. With `reference`, its vertices are taken for the truth.
 
@@ -56,52 +48,40 @@ def g2o(path: str | Path, *, reference: bool = False) -> Recording:
     """
     with naming(path):
         entries = _read(Path(path), _G2O)
-        poses, landmarks = (entries[tag] if reference else [] for tag in ("VERTEX_SE2", "VERTEX_XY"))
-        graph = _Graph(poses, landmarks, entries["EDGE_SE2"], entries["EDGE_SE2_XY"])
-        return _recording(Path(path), graph, root=False)
+        vertices = {tag: {v.key[0]: v.mean for v in entries[tag] if reference} for tag in ("VERTEX_SE2", "VERTEX_XY")}
+        return _recording(Path(path), entries["EDGE_SE2"], entries["EDGE_SE2_XY"], False, *vertices.values())
 
 
 def isam(path: str | Path) -> Recording:
     """A log from a file in iSAM's text format. Raises FileNotFoundError, or RecordingError that names file and line."""
     with naming(path):
         entries = _read(Path(path), _ISAM)
-        return _recording(Path(path), _Graph([], [], entries["ODOMETRY"], entries["LANDMARK"]), root=True)
+        return _recording(Path(path), entries["ODOMETRY"], entries["LANDMARK"], True, {}, {})
 
 
-def _read(path: Path, sizes: dict[str, int]) -> dict[str, list[_Entry]]:
+def _read(path: Path, sizes: dict[str, tuple[int, int, int]]) -> dict[str, list[_Entry]]:
     """The entries of a file by their tags."""
     entries: dict[str, list[_Entry]] = {tag: [] for tag in sizes}
-    for number, text in lines_of(content_of(path, _MAX_BYTES)):
-        tag, *words = text.split("#", 1)[0].split() or [""]
+    for number, line in enumerate(content_of(path, _MAX_BYTES).decode("utf-8", errors="replace").split("\n"), 1):
+        tag, *words = line.split("#", 1)[0].split() or [""]
         try:
+            if tag and tag not in sizes:
+                raise ValueError(f"{tag[:40]!r} is none of {', '.join(sizes)}")
             if tag:
-                entries[_known(tag, sizes)].append(_entry(number, tag, words, sizes[tag]))
+                entries[tag].append(_entry(number, tag, words, *sizes[tag]))
         except ValueError as error:
             raise RecordingError(f"line {number}: {error}") from None
     return entries
 
 
-def _known(tag: str, sizes: dict[str, int]) -> str:
-    if tag not in sizes:
-        raise ValueError(f"{tag[:40]!r} is none of {', '.join(sizes)}")
-    return tag
-
-
-def _entry(line: int, tag: str, words: Sequence[str], size: int) -> _Entry:
-    vertex = tag.startswith("VERTEX")
-    indices = 1 if vertex else 2
-    count = indices + size + (0 if vertex else size * (size + 1) // 2)
-    numbers = [float(word) for word in words[indices:]]
-    if len(words) != count or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{tag} takes {count} finite numbers")
-    return _Entry(line, tuple(_index(word) for word in words[:indices]), numbers[:size], numbers[size:])
-
-
-def _index(word: str) -> int:
-    """The number of a pose or landmark, with all of its digits."""
-    if not (word.isdecimal() and len(word) < 20 and int(word) < 1 << 63):
-        raise ValueError(f"{word[:40]} is no index")
-    return int(word)
+def _entry(line: int, tag: str, words: Sequence[str], keys: int, mean: int, weight: int) -> _Entry:
+    numbers = [float(word) for word in words[keys:]]
+    if len(numbers) != mean + weight or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{tag} takes {keys + mean + weight} finite numbers")
+    for word in words[:keys]:
+        if not (word.isdecimal() and len(word) < 20 and int(word) < 1 << 63):
+            raise ValueError(f"{word[:40]} is no index")
+    return _Entry(line, tuple(map(int, words[:keys])), numbers[:mean], numbers[mean:])
 
 
 def _covariances(edges: Sequence[_Entry], size: int, root: bool) -> Array:
@@ -122,42 +102,49 @@ def _covariances(edges: Sequence[_Entry], size: int, root: bool) -> Array:
     return np.asarray(0.5 * (covariances + covariances.transpose(0, 2, 1)))
 
 
-def _recording(path: Path, graph: _Graph, root: bool) -> Recording:
+def _recording(
+    path: Path,
+    motions: Sequence[_Entry],
+    measurements: Sequence[_Entry],
+    root: bool,
+    known: dict[int, list[float]],
+    places: dict[int, list[float]],
+) -> Recording:
+    """The log of motions and measurements, whose weights are information matrices or the `root` of these.
+
+    `known` and `places` are the poses and landmarks of the reference by their numbers.
+    """
     by_pair: dict[tuple[int, ...], _Entry] = {}
-    for edge in graph.motions:
+    for edge in motions:
         if edge.key in by_pair:
             raise RecordingError(f"line {edge.line}: the motion from {edge.key[0]} to {edge.key[1]} is there twice")
         by_pair[edge.key] = edge
-    poses = sorted({i for pair in by_pair for i in pair} | {edge.key[0] for edge in graph.measurements})
-    if not poses or not graph.measurements:
+    poses = sorted({i for pair in by_pair for i in pair} | {edge.key[0] for edge in measurements})
+    if not poses or not measurements:
         raise RecordingError("no pose, or no measurement of a landmark")
     pairs = list(itertools.pairwise(poses))
     if further := sorted(set(by_pair) - set(pairs)):
         raise RecordingError(f"edge {further[0]} joins poses that do not follow each other")
     if missing := [pair for pair in pairs if pair not in by_pair]:
         raise RecordingError(f"pose {missing[0][1]} is not reached from pose {missing[0][0]}")
-    motions = [by_pair[pair] for pair in pairs]
-    step = {pose: k for k, pose in enumerate(poses)}
-    measured = sorted(graph.measurements, key=lambda edge: step[edge.key[0]])  # stable: as in the file within a scan
+    moved = [by_pair[pair] for pair in pairs]
+    measured = sorted(measurements, key=lambda edge: edge.key[0])  # stable: as in the file within a scan
     points = np.array([edge.mean for edge in measured])
-    times = np.arange(len(poses), dtype=np.float64)
-    known = {entry.key[0]: entry.mean for entry in graph.poses}
-    places = {entry.key[0]: entry.mean for entry in graph.landmarks}
-    reference = [pose for pose in poses if pose in known]
+    reference = [step for step, pose in enumerate(poses) if pose in known]
     seen = sorted({edge.key[1] for edge in measured} & set(places))
     return Recording(
         name=path.stem,
         source=path.name,
         terms="not stated in the file",
-        times=times,
-        motions=np.array([[0.0, 0.0, 0.0], *(edge.mean for edge in motions)]),
-        motion_covariances=np.concatenate([_AT_START * np.eye(3)[None], _covariances(motions, 3, root)]),
-        starts=starts_of(np.bincount([step[edge.key[0]] for edge in measured], minlength=len(poses))),
+        times=np.arange(len(poses), dtype=np.float64),
+        motions=np.array([[0.0, 0.0, 0.0], *(edge.mean for edge in moved)]),
+        motion_covariances=np.concatenate([_AT_START * np.eye(3)[None], _covariances(moved, 3, root)]),
+        starts=np.append(np.searchsorted([edge.key[0] for edge in measured], poses), len(measured)),
         points=points,
         covariances=_covariances(measured, 2, root),
         sources=np.array([edge.key[1] for edge in measured], dtype=np.int64),
-        reference_times=times[[step[pose] for pose in reference]],
-        reference_poses=np.array([known[pose] for pose in reference]).reshape(-1, 3),
+        reference_times=np.array(reference, dtype=np.float64),
+        reference_poses=np.array([known[poses[step]] for step in reference]).reshape(-1, 3),
         landmark_ids=np.array(seen, dtype=np.int64),
         landmarks=np.array([places[landmark] for landmark in seen]).reshape(-1, 2),
         range=float(np.hypot(*points.T).max()) + 1e-9,

@@ -1,10 +1,11 @@
-"""What the readers of logs share: one error, checks of fields, MATLAB variables, points from ranges and bearings."""
+"""What the readers of logs share: one error, checks of fields, MATLAB variables, spans of commands, polar points."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,27 +30,6 @@ def naming(path: str | Path) -> Iterator[None]:
     except (ValueError, ArithmeticError) as error:
         message = str(error)
         raise RecordingError(message if message.startswith(str(path)) else f"{path}: {message}") from None
-
-
-def refuse(name: str, bad: Any, what: str) -> None:
-    """RecordingError naming the first entry of a field at which `bad` (n,) holds."""
-    if bad.any():
-        raise RecordingError(f"field {name!r}: entry {int(np.flatnonzero(bad)[0])} {what}")
-
-
-def check_shapes(record: object, shapes: dict[str, tuple[int, ...]]) -> None:
-    """RecordingError naming the first field of a record whose array has another shape."""
-    for name, shape in shapes.items():
-        found = np.shape(getattr(record, name))
-        if found != shape:
-            raise RecordingError(f"field {name!r} has shape {found}, expected {shape}")
-
-
-def check_finite(record: object, names: Iterable[str]) -> None:
-    """RecordingError naming the first field and entry that is not finite."""
-    for name in names:
-        finite = np.isfinite(getattr(record, name))
-        refuse(name, ~finite.all(axis=tuple(range(1, finite.ndim))), "is not finite")
 
 
 def read_matlab(path: Path, names: Sequence[str], source: str) -> dict[str, Any]:
@@ -94,31 +74,52 @@ def refuse_rows(path: Path, name: str, bad: Any, what: str) -> None:
         raise RecordingError(f"{path}: variable {name!r}: row {int(bad.argmax()) + 1} {what}")
 
 
-def check_starts(starts: IntArray, count: int) -> None:
-    """RecordingError unless `starts` ascends from 0 to the number of measurements."""
-    refuse("starts", np.diff(np.clip(starts, -1, count + 1), prepend=0) < 0, "descends")  # differences may overflow
-    if starts[0] != 0 or starts[-1] != count:
-        raise RecordingError(f"field 'starts' goes from {starts[0]} to {starts[-1]}, expected 0 to {count}")
-
-
 def starts_of(counts: ArrayLike) -> IntArray:
     """(T + 1,) rows at which the measurements of each step start, and their end, from their numbers (T,)."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-class Points(NamedTuple):
-    """Measured points in R."""
-
-    points: Array  # (M, 2) [m]
-    covariances: Array  # (M, 2, 2) [m²]
+def wrapped(angles: Array) -> Array:
+    """Angles [rad] brought into (−π, π]."""
+    return np.asarray(math.pi - np.remainder(math.pi - angles, 2.0 * math.pi))
 
 
-def from_polar(ranges: Array, bearings: Array, range_variance: float | Array, bearing_sigma: float) -> Points:
-    """Points from ranges (M,) [m] with a variance [m²], for all or each (M,), and bearings (M,) with a σ [rad]."""
+class Spans(NamedTuple):
+    """The time between the looks of a log, cut where another command takes over."""
+
+    step: IntArray  # (s,) the look that each span leads to
+    command: IntArray  # (s,) the command that holds in it, −1 before the first one
+    seconds: Array  # (s,)
+
+    @classmethod
+    def between(cls, looks: Array, commands: Array) -> Spans:
+        """From the instants (T,) of the looks and those (n,) at which the commands begin, both ascending [s]."""
+        within = commands[(commands > looks[0]) & (commands < looks[-1])]
+        edges = np.unique(np.concatenate([looks, within]))
+        after = np.searchsorted(looks, edges[:-1], side="right")
+        return cls(after, np.searchsorted(commands, edges[:-1], side="right") - 1, np.diff(edges))
+
+    def headings(self, turns: Array) -> Array:
+        """(s,) [rad] at the start of each span since the look before it, from how much each turns (s,) [rad]."""
+        before = np.cumsum(turns) - turns
+        return before - before[np.searchsorted(self.step, self.step)]
+
+    def sums(self, values: Array, looks: int) -> Array:
+        """(T,) of the values (s,) in the spans that lead to each of so many looks."""
+        return np.asarray(np.bincount(self.step, values, looks), np.float64)
+
+
+def from_polar(
+    ranges: Array, bearings: Array, range_variance: float | Array, bearing_sigma: float
+) -> tuple[Array, Array]:
+    """Points (M, 2) [m] and covariances (M, 2, 2) [m²] in R.
+
+    From ranges (M,) [m] with a variance [m²], for all or each (M,), and bearings (M,) with a σ [rad].
+    """
     ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
     aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     along = np.broadcast_to(range_variance, ranges.shape)[:, None, None]
     across = np.square(bearing_sigma * ranges)[:, None, None]
     covariances = along * ahead[:, :, None] * ahead[:, None, :]
     covariances += across * aside[:, :, None] * aside[:, None, :]
-    return Points(ranges[:, None] * ahead, covariances)
+    return ranges[:, None] * ahead, covariances

@@ -20,21 +20,11 @@ from scipy.spatial.distance import cdist
 
 from slam_gym._files import array_of, content_of, zip_members
 from slam_gym.geometry import compose, compose_jacobians
-from slam_gym.recordings.reading import (
-    RecordingError,
-    check_finite,
-    check_shapes,
-    check_starts,
-    naming,
-    refuse,
-    starts_of,
-)
+from slam_gym.recordings.reading import RecordingError, naming, starts_of, wrapped
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 
-PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
-"""The fields of a recording with a row for each measurement."""
-
 FORMAT, VERSION = "slam_gym recording", 1
+_PER_MEASUREMENT = ("points", "covariances", "sizes", "size_variances", "sources")
 _TEXTS = ("name", "source", "terms")
 _INTEGERS = ("starts", "sources", "landmark_ids")
 _NUMBERS = ("range", "field_of_view")
@@ -108,11 +98,14 @@ class Recording:
         last = len(self) if last is None else last
         if not 0 <= first < last <= len(self):
             raise IndexError(f"steps {first} … {last} of a recording of {len(self)}")
-        rows = slice(self.starts[first], self.starts[last])
-        cut = {name: getattr(self, name)[first:last] for name in ("times", "motions", "motion_covariances")} | {
-            name: getattr(self, name)[rows] for name in PER_MEASUREMENT
-        }
-        return replace(self, **cut, starts=self.starts[first : last + 1] - self.starts[first])
+        return replace(
+            self,
+            times=self.times[first:last],
+            motions=self.motions[first:last],
+            motion_covariances=self.motion_covariances[first:last],
+            starts=self.starts[first : last + 1] - self.starts[first],
+            **self._measurements(slice(self.starts[first], self.starts[last])),
+        )
 
     def every(self, count: int) -> Recording:
         """Steps 0, `count`, 2·`count` …; motions and covariances of the steps between are compounded.
@@ -138,16 +131,17 @@ class Recording:
             motions=motions[kept],
             motion_covariances=covariances[kept],
             starts=starts_of(counts[kept]),
-            **{name: getattr(self, name)[rows] for name in PER_MEASUREMENT},
+            **self._measurements(rows),
         )
 
     def without_spurious(self) -> Recording:
         """Without the measurements that are known to come from no feature."""
         kept = self.sources != SPURIOUS
-        before = starts_of(kept)
-        return replace(
-            self, starts=before[self.starts], **{name: getattr(self, name)[kept] for name in PER_MEASUREMENT}
-        )
+        return replace(self, starts=starts_of(kept)[self.starts], **self._measurements(kept))
+
+    def _measurements(self, rows: slice | BoolArray) -> dict[str, Any]:
+        """The fields with a row for each measurement, in some of their rows."""
+        return {name: getattr(self, name)[rows] for name in _PER_MEASUREMENT}
 
     def merged(self, distance: float) -> Recording:
         """With landmarks that are no farther than `distance` [m] from each other taken for one, in their middle.
@@ -207,20 +201,15 @@ def load(path: str | Path) -> Recording:
 
 def _field_of(name: str, content: bytes) -> Any:
     """A field as the dataclass has it."""
+    kinds = "U" if name in _TEXTS else "iu" if name in _INTEGERS else "fiu"
     try:
-        value = array_of(content, "fiuU")
+        value = array_of(content, kinds)
     except ValueError as error:
         raise RecordingError(f"field {name!r} {error}") from None
-    if name in _TEXTS:
-        if value.shape != () or value.dtype.kind != "U":
-            raise RecordingError(f"field {name!r} is no text")
-        return str(value)
-    if name in _NUMBERS:
-        if value.shape != () or value.dtype.kind not in "fiu":
-            raise RecordingError(f"field {name!r} is no number")
-        return float(value)
-    if value.dtype.kind not in ("iu" if name in _INTEGERS else "fiu"):
-        raise RecordingError(f"field {name!r} has entries of type {value.dtype}")
+    if name in _TEXTS or name in _NUMBERS:
+        if value.shape != ():
+            raise RecordingError(f"field {name!r} has shape {value.shape}, expected one text or number")
+        return value.item() if name in _TEXTS else float(value)
     if name in _INTEGERS and value.dtype == np.uint64 and value.size and value.max() > np.iinfo(np.int64).max:
         raise RecordingError(f"field {name!r} holds {value.max()}, which is above 2⁶³ − 1")
     return np.ascontiguousarray(value, dtype=np.int64 if name in _INTEGERS else np.float64)
@@ -245,34 +234,40 @@ def interpolate(times: Array, poses: Array, at: Array) -> Array:
     """Poses (k, 3) at instants (k,), linear between the given ones (t, 3); headings NaN where any of those is."""
     headings = poses[:, 2] if np.isnan(poses[:, 2]).any() else np.unwrap(poses[:, 2])
     x, y, heading = (np.interp(at, times, column) for column in (poses[:, 0], poses[:, 1], headings))
-    return np.column_stack([x, y, math.pi - np.remainder(math.pi - heading, 2.0 * math.pi)])
+    return np.column_stack([x, y, wrapped(heading)])
 
 
 def _validate(log: Recording) -> None:
     T, M, G, L = len(log.times), len(log.points), len(log.reference_times), len(log.landmark_ids)
-    check_shapes(log, {
+    shapes = {
         "times": (T,), "motions": (T, 3), "motion_covariances": (T, 3, 3), "starts": (T + 1,), "points": (M, 2),
         "covariances": (M, 2, 2), "sizes": (M,), "size_variances": (M,), "sources": (M,), "reference_times": (G,),
         "reference_poses": (G, 3), "landmark_ids": (L,), "landmarks": (L, 2),
-    })  # fmt: skip
-    finite = ("times", "motions", "motion_covariances", "points", "covariances", "reference_times", "landmarks")
-    check_finite(log, finite)
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        found = np.shape(getattr(log, name))
+        if found != shape:
+            raise RecordingError(f"field {name!r} has shape {found}, expected {shape}")
+    for name in ("times", "motions", "motion_covariances", "points", "covariances", "reference_times", "landmarks"):
+        _refuse(name, ~np.isfinite(getattr(log, name)), "is not finite")
     for name in ("motions", "points", "landmarks", "sizes"):
-        large = np.abs(getattr(log, name)) > _LARGEST
-        refuse(name, large.any(axis=tuple(range(1, large.ndim))), f"is larger than {_LARGEST:.0e}")
-    refuse("reference_poses", ~np.isfinite(log.reference_poses[:, :2]).all(axis=1), "has no finite position")
+        _refuse(name, np.abs(getattr(log, name)) > _LARGEST, f"is larger than {_LARGEST:.0e}")
+    for name in ("motion_covariances", "covariances", "size_variances"):
+        _refuse(name, np.abs(getattr(log, name)) > _LARGEST**2, f"is larger than {_LARGEST**2:.0e}")
+    for name in ("motion_covariances", "covariances"):
+        _refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
     for name in ("times", "reference_times"):
         times = getattr(log, name)
-        refuse(name, np.diff(times, prepend=times[:1]) < 0.0, "comes before the entry before it")
-    check_starts(log.starts, M)
-    for name in ("motion_covariances", "covariances"):
-        refuse(name, np.abs(getattr(log, name)).max(axis=(1, 2)) > _LARGEST**2, f"is larger than {_LARGEST**2:.0e}")
-        refuse(name, ~_are_covariances(getattr(log, name)), "is no covariance")
-    refuse("size_variances", log.size_variances < 0.0, "is negative")
-    refuse("size_variances", log.size_variances > _LARGEST**2, f"is larger than {_LARGEST**2:.0e}")
-    refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
-    refuse("sources", log.sources < UNLABELLED, f"is neither an identity nor {SPURIOUS} nor {UNLABELLED}")
-    refuse("landmark_ids", log.landmark_ids < 0, "is negative")
+        _refuse(name, np.diff(times, prepend=times[:1]) < 0.0, "comes before the entry before it")
+    starts = np.clip(log.starts, -1, M + 1)  # differences of what is far outside may overflow
+    _refuse("starts", np.diff(starts, prepend=0) < 0, "descends")
+    if starts[0] != 0 or starts[-1] != M:
+        raise RecordingError(f"field 'starts' goes from {log.starts[0]} to {log.starts[-1]}, expected 0 to {M}")
+    _refuse("reference_poses", ~np.isfinite(log.reference_poses[:, :2]), "has no finite position")
+    _refuse("size_variances", log.size_variances < 0.0, "is negative")
+    _refuse("size_variances", np.isnan(log.sizes) != np.isnan(log.size_variances), "is NaN where the size is not")
+    _refuse("sources", log.sources < UNLABELLED, f"is neither an identity nor {SPURIOUS} nor {UNLABELLED}")
+    _refuse("landmark_ids", log.landmark_ids < 0, "is negative")
     if len(np.unique(log.landmark_ids)) != L:
         raise RecordingError("field 'landmark_ids' names a landmark twice")
     if not (0.0 < log.range < np.inf):
@@ -281,10 +276,14 @@ def _validate(log: Recording) -> None:
         raise RecordingError(f"field 'field_of_view' is {log.field_of_view}, expected an angle in (0, 2π]")
 
 
+def _refuse(name: str, bad: BoolArray, what: str) -> None:
+    """RecordingError naming the first entry of a field where any of `bad` (n, …) holds."""
+    if bad.any():
+        raise RecordingError(f"field {name!r}: entry {int(np.nonzero(bad)[0][0])} {what}")
+
+
 def _are_covariances(matrices: Array) -> BoolArray:
-    if len(matrices) == 0:
-        return np.ones(0, bool)
-    scale = np.abs(matrices).max(axis=(1, 2)) + np.finfo(float).tiny
+    scale = np.abs(matrices).max(axis=(1, 2), initial=np.finfo(float).tiny)
     symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= _TOLERANCE * scale
     good: BoolArray = symmetric & (np.linalg.eigvalsh(matrices).min(axis=1) >= -_TOLERANCE * scale)
     return good

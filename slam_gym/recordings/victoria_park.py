@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._jit import compiled
 from slam_gym.recordings.reading import (
     RecordingError,
+    Spans,
     from_polar,
     naming,
     numbers_of,
@@ -56,7 +56,10 @@ class Noise:
     size_per_metre: float = 0.005  # [m/m] of the range, added in quadrature
 
 
-def victoria_park(folder: str | Path, noise: Noise | None = None) -> Recording:
+NOISE = Noise()
+
+
+def victoria_park(folder: str | Path) -> Recording:
     """The whole log from the published files in `folder`: one step a laser scan, trunk diameters as sizes.
 
     Identities are SPURIOUS for the detections that the label file leaves out of a scan, and UNLABELLED in the scans
@@ -64,10 +67,9 @@ def victoria_park(folder: str | Path, noise: Noise | None = None) -> Recording:
     the error of a good trajectory is least when they are shifted by 0.1 s.
     Raises FileNotFoundError, or RecordingError that names file and variable.
     """
-    noise = noise or Noise()
     folder = Path(folder)
     with naming(folder):
-        return _recording(_read(folder), noise)
+        return _recording(_read(folder))
 
 
 class _Park(NamedTuple):
@@ -125,25 +127,23 @@ def _detections(path: Path, cells: Array, scans: int) -> list[Array]:
     return tables
 
 
-def _recording(park: _Park, noise: Noise) -> Recording:
-    time, speed, steering = park.wheels
-    growth = (noise.speed, noise.lateral, noise.turn)
-    motions, covariances = _integrate(park.scans, 1e-3 * time, speed, steering, growth)
+def _recording(park: _Park) -> Recording:
+    motions, motion_covariances = _driven(park.scans, park.wheels)
     polar = park.polar
     bearings = polar[:, 1] - 0.5 * math.pi  # the laser counts them from its right
-    seen = from_polar(polar[:, 0], bearings, noise.range**2, noise.bearing)
+    points, covariances = from_polar(polar[:, 0], bearings, NOISE.range**2, NOISE.bearing)
     return Recording(
         name="victoria_park",
         source=SOURCE,
         terms=TERMS,
         times=park.scans,
         motions=motions,
-        motion_covariances=covariances,
+        motion_covariances=motion_covariances,
         starts=park.starts,
-        points=seen.points,
-        covariances=seen.covariances,
+        points=points,
+        covariances=covariances,
         sizes=polar[:, 2].copy(),
-        size_variances=noise.size**2 + (noise.size_per_metre * polar[:, 0]) ** 2,
+        size_variances=NOISE.size**2 + (NOISE.size_per_metre * polar[:, 0]) ** 2,
         sources=park.sources,
         reference_times=1e-3 * park.gps[:, 0],
         reference_poses=np.column_stack([park.gps[:, 1:], np.full(len(park.gps), np.nan)]),
@@ -152,39 +152,30 @@ def _recording(park: _Park, noise: Noise) -> Recording:
     )
 
 
-@compiled
-def _integrate(
-    scans: Array, times: Array, speeds: Array, steerings: Array, growth: tuple[float, float, float]
-) -> tuple[Array, Array]:
+def _driven(scans: Array, wheels: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """Motion (T, 3) of the laser from scan to scan, and its covariance (T, 3, 3), by the vehicle's kinematics.
 
     With the speed v_c = v / (1 − tan α · H / L) of the middle of the rear axle and κ = tan α / L,
     ẋ = v_c (cos θ − κ (a sin θ + b cos θ)), ẏ = v_c (sin θ + κ (a cos θ − b sin θ)), θ̇ = v_c κ
     (Guivant and Nebot 2001). A command holds until the next one.
     """
-    along, across, turn = growth
-    motions, covariances = np.zeros((len(scans), 3)), np.zeros((len(scans), 3, 3))
-    at = 0
-    for k in range(len(scans)):
-        now = scans[k - 1] if k > 0 else scans[0]
-        x, y, theta, moving = 0.0, 0.0, 0.0, 0.0
-        while now < scans[k]:
-            while at + 1 < len(times) and times[at + 1] <= now:
-                at += 1
-            end = min(scans[k], times[at + 1]) if at + 1 < len(times) else scans[k]
-            dt = end - now if times[at] <= now else 0.0
-            v = speeds[at] / (1.0 - math.tan(steerings[at]) * _HALF_WIDTH / _LENGTH)
-            curvature = math.tan(steerings[at]) / _LENGTH
-            c, s = math.cos(theta), math.sin(theta)
-            x += dt * v * (c - curvature * (_AHEAD * s + _ASIDE * c))
-            y += dt * v * (s + curvature * (_AHEAD * c - _ASIDE * s))
-            theta += dt * v * curvature
-            moving += dt if v != 0.0 else 0.0
-            now = end
-        motions[k, 0], motions[k, 1], motions[k, 2] = x, y, theta
-        covariances[k, 0, 0] = along**2 * moving + _AT_REST**2
-        covariances[k, 1, 1] = across**2 * moving + _AT_REST**2
-        covariances[k, 2, 2] = turn**2 * moving + _AT_REST**2
+    time, speed, steering = wheels
+    spans = Spans.between(scans, 1e-3 * time)
+    dt = np.where(spans.command >= 0, spans.seconds, 0.0)
+    tangent = np.tan(steering[spans.command])
+    v, curvature = speed[spans.command] / (1.0 - tangent * _HALF_WIDTH / _LENGTH), tangent / _LENGTH
+    theta = spans.headings(dt * v * curvature)
+    c, s = np.cos(theta), np.sin(theta)
+    moved = (
+        dt * v * (c - curvature * (_AHEAD * s + _ASIDE * c)),
+        dt * v * (s + curvature * (_AHEAD * c - _ASIDE * s)),
+        dt * v * curvature,
+    )
+    motions = np.column_stack([spans.sums(part, len(scans)) for part in moved])
+    moving = spans.sums(np.where(v != 0.0, dt, 0.0), len(scans))  # [s]
+    covariances = np.zeros((len(scans), 3, 3))
+    for i, sigma in enumerate((NOISE.speed, NOISE.lateral, NOISE.turn)):
+        covariances[:, i, i] = sigma**2 * moving + _AT_REST**2
     return motions, covariances
 
 

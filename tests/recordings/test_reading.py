@@ -5,7 +5,7 @@ import pytest
 from scipy.io import savemat
 
 from slam_gym.recordings import RecordingError
-from slam_gym.recordings.reading import from_polar, read_matlab, starts_of
+from slam_gym.recordings.reading import Spans, from_polar, read_matlab, starts_of
 
 
 @pytest.mark.parametrize("each", [False, True])
@@ -13,15 +13,24 @@ def test_points_from_polar_measurements_have_their_first_order_covariance(each) 
     rng = np.random.default_rng(0)
     ranges, bearings = rng.uniform(0.5, 9.0, 50), rng.uniform(-np.pi, np.pi, 50)
     variances = rng.uniform(0.01, 0.1, 50) if each else 0.04
-    seen = from_polar(ranges, bearings, variances, 0.02)
-    np.testing.assert_allclose(np.hypot(*seen.points.T), ranges)
-    np.testing.assert_allclose(np.arctan2(*seen.points.T[::-1]), bearings)
+    points, covariances = from_polar(ranges, bearings, variances, 0.02)
+    np.testing.assert_allclose(np.hypot(*points.T), ranges)
+    np.testing.assert_allclose(np.arctan2(*points.T[::-1]), bearings)
     for i in range(50):
         c, s = np.cos(bearings[i]), np.sin(bearings[i])
         jacobian = np.array([[c, -ranges[i] * s], [s, ranges[i] * c]])
         noise = np.diag([variances[i] if each else variances, 0.02**2])
-        np.testing.assert_allclose(seen.covariances[i], jacobian @ noise @ jacobian.T, atol=1e-15)
-    assert from_polar(np.empty(0), np.empty(0), 0.1, 0.1).covariances.shape == (0, 2, 2)
+        np.testing.assert_allclose(covariances[i], jacobian @ noise @ jacobian.T, atol=1e-15)
+    assert from_polar(np.empty(0), np.empty(0), 0.1, 0.1)[1].shape == (0, 2, 2)
+
+
+def test_spans_are_cut_where_commands_take_over() -> None:
+    looks, commands = np.array([0.0, 1.0, 1.0, 4.0]), np.array([0.5, 1.0, 2.5, 2.5, 9.0])
+    spans = Spans.between(looks, commands)
+    assert spans.step.tolist() == [1, 1, 3, 3] and spans.command.tolist() == [-1, 0, 1, 3]
+    assert spans.sums(spans.seconds, 4).tolist() == [0.0, 1.0, 0.0, 3.0]
+    assert spans.headings(np.array([1.0, 2.0, 4.0, 8.0])).tolist() == [0.0, 1.0, 0.0, 4.0]
+    assert len(Spans.between(looks[:1], commands).step) == 0
 
 
 def test_steps_start_where_those_before_them_end() -> None:
