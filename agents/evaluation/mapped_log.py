@@ -26,8 +26,7 @@ from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities
 from slam_gym.metrics.consistency import anees, pose_nees
-from slam_gym.metrics.map_quality import align_se2, landmark_rmse
-from slam_gym.metrics.trajectory import ate
+from slam_gym.metrics.map_quality import align_se2, ate, landmark_rmse
 from slam_gym.recordings.recording import Recording, interpolate, write_tum
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec

@@ -129,7 +129,6 @@ class AssociateEnv(BaseEnv):
         self.observation_space = spaces.Dict(parts | {"budget": spaces.Box(0.0, 1.0, (1,), np.float32)})
         self.action_space = spaces.Discrete(candidates + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over
-        self._run: AssociationRun | None = None
         self._ended = False
 
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
@@ -137,7 +136,8 @@ class AssociateEnv(BaseEnv):
     @property
     def run(self) -> AssociationRun:
         """The SLAM run that the agent associates for. Raises RuntimeError before the first reset."""
-        return self._started(self._run)
+        self._started(getattr(self, "_run", None))
+        return self._run
 
     @property
     def score(self) -> float:
@@ -146,7 +146,7 @@ class AssociateEnv(BaseEnv):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(K + 1,) the actions that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
-        self._started(self._run)
+        self._started(getattr(self, "_run", None))
         if self.walk is not None:
             return self.walk.mask.copy()
         return np.equal(np.arange(self.K + 1), self.K)
@@ -167,7 +167,7 @@ class AssociateEnv(BaseEnv):
     # -- parts of a step ---------------------------------------------------------------------------------------------
 
     def _begin(self, world: int) -> Observation:
-        self._run = self._start(world)
+        self._run: AssociationRun = self._start(world)
         self.walk, self._ended, self._last_error = None, False, 1.0
         self._right = self._wrong = self._known = 0
         self._proceed()

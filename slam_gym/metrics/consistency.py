@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import chdtri
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
@@ -56,15 +55,3 @@ def anees(values: Array, dof: int) -> float:
     NaN without values.
     """
     return float(np.mean(values)) / dof if len(values) else math.nan
-
-
-def anees_interval(count: int, dof: int, level: float = 0.95) -> tuple[float, float]:
-    """Where the ANEES of `count` independent values with `dof` each lies with probability `level`, if consistent.
-
-    χ²_{count·dof} quantiles over count · dof (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4). Raises ValueError for
-    counts under 1 or a level outside (0, 1).
-    """
-    if count < 1 or dof < 1 or not 0.0 < level < 1.0:
-        raise ValueError(f"need count, dof >= 1 and a level in (0, 1), got {count}, {dof}, {level}")
-    n, tail = count * dof, 0.5 * (1.0 - level)
-    return float(chdtri(n, 1.0 - tail)) / n, float(chdtri(n, tail)) / n

@@ -1,4 +1,4 @@
-"""How good is the map? Estimated and true features as point sets, all given in one frame by the caller."""
+"""How good are the map and the trajectory? Estimated and true points, all given in one frame by the caller."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import transform
-from slam_gym.metrics.point_assignment import PackedIndex, assign_points, assign_to, indexed
+from slam_gym.metrics.point_assignment import Index, assign, indexed
 from slam_gym.types import Array, IntArray
 
 
@@ -37,9 +37,9 @@ def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0)
     estimated, true = _points("estimated", estimated), _points("true", true)
     if not (p >= 1.0 and 0.0 < cutoff < math.inf):
         raise ValueError(f"GOSPA needs p >= 1 and a positive cutoff, got p={p}, cutoff={cutoff}")
-    assigned, penalty, root = assign_points(estimated, true, cutoff, p), 0.5 * cutoff**p, 1.0 / p
-    localisation = assigned.cost
-    missed, false = penalty * (len(true) - assigned.pairs), penalty * (len(estimated) - assigned.pairs)
+    _, localisation, pairs = assign(estimated, indexed(true, cutoff), p)
+    penalty, root = 0.5 * cutoff**p, 1.0 / p
+    missed, false = penalty * (len(true) - pairs), penalty * (len(estimated) - pairs)
     return Gospa((localisation + missed + false) ** root, localisation**root, missed**root, false**root)
 
 
@@ -56,13 +56,12 @@ def map_error(estimated: Array, true: Array, sigma0: float) -> float:
     return error_of(estimated, indexed(true, 2.0 * sigma0))
 
 
-@compiled
-def error_of(estimated: Array, packed: PackedIndex) -> float:
+def error_of(estimated: Array, index: Index) -> float:
     """`map_error` against true features that are `indexed` with a cutoff of 2σ₀."""
-    true, _, _, cutoff = packed
-    (_, cost, pairs), sigma0 = assign_to(estimated, packed, 1.0), 0.5 * cutoff
+    true, _, _, cutoff = index
+    (_, cost, pairs), sigma0 = assign(estimated, index, 1.0), 0.5 * cutoff
     unpaired = len(estimated) + len(true) - 2 * pairs
-    return float((cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1)))
+    return (cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1))
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:
@@ -75,6 +74,15 @@ def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> fl
     if aligned:
         estimated = transform(align_se2(estimated, true), estimated)
     return math.sqrt(((estimated - true) ** 2).sum(axis=1).mean()) if len(true) else math.nan
+
+
+def ate(estimated: Array, true: Array, *, aligned: bool = False) -> float:
+    """Absolute trajectory error [m]: root mean square distance of the estimated from the true positions.
+
+    Of poses (t, 3) or positions (t, 2), row i of both at one instant; `aligned` for estimates that live in a frame of
+    their own (Sturm et al., IROS 2012). NaN for t = 0. Raises as `landmark_rmse`.
+    """
+    return landmark_rmse(estimated[:, :2], true[:, :2], aligned=aligned)
 
 
 def local_error(estimated: Array, true: Array, pairs: IntArray) -> float:

@@ -20,25 +20,8 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 _NOBODY = -1  # a column that no row has, a row without a column
 
 
-class PointAssignment(NamedTuple):
-    """Which estimated point stands for which true one."""
-
-    true_of: IntArray  # (e,) true point of each estimated one, or UNPAIRED
-    cost: float  # [m^p] Σ d^p of the pairs
-    pairs: int
-
-
-class Index(NamedTuple):
-    """True points with their order along x, in which neighbours are looked up."""
-
-    true: Array  # (N, 2) [m]
-    order: IntArray  # (N,) by ascending x
-    x: Array  # (N,) [m] ascending
-    cutoff: float  # [m]
-
-
-PackedIndex = tuple[Array, IntArray, Array, float]
-"""An `Index` as a plain tuple, as it comes from Python and goes back there."""
+Index = tuple[Array, IntArray, Array, float]
+"""True points (N, 2) [m], their order (N,) along x, their x [m] in that order, and the cutoff [m] of an assignment."""
 
 
 class _Pairs(NamedTuple):
@@ -70,20 +53,24 @@ class _Search(NamedTuple):
     done: BoolArray
 
 
-def assign_points(estimated: Array, true: Array, cutoff: float, p: float) -> PointAssignment:
-    """The optimal assignment of points `estimated` (e, 2) to `true` (N, 2) [m], both C-contiguous; `cutoff` [m].
-
-    Raises ValueError for points that are not finite.
-    """
-    return PointAssignment(*assign_to(estimated, indexed(true, cutoff), p))
+def indexed(true: Array, cutoff: float) -> Index:
+    """True points (N, 2) [m], C-contiguous, made ready for `assign`. Raises ValueError where one is not finite."""
+    if not np.isfinite(true).all():
+        raise ValueError("a position is not finite")
+    order = np.argsort(true[:, 0], kind="stable")
+    return true, order, true[:, 0][order], cutoff
 
 
 @compiled
-def assign_to(estimated: Array, packed: PackedIndex, p: float) -> tuple[IntArray, float, int]:
-    """A `PointAssignment` to true points that are `indexed`, which saves the work where they stay the same."""
-    index = Index(*packed)
-    pairs, true = _pairs_within(estimated, index), index.true
-    ceiling = index.cutoff**p
+def assign(estimated: Array, index: Index, p: float) -> tuple[IntArray, float, int]:
+    """The optimal assignment of points `estimated` (e, 2) [m], C-contiguous, to true points that are `indexed`.
+
+    The true point (e,) of each estimated one, or UNPAIRED; the sum of d^p [m^p] over the pairs, and how many there are.
+    Raises ValueError for points that are not finite.
+    """
+    true, _, _, cutoff = index
+    pairs = _pairs_within(estimated, index)
+    ceiling = cutoff**p
     for k in range(len(pairs.costs)):
         pairs.costs[k] = (pairs.costs[k] if p == 1.0 else pairs.costs[k] ** p) - ceiling
     true_of = _least_cost(pairs, len(true))
@@ -100,36 +87,23 @@ def assign_to(estimated: Array, packed: PackedIndex, p: float) -> tuple[IntArray
 @compiled
 def _pairs_within(estimated: Array, index: Index) -> _Pairs:
     """All pairs closer than the cutoff, their distances [m] as costs."""
-    _check_finite(estimated)
-    first = np.searchsorted(index.x, estimated[:, 0] - index.cutoff)
-    last = np.searchsorted(index.x, estimated[:, 0] + index.cutoff, side="right")
+    true, order, x, cutoff = index
+    first = np.searchsorted(x, estimated[:, 0] - cutoff)
+    last = np.searchsorted(x, estimated[:, 0] + cutoff, side="right")
     starts, q = np.zeros(len(estimated) + 1, np.int64), 0
     room = (last - first).sum()
     columns, distances = np.empty(room, np.int64), np.empty(room)
     for i in range(len(estimated)):
+        if not math.isfinite(estimated[i, 0] + estimated[i, 1]):
+            raise ValueError("a position is not finite")
         for k in range(first[i], last[i]):
-            j = index.order[k]
-            dx, dy = estimated[i, 0] - index.true[j, 0], estimated[i, 1] - index.true[j, 1]
-            if dx * dx + dy * dy < index.cutoff * index.cutoff:
+            j = order[k]
+            dx, dy = estimated[i, 0] - true[j, 0], estimated[i, 1] - true[j, 1]
+            if dx * dx + dy * dy < cutoff * cutoff:
                 columns[q], distances[q] = j, math.sqrt(dx * dx + dy * dy)
                 q += 1
         starts[i + 1] = q
     return _Pairs(starts, columns[:q], distances[:q])
-
-
-@compiled
-def indexed(true: Array, cutoff: float) -> PackedIndex:
-    """`Index` of points (N, 2), for a cutoff [m]. Raises ValueError for points that are not finite."""
-    _check_finite(true)
-    order = np.argsort(true[:, 0])
-    return true, order, true[:, 0][order], cutoff
-
-
-@compiled
-def _check_finite(points: Array) -> None:
-    for j in range(len(points)):
-        if not math.isfinite(points[j, 0] + points[j, 1]):
-            raise ValueError("a position is not finite")
 
 
 @compiled

@@ -14,7 +14,7 @@ from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame
 from slam_gym.rendering.panels import PANEL, STAR, Choice, Figures, KeyEntry, Level, TreePanel, badges, draw_panel
 from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
-from slam_gym.simulation.association_runs import AssociationRun, DrivenRun, LoggedRun
+from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
 from slam_gym.simulation.right_answers import UNDECIDED, RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
@@ -63,8 +63,7 @@ def _draw_surroundings(
 def _scene(run: AssociationRun) -> tuple[Array, Scene]:
     """Pose (3,) of B in the frame of the scene, and the scene: of a scenario in W, of a log in B."""
     if isinstance(run, DrivenRun):
-        return run.episode.base, scene_of_episode(run.episode)
-    assert isinstance(run, LoggedRun)
+        return run.base, scene_of_episode(run)
     return np.zeros(3), scene_of_log(run)
 
 

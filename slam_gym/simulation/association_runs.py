@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe
 from slam_gym.metrics import map_quality
-from slam_gym.metrics.association import Identities
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.driver import Command, commands
 from slam_gym.simulation.episode import Episode, Site
@@ -23,41 +21,6 @@ from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, Hypothesis, Odometry, Scan, Truth
 from slam_gym.world import corridor
-
-
-class AssociationRun(Protocol):
-    """A SLAM run whose hypotheses come from outside: `next_scan`, then `associate`, and again, until it is `over`."""
-
-    slam: Slam
-    identities: Identities
-    prediction: Prediction  # what the map expects of the scan
-
-    @property
-    def scan(self) -> Scan: ...
-
-    @property
-    def truth(self) -> Truth: ...
-
-    @property
-    def scans(self) -> int:
-        """Number of scans so far, the first from where the robot starts."""
-
-    @property
-    def length(self) -> int:
-        """Number of scans in all."""
-
-    @property
-    def over(self) -> bool: ...
-
-    def next_scan(self) -> None:
-        """On to the next scan."""
-
-    def associate(self, hypothesis: Hypothesis) -> None:
-        """Update the map by a hypothesis on the scan."""
-
-    def map_error(self) -> float:
-        """E: 1 for an empty map, 0 for a perfect one (see `metrics.map_quality.map_error`)."""
-
 
 Driver = Callable[[Goals, np.random.Generator], int]
 """Chooses among the legal goals: a slot."""
@@ -80,54 +43,42 @@ def random_goal(goals: Goals, rng: np.random.Generator) -> int:
 DRIVERS: dict[str, Driver] = {"nearest_frontier": nearest_frontier, "random": random_goal}
 
 
-class DrivenRun:
-    """A robot explores a scenario, one goal of `driver` after the other."""
+class DrivenRun(Episode):
+    """A robot explores a scenario, one goal of `driver` after the other, and somebody else associates."""
+
+    prediction: Prediction  # what the map expects of the scan
 
     def __init__(self, scenario: Scenario, site: Site, driver: Driver, rng: np.random.Generator) -> None:
         self._choices = np.random.default_rng(rng.integers(2**63))  # what is driven does not depend on the noise
         # the first look meets an empty map, so there is nothing to associate
-        self.episode = Episode(scenario, site, "nearest_neighbour", rng)
-        self.slam, self.identities = self.episode.slam, self.episode.identities
-        self._driver, self._places = driver, Places()
+        super().__init__(scenario, site, "nearest_neighbour", rng)
+        self._driver, self._passed = driver, Places()
         self._commands: Iterator[Command] = iter(())
 
     @property
-    def scan(self) -> Scan:
-        return self.episode.scan
-
-    @property
-    def truth(self) -> Truth:
-        return self.episode.truth
-
-    @property
     def scans(self) -> int:
-        return self.episode.ticks + 1
+        """Number of scans so far, the first from where the robot starts."""
+        return self.ticks + 1
 
     @property
     def length(self) -> int:
-        return self.episode.scenario.budget + 1
-
-    @property
-    def over(self) -> bool:
-        return self.episode.over
+        """Number of scans in all."""
+        return self.scenario.budget + 1
 
     def next_scan(self) -> None:
         """Drive on for a tick, towards a new goal where the last one is done with."""
         command = next(self._commands, None)
         while command is None:
-            e = self.episode
-            goals = propose(e.scenario, self.slam.map, e.grid, self._places, e.tried)
+            goals = propose(self.scenario, self.slam.map, self.grid, self._passed, self.tried)
             slot = self._driver(goals, self._choices)
-            self._commands = commands(self.episode, slot, goals.positions[slot])
+            self._commands = commands(self, slot, goals.positions[slot])
             command = next(self._commands, None)
-        self.prediction = self.episode.begin_tick(*command)
+        self.prediction = self.begin_tick(*command)
 
     def associate(self, hypothesis: Hypothesis) -> None:
-        self.episode.end_tick(self.prediction, hypothesis)
-        self._places.pass_by(self.episode.estimates[-1][:2])
-
-    def map_error(self) -> float:
-        return self.episode.map_error()
+        """Update the map by a hypothesis on the scan."""
+        self.end_tick(self.prediction, hypothesis)
+        self._passed.pass_by(self.estimates[-1][:2])
 
 
 @dataclass(frozen=True)
@@ -147,7 +98,9 @@ class ScanLog:
 
 
 class LoggedRun:
-    """SLAM on a log."""
+    """SLAM on a log, whose scans somebody else associates."""
+
+    prediction: Prediction  # what the map expects of the scan
 
     def __init__(self, log: ScanLog, rng: np.random.Generator) -> None:
         self.log = log
@@ -162,6 +115,7 @@ class LoggedRun:
 
     @property
     def over(self) -> bool:
+        """The last scan is associated."""
         return len(self.estimates) == self.length
 
     def next_scan(self) -> None:
@@ -174,6 +128,7 @@ class LoggedRun:
         self.scans += 1
 
     def associate(self, hypothesis: Hypothesis) -> None:
+        """Update the map by a hypothesis on the scan."""
         self._judged.learn(self.scan, self.prediction, hypothesis, self.truth)
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
@@ -185,12 +140,15 @@ class LoggedRun:
         return observe(start, self.log.targets)
 
     def map_error(self) -> float:
-        """As `AssociationRun` has it; 1, that of an empty map, where nobody knows the true features."""
+        """As `metrics.map_quality.map_error`; 1, that of an empty map, where nobody knows the true features."""
         if len(self.log.targets) and self._error_at != len(self.estimates):
             self._error_at = len(self.estimates)
             self._error = map_quality.map_error(self.slam.map.confirmed, self.targets, self.log.prior_sigma)
         return self._error
 
+
+AssociationRun = DrivenRun | LoggedRun
+"""SLAM whose hypotheses come from outside: `next_scan`, then `associate`, and again, until it is `over`."""
 
 CORRIDOR = ScanLog(
     "corridor",

@@ -14,7 +14,6 @@ import numpy as np
 from slam_gym.association.prediction import Associator, Prediction, SlamStep
 from slam_gym.geometry import compose, observe, relative, transform
 from slam_gym.metrics import map_quality
-from slam_gym.metrics.association import Tally
 from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.explored_grid import ExploredGrid
@@ -25,10 +24,10 @@ from slam_gym.navigation.wall_compass import WallCompass
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation.goals import Tried
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.simulation.kidnapping import Kidnapping, is_right
+from slam_gym.simulation.kidnapping import Kidnapping
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import Relocate
-from slam_gym.slam.slam import Slam, SlamSpec
+from slam_gym.slam.slam import Slam
 from slam_gym.types import Array, BoolArray, Hypothesis, IntArray
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import Motion, World
@@ -85,13 +84,11 @@ class Episode:
         relocate: Relocate | None = None,
         atlas: AtlasSpec | None = None,
     ) -> None:
-        self.scenario = scenario
-        self.site = site
-        self.rng, self._budget = rng, scenario.budget
+        self.scenario, self.site, self.rng = scenario, site, rng
         self.base = free_start(site.plan, site.cells, rng)  # (3,) pose of B in W
         self.world = World(site.plan, self.base, scenario.robot, scenario.dynamics, rng)
         self.sensor = Sensor(site.plan, site.index, scenario.sensor, scenario.beams, scenario.odometry)
-        spec = _slam_spec(scenario, locality)
+        spec = replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
         bounds = _bounds_in_base(site.plan.bounds, self.base)
         self.grid = ExploredGrid(bounds, scenario.grid_resolution)
         self._cells = self.grid.cells  # go on with the grid
@@ -175,19 +172,13 @@ class Episode:
         self.ticks += 1
         self.poses.append(true_pose)
         if slam.relocations or self.kidnapping.happened is not None:
-            x, y, turn = relative(true_pose, compose(self.base, estimate)).tolist()
-            right = is_right(math.hypot(x, y), abs(turn))
-            self.kidnapping.judge(self.ticks, right, slam.relocations, slam.lost)
-
-    @property
-    def tally(self) -> Tally:
-        """The decisions of the last step."""
-        return self._judged.last_tally
+            in_world = compose(self.base, estimate)
+            self.kidnapping.judge(self.ticks, in_world, true_pose, slam.relocations, slam.lost)
 
     @property
     def over(self) -> bool:
         """The budget is spent."""
-        return self.ticks >= self._budget
+        return self.ticks >= self.scenario.budget
 
     @property
     def landmarks(self) -> Array:
@@ -220,11 +211,6 @@ def turned(base: Array, covariance: Array) -> Array:
     turn[:2, :2] = [[c, -s], [s, c]]
     out: Array = turn @ covariance @ turn.T
     return out
-
-
-def _slam_spec(scenario: Scenario, locality: bool) -> SlamSpec:
-    """The scenario's, told how far the sensor reaches and whether to offer localities."""
-    return replace(scenario.slam, reach=scenario.sensor.range, locality=locality)
 
 
 def _bounds_in_base(bounds: Array, base: Array) -> Array:

@@ -97,21 +97,12 @@ class Tried:
         return out
 
 
-NOTHING_TRIED = Tried()
-
-
 def clearances(radius: float) -> tuple[float, float]:
     """[m] that paths of a robot of some radius keep from walls, and what they keep where there is no other way."""
     return radius + CLEARANCE, SQUEEZE * radius
 
 
-def propose(
-    scenario: Scenario,
-    slam_map: StochasticMap,
-    grid: ExploredGrid,
-    places: Places,
-    tried: Tried = NOTHING_TRIED,
-) -> Goals:
+def propose(scenario: Scenario, slam_map: StochasticMap, grid: ExploredGrid, places: Places, tried: Tried) -> Goals:
     """The goals from where the robot believes to be, over what it believes to have explored.
 
     Frontiers that have been `tried` twice, but were not reached or are frontiers still, are offered when no other one

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from slam_gym.association import resolve_associator, true_association
 from slam_gym.association.prediction import Associator, Prediction, SlamStep
-from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.association import Identities, Tally
+from slam_gym.slam.local_maps import LocalMapSlam
+from slam_gym.slam.slam import Slam
 from slam_gym.types import Hypothesis, Odometry, Scan, Truth
 
 CEILING = "true_association"
 """The associator that is handed the truth. It is known by this name alone: no callable ever gets to see the truth."""
-
-
-class Steps(Protocol):
-    """What takes a SLAM step: `Slam` and its like."""
-
-    @property
-    def map(self) -> StochasticMap: ...
-
-    def predict(self, odometry: Odometry, scan: Scan) -> Prediction: ...
-
-    def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep: ...
 
 
 class JudgedSlam:
@@ -37,7 +25,9 @@ class JudgedSlam:
     Raises ValueError for an unknown associator.
     """
 
-    def __init__(self, slam: Steps, associator: str | Associator = "jcbb", *, informed: bool = False) -> None:
+    def __init__(
+        self, slam: Slam | LocalMapSlam, associator: str | Associator = "jcbb", *, informed: bool = False
+    ) -> None:
         self.slam = slam
         self.identities = Identities()
         self._knows_truth = isinstance(associator, str) and associator == CEILING
@@ -48,11 +38,6 @@ class JudgedSlam:
     def tally(self) -> Tally:
         """The decisions so far."""
         return self.identities.total
-
-    @property
-    def last_tally(self) -> Tally:
-        """The decisions of the last step."""
-        return self.identities.last
 
     def step(self, odometry: Odometry, scan: Scan, truth: Truth) -> SlamStep:
         """One SLAM step, judged. Raises as `Slam.step`."""

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from slam_gym.geometry import relative
 from slam_gym.scenarios import KidnappingSpec
 from slam_gym.types import Array
 
@@ -43,8 +44,9 @@ class Kidnapping:
         where = _place_been(trail, self._spec.distance, rng) if self._spec.inside else _place_not_been(trail, cells)
         return np.append(where, rng.uniform(-math.pi, math.pi))
 
-    def judge(self, tick: int, right: bool, relocations: int, lost: bool) -> None:
-        """Note down whether the pose that the map has at the end of a tick is right."""
+    def judge(self, tick: int, estimate: Array, true: Array, relocations: int, lost: bool) -> None:
+        """Note down whether the pose (3,) that the robot believes in at the end of a tick is right."""
+        right = is_right(estimate, true)
         if relocations > self._relocations:
             self._relocations = relocations
             self.right, self.wrong = self.right + right, self.wrong + (not right)
@@ -52,9 +54,10 @@ class Kidnapping:
             self.recovered = tick
 
 
-def is_right(distance: float, turn: float) -> bool:
-    """Whether a pose that is off by so much [m], [rad] is."""
-    return distance <= POSITION and turn <= HEADING
+def is_right(estimate: Array, true: Array) -> bool:
+    """Whether a pose (3,) is near enough to the true one."""
+    x, y, turn = relative(true, estimate).tolist()
+    return math.hypot(x, y) <= POSITION and abs(turn) <= HEADING
 
 
 def _place_been(been: Array, distance: float, rng: np.random.Generator) -> Array:

@@ -6,8 +6,7 @@ import numpy as np
 
 from slam_gym.geometry import transform
 from slam_gym.metrics.consistency import anees
-from slam_gym.metrics.map_quality import gospa, landmark_rmse, local_error
-from slam_gym.metrics.trajectory import ate
+from slam_gym.metrics.map_quality import ate, gospa, landmark_rmse, local_error
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import IntArray
 

@@ -224,7 +224,7 @@ def test_it_is_driven_on_a_floor_plan(tmp_path):
     env = associate("office-small", floor_plan=path, overrides={"budget": 20})
     *_, last = episode(env, at_random(0))
     assert last[2] and env.scenario.sensor == get_scenario("office-small").sensor
-    np.testing.assert_array_equal(env.run.episode.site.plan.walls, plan.walls)
+    np.testing.assert_array_equal(env.run.site.plan.walls, plan.walls)
     assert associate(None, floor_plan=path).scenario.sensor == get_scenario("building").sensor
     with pytest.raises(ValueError, match="floor plans are for simulated scenarios, and 'corridor' is a log"):
         associate("corridor", floor_plan=path)

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from slam_gym.geometry import transform
-from slam_gym.metrics.map_quality import align_se2, cells_of, coverage, gospa, landmark_rmse, local_error, map_error
+from slam_gym.metrics.map_quality import (
+    align_se2,
+    ate,
+    cells_of,
+    coverage,
+    gospa,
+    landmark_rmse,
+    local_error,
+    map_error,
+)
 
 
 def test_map_error_runs_from_one_for_nothing_to_zero_for_the_truth():
@@ -99,3 +108,11 @@ def test_coverage_counts_points_in_known_cells():
     points = np.array([[-0.9, 2.1], [0.9, 3.4], [0.0, 2.6], [-1.1, 2.1], [5.0, 5.0]])
     assert coverage(cells, cells_of(points, cells.shape, np.array([-1.0, 2.0]), 0.5)) == 2 / 5
     assert math.isnan(coverage(cells, cells_of(np.empty((0, 2)), cells.shape, np.zeros(2), 0.5)))
+
+
+def test_the_trajectory_error_is_that_of_the_positions():
+    true = np.random.default_rng(3).uniform(-5, 5, (50, 3))
+    assert ate(true + np.array([0.3, 0.4, 1.0]), true) == pytest.approx(0.5)
+    moved = transform(np.array([1.0, -2.0, 2.5]), true[:, :2].copy())
+    assert ate(moved, true) > 0.5 and ate(moved, true, aligned=True) == pytest.approx(0.0, abs=1e-12)
+    assert math.isnan(ate(np.empty((0, 3)), np.empty((0, 3))))

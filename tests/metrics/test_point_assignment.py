@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from slam_gym.metrics.point_assignment import assign_points
+from slam_gym.metrics.point_assignment import assign, indexed
 from slam_gym.types import UNPAIRED
 
 
@@ -24,7 +24,7 @@ def test_sparse_assignment_is_the_dense_optimum(seed):
     true = rng.uniform(-4, 4, (rng.integers(0, 40), 2)) * rng.choice([0.2, 1.0, 1.0, 5.0], size=2)
     copies = true[rng.integers(0, len(true), rng.integers(0, 40))] if len(true) else true
     estimated = np.vstack([copies + rng.normal(0, 0.5, copies.shape), rng.uniform(-5, 5, (rng.integers(0, 6), 2))])
-    features, total, pairings = assign_points(estimated, true, cutoff, p)
+    features, total, pairings = assign(estimated, indexed(true, cutoff), p)
     paired = features != UNPAIRED
     assert paired.sum() == pairings == len(set(features[paired].tolist()))
     distances = np.linalg.norm(estimated[paired] - true[features[paired]], axis=1)

@@ -22,7 +22,7 @@ def test_it_is_a_loop_of_steps_and_judgements() -> None:
         by_hand = slam.step(odometry, scan, "jcbb")
         tally = identities.update(by_hand, truth)
         np.testing.assert_array_equal(step.ids, by_hand.ids)
-        assert judged.last_tally == tally
+        assert judged.identities.last == tally
         np.testing.assert_array_equal(judged.identities.decisions, identities.decisions)
     np.testing.assert_array_equal(judged.slam.map.mean, slam.map.mean)
     assert judged.tally == identities.total != Tally()

@@ -1,7 +1,6 @@
 """A robot that is carried away: what is done to it, what it notices, and how it finds back."""
 
 import functools
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +8,13 @@ import pytest
 
 from slam_gym.association import gcbb
 from slam_gym.envs.explore import ExploreEnv
-from slam_gym.geometry import compose, relative
+from slam_gym.geometry import compose
 from slam_gym.scenarios import KidnappingSpec, Scenario
 from slam_gym.simulation.kidnapping import HEADING, POSITION, Kidnapping, is_right
 from slam_gym.types import Array, Landmarks, Locality, Relocation, Scan
 from tests.rollouts import explore, short
 
 BUDGET = 300
-
-
-def pose_is_right(estimate: Array, true: Array) -> bool:
-    x, y, turn = relative(true, estimate).tolist()
-    return is_right(math.hypot(x, y), abs(turn))
 
 
 def kidnapped(**settings) -> Scenario:
@@ -56,15 +50,15 @@ def test_it_happens_once_when_it_is_due_and_never_without_a_spec() -> None:
 
 def test_a_robot_has_recovered_when_its_pose_is_right_and_it_is_not_lost() -> None:
     kidnapping, here, elsewhere = Kidnapping(KidnappingSpec(), 10), np.zeros(3), np.array([3.0, 0.0, 0.0])
-    kidnapping.judge(4, pose_is_right(here, here), 0, False)
+    kidnapping.judge(4, here, here, 0, False)
     assert kidnapping.recovered is None  # nothing has happened yet
     kidnapping.destination(5, TRAIL, CELLS, np.random.default_rng(0))
-    kidnapping.judge(5, pose_is_right(elsewhere, here), 0, False)
-    kidnapping.judge(6, pose_is_right(here, here), 0, True)  # by chance, and it does not know
+    kidnapping.judge(5, elsewhere, here, 0, False)
+    kidnapping.judge(6, here, here, 0, True)  # by chance, and it does not know
     assert kidnapping.recovered is None
-    kidnapping.judge(7, pose_is_right(elsewhere, here), 1, False)
-    kidnapping.judge(8, pose_is_right(here, here), 2, False)
-    kidnapping.judge(9, pose_is_right(elsewhere, here), 2, False)
+    kidnapping.judge(7, elsewhere, here, 1, False)
+    kidnapping.judge(8, here, here, 2, False)
+    kidnapping.judge(9, elsewhere, here, 2, False)
     assert (kidnapping.recovered, kidnapping.right, kidnapping.wrong) == (8, 1, 1)
 
 
@@ -72,8 +66,8 @@ def test_a_pose_is_right_up_to_its_tolerances_in_position_and_heading() -> None:
     true = np.array([2.0, -1.0, 3.1])
     for share, right in ((0.99, True), (1.01, False)):
         for off in ([share * POSITION, 0.0, 0.0], [0.0, -share * POSITION, 0.0], [0.0, 0.0, share * HEADING]):
-            assert pose_is_right(compose(true, np.array(off)), true) is right
-            assert pose_is_right(true, compose(true, np.array(off))) is right
+            assert is_right(compose(true, np.array(off)), true) is right
+            assert is_right(true, compose(true, np.array(off))) is right
 
 
 # --- what becomes of it -----------------------------------------------------------------------------------------------
@@ -104,7 +98,7 @@ def test_without_relocation_the_robot_never_finds_back_and_with_it_it_does() -> 
         assert with_it["recovered"] == with_it["relocations_right"] == 1.0 and with_it["relocations_wrong"] == 0.0
         assert with_it["ticks_astray"] < 30 and with_it["map_error"] < without["map_error"]
         estimate = compose(found.episode.base, found.episode.estimates[-1])
-        assert pose_is_right(estimate, found.episode.poses[-1])
+        assert is_right(estimate, found.episode.poses[-1])
 
 
 def test_without_an_atlas_nothing_is_learned_while_the_robot_is_lost() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from slam_gym.geometry import compose, relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.metrics.trajectory import ate
+from slam_gym.metrics.map_quality import ate
 from slam_gym.navigation.grid import ExploredCells
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.mapped_log import map_log, measure, start_of, write_mapped_log
-from slam_gym.metrics.trajectory import ate
+from slam_gym.metrics.map_quality import ate
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.recordings.victoria_park import victoria_park
