@@ -94,7 +94,7 @@ def checked(env: Any, seed: int) -> Iterator[int]:
     explored = getattr(env, "episode", None)
     if explored is not None:
         check_covariance(explored.slam.map.covariance)
-    if explored is not None and env._arguments["reward"] == "map_error":
+    if explored is not None and env.arguments.reward == "map_error":
         assert abs(total - (first - info["map_error"])) < 1e-6, "rewards do not sum to the fall of the error"
 
 

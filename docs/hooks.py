@@ -302,7 +302,7 @@ def _public_name(name: str) -> str:
     thing = getattr(slam_gym, name)
     if callable(thing):
         return f"[`{name}`][{thing.__module__}.{name}] | {(inspect.getdoc(thing) or '').partition(chr(10))[0]}"
-    module = slam_gym._MODULE_OF[name]
+    module = slam_gym._home(name).__name__
     about = _constants(module).get(name)
     return f"[`{name}`][{module}.{name}] | {about}" if about else f"`{name}` | = {thing}"
 

@@ -7,6 +7,7 @@ so that `import slam_gym` itself stays quick.
 from __future__ import annotations
 
 import importlib
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as _gymnasium
@@ -46,27 +47,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_WHERE = {
-    "association": (
-        "ASSOCIATORS", "RELOCATORS", "from_policy", "gcbb", "global_nearest_neighbour", "indexed", "ipjc", "jcbb",
-        "learned_associator", "map_hypothesis", "marginal", "max_clique", "nearest_neighbour",
-        "one_point_ransac", "random_sampling", "relocator_from_policy", "singles", "true_association",
-    ),
-    "mapping.stochastic_map": ("MapSpec", "StochasticMap"),
-    "recordings.catalogue": ("open_recordings",),
-    "recordings.recording": ("Recording", "write_tum"),
-    "scenarios": ("SCENARIOS", "Scenario", "from_floor_plan", "get_scenario", "register"),
-    "slam.atlas": ("AtlasSpec",),
-    "slam.local_maps": ("LocalMapSlam",),
-    "slam.relocate": ("relocate_by",),
-    "slam.slam": ("Slam", "SlamSpec"),
-    "types.decided": ("UNPAIRED", "Hypothesis", "Relocation"),
-    "association.prediction": ("Prediction",),
-    "types.mapped": ("Landmarks", "Locality"),
-    "types.measured": ("UNKNOWN_KIND", "Odometry", "Scan"),
-    "world.floor_plan": ("FloorPlan",),
-}  # fmt: skip
-_MODULE_OF = {name: f"slam_gym.{module}" for module, names in _WHERE.items() for name in names}
+_MODULES = (
+    "types.measured", "types.mapped", "types.decided", "association", "association.prediction",
+    "mapping.stochastic_map", "slam.slam", "slam.local_maps", "slam.atlas", "slam.relocate", "scenarios",
+    "recordings", "world.floor_plan",
+)  # fmt: skip
+"""Where the public names are looked for, in this order."""
 
 __all__ = [
     "ASSOCIATORS",
@@ -117,11 +103,17 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import what `__all__` lists when it is first asked for."""
-    if name not in _MODULE_OF:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(importlib.import_module(_MODULE_OF[name]), name)
+    found = getattr(_home(name), name)
     globals()[name] = found
     return found
+
+
+def _home(name: str) -> ModuleType:
+    """The module that a public name is from."""
+    modules = (importlib.import_module(f"slam_gym.{module}") for module in _MODULES)
+    return next(module for module in modules if hasattr(module, name))
 
 
 def __dir__() -> list[str]:

@@ -33,7 +33,7 @@ from slam_gym.types import (
     Odometry,
     Scan,
 )
-from slam_gym.types._arguments import floats, kinds_of, points_of, sizes_of
+from slam_gym.types._arguments import floats, kinds_of, sizes_of
 from slam_gym.types._records import quick
 
 Entry = TypeVar("Entry", bound=np.generic)
@@ -292,7 +292,7 @@ class Prediction:
         The robot's pose is taken for known: it is that of a map whose features have that covariance. Other arguments
         and errors are those of `Scan.from_points`.
         """
-        at = points_of("mean", mean)
+        at = floats("mean", mean, (-1, 2))
         k = len(at)
         P = floats("covariance", covariance, (2 * k, 2 * k))
         side = padded(3 + 2 * k)

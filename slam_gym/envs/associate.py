@@ -85,25 +85,23 @@ class AssociateEnv(BaseEnv):
     The last scan is decided (`terminated`). An episode without any choice ends with its first step.
 
     ## Arguments
-    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, `"corridor"`
-      (the reference experiment), a `Scenario`, or a `slam_gym.simulation.association_runs.ScanLog`; for a real log
-      `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps with `?looks=…&every=…` (see
-      `slam_gym.simulation.recorded_logs`): sources that nobody knows count nowhere, what the labels leave out of a
-      scan is spurious. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts the robot of
-      the scenario, by default that of `"building"`, on that floor.
-    - `split`: `"train"` or `"test"`, whose worlds never overlap, nor do the parts of a recording; on another log it
-      keeps the seeds apart.
+    Those of `slam_gym.envs.base.Settings`, with more scenarios; and:
+
+    - `scenario`: also `"corridor"` (the reference experiment), or a `slam_gym.simulation.association_runs.ScanLog`; for
+      a real log `"recording:FILE"`, `"recording:victoria_park"` or `"recording:mrclam/3"`, perhaps with
+      `?looks=…&every=…` (see `slam_gym.simulation.recorded_logs`): sources that nobody knows count nowhere, what the
+      labels leave out of a scan is spurious. Splits are disjoint parts of a recording; on another log they keep the
+      seeds apart. `overrides` and floors are not for logs.
     - `driver`: `"nearest_frontier"`, `"random"`, or a callable from `Goals` and a generator to a slot.
     - `candidates`, `order`, `compatibility`: K, the order of the measurements, and what makes a branch legal (see
       `slam_gym.association.tracking.walk`); with `compatibility="individual"` features may be taken twice, as NN does.
     - `reward`: `"truth"` or `"map_error"`; `wrong_cost`: what a wrong pairing costs, in right ones.
-    - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`; not for logs.
-    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call) or `"human"`.
     """
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
 
     settings = AssociateSettings
+    arguments: AssociateSettings
 
     def __init__(self, scenario: str | Scenario | ScanLog | None = None, **arguments: Any) -> None:
         settings = AssociateSettings(scenario, **arguments)
@@ -113,21 +111,19 @@ class AssociateEnv(BaseEnv):
             scenario = _simulated(settings)
         elif settings.overrides or settings.floor_plan is not None or settings.resolution is not None:
             raise ValueError(f"overrides and floor plans are for simulated scenarios, and {scenario.name!r} is a log")
-        driver, reward, candidates = settings.driver, settings.reward, settings.candidates
         self.places_known = not isinstance(scenario, ScanLog) or len(scenario.targets) > 0
-        if reward == "map_error" and not self.places_known:
+        if settings.reward == "map_error" and not self.places_known:
             raise ValueError(
-                f"reward={reward!r}: nobody knows where the features of {scenario.name!r} are; known: truth"
+                f"reward={settings.reward!r}: nobody knows where the features of {scenario.name!r} are; known: truth"
             )
         self.scenario = scenario
-        self._driver = driver if callable(driver) else DRIVERS[driver]
-        self._of_truth, self._wrong_cost = reward == "truth", settings.wrong_cost
-        self.K, self.order, self.compatibility = candidates, settings.order, settings.compatibility
+        self._driver = settings.driver if callable(settings.driver) else DRIVERS[settings.driver]
+        self.K = settings.candidates
         parts: dict[str, spaces.Space[Any]] = {
-            name: spaces.Box(-1.0, 1.0, (length,), np.float32) for name, length in lengths(candidates).items()
+            name: spaces.Box(-1.0, 1.0, (length,), np.float32) for name, length in lengths(self.K).items()
         }
         self.observation_space = spaces.Dict(parts | {"budget": spaces.Box(0.0, 1.0, (1,), np.float32)})
-        self.action_space = spaces.Discrete(candidates + 1)
+        self.action_space = spaces.Discrete(self.K + 1)
         self.walk: Walk | None = None  # of the scan to be decided; None where the episode is over
         self._ended = False
 
@@ -142,7 +138,7 @@ class AssociateEnv(BaseEnv):
     @property
     def score(self) -> float:
         """(right − wrong_cost · wrong) / measurements of features seen before, of the episode so far; 0 at first."""
-        return (self._right - self._wrong_cost * self._wrong) / max(self._known, 1)
+        return (self._right - self.arguments.wrong_cost * self._wrong) / max(self._known, 1)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(K + 1,) the actions that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
@@ -184,7 +180,7 @@ class AssociateEnv(BaseEnv):
             self.walk.take(action)
         learned = run.scans
         self._proceed()
-        if not self._of_truth:
+        if self.arguments.reward == "map_error":
             reward = 0.0
             if run.scans > learned or self.walk is None:
                 error = run.map_error()
@@ -224,8 +220,8 @@ class AssociateEnv(BaseEnv):
                 run.scan,
                 run.prediction,
                 candidates=self.K,
-                order=self.order,
-                compatibility=self.compatibility,
+                order=self.arguments.order,
+                compatibility=self.arguments.compatibility,
             )
 
     def _earned(self, action: int) -> float:
@@ -237,7 +233,7 @@ class AssociateEnv(BaseEnv):
         right, wrong = self._answers.judge(self.walk.measurement, feature)
         self._right, self._wrong = self._right + right, self._wrong + wrong
         decisions = max(self._answers.known, 1) * max(self.run.length - 1, 1)
-        return (right - self._wrong_cost * wrong) / decisions
+        return (right - self.arguments.wrong_cost * wrong) / decisions
 
     def _observe(self) -> Observation:
         run = self.run

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -47,7 +46,16 @@ def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | N
 
 @dataclass(frozen=True)
 class Settings:
-    """The arguments of an environment. Those here are taken by all."""
+    """The arguments that all environments take.
+
+    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
+      `Scenario`; by default `"office"`. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts
+      the scenario's robot on that floor instead, by default that of `"building"`.
+    - `split`: `"train"` or `"test"`, whose worlds never overlap.
+    - `overrides`: fields of the scenario to change, by dotted name, such as
+      `{"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3}`.
+    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call: for films) or `"human"`.
+    """
 
     scenario: Any = None
     split: Split = "train"
@@ -86,14 +94,14 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     Environments pickle and deepcopy while they run: a copy is constructed from the same arguments and replays the
     episode, so that it takes as long as that; it goes on like the original, bit for bit. Watchers and windows stay
-    behind. Where an argument does not pickle (a lambda as associator), pickling raises TypeError.
+    behind. Where an argument does not pickle (a lambda as associator), the `snapshot` still does.
     """
 
     settings: type[Settings] = Settings  # names and defaults of the arguments
 
     def __init__(self, settings: Settings) -> None:
+        self.arguments = settings
         self.split, self.render_mode = settings.split, settings.render_mode
-        self._arguments = dict(vars(settings))
         self._snapshot: Snapshot | None = None
         self._episode_generator: np.random.Generator | None = None
         self._series: tuple[int, ...] = ()
@@ -196,19 +204,8 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
             self._replaying = False
         return observation, info
 
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        try:
-            pickle.dumps(self._arguments, protocol)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise TypeError(
-                f"{type(self).__name__} does not pickle, since one of its arguments does not ({error}): "
-                "pickle its snapshot(), and restore() that in an environment with the same arguments"
-            ) from error
-        return _copy, (type(self), self._arguments, self._snapshot, self._np_random, self._carried_over())
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> BaseEnv:
-        parts = copy.deepcopy((self._arguments, self._snapshot, self._np_random, self._carried_over()), memo)
-        return _copy(type(self), *parts)
+    def __reduce__(self) -> Any:
+        return _copy, (type(self), vars(self.arguments), self._snapshot, self._np_random, self._carried_over())
 
     # -- what a subclass provides ------------------------------------------------------------------------------------
 

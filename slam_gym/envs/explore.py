@@ -85,10 +85,8 @@ class ExploreEnv(BaseEnv):
     The budget of ticks is spent (`terminated`); the observation tells how much is left.
 
     ## Arguments
-    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
-      `Scenario`; by default `"office"`. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts
-      the scenario's robot on that floor instead, by default that of `"building"`.
-    - `split`: `"train"` or `"test"`, whose worlds never overlap.
+    Those of `slam_gym.envs.base.Settings`, and:
+
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`; None: that
       of the scenario, `"jcbb"` where drift is small and `"marginal"` where it counts.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
@@ -96,22 +94,19 @@ class ExploreEnv(BaseEnv):
       `"module:function"` or a callable; None: a robot that has lost itself never finds back. `relocation_locality`:
       `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None. `atlas`: beside relocation, loops are closed,
       and a robot that is lost for long starts another map, joined once it is recognised; False: neither.
-    - `overrides`: fields of the scenario to change, by dotted name:
-      `{"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3}`.
-    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (one picture a tick: for films) or `"human"`;
-      `render_covisibility` adds the edges of the covisibility graph.
+    - `render_covisibility` adds the edges of the covisibility graph to the picture. `"rgb_array_list"` has one picture
+      a tick.
     """
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
 
     settings = ExploreSettings
+    arguments: ExploreSettings
 
     def __init__(self, scenario: str | Scenario | None = None, **arguments: Any) -> None:
         settings = ExploreSettings(scenario, **arguments)
         super().__init__(settings)
         self.scenario = settings.scenario_on_floor
-        self.locality = settings.locality
-        self.render_covisibility = settings.render_covisibility
         self.goal_mode = settings.action == "goal"
         self.associator = settings.associator or self.scenario.associator
         resolve_associator(self.associator)  # refuses an unknown one now
@@ -122,7 +117,6 @@ class ExploreEnv(BaseEnv):
         if self.relocate and settings.atlas:
             self.atlas = AtlasSpec() if settings.atlas is True else settings.atlas
         self._error = get_reward(settings.reward)
-        self._virtual = settings.reward != "map_error"
         self.measurements = self.scenario.sensor.max_features
         goal_shape = (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
         self.observation_space = observation_space(self.measurements, goal_shape)
@@ -133,8 +127,8 @@ class ExploreEnv(BaseEnv):
     @property
     def episode(self) -> Episode:
         """The running episode. Raises RuntimeError before the first reset."""
-        running: Episode | None = getattr(self, "_episode", None)
-        return self._started(running)
+        self._started(getattr(self, "_episode", None))
+        return self._episode
 
     @property
     def goals(self) -> Goals:
@@ -167,8 +161,8 @@ class ExploreEnv(BaseEnv):
             self._survey(self.scenario, world),
             self.associator,
             self.np_random,
-            locality=self.locality is not None,
-            virtual=self._virtual,
+            locality=self.arguments.locality is not None,
+            virtual=self.arguments.reward != "map_error",
             relocate=self.relocate,
             atlas=self.atlas,
         )
@@ -200,7 +194,7 @@ class ExploreEnv(BaseEnv):
         from slam_gym.rendering import explore_view
 
         goals = self._goals.positions[1:][self._goals.legal[1:]] if self.goal_mode else np.empty((0, 2))
-        return explore_view.draw(self.episode, goals, covisibility=self.render_covisibility)
+        return explore_view.draw(self.episode, goals, covisibility=self.arguments.render_covisibility)
 
     def _checked(self, action: Any) -> Any:
         if self.goal_mode:

@@ -82,16 +82,11 @@ def observe(
     Measurements, and map features where they were expected before the scan, in the robot frame; standard deviations of
     the pose; free space, walls and feature density around the robot, heading up.
     """
-    seen, foreseen = np.zeros(7 * measurements, np.float32), np.zeros(7 * FEATURES, np.float32)
-    uncertainty, image = np.empty(3, np.float32), np.empty((3, PIXELS, PIXELS), np.uint8)
-    budget = np.empty(1, np.float32)
-    budget[0] = left
     x, P, _, _ = slam_map.arrays
-    _observe(
-        (scan.points, scan.covariances, scan.sizes),
-        prediction.points,
-        x, P, slam_map.n, *grid.drawn, seen, foreseen, uncertainty, image,
-    )  # fmt: skip
+    seen, foreseen, uncertainty, image = _observe(
+        (scan.points, scan.covariances, scan.sizes), prediction.points, x, P, slam_map.n, grid.drawn, measurements
+    )
+    budget = np.array([left], np.float32)
     return {"scan": seen, "features": foreseen, "uncertainty": uncertainty, "image": image, "budget": budget}
 
 
@@ -131,20 +126,19 @@ def _observe(
     x: Array,
     P: Array,
     n: int,
-    blocks: Blocks,
-    origin: Array,
-    resolution: float,
-    seen: Float32Array,
-    expected: Float32Array,
-    uncertainty: Float32Array,
-    image: Cells,
-) -> None:
+    drawn: tuple[Blocks, Array, float],
+    measurements: int,
+) -> tuple[Float32Array, Float32Array, Float32Array, Cells]:
+    """Scan and prediction as `POINT_FIELDS`, the uncertainty of the pose, and the image."""
+    seen, expected = np.zeros(7 * measurements, np.float32), np.zeros(7 * FEATURES, np.float32)
+    uncertainty, image = np.empty(3, np.float32), np.empty((3, PIXELS, PIXELS), np.uint8)
     _encode(*scan, seen)
     _encode(*prediction, expected)
     for i in range(3):
         sigma = math.sqrt(max(P[i, i], 0.0))
         uncertainty[i] = sigma / (sigma + (HEADING_SCALE if i == 2 else SIGMA_SCALE))
-    draw_egocentric(blocks, origin, resolution, x[:3], x[3 : 3 + 2 * n].reshape(n, 2), METRES, image)
+    draw_egocentric(*drawn, x[:3], x[3 : 3 + 2 * n].reshape(n, 2), METRES, image)
+    return seen, expected, uncertainty, image
 
 
 @compiled

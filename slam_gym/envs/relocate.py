@@ -95,24 +95,20 @@ class RelocateEnv(BaseEnv):
     The agent stops, or the nodes are spent (`terminated`; the observation tells how many are left).
 
     ## Arguments
-    - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
-      `Scenario`; by default `"office"`. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts
-      the scenario's robot on that floor instead, by default that of `"building"`; scans from outside are then
-      from the scenario's own worlds.
-    - `split`: `"train"` or `"test"`, whose worlds never overlap.
+    Those of `slam_gym.envs.base.Settings`; scans from outside a `floor_plan` are from worlds of the scenario. And:
+
     - `locality`: `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
     - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation.walk.WalkSpec`.
     - `outside`: probability that the robot is not in the map; `kidnappings_per_map`: episodes in a row in one world.
     - `node_cost`, `wrong_cost`: what a node and a wrong answer cost, in right answers; `position_tolerance` [m] and
       `heading_tolerance` [rad]: how far off a right pose may be.
     - `associator`: that of the robot that made the map.
-    - `overrides`: fields of the scenario to change, by dotted name, such as `{"sensor.range": 4.0}`.
-    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call) or `"human"`.
     """
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
 
     settings = RelocateSettings
+    arguments: RelocateSettings
 
     def __init__(self, scenario: str | Scenario | None = None, **arguments: Any) -> None:
         settings = RelocateSettings(scenario, **arguments)
@@ -127,11 +123,7 @@ class RelocateEnv(BaseEnv):
             settings.sizes,
             self.scenario.slam.map.confidence,
         )
-        self.locality, self.outside = settings.locality, settings.outside
-        self.kidnappings_per_map, self.associator = settings.kidnappings_per_map, settings.associator
-        resolve_associator(self.associator)  # refuses an unknown one now
-        self._node_cost, self._wrong_cost = settings.node_cost, settings.wrong_cost
-        self._tolerances = settings.position_tolerance, settings.heading_tolerance
+        resolve_associator(settings.associator)  # refuses an unknown one now
         self.measurements = self.scenario.sensor.max_features
         shapes = walk_shapes(settings.candidates, self.measurements)
         self.observation_space = spaces.Dict(
@@ -162,8 +154,8 @@ class RelocateEnv(BaseEnv):
         right = False
         if self.kidnapped.inside:
             error = relative(self.kidnapped.pose, answer.pose)
-            near = math.hypot(error[0], error[1]) <= self._tolerances[0]
-            right = near and abs(float(error[2])) <= self._tolerances[1]
+            near = math.hypot(error[0], error[1]) <= self.arguments.position_tolerance
+            right = near and abs(float(error[2])) <= self.arguments.heading_tolerance
         return int(right), int(not right)
 
     def right_action(self) -> int:
@@ -184,15 +176,18 @@ class RelocateEnv(BaseEnv):
         """The one asked for; else that of the series, a new one where no kidnapping is left in it."""
         if "world" in options:
             return int(options["world"])
-        world, left = self._series or (int(self.np_random.integers(SPLITS[self.split][1])), self.kidnappings_per_map)
+        if not self._series:
+            drawn = int(self.np_random.integers(SPLITS[self.split][1]))
+            self._series = drawn, self.arguments.kidnappings_per_map
+        world, left = self._series
         self._series = (world, left - 1) if left > 1 else ()
         return world
 
     def _begin(self, world: int) -> Observation:
         self.mapped = self._map(world)
-        inside = bool(self.np_random.random() >= self.outside)
+        inside = bool(self.np_random.random() >= self.arguments.outside)
         self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)
-        landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.locality)
+        landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.arguments.locality)
         self._walk = RelocationWalk(self.walk_spec, self.kidnapped.scan, landmarks, locality, self.np_random)
         self._changed()
         return self._observe()
@@ -202,10 +197,10 @@ class RelocateEnv(BaseEnv):
         walk = self.walk
         nodes = walk.nodes
         walk.take(action if walk.mask[action] else self.walk_spec.star)
-        reward = -self._node_cost * (walk.nodes - nodes)
+        reward = -self.arguments.node_cost * (walk.nodes - nodes)
         if walk.done:
             right, wrong = self.verdict()
-            reward += right - self._wrong_cost * wrong
+            reward += right - self.arguments.wrong_cost * wrong
         self._changed()
         return reward
 
@@ -225,7 +220,7 @@ class RelocateEnv(BaseEnv):
         """The map of a world: the one kept, or made anew; the last few asked for are kept."""
         mapped = self._maps.pop(world, None)
         if mapped is None:
-            mapped = map_world(self.scenario, self.split, world, self.associator, self._elsewhere)
+            mapped = map_world(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
         self._maps[world] = mapped
         if len(self._maps) > _MAPS:
             del self._maps[next(iter(self._maps))]

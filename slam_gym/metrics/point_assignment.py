@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
+from slam_gym.types import UNPAIRED, Array, IntArray
 
 _NOBODY = -1  # a column that no row has, a row without a column
 
@@ -30,27 +30,6 @@ class _Pairs(NamedTuple):
     starts: IntArray  # (e + 1,)
     columns: IntArray  # (q,)
     costs: Array  # (q,) negative
-
-
-class _Assigned(NamedTuple):
-    """An assignment, and the dual variables that prove it optimal.
-
-    u ≤ 0 of the rows and v ≤ 0 of the columns keep u_i + v_j ≤ cost_ij, with equality on the pairs assigned; u = 0 for
-    rows and v = 0 for columns left alone.
-    """
-
-    column_of: IntArray  # (e,) or _NOBODY
-    row_of: IntArray  # (N,) or _NOBODY
-    u: Array  # (e,)
-    v: Array  # (N,)
-
-
-class _Search(NamedTuple):
-    """Where a search for a path has been, by column (N,). Between searches: inf, anything, false."""
-
-    distance: Array  # from the row that it started at
-    came_from: IntArray  # row before the column
-    done: BoolArray
 
 
 def indexed(true: Array, cutoff: float) -> Index:
@@ -108,32 +87,34 @@ def _pairs_within(estimated: Array, index: Index) -> _Pairs:
 
 @compiled
 def _least_cost(pairs: _Pairs, n: int) -> IntArray:
-    """Column of each row in the partial assignment of least total cost to n columns, or _NOBODY (cost 0)."""
+    """Column of each row in the partial assignment of least total cost to n columns, or _NOBODY (cost 0).
+
+    The dual variables u ≤ 0 of the rows and v ≤ 0 of the columns prove it: u_i + v_j ≤ cost_ij, with equality on the
+    pairs assigned, and u = 0 for rows and v = 0 for columns left alone.
+    """
     m = len(pairs.starts) - 1
-    assigned = _Assigned(np.full(m, _NOBODY), np.full(n, _NOBODY), np.zeros(m), np.zeros(n))
+    column_of, row_of, u, v = np.full(m, _NOBODY), np.full(n, _NOBODY), np.zeros(m), np.zeros(n)
     for i in range(m):
         nearest = _NOBODY
         for k in range(pairs.starts[i], pairs.starts[i + 1]):
-            if pairs.costs[k] < assigned.u[i]:
-                assigned.u[i], nearest = pairs.costs[k], pairs.columns[k]
-        if nearest != _NOBODY and assigned.row_of[nearest] == _NOBODY:
-            assigned.column_of[i], assigned.row_of[nearest] = nearest, i
-    search = _Search(np.full(n, np.inf), np.full(n, _NOBODY), np.zeros(n, np.bool_))
+            if pairs.costs[k] < u[i]:
+                u[i], nearest = pairs.costs[k], pairs.columns[k]
+        if nearest != _NOBODY and row_of[nearest] == _NOBODY:
+            column_of[i], row_of[nearest] = nearest, i
     for i in range(m):
-        if assigned.column_of[i] == _NOBODY and assigned.u[i] < 0.0:
-            _augment(i, pairs, assigned, search)
-    return assigned.column_of
+        if column_of[i] == _NOBODY and u[i] < 0.0:
+            _augment(i, pairs, column_of, row_of, u, v)
+    return column_of
 
 
 @compiled
-def _augment(root: int, pairs: _Pairs, assigned: _Assigned, search: _Search) -> None:
+def _augment(root: int, pairs: _Pairs, column_of: IntArray, row_of: IntArray, u: Array, v: Array) -> None:
     """Settle row `root` along the shortest augmenting path (Dijkstra on reduced costs cost_ij − u_i − v_j ≥ 0).
 
     The path ends at a free column, or at a row that gives its column up.
     """
-    column_of, row_of, u, v = assigned
-    distance, came_from, done = search
-    touched, count = np.empty(len(row_of), np.int64), 0
+    n = len(row_of)
+    distance, came_from, done = np.full(n, np.inf), np.full(n, _NOBODY), np.zeros(n, np.bool_)  # by column
     end, row_end, length = _NOBODY, root, np.inf  # where the path ends: at column `end`, else at row `row_end`
     i, reached = root, 0.0
     while True:
@@ -143,12 +124,9 @@ def _augment(root: int, pairs: _Pairs, assigned: _Assigned, search: _Search) -> 
             j = pairs.columns[k]
             to_j = reached + pairs.costs[k] - u[i] - v[j]
             if not done[j] and to_j < distance[j]:
-                if distance[j] == np.inf:
-                    touched[count] = j
-                    count += 1
                 distance[j], came_from[j] = to_j, i
         best = _NOBODY
-        for j in touched[:count]:
+        for j in range(n):
             if not done[j] and (best == _NOBODY or distance[j] < distance[best]):
                 best = j
         if best == _NOBODY or distance[best] >= length:
@@ -158,11 +136,10 @@ def _augment(root: int, pairs: _Pairs, assigned: _Assigned, search: _Search) -> 
             break
         done[best], reached, i = True, distance[best], row_of[best]
     u[root] += length
-    for j in touched[:count]:
+    for j in range(n):
         if done[j]:
             u[row_of[j]] += length - distance[j]
             v[j] -= length - distance[j]
-        distance[j], done[j] = np.inf, False
     if end == _NOBODY:
         end, column_of[row_end], u[row_end] = column_of[row_end], _NOBODY, 0.0
     while end != _NOBODY:  # hand each column on the path to the row that came for it

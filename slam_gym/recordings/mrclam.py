@@ -20,7 +20,6 @@ from slam_gym._files import content_of, gunzipped
 from slam_gym.recordings.reading import (
     RecordingError,
     Spans,
-    from_polar,
     naming,
     numbers_of,
     read_matlab,
@@ -29,7 +28,7 @@ from slam_gym.recordings.reading import (
     wrapped,
 )
 from slam_gym.recordings.recording import Recording, interpolate
-from slam_gym.types import SPURIOUS, Array, IntArray
+from slam_gym.types import SPURIOUS, Array, IntArray, Scan
 
 SOURCE = (
     "MR.CLAM, University of Toronto Institute for Aerospace Studies. Cite: Leung, Halpern, Barfoot and Liu, IJRR 30(8) "
@@ -65,9 +64,9 @@ class Noise:
     range_per_metre: float = 0.05  # [m/m] of the range, added in quadrature
     bearing: float = 0.03  # [rad]
 
-    def points(self, ranges: Array, bearings: Array) -> tuple[Array, Array]:
-        """Barcodes at ranges (M,) [m] and bearings (M,) [rad]: points (M, 2) and their covariances (M, 2, 2) in R."""
-        return from_polar(ranges, bearings, self.range**2 + (self.range_per_metre * ranges) ** 2, self.bearing)
+    def scan(self, ranges: Array, bearings: Array) -> Scan:
+        """Barcodes at ranges (M,) [m] and bearings (M,) [rad]."""
+        return Scan.from_polar(ranges, bearings, np.hypot(self.range, self.range_per_metre * ranges), self.bearing)
 
 
 ROAMING = Noise()
@@ -97,7 +96,7 @@ def _recording(tables: _Tables, name: str) -> Recording:
     first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
     times = measured[first, 0]
     motions, motion_covariances = _driven(times, tables.odometry, ROAMING)
-    points, covariances = ROAMING.points(measured[:, 2], measured[:, 3])
+    seen = ROAMING.scan(measured[:, 2], measured[:, 3])
     return Recording(
         name=name,
         source=SOURCE,
@@ -106,9 +105,9 @@ def _recording(tables: _Tables, name: str) -> Recording:
         motions=motions,
         motion_covariances=motion_covariances,
         starts=np.append(first, len(measured)).astype(np.int64),
-        points=points,
-        covariances=covariances,
-        sources=_sources(tables, measured, points, _MISREAD),
+        points=seen.points,
+        covariances=seen.covariances,
+        sources=_sources(tables, measured, seen.points),
         reference_times=tables.truth[:, 0] - times[0],
         reference_poses=tables.truth[:, 1:].copy(),
         landmark_ids=tables.landmarks[:, 0].astype(np.int64),
@@ -144,8 +143,8 @@ def _read(folder: Path, robot: int) -> _Tables:
     return tables
 
 
-def _sources(tables: _Tables, measured: Array, points: Array, limit: float) -> IntArray:
-    """(M,) landmark behind each barcode; SPURIOUS where it is none, or farther than `limit` [m] from where it stands.
+def _sources(tables: _Tables, measured: Array, points: Array) -> IntArray:
+    """(M,) landmark behind each barcode; SPURIOUS where it is none, or was misread.
 
     `points` (M, 2) in R are the measurements, looked at from the Vicon's poses.
     """
@@ -156,7 +155,7 @@ def _sources(tables: _Tables, measured: Array, points: Array, limit: float) -> I
     poses = interpolate(tables.truth[:, 0], tables.truth[:, 1:], measured[:, 0])
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = poses[:, 0] + c * points[:, 0] - s * points[:, 1], poses[:, 1] + s * points[:, 0] + c * points[:, 1]
-    sources[np.hypot(x - true[:, 0], y - true[:, 1]) > limit] = SPURIOUS  # never for NaN
+    sources[np.hypot(x - true[:, 0], y - true[:, 1]) > _MISREAD] = SPURIOUS  # never for NaN
     return sources
 
 
@@ -241,9 +240,9 @@ def stationary(path: str | Path) -> Recording:
     for column, known, what in ((0, truth[:, 0], "group"), (1, landmarks[:, 0], "landmark")):
         refuse_rows(path, "measurement", ~np.isin(measured[:, column], known), f"is of no {what} that is there")
     measured = measured[np.argsort(measured[:, 0], kind="stable")]
-    points, covariances = GROUPED.points(measured[:, 2], measured[:, 3])
     times = np.arange(len(truth), dtype=np.float64)
     with naming(path):
+        seen = GROUPED.scan(measured[:, 2], measured[:, 3])
         return Recording(
             name=f"mrclam/stationary/{path.stem}",
             source=SOURCE,
@@ -252,8 +251,8 @@ def stationary(path: str | Path) -> Recording:
             motions=np.zeros((len(truth), 3)),
             motion_covariances=np.zeros((len(truth), 3, 3)),
             starts=starts_of(np.bincount(measured[:, 0].astype(np.int64) - 1, minlength=len(truth))),
-            points=points,
-            covariances=covariances,
+            points=seen.points,
+            covariances=seen.covariances,
             sources=measured[:, 1].astype(np.int64),
             reference_times=times,
             reference_poses=truth[:, 1:].copy(),

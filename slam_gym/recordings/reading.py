@@ -1,4 +1,4 @@
-"""What the readers of logs share: one error, checks of fields, MATLAB variables, spans of commands, polar points."""
+"""What the readers of logs share: one error, checks of fields, MATLAB variables, spans of commands."""
 
 from __future__ import annotations
 
@@ -107,19 +107,3 @@ class Spans(NamedTuple):
     def sums(self, values: Array, looks: int) -> Array:
         """(T,) of the values (s,) in the spans that lead to each of so many looks."""
         return np.asarray(np.bincount(self.step, values, looks), np.float64)
-
-
-def from_polar(
-    ranges: Array, bearings: Array, range_variance: float | Array, bearing_sigma: float
-) -> tuple[Array, Array]:
-    """Points (M, 2) [m] and covariances (M, 2, 2) [m²] in R.
-
-    From ranges (M,) [m] with a variance [m²], for all or each (M,), and bearings (M,) with a σ [rad].
-    """
-    ahead = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    along = np.broadcast_to(range_variance, ranges.shape)[:, None, None]
-    across = np.square(bearing_sigma * ranges)[:, None, None]
-    covariances = along * ahead[:, :, None] * ahead[:, None, :]
-    covariances += across * aside[:, :, None] * aside[:, None, :]
-    return ranges[:, None] * ahead, covariances

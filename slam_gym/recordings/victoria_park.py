@@ -13,14 +13,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym.recordings.reading import (
     RecordingError,
     Spans,
-    from_polar,
     naming,
     numbers_of,
     read_matlab,
@@ -28,7 +26,7 @@ from slam_gym.recordings.reading import (
     starts_of,
 )
 from slam_gym.recordings.recording import Recording
-from slam_gym.types import SPURIOUS, UNLABELLED, Array, IntArray
+from slam_gym.types import SPURIOUS, UNLABELLED, Array, IntArray, Scan
 
 SOURCE = (
     "Victoria Park, E. Nebot and J. Guivant, University of Sydney. Cite: Guivant and Nebot, IEEE TRA 17(3), 2001; for "
@@ -69,40 +67,40 @@ def victoria_park(folder: str | Path) -> Recording:
     """
     folder = Path(folder)
     with naming(folder):
-        return _recording(_read(folder))
+        wheels = _wheels(folder / "aa3_dr.mat")
+        scans, starts, polar = _detections(folder / "VictoriaParkSinSincronizar.mat")
+        gps = np.column_stack(_columns(folder / "aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m")))
+        sources = _identities(folder, scans, starts, polar)
+        motions, motion_covariances = _driven(scans, wheels)
+        bearings = polar[:, 1] - 0.5 * math.pi  # the laser counts them from its right
+        seen = Scan.from_polar(polar[:, 0], bearings, NOISE.range, NOISE.bearing)
+        return Recording(
+            name="victoria_park",
+            source=SOURCE,
+            terms=TERMS,
+            times=scans,
+            motions=motions,
+            motion_covariances=motion_covariances,
+            starts=starts,
+            points=seen.points,
+            covariances=seen.covariances,
+            sizes=polar[:, 2].copy(),
+            size_variances=NOISE.size**2 + (NOISE.size_per_metre * polar[:, 0]) ** 2,
+            sources=sources,
+            reference_times=1e-3 * gps[:, 0],
+            reference_poses=np.column_stack([gps[:, 1:], np.full(len(gps), np.nan)]),
+            range=_RANGE,
+            field_of_view=math.pi,
+        )
 
 
-class _Park(NamedTuple):
-    """What the four files hold."""
-
-    wheels: tuple[Array, Array, Array]  # time [ms], speed [m/s], steering [rad]
-    scans: Array  # (T,) [s]
-    starts: IntArray  # (T + 1,)
-    polar: Array  # (M, 3) range [m], bearing [rad] from the right, diameter [m]
-    gps: Array  # (G, 3) time [ms], x, y [m]
-    sources: IntArray  # (M,)
-
-
-def _read(folder: Path) -> _Park:
-    path = folder / "aa3_dr.mat"
-    wheels = _columns(path, ("time", "speed", "steering"))
-    refuse_rows(path, "time", np.diff(wheels[0], prepend=wheels[0][0]) < 0.0, "comes before the row before it")
-    refuse_rows(path, "speed", np.abs(wheels[1]) > _FASTEST, f"is above {_FASTEST:g} m/s")
-    refuse_rows(path, "steering", np.abs(wheels[2]) > _SHARPEST, f"is above {_SHARPEST:g} rad")
-    path = folder / "VictoriaParkSinSincronizar.mat"
-    laser = read_matlab(path, ("TLsr", "zt"), SOURCE)
-    scans = numbers_of(path, "TLsr", laser["TLsr"])
-    far = (np.diff(scans, prepend=scans[0]) < 0.0) | (np.abs(scans) > _LONGEST)
-    refuse_rows(path, "TLsr", far, f"comes before the row before it, or after {_LONGEST:g} s")
-    detections = _detections(path, laser["zt"], len(scans))
-    starts, polar = starts_of([len(scan) for scan in detections]), np.concatenate(detections)
-    path = folder / "aa3_gpsx.mat"
-    gps = np.column_stack(_columns(path, ("timeGps", "Lo_m", "La_m")))
-    path, name = folder / "data_sensor_clean_clean.mat", "data_sensor_clean_clean"
-    labels = numbers_of(path, name, read_matlab(path, (name,), SOURCE)[name], 6)
-    beyond = ~((labels[:, 5] >= 0.0) & (labels[:, 5] < 1 << 31) & (np.abs(labels[:, 0]) < 1 << 53))
-    refuse_rows(path, name, beyond, "has no identity, or no time")
-    return _Park(wheels, scans, starts, polar, gps, _identities(folder, labels, scans, starts, polar))
+def _wheels(path: Path) -> tuple[Array, Array, Array]:
+    """Times (n,) [ms], speeds (n,) [m/s] and steering (n,) [rad]."""
+    times, speed, steering = _columns(path, ("time", "speed", "steering"))
+    refuse_rows(path, "time", np.diff(times, prepend=times[0]) < 0.0, "comes before the row before it")
+    refuse_rows(path, "speed", np.abs(speed) > _FASTEST, f"is above {_FASTEST:g} m/s")
+    refuse_rows(path, "steering", np.abs(steering) > _SHARPEST, f"is above {_SHARPEST:g} rad")
+    return times, speed, steering
 
 
 def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Array]:
@@ -114,42 +112,21 @@ def _columns(path: Path, names: tuple[str, str, str]) -> tuple[Array, Array, Arr
     return first, second, third
 
 
-def _detections(path: Path, cells: Array, scans: int) -> list[Array]:
-    """For each scan a table (n, 3) of range, bearing, diameter."""
-    if cells.dtype != object or cells.size != scans:
-        raise RecordingError(f"{path}: variable 'zt': expected {scans} cells, found {cells.dtype} {cells.shape}")
+def _detections(path: Path) -> tuple[Array, IntArray, Array]:
+    """Times of the scans (T,) [s], where each starts (T + 1,), and range [m], bearing [rad], diameter [m] (M, 3)."""
+    laser = read_matlab(path, ("TLsr", "zt"), SOURCE)
+    scans, cells = numbers_of(path, "TLsr", laser["TLsr"]), laser["zt"]
+    far = (np.diff(scans, prepend=scans[0]) < 0.0) | (np.abs(scans) > _LONGEST)
+    refuse_rows(path, "TLsr", far, f"comes before the row before it, or after {_LONGEST:g} s")
+    if cells.dtype != object or cells.size != len(scans):
+        raise RecordingError(f"{path}: variable 'zt': expected {len(scans)} cells, found {cells.dtype} {cells.shape}")
     tables = []
     for k, entry in enumerate(cells.ravel(), 1):
         cell = np.asarray(entry)
         if cell.dtype.kind not in "fiu" or cell.size % 3 or not (np.abs(cell) <= _FARTHEST).all():
             raise RecordingError(f"{path}: variable 'zt': cell {k} is no table of 3 rows of finite numbers")
         tables.append(cell.astype(np.float64).reshape(3, -1).T)
-    return tables
-
-
-def _recording(park: _Park) -> Recording:
-    motions, motion_covariances = _driven(park.scans, park.wheels)
-    polar = park.polar
-    bearings = polar[:, 1] - 0.5 * math.pi  # the laser counts them from its right
-    points, covariances = from_polar(polar[:, 0], bearings, NOISE.range**2, NOISE.bearing)
-    return Recording(
-        name="victoria_park",
-        source=SOURCE,
-        terms=TERMS,
-        times=park.scans,
-        motions=motions,
-        motion_covariances=motion_covariances,
-        starts=park.starts,
-        points=points,
-        covariances=covariances,
-        sizes=polar[:, 2].copy(),
-        size_variances=NOISE.size**2 + (NOISE.size_per_metre * polar[:, 0]) ** 2,
-        sources=park.sources,
-        reference_times=1e-3 * park.gps[:, 0],
-        reference_poses=np.column_stack([park.gps[:, 1:], np.full(len(park.gps), np.nan)]),
-        range=_RANGE,
-        field_of_view=math.pi,
-    )
+    return scans, starts_of([len(table) for table in tables]), np.concatenate(tables)
 
 
 def _driven(scans: Array, wheels: tuple[Array, Array, Array]) -> tuple[Array, Array]:
@@ -179,20 +156,17 @@ def _driven(scans: Array, wheels: tuple[Array, Array, Array]) -> tuple[Array, Ar
     return motions, covariances
 
 
-def _identities(folder: Path, labels: Array, times: Array, starts: IntArray, polar: Array) -> IntArray:
+def _identities(folder: Path, scans: Array, starts: IntArray, polar: Array) -> IntArray:
     """(M,) identity of each detection, joined with the labels by time, bearing and range."""
+    path, name = folder / "data_sensor_clean_clean.mat", "data_sensor_clean_clean"
+    labels = numbers_of(path, name, read_matlab(path, (name,), SOURCE)[name], 6)
+    beyond = ~((labels[:, 5] >= 0.0) & (labels[:, 5] < 1 << 31) & (np.abs(labels[:, 0]) < 1 << 53))
+    refuse_rows(path, name, beyond, "has no identity, or no time")
     keys = {(round(t), round(b, 6), round(r, 6)): int(source) for t, r, b, _, _, source in labels.tolist()}
-    stamps = np.repeat(np.round(1000.0 * times).astype(np.int64), np.diff(starts))
-    sources = np.array(
-        [
-            keys.pop((t, round(b, 6), round(r, 6)), SPURIOUS)
-            for t, (r, b, _) in zip(stamps.tolist(), polar.tolist(), strict=True)
-        ],
-        dtype=np.int64,
-    )
+    stamps = np.repeat(np.round(1000.0 * scans).astype(np.int64), np.diff(starts))
+    rows = zip(stamps.tolist(), polar.tolist(), strict=True)
+    found = [keys.pop((t, round(b, 6), round(r, 6)), SPURIOUS) for t, (r, b, _) in rows]
     if keys:
         time = next(iter(keys))[0]
         raise RecordingError(f"{folder}: {len(keys)} labels fit no detection, the first at {time} ms")
-    labelled = np.isin(stamps, labels[:, 0].astype(np.int64))
-    sources[~labelled] = UNLABELLED
-    return sources
+    return np.where(np.isin(stamps, labels[:, 0].astype(np.int64)), found, UNLABELLED)

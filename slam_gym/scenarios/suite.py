@@ -9,8 +9,9 @@ about the same scans.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,12 +34,19 @@ class Level:
     knob: float  # where the level lies on the experiment's axis
     scenario: Scenario
     blind: tuple[float, float]  # [m], [rad] σ of position and heading after driving on without a look
-    spacing: float = 1.5  # [m] between the places from which the map is made
 
     @property
     def id(self) -> str:
         """`experiment/number`, as `get_level` takes it."""
         return f"{self.experiment}/{self.number}"
+
+    @property
+    def spacing(self) -> float:
+        """[m] between the places from which the map is made."""
+        return min(1.5, self.scenario.sensor.range / 4.0)
+
+
+_FAIR = (0.08, math.radians(1.0))
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,17 @@ class Experiment:
     question: str
     why: str  # what turning the knob does to an association problem
     axis: str  # what the knob is, with its unit
-    levels: tuple[Level, ...]
+    knobs: tuple[float, ...]
+    scenario: Callable[[float], Scenario]  # by the knob
+    blind: Callable[[float], tuple[float, float]] = lambda knob: _FAIR  # as `Level` has it, by the knob
+
+    @cached_property
+    def levels(self) -> tuple[Level, ...]:
+        """From the first knob to the last."""
+        return tuple(
+            Level(self.name, number, knob, replace(self.scenario(knob), name=f"{self.name}/{number}"), self.blind(knob))
+            for number, knob in enumerate(self.knobs)
+        )
 
 
 @dataclass(frozen=True)
@@ -77,25 +95,6 @@ _OFFICE = Scenario(
     sensor=_SENSOR,
     odometry=_ODOMETRY,  # so good that what the robot knows of its pose is decided by `Level.blind`
 )
-_FAIR = (0.08, math.radians(1.0))
-
-
-def _experiment(
-    name: str,
-    question: str,
-    why: str,
-    axis: str,
-    knobs: Sequence[float],
-    scenario: Callable[[float], Scenario],
-    blind: Callable[[float], tuple[float, float]],
-) -> Experiment:
-    """A sweep over `knobs`: the scenario of each, and what the robot knows of its pose there."""
-    levels = []
-    for number, knob in enumerate(knobs):
-        setting = scenario(knob)
-        spacing = min(1.5, setting.sensor.range / 4.0)
-        levels.append(Level(name, number, knob, replace(setting, name=f"{name}/{number}"), blind(knob), spacing))
-    return Experiment(name, question, why, axis, tuple(levels))
 
 
 def _with_sensor(**changes: Any) -> Scenario:
@@ -120,7 +119,7 @@ def _crowded(people: float) -> Scenario:
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment
     for experiment in (
-        _experiment(
+        Experiment(
             "closure",
             "How lost may the robot be and still recognise what it sees?",
             "The gates grow with the uncertainty of the pose, so that each measurement has more compatible features; "
@@ -131,7 +130,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             lambda sigma: _OFFICE,
             lambda sigma: (sigma, math.radians(12.0 * sigma)),
         ),
-        _experiment(
+        Experiment(
             "drift",
             "How far may one tick turn the robot away from where it believes to look?",
             "At six metres a degree is ten centimetres. All measurements are turned together, further than the "
@@ -142,7 +141,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             lambda sigma: _with_sensor(detection=0.9, clutter=1.0),
             lambda sigma: (0.1, math.radians(sigma)),
         ),
-        _experiment(
+        Experiment(
             "aliasing",
             "Are identical rooms told apart, when the pose does not quite say which one it is?",
             "Rooms repeat at the pitch. A hypothesis that is off by a room pairs as many measurements as the right "
@@ -153,7 +152,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             _rooms_at_pitch,
             lambda pitch: (0.8, math.radians(3.0)),
         ),
-        _experiment(
+        Experiment(
             "clutter",
             "How much that is not there may the detector report?",
             "Spurious measurements fall among the gates. An associator that pairs whatever is compatible pairs them "
@@ -161,9 +160,8 @@ EXPERIMENTS: dict[str, Experiment] = {
             "spurious measurements a scan",
             (0.0, 3.0, 6.0, 12.0, 24.0),
             lambda clutter: _with_sensor(clutter=clutter),
-            lambda clutter: _FAIR,
         ),
-        _experiment(
+        Experiment(
             "detection",
             "How much of what is there may the detector miss?",
             "Fewer measurements of one scan support each other, while the features that were missed still offer "
@@ -171,9 +169,8 @@ EXPERIMENTS: dict[str, Experiment] = {
             "probability of detection; 3 spurious measurements a scan",
             (1.0, 0.85, 0.7, 0.5, 0.35),
             lambda detection: _with_sensor(clutter=3.0, detection=detection),
-            lambda detection: _FAIR,
         ),
-        _experiment(
+        Experiment(
             "density",
             "How close together may features stand?",
             "Posts at random in a bare room, ever closer, and a sensor that reaches a dozen of them: what the pose "
@@ -183,16 +180,15 @@ EXPERIMENTS: dict[str, Experiment] = {
             _posts,
             lambda density: (0.1, math.radians(1.0)),
         ),
-        _experiment(
+        Experiment(
             "dynamics",
             "How many people may walk about?",
             "People hide features and are taken for some, in other places each time.",
             "people in the building",
             (0.0, 6.0, 12.0, 24.0, 40.0),
             _crowded,
-            lambda people: _FAIR,
         ),
-        _experiment(
+        Experiment(
             "kidnapped",
             "Does a search without any prior find the robot in its map, and does it notice when it is in another "
             "building?",

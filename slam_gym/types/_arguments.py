@@ -21,8 +21,8 @@ def floats(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
         out = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected numbers of shape {_spoken(shape)}, got {value!r}") from error
-    if out.ndim == 1 and out.size == 0 and 0 in shape:  # an empty list says nothing of its further dimensions
-        out = out.reshape(shape)
+    if out.ndim == 1 and out.size == 0 and shape[0] in (-1, 0):  # an empty list tells no further dimensions
+        out = out.reshape(0, *shape[1:])
     if out.ndim != len(shape) or any(given != -1 and given != found for given, found in zip(shape, out.shape)):
         raise ValueError(f"{name}: shape {out.shape}, expected {_spoken(shape)}")
     return out
@@ -48,11 +48,6 @@ def in_radians(name: str, angles: Array) -> Array:
 
 def _spoken(shape: tuple[int, ...]) -> str:
     return "(" + ", ".join("m" if side == -1 else str(side) for side in shape) + ("," if len(shape) == 1 else "") + ")"
-
-
-def points_of(name: str, value: ArrayLike) -> Array:
-    """(m, 2); an empty list is no point."""
-    return np.empty((0, 2)) if np.size(value) == 0 else floats(name, value, (-1, 2))
 
 
 def covariances_of(name: str, value: ArrayLike | None, sigma: ArrayLike | None, m: int) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.types._arguments import Array, IntArray, covariances_of, floats, kinds_of, points_of, sizes_of
+from slam_gym.types._arguments import Array, IntArray, covariances_of, floats, kinds_of, sizes_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Landmarks:
         `covariance` (2n, 2n) [m²] is that of all features together; the other two say that they are independent.
         Arguments and errors are those of `Scan.from_points`.
         """
-        at = points_of("points", points)
+        at = floats("points", points, (-1, 2))
         n, whole = len(at), np.empty((0, 0))
         if covariance is None:
             marginals = covariances_of("covariances", covariances, sigma, n)

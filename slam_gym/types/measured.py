@@ -16,7 +16,6 @@ from slam_gym.types._arguments import (
     floats,
     in_radians,
     kinds_of,
-    points_of,
     sizes_of,
 )
 from slam_gym.types._records import quick
@@ -109,7 +108,7 @@ class Scan:
         Raises ValueError naming the argument whose shape does not fit or that is negative, or where not exactly one of
         covariances and sigma is given.
         """
-        at = points_of("points", points)
+        at = floats("points", points, (-1, 2))
         marginals = covariances_of("covariances", covariances, sigma, len(at))
         return cls(at, marginals, *sizes_of(sizes, size_sigma, len(at)), kinds_of(kinds, len(at)))
 

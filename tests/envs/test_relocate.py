@@ -2,35 +2,24 @@
 
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-import slam_gym  # noqa: F401 (registers the environment)
-from slam_gym.association import gcbb, jcbb
+from slam_gym.association import gcbb
 from slam_gym.association.relocation.observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
 from slam_gym.association.relocation.policy import SampledRelocation, greedy_relocation, relocator_from_policy
 from slam_gym.envs import relocate as module
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import get_scenario
-from slam_gym.simulation.relocation_problems import KNOWN, kidnap, map_world
+from slam_gym.simulation.relocation_problems import kidnap
 from slam_gym.simulation.right_answers import NOT_OFFERED
-from slam_gym.types import UNPAIRED
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
-from tests.rollouts import differences, short
+from tests.rollouts import bare, differences, relocate, short
 
-ID = "slam_gym/Relocate-v0"
 INFO = ["nodes", "tries", "hidden", "pairings", "needed", "accepted", "action_mask", "truth"]
 SMALL = short(120)
 POLICIES = {"greedy": greedy_relocation, "sampled": SampledRelocation(8)}
-
-
-def relocate(scenario=SMALL, **options) -> RelocateEnv:
-    """The bare environment, without the wrappers of `gym.make`."""
-    env = gym.make(ID, scenario=scenario, disable_env_checker=True, **options).unwrapped
-    assert isinstance(env, RelocateEnv)
-    return env
 
 
 def episode(env, choose, seed=None, options=None):
@@ -61,26 +50,12 @@ def by_truth(observation, info):
     return refuse(observation, info) if action == NOT_OFFERED else action
 
 
-# -- checkers ------------------------------------------------------------------------------------------------------
-
-
-OPTIONS = [  # every value of every option at least once
-    dict(scenario="office-small", split="train", locality="covisibility", order="fewest_candidates"),
-    dict(scenario=short(150, "hall"), split="test", locality="two-hop covisibility", order="random", sizes=False),
-    dict(scenario=short(150, "aliased"), locality="distance", order="nearest_first", candidates=1, outside=1.0),
-    dict(scenario=short(150, "crowd"), locality=None, order="as_scanned", candidates=200, outside=0.0, node_limit=7),
-    dict(scenario=SMALL, associator="true_association", node_limit=1, kidnappings_per_map=1, node_cost=0.5),
-    dict(scenario=SMALL, associator=jcbb, wrong_cost=5.0, position_tolerance=1.0, heading_tolerance=0.3),
-    dict(scenario=SMALL, render_mode="human"),
-    dict(scenario=SMALL, render_mode="rgb_array", sizes=False, candidates=12),
-]
+# -- arguments -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scenario": "atlantis"}, "office-small"),
-        ({"split": "valid"}, "train, test"),
         ({"locality": "near"}, "two-hop covisibility"),
         ({"candidates": 0}, "candidates"),
         ({"order": "any"}, "fewest_candidates"),
@@ -93,7 +68,6 @@ OPTIONS = [  # every value of every option at least once
         ({"wrong_cost": float("inf")}, "wrong_cost=inf"),
         ({"position_tolerance": -0.1}, "position_tolerance"),
         ({"heading_tolerance": float("nan")}, "heading_tolerance"),
-        ({"render_mode": "ascii"}, "rgb_array"),
     ],
 )
 def test_bad_arguments_are_refused_by_name(options, message):
@@ -104,11 +78,7 @@ def test_bad_arguments_are_refused_by_name(options, message):
 # -- kidnappings ---------------------------------------------------------------------------------------------------
 
 
-def test_outside_is_another_world_and_as_often_as_asked_for():
-    mapped = map_world(SMALL, "test", 4, "jcbb")
-    drawn = kidnap(mapped, SMALL, False, np.random.default_rng(0))
-    assert not drawn.inside and (drawn.features == UNPAIRED).all() and np.isnan(drawn.pose).all()
-    assert len(drawn.scan) >= KNOWN and mapped.elsewhere.plan.walls.shape != mapped.site.plan.walls.shape
+def test_the_robot_is_outside_as_often_as_asked_for():
     env = relocate(outside=0.4, kidnappings_per_map=200)
     env.reset(seed=1)
     inside = [env.reset()[1]["truth"]["inside"] for _ in range(199)]
@@ -210,15 +180,20 @@ def test_a_world_asked_for_does_not_depend_on_what_was_mapped_before_nor_disturb
 # -- what is handed out --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("options", OPTIONS[:5], ids=range(5))
-def test_observations_are_inside_their_space_and_info_has_fixed_keys(options):
+@pytest.mark.parametrize(
+    "options",
+    [
+        dict(scenario=short(150, "hall"), split="test", locality="two-hop covisibility", order="random", sizes=False),
+        dict(scenario=short(150, "aliased"), locality="distance", order="nearest_first", candidates=1, outside=1.0),
+        dict(scenario=short(150, "crowd"), locality=None, candidates=200, outside=0.0, node_limit=7),
+    ],
+)
+def test_info_has_fixed_keys_and_agrees_with_the_observation(options):
     env = relocate(**options)
     env.reset(seed=1)
     for _ in range(5):
-        for observation, reward, terminated, truncated, info in episode(env, at_random(0)):
+        for observation, _, terminated, _, info in episode(env, at_random(0)):
             assert env.observation_space.contains(observation)
-            assert all(np.isfinite(part).all() for part in observation.values())
-            assert type(reward) is float and type(terminated) is bool and truncated is False
             assert list(info) == INFO + ["score"] * terminated
             assert list(info["truth"]) == ["inside", "pose", "features", "action"]
             mask = info["action_mask"]
@@ -245,7 +220,7 @@ def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_s
         found.add(info["truth"]["inside"])
         np.testing.assert_array_equal(env.mapped.site.plan.walls, plan.walls)
     assert found == {True, False} and len(env.mapped.elsewhere.plan.rooms) > len(plan.rooms)
-    assert relocate(None, floor_plan=path).scenario.sensor == get_scenario("building").sensor
+    assert bare("Relocate-v0", floor_plan=path).scenario.sensor == get_scenario("building").sensor
     with pytest.raises(ValueError, match=r"resolution=0\.1 goes with a floor_plan"):
         relocate(resolution=0.1)
 

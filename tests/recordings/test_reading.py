@@ -5,23 +5,7 @@ import pytest
 from scipy.io import savemat
 
 from slam_gym.recordings import RecordingError
-from slam_gym.recordings.reading import Spans, from_polar, read_matlab, starts_of
-
-
-@pytest.mark.parametrize("each", [False, True])
-def test_points_from_polar_measurements_have_their_first_order_covariance(each) -> None:
-    rng = np.random.default_rng(0)
-    ranges, bearings = rng.uniform(0.5, 9.0, 50), rng.uniform(-np.pi, np.pi, 50)
-    variances = rng.uniform(0.01, 0.1, 50) if each else 0.04
-    points, covariances = from_polar(ranges, bearings, variances, 0.02)
-    np.testing.assert_allclose(np.hypot(*points.T), ranges)
-    np.testing.assert_allclose(np.arctan2(*points.T[::-1]), bearings)
-    for i in range(50):
-        c, s = np.cos(bearings[i]), np.sin(bearings[i])
-        jacobian = np.array([[c, -ranges[i] * s], [s, ranges[i] * c]])
-        noise = np.diag([variances[i] if each else variances, 0.02**2])
-        np.testing.assert_allclose(covariances[i], jacobian @ noise @ jacobian.T, atol=1e-15)
-    assert from_polar(np.empty(0), np.empty(0), 0.1, 0.1)[1].shape == (0, 2, 2)
+from slam_gym.recordings.reading import Spans, read_matlab, starts_of
 
 
 def test_spans_are_cut_where_commands_take_over() -> None:

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb, true_association
-from slam_gym.association.prediction import Prediction
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import SPURIOUS, UNPAIRED, Effort, Hypothesis, Odometry, Scan, Truth
+from slam_gym.types import SPURIOUS, Odometry, Scan, Truth
 from tests.simulation.episodes import circle
-from tests.slam.strangers import reachable
 
 LOG = circle(15, spurious=0.1)
 
@@ -72,19 +70,6 @@ def test_a_lie_changes_nothing_but_the_judgement_for_everybody_else() -> None:
         lied_to.step(odometry, scan, Truth(truth.pose + 1.0, rng.permutation(truth.sources)))
     np.testing.assert_array_equal(honest.slam.map.mean, lied_to.slam.map.mean)
     assert honest.tally != lied_to.tally
-
-
-def test_a_stranger_finds_no_truth() -> None:
-    found: list[object] = []
-
-    def spy(scan: Scan, prediction: Prediction) -> Hypothesis:
-        found.extend(reachable(scan, prediction))
-        return Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
-
-    judged = JudgedSlam(Slam(), spy)
-    for look in LOG[:3]:
-        judged.step(*look)
-    assert len(found) > 20 and not any(isinstance(thing, (Truth, Identities, JudgedSlam)) for thing in found)
 
 
 def test_an_unknown_associator_is_refused_with_those_that_are_known() -> None:

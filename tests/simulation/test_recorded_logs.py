@@ -15,7 +15,8 @@ from slam_gym.geometry import compose, observe, relative
 from slam_gym.recordings import Recording, save
 from slam_gym.simulation.recorded_logs import reference_poses, windows
 from slam_gym.types import SPURIOUS, UNLABELLED
-from tests.envs.test_associate import ID, Playing, associate, at_random, episode, refuse, total
+from tests.envs.test_associate import Playing, at_random, episode, refuse, total
+from tests.rollouts import associate
 
 STEPS = 60
 
@@ -112,8 +113,8 @@ def test_reference_poses_are_read_between_their_neighbours_and_across_the_cut_of
 def test_checkers_find_nothing_to_warn_of(arc, options) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(gym.make(ID, scenario=f"{arc}?looks=12", **options).unwrapped)
-        check_env_sb3(gym.make(ID, scenario=f"{arc}?looks=12&every=2", **options))
+        check_env(gym.make("slam_gym/Associate-v0", scenario=f"{arc}?looks=12", **options).unwrapped)
+        check_env_sb3(gym.make("slam_gym/Associate-v0", scenario=f"{arc}?looks=12&every=2", **options))
 
 
 def test_refusing_everything_earns_nothing_and_the_truth_the_maximum(arc) -> None:

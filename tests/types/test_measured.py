@@ -10,7 +10,8 @@ def test_a_scan_from_points_knows_nothing_of_sizes_and_kinds() -> None:
     scan = Scan.from_points([[1, 2], [3, 4]], sigma=0.1)
     np.testing.assert_array_equal(scan.covariances, np.tile(0.1**2 * np.eye(2), (2, 1, 1)))
     assert np.isnan(scan.sizes).all() and (scan.kinds == UNKNOWN_KIND).all()
-    assert len(Scan.from_points([], sigma=0.1)) == 0
+    for nothing in ([], (), np.empty(0), np.empty((0, 2))):
+        assert Scan.from_points(nothing, sigma=0.1).covariances.shape == (0, 2, 2)
 
 
 def test_a_polar_scan_has_the_covariance_of_its_linearisation() -> None:
@@ -25,11 +26,26 @@ def test_a_polar_scan_has_the_covariance_of_its_linearisation() -> None:
         np.testing.assert_allclose(scan.covariances[i], np.cov(x, y), rtol=0.03, atol=2e-5)
 
 
-def test_a_scan_does_not_share_memory_with_what_it_is_made_of() -> None:
-    points = np.ones((2, 2))
-    scan = Scan.from_points(points, np.eye(2))
-    points[:] = 7.0
-    assert (scan.points == 1).all()
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int32, list])
+def test_a_scan_is_made_of_fresh_doubles_by_rows_whatever_it_is_made_from(kind) -> None:
+    """Compiled functions would be compiled anew for another order."""
+    points, one = np.array([[1, 3], [2, 4]], np.int32 if kind is list else kind).T, np.array([[2.0, 0.5], [0.5, 1.0]])
+    scan = Scan.from_points(points.tolist() if kind is list else points, one)
+    assert scan.points.tolist() == [[1.0, 2.0], [3.0, 4.0]] and scan.points.dtype == np.float64
+    assert scan.points.flags.c_contiguous and not np.shares_memory(scan.points, points)
+    np.testing.assert_array_equal(scan.covariances, [one, one])
+    scan.covariances[0] = 0.0  # each its own
+    assert (scan.covariances[1] == one).all() and one[0, 0] == 2.0
+    fortran = np.asfortranarray(np.tile(np.eye(2), (2, 1, 1)))
+    assert Scan.from_points(points, fortran).covariances.flags.c_contiguous
+
+
+def test_sigmas_sizes_and_kinds_are_for_each() -> None:
+    scan = Scan.from_points(np.zeros((2, 2)), sigma=[0.5, 2.0], sizes=[0.3, np.nan], size_sigma=0.1, kinds=[3, -2])
+    np.testing.assert_array_equal(scan.covariances, [0.25 * np.eye(2), 4.0 * np.eye(2)])
+    np.testing.assert_array_equal(scan.sizes, [0.3, np.nan])
+    np.testing.assert_allclose(scan.size_variances, [0.01, np.nan])
+    assert scan.kinds.dtype == np.int64 and scan.kinds.tolist() == [3, UNKNOWN_KIND]
 
 
 @pytest.mark.parametrize(
@@ -42,7 +58,13 @@ def test_a_scan_does_not_share_memory_with_what_it_is_made_of() -> None:
         (lambda: Scan.from_points([[1, 2]], np.eye(2), sigma=0.1), "exactly one"),
         (lambda: Scan.from_points([[1, 2]], [0.1]), r"covariances: shape \(1,\), expected \(1, 2, 2\)"),
         (lambda: Scan.from_points([[1, 2]], sigma=[0.1, 0.2]), "sigma: shape"),
+        (lambda: Scan.from_points([[1, 2], [3]], sigma=0.1), "points: expected numbers"),
         (lambda: Scan.from_points([[1, 2]], sigma=0.1, sizes=[1]), "both or neither"),
+        (lambda: Scan.from_points([[1, 2]], sigma=0.1, size_sigma=1), "both or neither"),
+        (lambda: Scan.from_points([[1, 2]], sigma=0.1, sizes=[1, 2], size_sigma=1), r"sizes: shape \(2,\)"),
+        (lambda: Scan.from_points([[1, 2]], sigma=0.1, sizes=[1], size_sigma=[1, 2]), r"size_sigma: shape \(2,\)"),
+        (lambda: Scan.from_points([[1, 2]], sigma=0.1, kinds=[1, 2]), r"kinds: .* expected \(1,\) integers"),
+        (lambda: Scan.from_points([[1, 2]], sigma=0.1, kinds=["door"]), r"kinds: .* expected \(1,\) integers"),
         (lambda: Scan.from_points([[1, 2]], sigma=0.1, kinds=[0.5]), "kinds: float64"),
         (lambda: Scan.from_polar([1, 2], [0.1], 0.1, 0.1), "bearings: shape"),
         (lambda: Odometry.from_motion([1, 0], 0.1), r"motion: shape \(2,\), expected \(3,\)"),
