@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph, among
-from slam_gym.mapping.foresight import RowArrays, foresee, keep_rows, rows_for
+from slam_gym.mapping.foresight import Locality, RowArrays, foresee, keep_rows, rows_for
 from slam_gym.mapping.linear_algebra import padded
 from slam_gym.mapping.measurement import joint_covariance
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
@@ -368,18 +368,40 @@ def predict(
     """
     moves = odometry is not None
     motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
-    rows, pose = rows_for(m.n), np.empty(4)
-    neighbours, degrees = (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
-    locality = neighbours, degrees, recent
+    rows, pose, locality = rows_for(m.n), np.empty(4), (*local_arrays(graph), recent)
     k = foresee(m.arrays, (m.n, m.step), (moves, motion, Q), float(reach), m.spec.second_order, locality, pose, rows)
     if k < 0:
-        raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
+        raise refused_odometry(odometry)
     if moves:
         m.moved()
-    x, P, _, _ = m.arrays
+    return foreseen(m, rows, k, pose, locality, sight, view_moves, experience)
+
+
+def foreseen(
+    m: StochasticMap,
+    rows: RowArrays,
+    k: int,
+    pose: Array,
+    locality: Locality,
+    sight: ViewsFrom | None,
+    view_moves: bool = True,
+    experience: Experience | None = None,
+) -> Prediction:
+    """The prediction of a map of which k features have been entered in `rows`; arguments as `foresee` and `predict`."""
+    (x, P, _, _), (neighbours, degrees, _), spec = m.arrays, locality, m.spec
     source = pose, x, P, neighbours, degrees, _NO_SENSOR if sight is None else sight.arrays, _NOTHING
-    size = k, m.n, m.spec.second_order, view_moves
-    return Prediction(rows, source, size, m.spec.confidence, m.spec.confirmations, experience, m.estimate)
+    size = k, m.n, spec.second_order, view_moves
+    return Prediction(rows, source, size, spec.confidence, spec.confirmations, experience, m.estimate)
+
+
+def local_arrays(graph: CovisibilityGraph | None) -> tuple[IntArray, IntArray]:
+    """Neighbours and degrees of the graph; empty without one."""
+    return (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
+
+
+def refused_odometry(odometry: Odometry | None) -> ValueError:
+    """Why the robot could not be moved."""
+    return ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
 
 def _locked(array: NDArray[Entry]) -> NDArray[Entry]:

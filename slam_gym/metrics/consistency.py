@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.geometry import wrap_angle
+from slam_gym.geometry import relative, wrap_angle
+from slam_gym.mapping import ekf
 from slam_gym.types import Array
 
 
@@ -47,6 +48,13 @@ def pose_nees(pose: Array, covariance: Array, true: Array) -> float:
     error = pose - true
     error[2] = wrap_angle(error[2])
     return nees(error, covariance)
+
+
+@compiled
+def error_of_pose(x: Array, P: Array, base: Array, true: Array) -> float:
+    """`pose_nees` of the robot in a map of state x and covariance P (upper triangle) with its base (3,) in W, held
+    against its true pose (3,) in W."""
+    return pose_nees(x[:3], ekf.symmetric(P, 3), relative(base, true))
 
 
 def anees(values: Array, dof: int) -> float:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import transform
+from slam_gym.mapping import ekf
+from slam_gym.mapping.ekf import MapArrays
 from slam_gym.metrics.point_assignment import Index, assign, indexed
 from slam_gym.types import Array, IntArray
 
@@ -56,12 +58,28 @@ def map_error(estimated: Array, true: Array, sigma0: float) -> float:
     return error_of(estimated, indexed(true, 2.0 * sigma0))
 
 
+@compiled
 def error_of(estimated: Array, index: Index) -> float:
     """`map_error` against true features that are `indexed` with a cutoff of 2σ₀."""
     true, _, _, cutoff = index
     (_, cost, pairs), sigma0 = assign(estimated, index, 1.0), 0.5 * cutoff
     unpaired = len(estimated) + len(true) - 2 * pairs
-    return (cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1))
+    return float((cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1)))
+
+
+@compiled
+def error_and_coverage(
+    arrays: MapArrays,
+    n: int,
+    confirmations: int,
+    base: Array,
+    index: Index,
+    cells: NDArray[np.uint8],
+    places: IntArray,
+) -> tuple[float, float]:
+    """In one call, `error_of` the confirmed features of a map of n, its base (3,) in W, and `coverage` of `places`."""
+    landmarks = transform(base, ekf.confirmed(arrays[0], arrays[2], n, confirmations))
+    return error_of(landmarks, index), coverage(cells, places)
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam_gym.association.prediction import Associator, Prediction, SlamStep
-from slam_gym.geometry import compose, observe, relative, transform
+from slam_gym.geometry import compose, observe, transform
 from slam_gym.metrics import map_quality
-from slam_gym.metrics.consistency import pose_nees
+from slam_gym.metrics.consistency import error_of_pose
 from slam_gym.metrics.point_assignment import indexed
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.navigation.keyframes import Keyframes
@@ -166,7 +166,7 @@ class Episode:
     def _log(self, true_pose: Array) -> None:
         """Note the estimate of the pose, and what it is off by."""
         slam, estimate = self.slam, self.slam.map.pose
-        nees = pose_nees(estimate, slam.map.pose_covariance, relative(self.base, true_pose))
+        nees = error_of_pose(*slam.map.arrays[:2], self.base, true_pose)
         self.estimates.append(estimate)
         self.nees.append(nees if math.isfinite(nees) and len(slam.maps) == 1 else math.nan)
         self.ticks += 1
@@ -198,8 +198,13 @@ class Episode:
     def _appraise(self) -> tuple[float, float]:
         """Map error and coverage, once a tick: rewards and info both ask for them."""
         if self._appraised_at != self.ticks:
-            error = map_quality.error_of(self.landmarks, self._indexed)
-            self._appraised = error, map_quality.coverage(self._cells, self._places)
+            (m, *others), seen = self.slam.maps, (self._indexed, self._cells, self._places)
+            if others:
+                error = map_quality.error_of(self.landmarks, self._indexed)
+                self._appraised = error, map_quality.coverage(self._cells, self._places)
+            else:
+                appraise = map_quality.error_and_coverage
+                self._appraised = appraise(m.arrays, m.n, m.spec.confirmations, self.base, *seen)
             self._appraised_at = self.ticks
         return self._appraised
 

@@ -34,7 +34,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slam_gym.association.acceptance import Rows, reject_accidental, unambiguous_rows
+from slam_gym.association.acceptance import Rows, reject_accidental
 from slam_gym.association.compatibility import chi2_gate, plain
 from slam_gym.association.prediction import Prediction, SlamStep, StartRule
 from slam_gym.mapping.covisibility import CovisibilityGraph
@@ -52,7 +52,7 @@ from slam_gym.slam.places.fusion import (
 from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.tracker import Tracker
-from slam_gym.types import UNPAIRED, Hypothesis, IntArray, Scan
+from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
 
 
 @dataclass(frozen=True)
@@ -111,21 +111,13 @@ class Atlas:
         self._relocate = relocate
         self._search_everywhere = False  # for duplicates, since much has moved
 
-    def offered(self, prediction: Prediction, reach: float) -> Prediction:
-        """The prediction without old features that are ambiguous, unless the associator weighs all hypotheses.
+    def most_accidental(self, experience: Experience | None) -> float:
+        """Accidental matches expected in the gate of an old feature, above which the associator is not offered it.
 
-        Such a one says what it learns from scan to scan. It refuses by itself what is ambiguous, and would take for new
-        what it is not offered, which is what `starts_from_rejected` wants.
+        One that weighs all hypotheses says what it has learned from scan to scan. It refuses by itself what is
+        ambiguous, and would take for new what it is not offered, which is what `starts_from_rejected` wants.
         """
-        weighs_all = prediction.experience is not None
-        if self.max_accidental_matches == math.inf or (weighs_all and not self.starts_from_rejected):
-            return prediction
-        k, (_, _, P, *_) = len(prediction), prediction.source
-        if prediction.rows[2][:k].all():  # nothing is old
-            return prediction
-        kept, per_area = np.empty(k, np.int64), k * chi2_gate(2, prediction.confidence) / reach**2
-        count = unambiguous_rows(_rows_of(prediction), P, per_area, self.max_accidental_matches, kept)
-        return prediction if count == k else prediction.subset(kept[:count])
+        return math.inf if experience is not None and not self.starts_from_rejected else self.max_accidental_matches
 
     def accepted(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float) -> Accepted:
         """The hypothesis without pairings with old features that may all be accidental: see `reject_accidental`.

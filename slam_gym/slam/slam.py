@@ -11,12 +11,21 @@ import numpy as np
 from slam_gym._jit import announce_compilation, compiled
 from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.prediction import Associator, Prediction, SlamStep, StartRule, predict
+from slam_gym.association.prediction import (
+    Associator,
+    Prediction,
+    SlamStep,
+    StartRule,
+    foreseen,
+    local_arrays,
+    refused_odometry,
+)
 from slam_gym.mapping.covisibility import CovisibilityGraph
+from slam_gym.mapping.foresight import rows_for
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
 from slam_gym.navigation.visibility import ViewsFrom
-from slam_gym.slam import learn
+from slam_gym.slam import learn, predict
 from slam_gym.slam.atlas import Atlas, AtlasSpec
 from slam_gym.slam.learn import Settings
 from slam_gym.slam.places.fusion import NO_PAIRS, MappedArea
@@ -35,7 +44,7 @@ from slam_gym.types import (
     Relocation,
     Scan,
 )
-from slam_gym.validation import check_hypothesis, check_inputs, check_scan
+from slam_gym.validation import check_hypothesis, check_inputs, check_scan, check_shapes
 
 _NO_FEATURES = np.empty(0, np.int64)
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
@@ -112,7 +121,7 @@ class Slam:
         self._farthest = 0.0  # [m] of any measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
         self._warned = False
-        given = self.spec.new_confidence
+        given, self._gate = self.spec.new_confidence, chi2_gate(2, self.spec.map.confidence)
         # χ² gate within which a new feature must not be compatible with anything
         self._new_gate = chi2_gate(2, self.spec.map.confidence if given is None else given)
 
@@ -136,9 +145,9 @@ class Slam:
         Raises ValueError, nothing changed, for non-finite numbers and covariances that are none.
         """
         check_inputs(odometry, scan)
-        check_scan(scan)
-        prediction = self._features_in_reach(scan, odometry)
-        return prediction if self.atlas is None else self.atlas.offered(prediction, self.reach)
+        check_shapes(scan)
+        most = math.inf if self.atlas is None else self.atlas.most_accidental(self._experience)
+        return self._predict(odometry, scan, most)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
         """What follows the associator's answer: the map learns from the scan, unless that is not believed.
@@ -250,17 +259,22 @@ class Slam:
         """How often the robot was found again so far."""
         return 0 if self.tracker is None else self.tracker.relocations
 
-    def _features_in_reach(self, scan: Scan, odometry: Odometry) -> Prediction:
-        """The prediction of all features in reach, whether an atlas offers them or not."""
-        return predict(
-            self.map,
-            self._reach_for(scan),
-            odometry=odometry,
-            graph=self.covisibility if self.spec.locality else None,
-            recent=self._recent.ravel(),
-            sight=self.view_from,
-            experience=self._experience,
-        )
+    def _predict(self, odometry: Odometry, scan: Scan, most_accidental: float) -> Prediction:
+        """Of the features in reach; old ones in whose gates more accidental matches are expected are left out."""
+        m, rows, pose = self.map, rows_for(self.map.n), np.empty(4)
+        motion, measured, reach = (odometry.motion, odometry.covariance), (scan.points, scan.covariances), self.reach
+        if self.spec.reach is None:
+            reach = max(reach, _farthest(*measured, np.ones(len(scan), np.bool_), 3.0))
+        rule = reach, m.spec.second_order, self._gate, most_accidental
+        locality = (*local_arrays(self.covisibility if self.spec.locality else None), self._recent.ravel())
+        k = predict.predict(m.arrays, (m.n, m.step), motion, measured, rule, locality, pose, rows)
+        if k == predict.BAD_SCAN:
+            check_scan(scan)
+        if k == predict.BAD_ODOMETRY:
+            raise refused_odometry(odometry)
+        m.moved()
+        self._farthest = reach
+        return foreseen(m, rows, k, pose, locality, self.view_from, experience=self._experience)
 
     def _go_on_from(self, found: Relocation, scan: Scan, tracker: Tracker) -> SlamStep:
         """The step of a scan that says where the robot is. Raises ValueError, the robot unmoved, where it cannot be."""
@@ -269,7 +283,7 @@ class Slam:
         self.map.place(found.pose, UNKNOWN_POSE)
         tracker.accept(hypothesis)
         tracker.relocations += 1
-        everything = self._features_in_reach(scan, _STILL)  # nothing is known of the pose: all would be ambiguous
+        everything = self._predict(_STILL, scan, math.inf)  # nothing is known of the pose: all would be ambiguous
         return self.update(scan, everything, hypothesis)
 
     def _begin_map(self, atlas: Atlas, tracker: Tracker) -> IntArray:
@@ -279,14 +293,6 @@ class Slam:
         self._recent.fill(UNPAIRED)
         tracker.forget()
         return removed
-
-    def _reach_for(self, scan: Scan) -> float:
-        """[m] within which features are predicted for a scan, from now on."""
-        if self.spec.reach is not None:
-            return self.spec.reach
-        every = np.ones(len(scan), np.bool_)
-        self._farthest = max(self._farthest, _farthest(scan.points, scan.covariances, every, 3.0))
-        return self._farthest
 
     def _settings(self) -> Settings:
         """What `learn.learn` takes as its settings."""

@@ -42,19 +42,16 @@ PackedSettings = tuple[float, float, float, float, float, float, float, float, f
 def in_sight(
     walls: Packed,
     pose: Array,
-    positions: Array,
-    pull_backs: Array,
+    features: tuple[Array, Array],
     moving: Moving,
     packed: PackedSettings,
-    polar: Array,
-    sources: IntArray,
+    out: tuple[Array, IntArray],
 ) -> int:
-    """How many features are in sight, and people (at their near side).
+    """How many of the features (positions and pull-backs) are in sight, and people (at their near side).
 
-    Their true ranges and bearings are entered in the first rows of `polar` (N + p, 2), in `sources` (N + p,) what they
-    are.
+    The first array of `out` (N + p, 2) receives their true ranges and bearings, the second (N + p,) what they are.
     """
-    grid, settings = Grid(*walls), Settings(*packed)
+    grid, settings, (positions, pull_backs), (polar, sources) = Grid(*walls), Settings(*packed), features, out
     x, y = pose[0], pose[1]
     people, movers = moving[0], movers_near(x, y, settings.range, Movers(*moving))
     k = 0
@@ -85,6 +82,11 @@ def in_sight(
 Measured = tuple[Array, Array, Array, Array, IntArray]
 """Room for a scan of up to n measurements: points (n, 2) [m] in R, covariances (n, 2, 2) [m²], sizes (n,) [m], their
 variances (n,) [m²], sources (n,)."""
+
+
+def room_for(n: int) -> Measured:
+    """For n measurements."""
+    return np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
 
 
 @compiled
@@ -202,3 +204,36 @@ def report(packed: PackedWheels, way: Array, contact: bool, noise: Array, out: A
         heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2
     out[1:] = 0.0
     out[1, 0], out[2, 1], out[3, 2] = forward, lateral, heading
+
+
+@compiled
+def report_and_in_sight(
+    wheels: tuple[PackedWheels, Array, bool, Array, Array],
+    walls: Packed,
+    pose: Array,
+    features: tuple[Array, Array],
+    moving: Moving,
+    packed: PackedSettings,
+    out: tuple[Array, IntArray],
+) -> int:
+    """`report` and `in_sight` in one call from Python."""
+    report(wheels[0], wheels[1], wheels[2], wheels[3], wheels[4])
+    return in_sight(walls, pose, features, moving, packed, out)
+
+
+@compiled
+def measure_and_ranges(
+    walls: Packed,
+    pose: Array,
+    seen: tuple[int, Array, IntArray],
+    sizes: Array,
+    moving: Moving,
+    noise: tuple[Array, Array],
+    packed: PackedSettings,
+    out: tuple[Measured, tuple[Array, Finder, Array]],
+) -> int:
+    """`measure` and `noisy_ranges` in one call from Python; the ranges take the last normal random numbers."""
+    measured, (bearings, finder, ranges) = out
+    m = measure(walls, pose, seen, sizes, moving, noise, packed, measured)
+    noisy_ranges(walls, pose, bearings, finder, moving, noise[1][len(noise[0]) :], ranges)
+    return m

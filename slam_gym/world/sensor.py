@@ -14,13 +14,16 @@ import numpy as np
 
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.world.detection import (
-    Moving,
+    Measured,
     PackedSettings,
     PackedWheels,
     in_sight,
     measure,
+    measure_and_ranges,
     noisy_ranges,
     report,
+    report_and_in_sight,
+    room_for,
 )
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
@@ -137,7 +140,7 @@ class Sensor:
         self._wheels: PackedWheels = tuple(map(float, astuple(self.odometry_spec)))  # type: ignore[assignment]
         self._walls = index.packed
         self._features = plan.features
-        self._positions, self._pull_back = plan.features.positions, pull_back(plan.features)
+        self._targets = plan.features.positions, pull_back(plan.features)
         self._unknown_kinds = np.full(self.spec.max_features, UNKNOWN_KIND)
         self._sizes = plan.features.sizes if len(plan.features) else np.array([0.2, 0.5, 1.0])
         part = self.beam_spec.field_of_view / self.beam_spec.count
@@ -151,9 +154,19 @@ class Sensor:
         people: Array = NO_DISCS,
         furniture: Array = NO_SEGMENTS,
     ) -> Senses:
-        """All that a tick has to tell: `odometry`, then `scan`, then `beams`."""
-        odometry = self.odometry(motion, rng)
-        return Senses(odometry, *self.scan(pose, rng, people, furniture), self.beams(pose, rng, people, furniture))
+        """All that a tick has to tell, from the random numbers that `odometry`, `scan` and `beams` would draw; but the
+        kinds of measurements are drawn last."""
+        moving, out, room = (people, furniture), np.empty((4, 3)), self._room_in_sight(people)
+        wheels = (self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
+        k = report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, room)
+        n, beams = k + rng.poisson(self.spec.clutter), len(self._bearings)
+        noise, measured, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), room_for(n), np.empty(beams)
+        m = measure_and_ranges(
+            self._walls, pose, (k, *room), self._sizes, moving, noise, self._settings,
+            (measured, (self._bearings, self._finder, ranges)),
+        )  # fmt: skip
+        swept = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
+        return Senses(Odometry(out[0], out[1:]), *self._scan(pose, measured, m, rng), swept)
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -163,23 +176,24 @@ class Sensor:
         Furniture and people hide features, and a person is now and then taken for one (at their near side). Neither
         order nor attributes tell which measurements are spurious: their sizes are those of features of the plan.
         """
-        moving = (people, furniture)
-        seen = self._in_sight(pose, moving)
-        n = seen[0] + rng.poisson(self.spec.clutter)  # measurements that there may be
-        noise = rng.random(3 * n), rng.standard_normal(3 * n)
-        out = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
-        m = measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
+        moving, room = (people, furniture), self._room_in_sight(people)
+        k = in_sight(self._walls, pose, self._targets, moving, self._settings, room)
+        n = k + rng.poisson(self.spec.clutter)  # measurements that there may be
+        noise, out = (rng.random(3 * n), rng.standard_normal(3 * n)), room_for(n)
+        m = measure(self._walls, pose, (k, *room), self._sizes, moving, noise, self._settings, out)
+        return self._scan(pose, out, m, rng)
+
+    def _scan(self, pose: Array, out: Measured, m: int, rng: np.random.Generator) -> tuple[Scan, Truth]:
+        """The first m measurements of those that `measure` has entered."""
         points, covariances, sizes, size_variances, sources = out
         kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
         scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
         return scan, Truth(pose.copy(), sources[:m])
 
-    def _in_sight(self, pose: Array, moving: Moving) -> tuple[int, Array, IntArray]:
-        """What is in sight, as `measure` takes it."""
-        most = len(self._positions) + len(moving[0])
-        polar, seen = np.empty((most, 2)), np.empty(most, np.int64)
-        k = in_sight(self._walls, pose, self._positions, self._pull_back, moving, self._settings, polar, seen)
-        return k, polar, seen
+    def _room_in_sight(self, people: Array) -> tuple[Array, IntArray]:
+        """For what `in_sight` finds."""
+        most = len(self._features) + len(people)
+        return np.empty((most, 2)), np.empty(most, np.int64)
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
         """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""
