@@ -138,7 +138,7 @@ class AssociatorTask:
         meter.reset()
         driven = run_episode(env, _driver(self.driver), self.episode)
         driven.pop("curve")
-        tally: Any = env.unwrapped.tally  # type: ignore[attr-defined]
+        tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
         numbers = driven | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()
         return [key._asdict() | numbers for key in wanted]
 

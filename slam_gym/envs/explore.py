@@ -13,8 +13,7 @@ from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Associator
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
 from slam_gym.envs.observation import GOAL_FIELDS, encode_goals, observation_space, observe
-from slam_gym.envs.rewards import get_reward
-from slam_gym.metrics.association import Tally
+from slam_gym.envs.rewards import REWARDS
 from slam_gym.scenarios import Scenario
 from slam_gym.simulation import goals as goals_module
 from slam_gym.simulation.driver import carry_out
@@ -43,6 +42,7 @@ class ExploreSettings(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         one_of("action", self.action, ("goal", "twist"))
+        one_of("reward", self.reward, REWARDS)
         one_of("locality", self.locality, ("covisibility", None))
         if not isinstance(self.atlas, bool | AtlasSpec):
             raise ValueError(f"atlas: expected True, False or an AtlasSpec, got {self.atlas!r}")
@@ -116,7 +116,7 @@ class ExploreEnv(BaseEnv):
         self.atlas = None
         if self.relocate and settings.atlas:
             self.atlas = AtlasSpec() if settings.atlas is True else settings.atlas
-        self._error = get_reward(settings.reward)
+        self._error = REWARDS[settings.reward]
         self.measurements = self.scenario.sensor.max_features
         goal_shape = (SLOTS, len(GOAL_FIELDS)) if self.goal_mode else None
         self.observation_space = observation_space(self.measurements, goal_shape)
@@ -137,11 +137,6 @@ class ExploreEnv(BaseEnv):
         if not self.goal_mode:
             raise RuntimeError("there are goals in goal mode only")
         return self._goals
-
-    @property
-    def tally(self) -> Tally:
-        """Association decisions of the episode so far."""
-        return self.episode.identities.total
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(SLOTS,) the slots that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""

@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 from slam_gym.navigation.virtual_map import VirtualMap
 from slam_gym.simulation.episode import Episode
-from slam_gym.validation import one_of
 
 
 def map_error(episode: Episode) -> float:
@@ -47,9 +46,3 @@ REWARDS: dict[str, Callable[[Episode], float]] = {
     "d_opt": d_opt,
     "entropy": entropy,
 }
-
-
-def get_reward(name: str) -> Callable[[Episode], float]:
-    """The error of that name. Raises ValueError that lists the known ones."""
-    one_of("reward", name, REWARDS)
-    return REWARDS[name]

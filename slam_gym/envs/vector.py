@@ -26,7 +26,7 @@ import gymnasium as gym
 import numba
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError
+from gymnasium.error import ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -87,13 +87,13 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
-        self._pending, self._failure = "", ""  # the call that is not answered yet; why the environment is closed
+        self._failure = ""  # why the environment is closed
         self._started, self._groups = False, list[Any]()  # `_Worlds` here, then each `_Worker`
         processes = int(cast(Any, numba.config).NUMBA_DEFAULT_NUM_THREADS) if workers is None else workers
         groups = np.array_split(np.arange(num_envs), min(max(processes, 1), num_envs))
         kind, folder = _row_type(single), "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
         handle, path = tempfile.mkstemp(prefix="slam_gym-", dir=folder)
-        with self._closing_on_failure(), os.fdopen(handle, "wb") as file:
+        with os.fdopen(handle, "wb") as file:
             file.write(bytes(num_envs * kind.itemsize))  # all of it: a folder that is full says so now
             file.flush()
             self._shared: NDArray[Any] = np.asarray(np.memmap(path, kind, "r+"))
@@ -127,21 +127,9 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         Raises ValueError for an action outside the space and RuntimeError for a world without an episode or, where
         nothing resets it, with one that is over; both name the world, and no world has moved then.
         """
-        self._check_pending("")
-        with self._closing_on_failure():
-            self.step_async(actions)
-            return self.step_wait()
-
-    def step_async(self, actions: Any) -> None:
-        """Begin a step, and return while the workers carry it out; `step_wait` does the part of this process."""
-        self._check_pending("")
+        self._check_open()
         self._shared["action"] = self._checked(actions)
-        self._request("step")
-
-    def step_wait(self) -> tuple[Observation, Array, BoolArray, BoolArray, Infos]:
-        """What the step that was begun came to. Raises NoAsyncCallError where none was."""
-        self._check_pending("step")
-        observations, infos = self._outcome(self._answers())
+        observations, infos = self._outcome(self._exchange("step"))
         reward, terminated, truncated = (self._shared[name].copy() for name in ("reward", "terminated", "truncated"))
         return observations, reward, terminated, truncated, infos
 
@@ -170,49 +158,27 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             raise RuntimeError("no episode yet: call reset() first")
         return np.array(self._shared["mask"])
 
-    def _exchange(self, name: str, *arguments: Any) -> list[Any]:
-        """What a method of each group of worlds gives."""
-        self._check_pending("")
-        self._request(name, *arguments)
-        return self._answers()
-
-    def _check_pending(self, call: str) -> None:
+    def _check_open(self) -> None:
         if self.closed:
             raise ClosedEnvironmentError(f"the environment is closed{self._failure}: make it anew")
-        if self._pending and not call:
-            raise AlreadyPendingCallError(f"a {self._pending} is pending: call step_wait() first", self._pending)
-        if self._pending != call:
-            raise NoAsyncCallError(f"no {call} is pending: call step_async() first", call)
 
-    def _request(self, name: str, *arguments: Any) -> None:
-        with self._closing_on_failure():
-            self._pending = name
+    def _exchange(self, name: str, *arguments: Any) -> list[Any]:
+        """What a method of each group of worlds gives. All answers are read before the first error is raised."""
+        self._check_open()
+        try:
             for group in self._groups:
                 group.request(name, *arguments)
-
-    def _answers(self) -> list[Any]:
-        """Of all groups; every one is read before the first error is raised."""
-        with self._closing_on_failure():
             answers = [group.answer() for group in self._groups]
             errors = [answer for answer in answers if isinstance(answer, WorldError)]
-            if not (errors and self._pending == "step"):
-                self._pending = ""
-            if errors:
+            if errors and name == "step":
                 raise errors[0]
-            return answers
-
-    @contextlib.contextmanager
-    def _closing_on_failure(self) -> Iterator[None]:
-        """Close where a call is pending: an answer that was not read would be taken for that of the next call."""
-        try:
-            yield
-        except BaseException as error:
-            if self._pending and not self.closed:
-                self._failure = f" since a {self._pending} failed ({error!r})"
-                self.close()
-            if isinstance(error, EOFError | OSError | pickle.UnpicklingError):
-                raise RuntimeError("a worker process has ended: make the environment anew") from error
+        except BaseException as error:  # worlds are at different steps, or an answer is left for the next call to find
+            self._failure = f" since a {name} failed ({error!r})"
+            self.close()
             raise
+        if errors:
+            raise errors[0]
+        return answers
 
     def _outcome(self, pairs: list[WorldInfos]) -> tuple[Observation, Infos]:
         """The observations and infos of all worlds, the latter from what the groups tell."""
@@ -336,7 +302,7 @@ class _Worlds:
 
 
 class _Worker:
-    """`_Worlds` of another process, which answers later. Raises EOFError or OSError where the process is no more."""
+    """`_Worlds` of another process, which answers later. Raises RuntimeError where the process is no more."""
 
     def __init__(self, *arguments: Any) -> None:
         command = [sys.executable, "-c", _WORKER.format(path=[str(Path(place).resolve()) for place in sys.path])]
@@ -346,11 +312,13 @@ class _Worker:
         self.request("", *arguments)
 
     def request(self, name: str, *arguments: Any) -> None:
-        cloudpickle.dump((name, arguments), self.process.stdin)  # arguments may be functions of the caller's script
-        self.process.stdin.flush()
+        with _ending_told():
+            cloudpickle.dump((name, arguments), self.process.stdin)  # arguments may be functions of the caller's script
+            self.process.stdin.flush()
 
     def answer(self) -> Any:
-        return pickle.load(self.process.stdout)
+        with _ending_told():
+            return pickle.load(self.process.stdout)
 
     def close(self) -> None:
         """Let the process end by itself, which it does at the end of its input; else kill it."""
@@ -362,6 +330,14 @@ class _Worker:
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
+
+
+@contextlib.contextmanager
+def _ending_told() -> Iterator[None]:
+    try:
+        yield
+    except (EOFError, OSError, pickle.UnpicklingError) as error:
+        raise RuntimeError("a worker process has ended: make the environment anew") from error
 
 
 def serve() -> None:

@@ -29,24 +29,18 @@ class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
         gym.utils.RecordConstructorArgs.__init__(self, image=image)
         super().__init__(env)
         parts = _parts(env, "FlatObservation")
-        self._parts = {name: box for name, box in parts.items() if image or not _is_image(box)}
-        if not self._parts:
-            raise ValueError(
-                f"FlatObservation: there is nothing but images in {', '.join(parts)}; image=True keeps them"
-            )
+        kept = {name: box for name, box in parts.items() if image or not _is_image(box)}
+        if not kept:
+            raise ValueError(f"FlatObservation: nothing but images in {', '.join(parts)}; image=True keeps them")
+        self._scales = {name: np.float32(1.0 / 255.0 if _is_image(box) else 1.0) for name, box in kept.items()}
         low, high = (
-            self._flat({name: getattr(box, of) for name, box in self._parts.items()}) for of in ("low", "high")
+            self.observation({name: getattr(box, end) for name, box in kept.items()}) for end in ("low", "high")
         )
         self.observation_space = spaces.Box(low, high, dtype=np.float32)
 
     def observation(self, observation: Any) -> NDArray[np.float32]:
-        return self._flat(observation)
-
-    def _flat(self, observation: Any) -> NDArray[np.float32]:
-        scales = {name: np.float32(1.0 / 255.0 if _is_image(box) else 1.0) for name, box in self._parts.items()}
-        return np.concatenate(
-            [np.asarray(observation[name], np.float32).ravel() * scales[name] for name in self._parts]
-        )
+        parts = (np.asarray(observation[name], np.float32).ravel() * scale for name, scale in self._scales.items())
+        return np.concatenate(list(parts))
 
 
 class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):

@@ -12,7 +12,6 @@ import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -85,82 +84,59 @@ def mrclam(folder: str | Path, robot: int) -> Recording:
         raise ValueError(f"robot: {robot} is none of 1 … 5")
     folder = Path(folder)
     with naming(folder):
-        return _recording(_read(folder, robot), f"mrclam/{folder.name}/robot{robot}")
+        odometry = _table(folder, f"Robot{robot}_Odometry.dat", 3, ascending=True)  # [s], speed [m/s], turn [rad/s]
+        measured = _table(folder, f"Robot{robot}_Measurement.dat", 4, ascending=True)  # [s], barcode, range, bearing
+        truth = _table(folder, f"Robot{robot}_Groundtruth.dat", 4, ascending=True)  # [s], x, y [m], heading [rad]
+        barcodes = _table(folder, "Barcodes.dat", 2, counts=2)  # subject, barcode
+        landmarks = _table(folder, "Landmark_Groundtruth.dat", 5, counts=1)  # subject, x, y [m], and their σ
+        measured = measured[(measured[:, 0] >= truth[0, 0]) & (measured[:, 0] <= truth[-1, 0])]
+        if len(measured) == 0:
+            raise RecordingError("nothing was measured while the Vicon saw the robot")
+        first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
+        times = measured[first, 0]
+        motions, motion_covariances = _driven(times, odometry, ROAMING)
+        seen = ROAMING.scan(measured[:, 2], measured[:, 3])
+        poses = interpolate(truth[:, 0], truth[:, 1:], measured[:, 0])
+        return Recording(
+            name=f"mrclam/{folder.name}/robot{robot}",
+            source=SOURCE,
+            terms=TERMS,
+            times=times - times[0],
+            motions=motions,
+            motion_covariances=motion_covariances,
+            starts=np.append(first, len(measured)).astype(np.int64),
+            points=seen.points,
+            covariances=seen.covariances,
+            sources=_sources(landmarks, barcodes, measured[:, 1], poses, seen.points),
+            reference_times=truth[:, 0] - times[0],
+            reference_poses=truth[:, 1:].copy(),
+            landmark_ids=landmarks[:, 0].astype(np.int64),
+            landmarks=landmarks[:, 1:3].copy(),
+            range=_RANGE,
+            field_of_view=_FIELD_OF_VIEW,
+        )
 
 
-def _recording(tables: _Tables, name: str) -> Recording:
-    times, start = tables.measured[:, 0], tables.truth[0, 0]
-    measured = tables.measured[(times >= start) & (times <= tables.truth[-1, 0])]
-    if len(measured) == 0:
-        raise RecordingError("nothing was measured while the Vicon saw the robot")
-    first = np.flatnonzero(np.diff(measured[:, 0], prepend=-math.inf) > _TOGETHER)
-    times = measured[first, 0]
-    motions, motion_covariances = _driven(times, tables.odometry, ROAMING)
-    seen = ROAMING.scan(measured[:, 2], measured[:, 3])
-    return Recording(
-        name=name,
-        source=SOURCE,
-        terms=TERMS,
-        times=times - times[0],
-        motions=motions,
-        motion_covariances=motion_covariances,
-        starts=np.append(first, len(measured)).astype(np.int64),
-        points=seen.points,
-        covariances=seen.covariances,
-        sources=_sources(tables, measured, seen.points),
-        reference_times=tables.truth[:, 0] - times[0],
-        reference_poses=tables.truth[:, 1:].copy(),
-        landmark_ids=tables.landmarks[:, 0].astype(np.int64),
-        landmarks=tables.landmarks[:, 1:3].copy(),
-        range=_RANGE,
-        field_of_view=_FIELD_OF_VIEW,
-    )
+def _sources(landmarks: Array, barcodes: Array, codes: Array, poses: Array, points: Array) -> IntArray:
+    """(M,) landmark behind each of the `codes` (M,) that were measured; SPURIOUS where it is none, or was misread.
 
-
-class _Tables(NamedTuple):
-    """The files of one robot of a set."""
-
-    odometry: Array  # time [s], forward speed [m/s], turning speed [rad/s]
-    measured: Array  # time, barcode, range [m], bearing [rad]
-    truth: Array  # time, x, y, heading of the robot
-    barcodes: Array  # subject, barcode
-    landmarks: Array  # subject, x, y, and their standard deviations
-
-
-def _read(folder: Path, robot: int) -> _Tables:
-    tables = _Tables(
-        _table(folder, f"Robot{robot}_Odometry.dat", 3, ascending=True),
-        _table(folder, f"Robot{robot}_Measurement.dat", 4, ascending=True),
-        _table(folder, f"Robot{robot}_Groundtruth.dat", 4, ascending=True),
-        _table(folder, "Barcodes.dat", 2),
-        _table(folder, "Landmark_Groundtruth.dat", 5),
-    )
-    for name, numbers in (("Barcodes.dat", tables.barcodes), ("Landmark_Groundtruth.dat", tables.landmarks[:, :1])):
-        if (numbers != np.round(numbers)).any() or (numbers < 0.0).any():
-            raise RecordingError(f"{folder / name}: a subject or barcode is no whole number")
-    if len(np.unique(tables.landmarks[:, 0])) < len(tables.landmarks):
-        raise RecordingError(f"{folder / 'Landmark_Groundtruth.dat'}: a subject is there twice")
-    return tables
-
-
-def _sources(tables: _Tables, measured: Array, points: Array) -> IntArray:
-    """(M,) landmark behind each barcode; SPURIOUS where it is none, or was misread.
-
-    `points` (M, 2) in R are the measurements, looked at from the Vicon's poses.
+    The measurements `points` (M, 2) in R were made from `poses` (M, 3).
     """
-    place = {int(row[0]): row[1:3] for row in tables.landmarks}
-    worn_by = {int(code): int(subject) for subject, code in tables.barcodes if int(subject) in place}
-    sources = np.array([worn_by.get(int(code), SPURIOUS) for code in measured[:, 1]], dtype=np.int64)
+    place = {int(row[0]): row[1:3] for row in landmarks}
+    worn_by = {int(code): int(subject) for subject, code in barcodes if int(subject) in place}
+    sources = np.array([worn_by.get(int(code), SPURIOUS) for code in codes], dtype=np.int64)
     true = np.array([place.get(source, (math.nan, math.nan)) for source in sources.tolist()]).reshape(-1, 2)
-    poses = interpolate(tables.truth[:, 0], tables.truth[:, 1:], measured[:, 0])
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = poses[:, 0] + c * points[:, 0] - s * points[:, 1], poses[:, 1] + s * points[:, 0] + c * points[:, 1]
     sources[np.hypot(x - true[:, 0], y - true[:, 1]) > _MISREAD] = SPURIOUS  # never for NaN
     return sources
 
 
-def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) -> Array:
-    """The numbers (rows, columns) of a text file, or of its gzipped form. What follows a # is a comment."""
+def _table(folder: Path, name: str, columns: int, *, ascending: bool = False, counts: int = 0) -> Array:
+    """The numbers (rows, columns) of a text file, or of its gzipped form. What follows a # is a comment.
+
+    `ascending`: in the order of the first column. `counts`: so many columns hold whole numbers that are not negative.
+    """
     path = next((p for p in (folder / name, folder / f"{name}.gz") if p.is_file()), None)
     if path is None:
         raise FileNotFoundError(f"{folder / name}: not there, gzipped or not. {SOURCE}")
@@ -170,11 +146,12 @@ def _table(folder: Path, name: str, columns: int, *, ascending: bool = False) ->
         if len(table) == 0 or table.shape[1] != columns:
             raise RecordingError(f"no table of {columns} columns")
         bad = ~(np.abs(table) <= _LARGEST).all(axis=1)
+        bad |= (table[:, :counts] != np.abs(np.round(table[:, :counts]))).any(axis=1)
         if ascending:
             bad |= np.diff(table[:, 0], prepend=-math.inf) < 0.0
         if bad.any():
-            row = int(bad.argmax()) + 1
-            raise RecordingError(f"row {row} is not finite, above {_LARGEST:.0e}, or goes back in time")
+            row, what = int(bad.argmax()) + 1, "goes back in time" if ascending else "is no whole number"
+            raise RecordingError(f"row {row} is not finite, above {_LARGEST:.0e}, or {what}")
     return table
 
 
@@ -204,7 +181,9 @@ def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
         (1, 2): x_left * turned,
         (2, 2): turned,
     }
-    covariances = np.tile(_AT_REST**2 * np.eye(3), (len(times), 1, 1))
+    whole = np.tile(np.eye(3), (len(times), 1, 1))
+    whole[:, 0, 2], whole[:, 1, 2] = -motions[:, 1], motions[:, 0]
+    covariances = _AT_REST**2 * whole @ whole.transpose(0, 2, 1)
     for (row, column), values in entries.items():
         covariances[:, row, column] += spans.sums(values, len(times))
         covariances[:, column, row] = covariances[:, row, column]

@@ -6,7 +6,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from slam_gym.metrics.association import Tally
 from slam_gym.scenarios import get_scenario, world_generator
 from slam_gym.simulation.goals import LOOK, SLOTS
 from slam_gym.types import Truth
@@ -57,7 +56,7 @@ def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario, a
 def test_info_sums_up_to_the_tally_and_the_ticks() -> None:
     env = explore(short(120), associator="nearest_neighbour")
     infos = [info for *_, info in episode(env)]
-    tally: Tally = env.tally
+    tally = env.episode.identities.total
     assert sum(info["pairings_right"] for info in infos) == tally.tp > 100
     assert sum(info["pairings_wrong"] for info in infos) == tally.fp
     assert sum(info["pairings_missed"] for info in infos) == tally.fn

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam_gym.envs.rewards import REWARDS, get_reward
+from slam_gym.envs.rewards import REWARDS
 from slam_gym.geometry import observe
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.virtual_map import VirtualMap
@@ -14,7 +14,7 @@ from tests.rollouts import SCENARIOS, episode, explore, short
 @pytest.mark.parametrize("action", ["goal", "twist"])
 @pytest.mark.parametrize("reward", list(REWARDS))
 def test_rewards_sum_to_the_first_error_minus_the_last(reward, action) -> None:
-    env, error = explore(short(150), action=action, reward=reward), get_reward(reward)
+    env, error = explore(short(150), action=action, reward=reward), REWARDS[reward]
     total, errors = 0.0, []
     for _, paid, *_ in episode(env, seed=5):
         total += paid
@@ -75,7 +75,7 @@ def test_a_confirmed_feature_is_worth_the_more_the_nearer_it_lies_to_a_true_one(
 def test_uncertainty_of_an_unseen_world_is_the_unit(reward) -> None:
     env = explore(reward=reward)
     env.reset(seed=0)
-    ep, error = env.episode, get_reward(reward)
+    ep, error = env.episode, REWARDS[reward]
     started = error(ep)
     ep.virtual_map = VirtualMap(np.array([-5.0, -5.0, 5.0, 5.0]), 1.0, env.scenario.prior_sigma)
     assert error(ep) == pytest.approx(0.0 if reward == "entropy" else 1.0, abs=1e-12)

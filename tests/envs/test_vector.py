@@ -11,7 +11,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError
+from gymnasium.error import ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 
@@ -167,19 +167,6 @@ def test_a_twist_outside_the_box_is_refused_with_its_world() -> None:
             envs.step(np.array([[0.0, 0.0], [wrong, 0.0]]))
 
 
-def test_nothing_else_is_asked_while_a_step_is_pending() -> None:
-    envs, twin = (small("Explore-v0", action="twist") for _ in range(2))
-    envs.reset(seed=0), twin.reset(seed=0)
-    with pytest.raises(NoAsyncCallError):
-        envs.step_wait()
-    actions = np.full((2, 2), 0.5)
-    envs.step_async(actions)
-    for call in (partial(envs.step_async, np.zeros((2, 2))), partial(envs.step, actions), envs.reset, envs.render):
-        with pytest.raises(AlreadyPendingCallError, match="a step is pending"):
-            call()
-    assert not differences(envs.step_wait(), twin.step(actions))
-
-
 @pytest.mark.parametrize("raised", [ZeroDivisionError, KeyboardInterrupt])
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_step_that_fails_or_is_interrupted_closes_all_worlds_for_good(workers, raised) -> None:
@@ -197,7 +184,7 @@ def test_a_step_that_fails_or_is_interrupted_closes_all_worlds_for_good(workers,
     with pytest.raises(expected, match="an associator's own mistake"):
         for _ in range(4):
             envs.step(np.full((2, 2), 0.5))
-    for call in (partial(envs.step, np.zeros((2, 2))), envs.reset, envs.step_wait, partial(envs.call, "split")):
+    for call in (partial(envs.step, np.zeros((2, 2))), envs.reset, partial(envs.call, "split")):
         with pytest.raises(ClosedEnvironmentError, match="closed since a step failed"):
             call()
     envs.close()

@@ -1,11 +1,8 @@
 """What the readers of logs share."""
 
 import numpy as np
-import pytest
-from scipy.io import savemat
 
-from slam_gym.recordings import RecordingError
-from slam_gym.recordings.reading import Spans, read_matlab, starts_of
+from slam_gym.recordings.reading import Spans, starts_of
 
 
 def test_spans_are_cut_where_commands_take_over() -> None:
@@ -20,20 +17,3 @@ def test_spans_are_cut_where_commands_take_over() -> None:
 def test_steps_start_where_those_before_them_end() -> None:
     assert starts_of([2, 0, 3]).tolist() == [0, 2, 2, 5] and starts_of([]).tolist() == [0]
     assert starts_of(np.array([True, False, True])).dtype == np.int64
-
-
-def test_matlab_files_are_read_or_named(tmp_path) -> None:
-    path = tmp_path / "log.mat"
-    with pytest.raises(FileNotFoundError, match=r"log\.mat: not there\. Cite somebody"):
-        read_matlab(path, ("a",), "Cite somebody.")
-    cells = np.empty((1, 2), object)
-    cells[0, :] = [np.arange(6.0).reshape(3, 2), np.zeros((3, 0))]
-    savemat(path, {"a": np.arange(3.0), "b": 1.0, "zt": cells})
-    content = read_matlab(path, ("a", "zt"), "")
-    assert list(content) == ["a", "zt"] and content["a"].ravel().tolist() == [0.0, 1.0, 2.0]
-    assert [cell.shape for cell in content["zt"].ravel()] == [(3, 2), (3, 0)]
-    with pytest.raises(RecordingError, match=r"log\.mat: variable 'c' is missing"):
-        read_matlab(path, ("a", "c"), "")
-    path.write_bytes(path.read_bytes()[:150])
-    with pytest.raises(RecordingError, match=r"log\.mat: no readable MATLAB file"):
-        read_matlab(path, ("a",), "")

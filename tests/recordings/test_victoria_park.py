@@ -70,7 +70,7 @@ def test_damaged_files_of_the_park_are_named(data_dir, tmp_path) -> None:
     path = folder / "aa3_gpsx.mat"
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(RecordingError, match=r"aa3_gpsx\.mat"):
+    with pytest.raises(RecordingError, match=r"aa3_gpsx\.mat: no readable MATLAB file"):
         victoria_park(folder)
     shutil.copyfile(folder / "aa3_dr.mat", path)
     with pytest.raises(RecordingError, match=r"aa3_gpsx\.mat: variable 'timeGps' is missing"):
