@@ -88,13 +88,13 @@ class ExploreEnv(BaseEnv):
     Those of `slam_gym.envs.base.Settings`, and:
 
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`; None: that
-      of the scenario, `"jcbb"` where drift is small and `"marginal"` where it counts.
+      of the scenario, `"jcbb"` where drift is small and `"learned"` where it counts.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
     - `relocation`: the search that finds a lost robot again, by name (`slam_gym.association.RELOCATORS`),
       `"module:function"` or a callable; None: a robot that has lost itself never finds back. `relocation_locality`:
       `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None. `atlas`: beside relocation, loops are closed,
       and a robot that is lost for long starts another map, joined once it is recognised; False: neither.
-    - `render_covisibility` adds the edges of the covisibility graph to the picture. `"rgb_array_list"` has one picture
+    - `render_covisibility`: the picture shows the edges of the covisibility graph. `"rgb_array_list"` has one picture
       a tick.
     """
 

@@ -15,7 +15,7 @@ Statistic = Callable[[Array], Array]
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """An estimate and its confidence interval."""
+    """An estimate and its confidence interval of 95 %."""
 
     estimate: float
     low: float
@@ -46,36 +46,32 @@ def bootstrap_interval(
     values: Array,
     rng: np.random.Generator,
     *,
-    level: float = 0.95,
     statistic: Statistic = interquartile_mean,
     strata: IntArray | None = None,
     resamples: int = 5000,
 ) -> Interval:
-    """Percentile bootstrap interval of a statistic of values (n,).
+    """Percentile bootstrap interval of 95 % for a statistic of values (n,).
 
     `strata` (n,), where given, says which group (a scenario, a training seed) each value belongs to; every resample
-    draws from each group as many values as it has. Raises ValueError for no values, values that are not finite, or a
-    level outside (0, 1).
+    draws from each group as many values as it has. Raises ValueError for no values, or values that are not finite.
     """
     values = np.asarray(values, np.float64)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
         raise ValueError(f"a bootstrap interval needs finite values (n,), n >= 1, got shape {values.shape}")
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"the level must lie in (0, 1), got {level}")
     groups = [values] if strata is None else [values[np.asarray(strata) == label] for label in np.unique(strata)]
     drawn = [group[rng.integers(0, len(group), (resamples, len(group)))] for group in groups]
-    low, high = np.quantile(statistic(np.concatenate(drawn, axis=1)), [0.5 - level / 2, 0.5 + level / 2])
+    low, high = np.quantile(statistic(np.concatenate(drawn, axis=1)), [0.025, 0.975])
     return Interval(float(statistic(values)), float(low), float(high))
 
 
 def paired_difference(
-    a: Array, b: Array, rng: np.random.Generator, *, level: float = 0.95, statistic: Statistic = interquartile_mean
+    a: Array, b: Array, rng: np.random.Generator, *, statistic: Statistic = interquartile_mean
 ) -> Interval:
     """Bootstrap interval of the statistic of a_i − b_i, for values (n,) of two methods on the same n seeds.
 
-    The methods differ at this level where the interval excludes 0. Raises ValueError where the shapes differ.
+    The methods differ where the interval excludes 0. Raises ValueError where the shapes differ.
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if a.shape != b.shape:
         raise ValueError(f"paired values must have one shape, got {a.shape} and {b.shape}")
-    return bootstrap_interval(a - b, rng, level=level, statistic=statistic)
+    return bootstrap_interval(a - b, rng, statistic=statistic)

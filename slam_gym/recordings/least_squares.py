@@ -18,6 +18,7 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.types import Array, IntArray
 
 _HELD = 1e6  # weight of the first pose
+_TOLERANCE, _ITERATIONS = 1e-9, 100  # an iteration that gains less of χ² is the last
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,12 @@ class Optimum:
     iterations: int
 
 
-def least_squares(
-    log: Recording, initial: Array | None = None, tolerance: float = 1e-9, max_iterations: int = 100
-) -> Optimum:
+def least_squares(log: Recording, initial: Array | None = None) -> Optimum:
     """The least-squares optimum of a log, its first pose held where `motions[0]` puts it.
 
     `initial`: poses (T, 3) to start from, such as a filter's; by default those of dead reckoning, from which a long log
-    ends in a local minimum. Landmarks start where they were first seen from there. Ends once an iteration gains less
-    than `tolerance` of χ². Measurements without an identity are left out. Raises ValueError where there are no others,
+    ends in a local minimum. Landmarks start where they were first seen from there. Ends once an iteration hardly gains
+    anything. Measurements without an identity are left out. Raises ValueError where there are no others,
     or the iterations run out.
     """
     problem = _Problem(log)
@@ -46,22 +45,22 @@ def least_squares(
     damping = 1e-3
     residuals, jacobian = problem.linearise(x)
     chi2 = float(residuals @ residuals)
-    for iteration in range(1, max_iterations + 1):
+    for iteration in range(1, _ITERATIONS + 1):
         gradient = jacobian.T @ residuals
         normal = csc_array(jacobian.T @ jacobian + damping * eye_array(len(gradient)))
         step = splu(normal, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         moved = problem.moved(x, -step.solve(gradient))
         further = problem.linearise(moved)
         gain = chi2 - float(further[0] @ further[0])
-        if gain < -tolerance * chi2:
+        if gain < -_TOLERANCE * chi2:
             damping *= 10.0
             continue
         x, damping, (residuals, jacobian) = moved, 0.1 * damping, further
         chi2 = float(residuals @ residuals)
-        if abs(gain) < tolerance * chi2:
+        if abs(gain) < _TOLERANCE * chi2:
             poses, landmarks = problem.split(x)
             return Optimum(poses, problem.ids, landmarks, chi2, iteration)
-    raise ValueError(f"no optimum in {max_iterations} iterations: χ² is {chi2:.6g} and still falls")
+    raise ValueError(f"no optimum in {_ITERATIONS} iterations: χ² is {chi2:.6g} and still falls")
 
 
 class _Problem:

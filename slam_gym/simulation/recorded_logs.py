@@ -27,7 +27,6 @@ from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.scenarios import SPLITS
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.association_runs import ScanLog
-from slam_gym.slam.slam import SlamSpec
 from slam_gym.types import Array, Odometry, Scan, Truth
 from slam_gym.validation import one_of
 
@@ -48,27 +47,23 @@ def recorded_log(scenario: str, split: str) -> ScanLog:
     return windows(_open(name), split, options.get("looks", LOOKS), options.get("every", 1))
 
 
-def windows(
-    recording: Recording, split: str | None = None, looks: int = LOOKS, every: int = 1, slam: SlamSpec | None = None
-) -> ScanLog:
-    """A log whose episodes are windows of a `split` of a recording, or of all of it, on every `every`-th step.
+def windows(recording: Recording, split: str, looks: int = LOOKS, every: int = 1) -> ScanLog:
+    """A log whose episodes are windows of a `split` of a recording, on every `every`-th step.
 
     See the module. Features have known places, which `reward="map_error"` asks for, if the recording has landmarks and
     the pose of every step. Raises ValueError for an unknown split, numbers below 1, and recordings too short to split.
     """
-    if split is not None:
-        one_of("split", split, SPLITS)
+    one_of("split", split, SPLITS)
     if looks < 1:
         raise ValueError(f"looks={looks}: expected at least 1")
     log = recording.every(every)
-    if split is not None and len(log) < 2:
+    if len(log) < 2:
         raise ValueError(f"recording {recording.name!r}: {len(log)} steps are too few to be split")
     cut = min(max(round(_TRAINING * len(log)), 1), len(log) - 1)
-    if split is not None:
-        log = log.part(0, cut) if split == "train" else log.part(cut)
+    log = log.part(0, cut) if split == "train" else log.part(cut)
     length, poses = min(looks, len(log)), reference_poses(log)
     targets = log.landmarks if np.isfinite(poses).all() else log.landmarks[:0]
-    return ScanLog(log.name, partial(_window, log, poses, length), length, slam or slam_for(log), targets)
+    return ScanLog(log.name, partial(_window, log, poses, length), length, slam_for(log), targets)
 
 
 def reference_poses(recording: Recording) -> Array:
