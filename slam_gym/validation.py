@@ -28,9 +28,73 @@ _MEASUREMENT_FAULTS = (
 )
 
 
-_DOUBLES, _INTEGERS = np.dtype(np.float64), np.dtype(np.int64)
-_SCAN_FIELDS = ("points", "covariances", "sizes", "size_variances", "kinds")
-_SCAN_TYPES = (_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _INTEGERS)
+Limits = tuple[float, float]
+
+_LENGTH: Limits = (0.01, 1e3)  # [m]
+_SIGMA: Limits = (0.0, 10.0)  # [m] or [rad], and per √m or √rad
+_SHARE: Limits = (0.0, 1.0)
+_CONFIDENCE: Limits = (1e-9, 1.0 - 1e-12)
+_COUNT: Limits = (1, 10_000)
+_ANGLE: Limits = (1e-3, 2.0 * math.pi)
+
+LIMITS: dict[str, dict[str, Limits]] = {
+    "SensorSpec": {
+        "range": _LENGTH, "min_range": (1e-6, 1e3), "field_of_view": _ANGLE, "range_sigma": _SIGMA,
+        "range_sigma_ratio": _SHARE, "bearing_sigma": (1e-9, math.pi), "size_sigma": (1e-9, 10.0), "detection": _SHARE,
+        "clutter": (0.0, 1e3), "person_detection": _SHARE, "max_features": _COUNT,
+    },
+    "BeamSpec": {"count": _COUNT, "field_of_view": _ANGLE, "range": _LENGTH, "sigma": _SIGMA},
+    "OdometrySpec": {
+        "forward": _SIGMA, "lateral": _SIGMA, "turn_per_radian": _SIGMA, "turn_per_metre": _SIGMA, "floor": (1e-9, 1.0),
+        "slip_forward": _SIGMA, "slip_lateral": _SIGMA, "slip_turn": _SIGMA, "slip_floor": _SIGMA,
+    },
+    "RobotSpec": {
+        "radius": (0.02, 10.0), "mass": (1e-3, 1e5), "max_speed": (1e-3, 100.0), "max_turn": (1e-3, 100.0),
+        "max_acceleration": (1e-3, 1e4), "max_angular_acceleration": (1e-3, 1e4), "traction": (1e-3, 100.0),
+    },
+    "DynamicsSpec": {
+        "tick": (1e-3, 10.0), "substeps": (1, 1000), "friction": (0.0, 100.0), "furniture_density": (1e-3, 1e5),
+        "furniture_friction": (0.0, 100.0), "people": (0, 10_000), "person_radius": (0.02, 10.0),
+        "person_speed": (1e-3, 100.0),
+    },
+    "KidnappingSpec": {"at": _CONFIDENCE, "distance": (0.0, 1e6)},
+    "Scenario": {"budget": (1, 10**9), "prior_sigma": (1e-3, 100.0), "grid_resolution": (0.01, 10.0)},
+    "MapSpec": {
+        "confidence": _CONFIDENCE, "iterations": (1, 100), "confirmations": _COUNT, "unconfirmed_age": (0, 10**9),
+    },
+    "SlamSpec": {
+        "reach": (1e-3, 1e9), "new_confidence": _CONFIDENCE, "recent": _COUNT, "lost_fraction": _SHARE,
+        "lost_scans": _COUNT, "min_expected": _COUNT, "max_chance_probability": _SHARE,
+    },
+    "RecognitionSpec": {
+        "node_limit": (1, 10**9), "every": (1, 10**9), "group": (3, 1000), "recent": (1, 10**9),
+        "min_pairs": (3, 10**9), "above_mirror": (0, 10**9), "min_fraction": _SHARE, "confidence": _CONFIDENCE,
+        "inflation": (1.0, 1e3),
+    },
+    "AtlasSpec": {"max_accidental_matches": (1e-9, math.inf), "patience": (0, 10**9), "rejoin": (1, 10**9)},
+}  # fmt: skip
+"""Least and greatest value of each number among the settings, by the name of their dataclass.
+
+Beyond them a step takes minutes, or memory runs out. Who needs more raises a limit:
+`slam_gym.validation.LIMITS["SensorSpec"]["clutter"] = (0.0, 1e4)`.
+"""
+
+
+def check_settings(settings: object) -> None:
+    """Raise ValueError naming the first number of a dataclass of settings that is not within its `LIMITS`.
+
+    None passes, where a setting may be None.
+    """
+    kind = type(settings).__name__
+    for name, (least, greatest) in LIMITS[kind].items():
+        value = getattr(settings, name)
+        if value is not None and not least <= value <= greatest:
+            raise ValueError(
+                f"{kind}.{name}={value}: expected a number from {least:g} to {greatest:g} (slam_gym.validation.LIMITS)"
+            )
+
+
+_INTEGERS = np.dtype(np.int64)
 
 
 @compiled
@@ -65,33 +129,9 @@ def check_inputs(odometry: Odometry, scan: Scan) -> None:
 
 def check_scan(scan: Scan) -> None:
     """Raise ValueError naming the field and the first bad measurement of a scan."""
-    check_shapes(scan)
     entry, fault = first_bad_measurement(scan.points, scan.covariances)
     if fault:
         raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
-
-
-def check_shapes(scan: Scan) -> None:
-    """Raise ValueError naming the first field of a scan that is no array of its type and shape."""
-    parts = (scan.points, scan.covariances, scan.sizes, scan.size_variances, scan.kinds)
-    if tuple([getattr(part, "dtype", object) for part in parts]) != _SCAN_TYPES:  # None would equal float64
-        _refuse_type(scan)
-    m = len(scan.points)
-    if scan.points.shape != (m, 2):
-        raise ValueError(f"Scan.points: shape {scan.points.shape}, expected (m, 2)")
-    if scan.covariances.shape != (m, 2, 2):
-        raise ValueError(f"Scan.covariances: shape {scan.covariances.shape}, expected ({m}, 2, 2)")
-    if scan.sizes.shape != (m,) or scan.size_variances.shape != (m,) or scan.kinds.shape != (m,):
-        shapes = f"{scan.sizes.shape}, {scan.size_variances.shape}, {scan.kinds.shape}"
-        raise ValueError(f"Scan.sizes, Scan.size_variances, Scan.kinds: shapes {shapes}, expected ({m},)")
-
-
-def _refuse_type(scan: Scan) -> None:
-    for name, dtype in zip(_SCAN_FIELDS, _SCAN_TYPES):
-        given = getattr(scan, name)
-        if not isinstance(given, np.ndarray) or given.dtype != dtype:
-            told = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
-            raise ValueError(f"Scan.{name}: {told}, expected an array of {dtype} (Scan.from_points takes anything)")
 
 
 @compiled

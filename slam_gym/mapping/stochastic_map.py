@@ -19,6 +19,7 @@ from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.linear_algebra import aligned_zeros, is_covariance, padded
 from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
 from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
+from slam_gym.validation import check_settings
 
 _NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
 _LARGE = 512  # features
@@ -47,14 +48,7 @@ class MapSpec:
     settled: ClassVar[float] = 0.1  # [σ of the state] a pass that would move it by less than that is spared
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.confidence < 1.0:
-            raise ValueError(f"MapSpec.confidence: {self.confidence} is not between 0 and 1")
-        if self.iterations < 1:
-            raise ValueError(f"MapSpec.iterations: {self.iterations} is less than 1")
-        if self.confirmations < 1:
-            raise ValueError(f"MapSpec.confirmations: {self.confirmations} is less than 1")
-        if self.unconfirmed_age is not None and self.unconfirmed_age < 0:
-            raise ValueError(f"MapSpec.unconfirmed_age: {self.unconfirmed_age} is negative")
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

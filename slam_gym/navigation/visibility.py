@@ -22,6 +22,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.navigation.grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
 from slam_gym.types import Array
+from slam_gym.types._arguments import floats
 
 _QUANTILES = (-1.2815515655446004, -0.5244005127080407, 0.0, 0.5244005127080407, 1.2815515655446004)
 _SHORT = 2.0  # [cells] lines of sight end so much before the feature: it may stand on a wall
@@ -75,13 +76,15 @@ class FieldOfView:
             explored: space in which walls hide features; without it nothing hides one.
             pose: (3,) [m, m, rad] of the robot in B, the frame of `explored`.
 
-        Raises ValueError where a position or the pose is not finite, a variance is negative or not finite, or explored
-        space comes without a pose.
+        Raises ValueError for arrays of other shapes, where a position or the pose is not finite, a variance is negative
+        or not finite, or explored space comes without a pose.
         """
-        if explored is not None and (pose is None or not np.isfinite(pose).all()):
+        positions = floats("positions", positions, (-1, 2))
+        covariances = floats("covariances", covariances, (len(positions), 2, 2))
+        at = _NOWHERE if pose is None else floats("pose", pose, (3,))
+        if explored is not None and (pose is None or not np.isfinite(at).all()):
             raise ValueError(f"pose: expected three finite numbers to look into explored space, got {pose}")
         cells, origin, resolution = explored or _NOTHING_EXPLORED
-        at = _NOWHERE if pose is None else np.array(pose)  # copies: read-only ones would be compiled for anew
         out, fault = probabilities_in_view(
             positions, covariances, self.figures, (cells, np.array(origin), resolution), at
         )
@@ -207,6 +210,8 @@ def _passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float)
     while entered < reach:
         left = min(next_x, next_y, reach)
         inside = 0 <= row < h and 0 <= column < w
+        if not inside and (_leaves(row, step_y, h) or _leaves(column, step_x, w)):
+            return float(tau ** (through + reach - entered))
         if inside and not first and cells[row, column] == WALL:
             return 0.0
         if not inside or cells[row, column] == UNKNOWN:
@@ -217,3 +222,9 @@ def _passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float)
         else:
             row, next_y = row + step_y, next_y + stride_y
     return float(tau**through) if through > 0.0 else 1.0
+
+
+@compiled
+def _leaves(cell: int, step: int, count: int) -> bool:
+    """Whether a ray in this row (or column), one of `count` if it is in the grid, does not come nearer to the grid."""
+    return (cell < 0 and step <= 0) or (cell >= count and step >= 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.slam.slam import SlamSpec
-from slam_gym.validation import one_of
+from slam_gym.validation import check_settings, one_of
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import DynamicsSpec, RobotSpec
 from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
@@ -28,10 +27,7 @@ class KidnappingSpec:
     distance: float = 5.0  # [m] from where it was, if there is such a place
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.at < 1.0:
-            raise ValueError(f"KidnappingSpec.at: {self.at} is not between 0 and 1")
-        if not 0.0 <= self.distance < math.inf:
-            raise ValueError(f"KidnappingSpec.distance: {self.distance} is no length [m]")
+        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -54,11 +50,9 @@ class Scenario:
     kidnapping: KidnappingSpec | None = None
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.budget, int) and self.budget >= 1):
-            raise ValueError(f"Scenario.budget must be a whole number of ticks > 0, not {self.budget}")
-        for name in ("prior_sigma", "grid_resolution"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"Scenario.{name} must be a finite length > 0 [m], not {getattr(self, name)}")
+        if not isinstance(self.budget, int):
+            raise ValueError(f"Scenario.budget={self.budget}: expected a whole number of ticks")
+        check_settings(self)
 
 
 def world_seed(split: str, index: int) -> int:

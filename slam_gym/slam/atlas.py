@@ -53,6 +53,7 @@ from slam_gym.slam.places.recognition import RecognitionSpec, recent_part
 from slam_gym.slam.relocate import Relocate
 from slam_gym.slam.tracker import Tracker
 from slam_gym.types import UNPAIRED, Experience, Hypothesis, IntArray, Scan
+from slam_gym.validation import check_settings
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,7 @@ class AtlasSpec:
     rejoin: int = 5  # [scans] from one attempt to recognise an inactive map to the next
 
     def __post_init__(self) -> None:
-        if not self.max_accidental_matches > 0.0:
-            raise ValueError(f"AtlasSpec.max_accidental_matches: {self.max_accidental_matches} is no number > 0")
-        if self.patience is not None and self.patience < 0:
-            raise ValueError(f"AtlasSpec.patience: {self.patience} is negative")
-        if self.rejoin < 1:
-            raise ValueError(f"AtlasSpec.rejoin: {self.rejoin} is less than 1")
+        check_settings(self)
 
 
 class Accepted(NamedTuple):

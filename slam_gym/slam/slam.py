@@ -44,7 +44,7 @@ from slam_gym.types import (
     Relocation,
     Scan,
 )
-from slam_gym.validation import check_hypothesis, check_inputs, check_scan, check_shapes
+from slam_gym.validation import check_hypothesis, check_inputs, check_scan, check_settings
 
 _NO_FEATURES = np.empty(0, np.int64)
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
@@ -66,16 +66,7 @@ class SlamSpec:
     start_features_from_rejected: bool = False  # a measurement whose pairing was rejected starts a feature
 
     def __post_init__(self) -> None:
-        if self.reach is not None and not 0.0 < self.reach < math.inf:
-            raise ValueError(f"SlamSpec.reach: expected a finite length > 0 [m] or None, got {self.reach}")
-        if self.new_confidence is not None and not 0.0 < self.new_confidence < 1.0:
-            raise ValueError(f"SlamSpec.new_confidence: {self.new_confidence} is not between 0 and 1")
-        for name in ("max_chance_probability", "lost_fraction"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is not between 0 and 1")
-        for name in ("recent", "lost_scans", "min_expected"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"SlamSpec.{name}: {getattr(self, name)} is less than 1")
+        check_settings(self)
 
 
 class Slam:
@@ -145,7 +136,6 @@ class Slam:
         Raises ValueError, nothing changed, for non-finite numbers and covariances that are none.
         """
         check_inputs(odometry, scan)
-        check_shapes(scan)
         most = math.inf if self.atlas is None else self.atlas.most_accidental(self._experience)
         return self._predict(odometry, scan, most)
 

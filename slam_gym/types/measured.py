@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,7 @@ from slam_gym.types._arguments import (
 from slam_gym.types._records import quick
 
 _LEFT_OUT: IntArray = np.empty(0, np.int64)
+_FLOAT, _INTEGER = np.dtype(np.float64), np.dtype(np.int64)
 
 SPURIOUS = -1
 """The source of a measurement that comes from no feature."""
@@ -40,6 +42,11 @@ class Odometry:
 
     motion: Array  # (3,) [m, m, rad] pose at the end of the tick in the robot frame at its start
     covariance: Array  # (3, 3) [m², m·rad, rad²] of `motion`
+
+    def __post_init__(self) -> None:
+        """Raises ValueError where the arrays are not what compiled functions read."""
+        _check_array("Odometry.motion", self.motion, _FLOAT, (3,))
+        _check_array("Odometry.covariance", self.covariance, _FLOAT, (3, 3))
 
     @classmethod
     def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
@@ -65,8 +72,15 @@ class Scan:
     kinds: IntArray = field(default_factory=lambda: _LEFT_OUT)
 
     def __post_init__(self) -> None:
+        """Raises ValueError where the arrays are not what compiled functions read."""
+        m = len(self.points)
         if self.kinds is _LEFT_OUT:
-            object.__setattr__(self, "kinds", np.full(len(self.points), UNKNOWN_KIND))
+            object.__setattr__(self, "kinds", np.full(m, UNKNOWN_KIND))
+        _check_array("Scan.points", self.points, _FLOAT, (m, 2))
+        _check_array("Scan.covariances", self.covariances, _FLOAT, (m, 2, 2))
+        _check_array("Scan.sizes", self.sizes, _FLOAT, (m,))
+        _check_array("Scan.size_variances", self.size_variances, _FLOAT, (m,))
+        _check_array("Scan.kinds", self.kinds, _INTEGER, (m,))
 
     def __len__(self) -> int:
         return len(self.points)
@@ -144,6 +158,15 @@ class Scan:
         return cls.from_points(points, covariances, sizes=sizes, size_sigma=size_sigma, kinds=kinds)
 
 
+def _check_array(name: str, given: object, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Raise ValueError where that is no array of this type and shape."""
+    if not isinstance(given, np.ndarray) or given.dtype != dtype:
+        told = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
+        raise ValueError(f"{name}: {told}, expected an array of {dtype}")
+    if given.shape != shape:
+        raise ValueError(f"{name}: shape {given.shape}, expected {shape}")
+
+
 def _views(arrays: ScanArrays, *, writeable: bool) -> ScanArrays:
     """Views of the arrays of a scan, all of which may be written to, or none."""
     points, covariances, sizes, size_variances, kinds = arrays
@@ -159,8 +182,14 @@ class Beams:
     """One sweep of the range finder: the only source of free space and walls."""
 
     bearings: Array  # (b,) [rad] in R
-    ranges: Array  # (b,) [m]; `max_range` where nothing was hit
+    ranges: Array  # (b,) [m], or (k, b) of k sweeps; `max_range` where nothing was hit
     max_range: float  # [m]
+
+    def __post_init__(self) -> None:
+        """Raises ValueError where the arrays are not what compiled functions read."""
+        b = len(self.bearings)
+        _check_array("Beams.bearings", self.bearings, _FLOAT, (b,))
+        _check_array("Beams.ranges", self.ranges, _FLOAT, (*self.ranges.shape[:-1], b))
 
 
 @quick

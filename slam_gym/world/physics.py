@@ -8,7 +8,7 @@ start, generator state and actions give the same trajectory, bit for bit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ import pymunk
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array
 from slam_gym.types._records import quick
+from slam_gym.validation import check_settings
 from slam_gym.world import driving
 from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
@@ -43,7 +44,7 @@ class RobotSpec:
     traction: float = 0.6  # the wheels push with at most traction · mass · g
 
     def __post_init__(self) -> None:
-        _check_positive(self)
+        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -60,14 +61,7 @@ class DynamicsSpec:
     person_speed: float = 0.8  # [m/s]
 
     def __post_init__(self) -> None:
-        _check_positive(self, may_be_zero=("people", "friction", "furniture_friction"))
-
-
-def _check_positive(spec: object, may_be_zero: tuple[str, ...] = ()) -> None:
-    for field in fields(spec):  # type: ignore[arg-type]
-        value = getattr(spec, field.name)
-        if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name in may_be_zero))):
-            raise ValueError(f"{type(spec).__name__}.{field.name} must be positive and finite, not {value}")
+        check_settings(self)
 
 
 @quick

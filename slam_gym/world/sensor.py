@@ -7,12 +7,13 @@ J diag(σ_r², σ_β²) Jᵀ of the polar-to-Cartesian map at the measured range
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
+from slam_gym.validation import check_settings
 from slam_gym.world.detection import (
     Measured,
     PackedSettings,
@@ -55,9 +56,9 @@ class SensorSpec:
         return math.hypot(self.range_sigma, self.bearing_sigma * self.range / 2.0)
 
     def __post_init__(self) -> None:
-        _check(self, positive=("bearing_sigma", "size_sigma"), probabilities=("detection", "person_detection"))
-        if not 0.0 < self.min_range < self.range:
-            raise ValueError(f"SensorSpec.min_range must be in (0, range), not {self.min_range} m")
+        check_settings(self)
+        if not self.min_range < self.range:
+            raise ValueError(f"SensorSpec.min_range={self.min_range}: expected less than the range, {self.range} m")
         if self.range_sigma == 0.0 and self.range_sigma_ratio == 0.0:
             raise ValueError("SensorSpec.range_sigma and range_sigma_ratio must not both be 0")
 
@@ -72,7 +73,7 @@ class BeamSpec:
     sigma: float = 0.03  # [m]
 
     def __post_init__(self) -> None:
-        _check(self, positive=("count", "range"))
+        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -90,21 +91,7 @@ class OdometrySpec:
     slip_floor: float = 0.005  # [m] and [rad] a tick then
 
     def __post_init__(self) -> None:
-        _check(self, positive=("floor",))
-
-
-def _check(spec: object, positive: tuple[str, ...] = (), probabilities: tuple[str, ...] = ()) -> None:
-    """ValueError naming the first field of a spec that is not finite, is negative, or is out of its range."""
-    for field in fields(spec):  # type: ignore[arg-type]
-        value, name = getattr(spec, field.name), f"{type(spec).__name__}.{field.name}"
-        if not (math.isfinite(value) and value >= 0.0):
-            raise ValueError(f"{name} must be finite and not negative, not {value}")
-        if value == 0.0 and field.name in positive:
-            raise ValueError(f"{name} must be positive")
-        if value > 1.0 and field.name in probabilities:
-            raise ValueError(f"{name} must be a probability, not {value}")
-        if field.name == "field_of_view" and not 0.0 < value <= 2.0 * math.pi:
-            raise ValueError(f"{name} must be in (0, 2π] rad, not {value}")
+        check_settings(self)
 
 
 class Senses(NamedTuple):

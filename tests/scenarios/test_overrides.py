@@ -73,8 +73,8 @@ def test_the_order_of_changes_does_not_matter() -> None:
         ({"sensor.range": 10**400}, r"'sensor.range': expected a finite number"),
         ({"sensor.kinds": 1}, r"'sensor.kinds': expected true or false, got 1"),
         ({"sensor": {"range": 4.0}}, r"'sensor': expected a bool, a number, a string or None"),
-        ({"sensor.range": -4.0}, r"sensor.range: SensorSpec.range must be finite and not negative"),
-        ({"slam.map.confidence": 2.0}, r"slam.map.confidence: MapSpec.confidence: 2.0 is not between"),
+        ({"sensor.range": -4.0}, r"sensor.range: SensorSpec.range=-4.0: expected a number from 0.01"),
+        ({"slam.map.confidence": 2.0}, r"slam.map.confidence: MapSpec.confidence=2.0: expected a number"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(overrides, said) -> None:

@@ -18,7 +18,6 @@ chance brings, where chance is what the same search finds for the mirror image o
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -30,6 +29,7 @@ from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.locality import linked
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import Array, IntArray, Landmarks, Relocation, Relocator, Scan
+from slam_gym.validation import check_settings
 
 _FLOOR = 1e-12  # [m²] least variance of a feature that stands for a measurement
 
@@ -51,16 +51,7 @@ class RecognitionSpec:
 
     def __post_init__(self) -> None:
         resolve_relocator(self.search)
-        least = {"node_limit": 1, "every": 1, "recent": 1, "group": 3, "min_pairs": 3, "above_mirror": 0}
-        for name, value in least.items():
-            if getattr(self, name) < value:
-                raise ValueError(f"RecognitionSpec.{name}: {getattr(self, name)} is less than {value}")
-        if not 0.0 <= self.min_fraction <= 1.0:
-            raise ValueError(f"RecognitionSpec.min_fraction: {self.min_fraction} is not between 0 and 1")
-        if not 0.0 < self.confidence < 1.0:
-            raise ValueError(f"RecognitionSpec.confidence: {self.confidence} is not between 0 and 1")
-        if not 1.0 <= self.inflation < math.inf:
-            raise ValueError(f"RecognitionSpec.inflation: {self.inflation} is not a number ≥ 1")
+        check_settings(self)
 
 
 class Parts(NamedTuple):
