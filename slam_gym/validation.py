@@ -41,7 +41,7 @@ LIMITS: dict[str, dict[str, Limits]] = {
     "SensorSpec": {
         "range": _LENGTH, "min_range": (1e-6, 1e3), "field_of_view": _ANGLE, "range_sigma": _SIGMA,
         "range_sigma_ratio": _SHARE, "bearing_sigma": (1e-9, math.pi), "size_sigma": (1e-9, 10.0), "detection": _SHARE,
-        "clutter": (0.0, 1e3), "person_detection": _SHARE, "max_features": _COUNT,
+        "clutter": (0.0, 1e3), "person_detection": _SHARE, "max_features": (0, 10_000),
     },
     "BeamSpec": {"count": _COUNT, "field_of_view": _ANGLE, "range": _LENGTH, "sigma": _SIGMA},
     "OdometrySpec": {

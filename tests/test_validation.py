@@ -1,13 +1,26 @@
 """Every fault of a scan and of a hypothesis is refused by name; what is fine passes, as it is or made plain."""
 
-from dataclasses import replace
+import re
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import get_args, get_type_hints
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Odometry, Scan
-from slam_gym.validation import check_hypothesis, check_scan, one_of
+from slam_gym.association.prediction import Prediction
+from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
+from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
+from slam_gym.slam.atlas import AtlasSpec
+from slam_gym.slam.places.recognition import RecognitionSpec
+from slam_gym.slam.slam import SlamSpec
+from slam_gym.types import UNPAIRED, Beams, Effort, Hypothesis, Locality, Odometry, Scan
+from slam_gym.validation import LIMITS, check_hypothesis, check_scan, one_of
+from slam_gym.world.physics import DynamicsSpec, RobotSpec
+from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.sensor import BeamSpec, OdometrySpec, SensorSpec
 
 
 def scan_with(covariance=None, **fields) -> Scan:
@@ -188,3 +201,70 @@ def test_measurements_of_any_scale_within_the_bound_leave_a_map_positive_semi_de
             assert np.linalg.eigvalsh(correlations).min() > -1e-9
     with pytest.raises(ValueError, match="condition number above"):
         check_scan(Scan.from_points([[1.0, 0.0]], np.diag([1e-12, 1e12])))
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+SETTINGS = [
+    SensorSpec, BeamSpec, OdometrySpec, RobotSpec, DynamicsSpec, KidnappingSpec, Scenario, MapSpec, SlamSpec,
+    RecognitionSpec, AtlasSpec,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", SETTINGS)
+def test_every_number_among_the_settings_has_limits(kind: type) -> None:
+    hints = get_type_hints(kind)
+    alternatives = {field.name: (hints[field.name], *get_args(hints[field.name])) for field in fields(kind)}
+    numbers = {name for name, types in alternatives.items() if int in types or float in types}
+    assert numbers == LIMITS[kind.__name__].keys()
+    assert {known.__name__ for known in SETTINGS} == LIMITS.keys()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("sensor.range_sigma", 1e4),
+        ("sensor.bearing_sigma", 1e4),
+        ("sensor.clutter", 1e9),
+        ("sensor.max_features", 10**9),
+        ("sensor.range", 1e300),
+        ("beams.count", 2**62),
+        ("beams.range", 1e300),
+        ("robot.radius", 1e-6),
+        ("dynamics.substeps", 10**6),
+        ("odometry.floor", 1e200),
+        ("grid_resolution", 1e-6),
+    ],
+)
+def test_absurd_settings_are_refused_as_the_environment_is_made(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"{name}: \w+\.\w+={re.escape(str(value))}: expected a number from"):
+        gym.make("slam_gym/Explore-v0", scenario="office-small", overrides={name: value})
+
+
+def test_who_needs_more_raises_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(LIMITS["SensorSpec"], "clutter", (0.0, 1e4))
+    assert SensorSpec(clutter=5000.0).clutter == 5000.0
+
+
+# --- arrays for compiled functions ------------------------------------------------------------------------------------
+
+NO_BEAMS = Beams(np.zeros(4), np.ones(4), 6.0)
+CORRIDOR = WallIndex(np.array([[0.0, 0.0, 9.0, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Odometry(np.zeros(2), np.zeros((3, 3))), r"Odometry.motion: shape \(2,\), expected \(3,\)"),
+        (lambda: Odometry(np.zeros(3), np.zeros((2, 2))), r"Odometry.covariance: shape \(2, 2\)"),
+        (lambda: Beams(np.zeros(4), np.ones(2), 6.0), r"Beams.ranges: shape \(2,\), expected \(4,\)"),
+        (lambda: Locality(np.zeros(3), np.zeros(0, np.int64)), "Locality.starts: float64, expected an array of int64"),
+        (lambda: CORRIDOR.cast(np.zeros(1), np.zeros(3), 5.0), r"origin: shape \(1,\), expected \(2,\)"),
+        (lambda: CORRIDOR.visible(np.zeros(2), np.zeros((5, 2)), np.zeros(1)), r"pull_back: shape \(1,\)"),
+        (lambda: Prediction.from_gaussian([[1.0, 0.0]], np.eye(2)).subset(np.array([9])), r"kept: \[9\]"),
+        (lambda: ExploredGrid(np.ones(4) * [-1, -1, 1, 1]).integrate(np.zeros(1), NO_BEAMS), r"pose: expected \(3,\)"),
+    ],
+)
+def test_arrays_that_compiled_code_would_read_beyond_are_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()

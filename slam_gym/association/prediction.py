@@ -269,7 +269,9 @@ class Prediction:
         return replace(self, source=(*self.source[:5], _NO_SENSOR, visible))
 
     def subset(self, kept: IntArray) -> Prediction:
-        """Of the features in the rows `kept` (j,), ascending, alone."""
+        """Of the features in the rows `kept` (j,), ascending, alone. Raises ValueError where one does not exist."""
+        if len(kept) and not 0 <= kept.min() <= kept.max() < len(self):
+            raise ValueError(f"kept: {kept.tolist()} do not all exist in a prediction of {len(self)} features")
         counted, sized, near, positions, covariances, across = self.rows
         rows = counted.copy(), sized.copy(), near.copy(), positions.copy(), covariances.copy(), across.copy()
         keep_rows(rows, kept)

@@ -69,8 +69,10 @@ class ExploredGrid:
 
         Beams at `max_range` had no echo. Readings that are negative or not a number are ignored, as is whatever falls
         outside the bounds. Only a sweep that is `movable` can be moved later: it is counted in each of its cells.
-        Raises ValueError for a pose that is not finite.
+        Raises ValueError for a pose that is not three finite numbers.
         """
+        if len(pose) != 3:
+            raise ValueError(f"pose: expected (3,), got {pose}")
         self._sweep += 1
         grid.integrate(
             self._layers, self._sweep, movable, self.origin, self.resolution, pose,

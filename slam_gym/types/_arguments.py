@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,8 +12,19 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+FLOAT, INTEGER = np.dtype(np.float64), np.dtype(np.int64)
+
 UNKNOWN_KIND = -2
 """The kind of what could not be classified."""
+
+
+def check_array(name: str, given: object, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Raise ValueError where that is no array of this type and shape."""
+    if not isinstance(given, np.ndarray) or given.dtype != dtype:
+        told = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
+        raise ValueError(f"{name}: {told}, expected an array of {dtype} (the class methods from_… take anything)")
+    if given.shape != shape:
+        raise ValueError(f"{name}: shape {given.shape}, expected {shape}")
 
 
 def floats(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_gym.types._arguments import Array, IntArray, covariances_of, floats, kinds_of, sizes_of
+from slam_gym.types._arguments import INTEGER, Array, IntArray, check_array, covariances_of, floats, kinds_of, sizes_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +20,11 @@ class Locality:
 
     starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]
     members: IntArray  # (e,) ascending within each row
+
+    def __post_init__(self) -> None:
+        """Raises ValueError where the arrays are not what compiled functions read."""
+        check_array("Locality.starts", self.starts, INTEGER, (len(self.starts),))
+        check_array("Locality.members", self.members, INTEGER, (len(self.members),))
 
     def __len__(self) -> int:
         return len(self.starts) - 1

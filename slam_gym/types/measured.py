@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_gym.types._arguments import (
+    FLOAT,
+    INTEGER,
     UNKNOWN_KIND,
     Array,
     IntArray,
+    check_array,
     covariances_of,
     deviations,
     floats,
@@ -22,7 +24,6 @@ from slam_gym.types._arguments import (
 from slam_gym.types._records import quick
 
 _LEFT_OUT: IntArray = np.empty(0, np.int64)
-_FLOAT, _INTEGER = np.dtype(np.float64), np.dtype(np.int64)
 
 SPURIOUS = -1
 """The source of a measurement that comes from no feature."""
@@ -45,8 +46,8 @@ class Odometry:
 
     def __post_init__(self) -> None:
         """Raises ValueError where the arrays are not what compiled functions read."""
-        _check_array("Odometry.motion", self.motion, _FLOAT, (3,))
-        _check_array("Odometry.covariance", self.covariance, _FLOAT, (3, 3))
+        check_array("Odometry.motion", self.motion, FLOAT, (3,))
+        check_array("Odometry.covariance", self.covariance, FLOAT, (3, 3))
 
     @classmethod
     def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
@@ -76,11 +77,11 @@ class Scan:
         m = len(self.points)
         if self.kinds is _LEFT_OUT:
             object.__setattr__(self, "kinds", np.full(m, UNKNOWN_KIND))
-        _check_array("Scan.points", self.points, _FLOAT, (m, 2))
-        _check_array("Scan.covariances", self.covariances, _FLOAT, (m, 2, 2))
-        _check_array("Scan.sizes", self.sizes, _FLOAT, (m,))
-        _check_array("Scan.size_variances", self.size_variances, _FLOAT, (m,))
-        _check_array("Scan.kinds", self.kinds, _INTEGER, (m,))
+        check_array("Scan.points", self.points, FLOAT, (m, 2))
+        check_array("Scan.covariances", self.covariances, FLOAT, (m, 2, 2))
+        check_array("Scan.sizes", self.sizes, FLOAT, (m,))
+        check_array("Scan.size_variances", self.size_variances, FLOAT, (m,))
+        check_array("Scan.kinds", self.kinds, INTEGER, (m,))
 
     def __len__(self) -> int:
         return len(self.points)
@@ -158,15 +159,6 @@ class Scan:
         return cls.from_points(points, covariances, sizes=sizes, size_sigma=size_sigma, kinds=kinds)
 
 
-def _check_array(name: str, given: object, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    """Raise ValueError where that is no array of this type and shape."""
-    if not isinstance(given, np.ndarray) or given.dtype != dtype:
-        told = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
-        raise ValueError(f"{name}: {told}, expected an array of {dtype}")
-    if given.shape != shape:
-        raise ValueError(f"{name}: shape {given.shape}, expected {shape}")
-
-
 def _views(arrays: ScanArrays, *, writeable: bool) -> ScanArrays:
     """Views of the arrays of a scan, all of which may be written to, or none."""
     points, covariances, sizes, size_variances, kinds = arrays
@@ -188,8 +180,8 @@ class Beams:
     def __post_init__(self) -> None:
         """Raises ValueError where the arrays are not what compiled functions read."""
         b = len(self.bearings)
-        _check_array("Beams.bearings", self.bearings, _FLOAT, (b,))
-        _check_array("Beams.ranges", self.ranges, _FLOAT, (*self.ranges.shape[:-1], b))
+        check_array("Beams.bearings", self.bearings, FLOAT, (b,))
+        check_array("Beams.ranges", self.ranges, FLOAT, (*self.ranges.shape[:-1], b))
 
 
 @quick

@@ -16,6 +16,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
+from slam_gym.types._arguments import floats
 from slam_gym.world.floor_plan import Features, Kind
 
 _PADDING = 1e-6  # [cells] walls are entered in every cell this close to them, against rounding at the borders
@@ -73,7 +74,8 @@ class WallIndex:
         `discs` (d, 3) [m] `x y radius` and `segments` (o, 4) [m] stop a ray as walls do. A disc around the origin is
         not seen from within.
         """
-        return cast(self.packed, origin, angles, max_range, (discs, segments))
+        origin, angles = floats("origin", origin, (2,)), floats("angles", angles, (-1,))
+        return cast(self.packed, origin, angles, float(max_range), _movers(discs, segments))
 
     def visible(
         self, origin: Array, targets: Array, pull_back: Array, discs: Array = NO_DISCS, segments: Array = NO_SEGMENTS
@@ -82,7 +84,13 @@ class WallIndex:
 
         The line of sight ends `pull_back` (k,) [m] short of its target, outside the thing whose position it is.
         """
-        return _visible(self.packed, origin, targets, pull_back, (discs, segments))
+        origin, targets = floats("origin", origin, (2,)), floats("targets", targets, (-1, 2))
+        pull_back = floats("pull_back", pull_back, (len(targets),))
+        return _visible(self.packed, origin, targets, pull_back, _movers(discs, segments))
+
+
+def _movers(discs: Array, segments: Array) -> tuple[Array, Array]:
+    return floats("discs", discs, (-1, 3)), floats("segments", segments, (-1, 4))
 
 
 def pull_back(features: Features) -> Array:

@@ -8,9 +8,10 @@ import pytest
 from slam_gym.geometry import compose, transform, wrap_angle
 from slam_gym.mapping.map_joining import equality_update, equate, join, joined_estimate, take_over
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
-from slam_gym.metrics.consistency import anees_interval, nees
+from slam_gym.metrics.consistency import nees
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Odometry, Scan
 from tests.oracles.map import KnownAssociation, Step, make_scan, random_covariances, wander
+from tests.oracles.statistics import anees_interval
 
 KEEP = MapSpec(unconfirmed_age=None)
 

@@ -10,10 +10,11 @@ from scipy.optimize import least_squares
 from slam_gym.geometry import observe, transform, wrap_angle
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.mapping.update import ACCEPTED, update
-from slam_gym.metrics.consistency import anees_interval, pose_nees
+from slam_gym.metrics.consistency import pose_nees
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import KEEP, STILL, landmarks, mapped
 from tests.oracles.map import SIGMA, KnownAssociation, Step, make_scan, random_covariances, wander
+from tests.oracles.statistics import anees_interval
 
 INVARIANT = MapSpec(unconfirmed_age=None)
 ORDINARY = MapSpec(right_invariant=False, unconfirmed_age=None)

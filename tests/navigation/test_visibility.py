@@ -145,6 +145,8 @@ SENSOR = {field.name for field in fields(FieldOfView)}
         ("pose", {"explored": grid_of("...").explored, "pose": np.array([0.0, math.nan, 0.0])}),
         ("feature 1", {"positions": np.array([[1.0, 0.0], [math.nan, 0.0]])}),
         ("feature 0", {"covariances": np.tile(-np.eye(2), (2, 1, 1))}),
+        (r"covariances: shape \(1, 2, 2\), expected \(2, 2, 2\)", {"covariances": np.ones((1, 2, 2))}),
+        (r"positions: shape \(2, 1\)", {"positions": np.ones((2, 1))}),
     ],
 )
 def test_bad_input_is_named(message, options):
@@ -153,6 +155,17 @@ def test_bad_input_is_named(message, options):
     seen |= {name: value for name, value in options.items() if name not in SENSOR}
     with pytest.raises(ValueError, match=message):
         FieldOfView(**view).in_view(**seen)
+
+
+@pytest.mark.parametrize("sigma", [1e3, 1e6, 1e12])
+def test_a_ray_that_has_left_the_grid_for_good_ends_there_however_far_it_goes(sigma):
+    """What is outside is unknown: with τ = 1 to whatever lies there nothing is hidden, else everything is."""
+    grid, here = grid_of("...").explored, np.array([0.3, 0.1, 0.0])
+    at, spread = np.array([[2.0, 0.0]]), np.diag([1.0, sigma**2])[None]
+    for unknown in (1.0, 0.5):
+        view = FieldOfView(2.0 * math.pi, 6.0, unknown=unknown)
+        beside, through = view.in_view(at, spread)[0], view.in_view(at, spread, grid, here)[0]
+        assert through == pytest.approx(beside) if unknown == 1.0 else 0.0 <= through < beside
 
 
 def test_explored_cells_can_be_looked_at_but_not_changed():

@@ -120,7 +120,7 @@ def random_covariances(rng: np.random.Generator, sigma: float, count: int) -> Ar
 def make_scan(points: Array, covariances: Array, sizes: Array | None = None, variances: Array | None = None) -> Scan:
     """A scan of unknown sizes, unless they are given."""
     unknown = np.full(len(points), np.nan)
-    points, covariances = np.ascontiguousarray(points), np.ascontiguousarray(covariances)
+    points, covariances = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(covariances)
     return Scan(points, covariances, unknown if sizes is None else sizes, unknown if variances is None else variances)
 
 
