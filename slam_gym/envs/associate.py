@@ -106,17 +106,11 @@ class AssociateEnv(BaseEnv):
     def __init__(self, scenario: str | Scenario | ScanLog | None = None, **arguments: Any) -> None:
         settings = AssociateSettings(scenario, **arguments)
         super().__init__(settings)
-        scenario = _chosen_log(scenario, settings.split)
-        if scenario is None:
-            scenario = _simulated(settings)
-        elif settings.overrides or settings.floor_plan is not None or settings.resolution is not None:
-            raise ValueError(f"overrides and floor plans are for simulated scenarios, and {scenario.name!r} is a log")
-        self.places_known = not isinstance(scenario, ScanLog) or len(scenario.targets) > 0
+        self.scenario = _chosen(settings)
+        self.places_known = not isinstance(self.scenario, ScanLog) or len(self.scenario.targets) > 0
         if settings.reward == "map_error" and not self.places_known:
-            raise ValueError(
-                f"reward={settings.reward!r}: nobody knows where the features of {scenario.name!r} are; known: truth"
-            )
-        self.scenario = scenario
+            unknown = f"nobody knows where the features of {self.scenario.name!r} are"
+            raise ValueError(f"reward={settings.reward!r}: {unknown}; known: truth")
         self._driver = settings.driver if callable(settings.driver) else DRIVERS[settings.driver]
         self.K = settings.candidates
         parts: dict[str, spaces.Space[Any]] = {
@@ -261,18 +255,17 @@ class AssociateEnv(BaseEnv):
         )
 
 
-def _chosen_log(scenario: str | Scenario | ScanLog | None, split: str) -> ScanLog | None:
-    """The log that the argument means; None where it means none."""
-    if isinstance(scenario, str) and scenario.startswith(PREFIX):
-        return recorded_log(scenario, split)
-    if isinstance(scenario, str):
-        return LOGS.get(scenario)
-    return scenario if isinstance(scenario, ScanLog) else None
-
-
-def _simulated(settings: AssociateSettings) -> Scenario:
-    """`scenario_on_floor`; the names that it lists in an error are those of logs as well."""
-    if isinstance(settings.scenario, str) and "/" not in settings.scenario:
+def _chosen(settings: AssociateSettings) -> Scenario | ScanLog:
+    """The log that the argument means, or the simulated scenario. Errors list the names of both."""
+    given = settings.scenario
+    log = given if isinstance(given, ScanLog) else None
+    if isinstance(given, str):
+        log = recorded_log(given, settings.split) if given.startswith(PREFIX) else LOGS.get(given)
+    if log is not None:
+        if settings.overrides or settings.floor_plan is not None or settings.resolution is not None:
+            raise ValueError(f"overrides and floor plans are for simulated scenarios, and {log.name!r} is a log")
+        return log
+    if isinstance(given, str) and not set(given) & {"/", ":"}:  # no level of the suite, nor a name in a module
         names = (*SCENARIOS, *LOGS, f"{PREFIX}FILE", f"{PREFIX}victoria_park", f"{PREFIX}mrclam/1")
-        one_of("scenario", settings.scenario, names)
+        one_of("scenario", given, names)
     return settings.scenario_on_floor

@@ -103,13 +103,10 @@ def _checked(name: str, value: Plain, hint: Any) -> Plain:
     if value is None and NoneType in types:
         return None
     whole = type(value) is int and abs(value) < 1 << 63  # larger ones fit into no array
-    if whole and float in types:
-        return float(value)  # type: ignore[arg-type]
-    if whole and int in types:
-        return value
-    for kind in (bool, float, str):
-        if kind in types and isinstance(value, kind) and (kind is not float or math.isfinite(value)):  # type: ignore[arg-type]
-            return kind(value)
+    for kind in (bool, float, int, str):
+        fits = whole if kind is int else isinstance(value, kind) or (whole and kind is float)
+        if kind in types and fits and (kind is not float or math.isfinite(value)):  # type: ignore[arg-type]
+            return kind(value)  # type: ignore[arg-type]
     words = {bool: "true or false", int: "a whole number", float: "a finite number", str: "a string", NoneType: "None"}
     wanted = [words[kind] for kind in types if kind in words]
     if _dataclass_of(hint) is not None or not wanted:

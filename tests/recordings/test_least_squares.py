@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam_gym.geometry import compose, observe
+from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.recordings.least_squares import _Problem, least_squares
 from slam_gym.recordings.reading import read_matlab, starts_of
@@ -15,48 +15,22 @@ from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import SOURCE
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import SPURIOUS, Truth
-
-MOTION, NOISE = np.diag([0.05, 0.05, 0.03]) ** 2, 0.05**2 * np.eye(2)
-
-
-def round_trip(rng: np.random.Generator, noisy: float, steps: int = 40) -> tuple[Recording, np.ndarray, np.ndarray]:
-    """A circle among landmarks, some of the measurements spurious; with its true poses and landmarks."""
-    landmarks = rng.uniform(-8.0, 8.0, (15, 2))
-    motion = np.array([0.8, 0.0, 2.0 * np.pi / steps])
-    poses = [np.zeros(3)]
-    for _ in range(steps - 1):
-        poses.append(compose(poses[-1], motion))
-    points, sources, starts = [], [], [0]
-    for pose in poses:
-        seen = observe(pose, landmarks)
-        near = np.flatnonzero(np.hypot(*seen.T) < 7.0)
-        points += [*(seen[near] + noisy * rng.multivariate_normal([0, 0], NOISE, len(near))), [3.0, 3.0]]
-        sources += [*near, SPURIOUS]
-        starts.append(len(points))
-    motions = np.vstack([np.zeros(3), motion + noisy * rng.multivariate_normal(np.zeros(3), MOTION, steps - 1)])
-    log = Recording(
-        name="round trip", source="", terms="", times=np.arange(float(steps)), motions=motions,
-        motion_covariances=np.tile(MOTION, (steps, 1, 1)), starts=np.array(starts), points=np.array(points),
-        covariances=np.tile(NOISE, (len(points), 1, 1)), sources=np.array(sources), range=20.0, field_of_view=6.0,
-    )  # fmt: skip
-    return log, np.array(poses), landmarks
+from slam_gym.types import UNLABELLED, Truth
+from tests.recordings import drive
 
 
 def test_without_noise_the_optimum_is_the_truth() -> None:
-    log, poses, landmarks = round_trip(np.random.default_rng(0), 0.0)
-    best = least_squares(log)
+    log = drive(noise=0.0)
+    best, into_log = least_squares(log), compose(log.motions[0], inverse(log.reference_poses[0]))
     assert best.chi2 < 1e-12
-    np.testing.assert_allclose(best.poses, poses, atol=1e-6)
-    np.testing.assert_allclose(best.landmarks, landmarks[best.ids], atol=1e-6)
+    np.testing.assert_allclose(best.poses, [compose(into_log, pose) for pose in log.reference_poses], atol=1e-6)
+    np.testing.assert_allclose(best.landmarks, transform(into_log, log.landmarks[best.ids]), atol=1e-6)
 
 
 def test_the_jacobian_is_that_of_the_residuals() -> None:
-    log, *_ = round_trip(np.random.default_rng(1), 1.0, steps=6)
-    problem = _Problem(log)
-    x = problem.start(problem.dead_reckoning()) + 0.1 * np.random.default_rng(2).standard_normal(
-        3 * 6 + 2 * len(problem.ids)
-    )
+    problem = _Problem(drive(1, steps=6))
+    x = problem.start(problem.dead_reckoning())
+    x += 0.1 * np.random.default_rng(2).standard_normal(len(x))
     columns = []
     for i in range(len(x)):
         step = np.zeros(len(x))
@@ -68,7 +42,7 @@ def test_the_jacobian_is_that_of_the_residuals() -> None:
 def test_at_the_optimum_nothing_is_to_be_gained_and_chi2_is_what_the_noise_says() -> None:
     chi2, dof = 0.0, 0
     for seed in range(10):
-        log, *_ = round_trip(np.random.default_rng(seed), 1.0)
+        log = drive(seed)
         best, problem = least_squares(log), _Problem(log)
         x = np.concatenate([best.poses.ravel(), best.landmarks.ravel()])
         residuals, jacobian = problem.linearise(x)
@@ -79,9 +53,8 @@ def test_at_the_optimum_nothing_is_to_be_gained_and_chi2_is_what_the_noise_says(
 
 
 def test_a_log_without_identities_has_no_optimum() -> None:
-    log, *_ = round_trip(np.random.default_rng(0), 0.0)
-    unlabelled = replace(log, sources=np.full(len(log.sources), -2))
-    with pytest.raises(ValueError, match="'round trip': no measurement has an identity"):
+    unlabelled = replace(drive(), sources=np.full_like(drive().sources, UNLABELLED))
+    with pytest.raises(ValueError, match="'arc': no measurement has an identity"):
         least_squares(unlabelled)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slam_gym.envs.associate import AssociateEnv
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.geometry import compose, relative
 from slam_gym.recordings import Recording
@@ -57,7 +58,7 @@ def test_a_scenario_in_a_user_s_module_is_found_through_the_module(monkeypatch, 
         "BUSY = replace(get_scenario('hall'), name='busy-hall', budget=30)\nregister(BUSY)\nDOORS = 3\n"
     )
     assert get_scenario("my_halls:busy-hall") is get_scenario("my_halls:BUSY")
-    assert ExploreEnv("my_halls:busy-hall").scenario.budget == 30
+    assert ExploreEnv("my_halls:busy-hall").scenario == AssociateEnv("my_halls:busy-hall").scenario
     for name, message in (
         ("my_halls:DOORS", "is of type int, not a Scenario"),
         ("my_halls:calm-hall", "known: office-small"),

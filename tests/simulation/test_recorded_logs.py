@@ -11,42 +11,13 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from slam_gym.association import jcbb, nearest_neighbour
-from slam_gym.geometry import compose, observe, relative
-from slam_gym.recordings import Recording, save
+from slam_gym.geometry import relative
+from slam_gym.recordings import save
 from slam_gym.simulation.recorded_logs import reference_poses, windows
 from slam_gym.types import SPURIOUS, UNLABELLED
 from tests.envs.test_associate import Playing, at_random, episode, refuse, total
+from tests.recordings import drive
 from tests.rollouts import associate
-
-STEPS = 60
-
-
-def drive(seed=0, steps=STEPS, headings=True, **changes) -> Recording:
-    """A robot on an arc among 40 features in a frame W of its own, with spurious measurements and unknown sources."""
-    rng = np.random.default_rng(seed)
-    world, poses = rng.uniform(-12.0, 12.0, (40, 2)), [np.array([-8.0, 3.0, 2.0])]
-    motions, points, sources, starts = [np.array([0.1, 0.0, 0.0])], [], [], [0]
-    for step in range(steps):
-        if step:
-            motion = np.array([0.4, 0.0, 0.1])
-            poses.append(compose(poses[-1], motion))
-            motions.append(motion + 0.01 * rng.standard_normal(3))
-        local = observe(poses[-1], world)
-        seen = np.flatnonzero(np.hypot(*local.T) < 8.0)
-        points.append(local[seen] + 0.05 * rng.standard_normal((len(seen), 2)))
-        points.append(rng.uniform(-8.0, 8.0, (1, 2)))
-        sources += [*np.where(rng.random(len(seen)) < 0.1, UNLABELLED, seen), SPURIOUS]
-        starts.append(len(sources))
-    unknown = np.full(len(sources), math.nan)
-    reference = np.array(poses) if headings else np.column_stack([np.array(poses)[:, :2], np.full(steps, math.nan)])
-    log = Recording(
-        name="arc", source="made", terms="none", times=np.arange(steps) + 5.0, motions=np.array(motions),
-        motion_covariances=np.tile(1e-4 * np.eye(3), (steps, 1, 1)), starts=np.array(starts),
-        points=np.concatenate(points), covariances=np.tile(0.0025 * np.eye(2), (len(sources), 1, 1)), sizes=unknown,
-        size_variances=unknown.copy(), sources=np.array(sources), reference_times=np.arange(steps) + 5.0,
-        reference_poses=reference, landmark_ids=np.arange(40), landmarks=world, range=9.0, field_of_view=2.0 * math.pi,
-    )  # fmt: skip
-    return replace(log, **changes)
 
 
 @pytest.fixture
