@@ -22,13 +22,12 @@ from slam_gym.association.relocation.policy import (
 )
 from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.association.relocation.triangles import indexed
-from slam_gym.association.tracking.global_nearest_neighbour import global_nearest_neighbour
 from slam_gym.association.tracking.ipjc import ipjc
 from slam_gym.association.tracking.jcbb import jcbb
 from slam_gym.association.tracking.learned import learned_associator
 from slam_gym.association.tracking.map_hypothesis import map_hypothesis
 from slam_gym.association.tracking.marginal import marginal
-from slam_gym.association.tracking.nearest_neighbour import nearest_neighbour, singles
+from slam_gym.association.tracking.nearest_neighbour import global_nearest_neighbour, nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
 from slam_gym.association.tracking.policy import Policy, from_policy, greedy
 from slam_gym.association.tracking.true_association import true_association

@@ -121,7 +121,14 @@ def _log_expected(
         area = math.sqrt(max(xx * yy - xy * xy, _FLOOR**2))
         logs[i] = math.log(area * fractions[i]) if fractions[i] > 0.0 else -math.inf
         mean, square = mean + area / m, square + ((points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2) / (m - 1)
-    expected = _log_elementary_symmetric(logs)
+    expected = np.full(m + 1, -math.inf)  # first log e_k, the elementary symmetric polynomials
+    expected[0] = 0.0
+    for i in range(m):
+        for k in range(i + 1, 0, -1):
+            added = expected[k - 1] + logs[i]
+            larger = max(expected[k], added)
+            if larger > -math.inf:
+                expected[k] = larger + math.log1p(math.exp(min(expected[k], added) - larger))
     expected[:2] = math.inf
     for k in range(2, m + 1):
         spread = 0.5 * math.log(square) if square > 0.0 else -math.inf
@@ -189,20 +196,6 @@ def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
     )
     fractions: Array = passed.sum(axis=1) / max(passed.shape[1], 1)
     return fractions
-
-
-@compiled
-def _log_elementary_symmetric(logs: Array) -> Array:
-    """log e_0 … e_m of what has the logarithms (m,)."""
-    sums = np.full(len(logs) + 1, -math.inf)
-    sums[0] = 0.0
-    for i in range(len(logs)):
-        for k in range(i + 1, 0, -1):
-            added = sums[k - 1] + logs[i]
-            larger = max(sums[k], added)
-            if larger > -math.inf:
-                sums[k] = larger + math.log1p(math.exp(min(sums[k], added) - larger))
-    return sums
 
 
 @compiled

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
-from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Scan
+from slam_gym.types import Array, BoolArray, IntArray, Scan
 
 Entry = TypeVar("Entry", bound=np.generic)
 
@@ -30,6 +30,10 @@ _FAULTS = (
     "prediction.covariances[{}] has a variance that is negative or not finite",
     "scan.covariances[{}] leaves the innovation covariance singular",
 )
+Fault = tuple[int, int]
+"""Number of what is wrong with scan or prediction, and the entry at fault."""
+
+NO_FAULT: Fault = (0, -1)
 _EVERY_ROW = np.empty(0, np.bool_)
 
 
@@ -68,27 +72,6 @@ def joint_gates(pairings: int, confidence: float) -> Array:
     return np.array([0.0] + [chi2_gate(2 * p, confidence) for p in range(1, pairings + 1)])
 
 
-class JointDistance(NamedTuple):
-    """Of all pairings of a hypothesis together."""
-
-    squared: float  # D²_H
-    dof: int  # 2 per pairing
-
-
-class _Gated(NamedTuple):
-    """What gating comes to."""
-
-    fault: int  # index into _FAULTS
-    where: int  # entry at fault
-    starts: IntArray  # from here on as in `Candidates`
-    measured: IntArray
-    slots: IntArray
-    distances: Array
-    innovations: Array
-    rows: IntArray
-    tests: int
-
-
 def plain(array: NDArray[Entry]) -> NDArray[Entry]:
     """The array itself, or a view that compiled functions take for it where it is marked read-only.
 
@@ -110,100 +93,27 @@ def individual(
     confidence: float | None = None,
     *,
     measurements: IntArray | None = None,
-    eligible: BoolArray | None = None,
 ) -> Candidates:
-    """All individually compatible pairings of `measurements` (default: all) with the rows where `eligible` (k,) holds.
+    """All individually compatible pairings of `measurements` (default: all) with the rows of the prediction.
 
     The gate's confidence is the prediction's unless another is given. Raises ValueError naming the field and entry that
     is not finite, or a covariance that is none.
     """
     if measurements is None:
         measurements = np.arange(len(scan.points))
-    gated = _Gated(
-        *gate_pairings(
-            plain(scan.points),
-            plain(scan.covariances),
-            plain(prediction.positions),
-            plain(prediction.covariances),
-            measurements,
-            _EVERY_ROW if eligible is None else plain(eligible),
-            chi2_gate(2, prediction.confidence if confidence is None else confidence),
-        )
-    )
-    check_fault(gated.fault, gated.where)
-    return Candidates(measurements, *gated[2:])
+    gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
+    points, noise = plain(scan.points), plain(scan.covariances)
+    positions, covariances = plain(prediction.positions), plain(prediction.covariances)
+    fault, candidates = gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate)
+    check_fault(fault)
+    return candidates
 
 
-def check_fault(fault: int, entry: int) -> None:
+def check_fault(fault: Fault) -> None:
     """Raise ValueError naming what is not finite, or is no covariance, where a compiled search reports a fault."""
-    if fault:
-        raise ValueError(_FAULTS[fault].format(entry))
-
-
-def joint_distance(scan: Scan, prediction: Prediction, rows: IntArray) -> JointDistance:
-    """D²_H of the hypothesis that pairs measurement i with row rows[i] (m,), or UNPAIRED.
-
-    Raises ValueError where S_H is not positive definite.
-    """
-    chosen = paired_rows(rows)
-    dof = 2 * len(chosen)
-    if not dof:
-        return JointDistance(0.0, 0)
-    joint = prediction.joint(chosen)
-    squared = distance_of(plain(scan.points), plain(scan.covariances), plain(prediction.positions), rows, plain(joint))
-    if math.isnan(squared):
-        raise ValueError(f"innovation covariance of the pairings {rows.tolist()} is not positive definite")
-    return JointDistance(squared, dof)
-
-
-@compiled
-def paired_rows(rows: IntArray) -> IntArray:
-    """The rows that are not UNPAIRED."""
-    chosen, count = np.empty(len(rows), np.int64), 0
-    for row in rows:
-        if row != UNPAIRED:
-            chosen[count] = row
-            count += 1
-    return chosen[:count]
-
-
-@compiled
-def distance_of(points: Array, noise: Array, positions: Array, rows: IntArray, joint: Array) -> float:
-    """νᵀ S⁻¹ ν = yᵀy with y = L⁻¹ν, S = L Lᵀ; NaN where S is not positive definite."""
-    L, y, p = joint.copy(), np.empty(len(joint)), 0
-    for i in range(len(rows)):
-        if rows[i] >= 0:
-            for a in range(2):
-                y[2 * p + a] = points[i, a] - positions[rows[i], a]
-                for b in range(2):
-                    L[2 * p + a, 2 * p + b] += noise[i, a, b]
-            p += 1
-    squared = 0.0
-    for a in range(len(L)):
-        for b in range(a + 1):
-            for k in range(b):
-                L[a, b] -= L[a, k] * L[b, k]
-            if b < a:
-                L[a, b] /= L[b, b]
-                y[a] -= L[a, b] * y[b]
-        if not L[a, a] > 0.0:
-            return math.nan
-        L[a, a] = math.sqrt(L[a, a])
-        y[a] /= L[a, a]
-        squared += y[a] * y[a]
-    return squared
-
-
-@compiled
-def _bad_measurement(points: Array, noise: Array) -> tuple[int, int]:
-    """(index into _FAULTS, entry) of the first bad number; (0, −1) where all are good."""
-    for i in range(points.shape[0]):
-        if not math.isfinite(points[i, 0] + points[i, 1]):
-            return 1, i
-        a, b, d = noise[i, 0, 0], noise[i, 0, 1], noise[i, 1, 1]
-        if not (a >= 0.0 and d >= 0.0 and a * d - b * b >= -1e-9 * a * d and math.isfinite(a + d)):
-            return 2, i
-    return 0, -1
+    number, entry = fault
+    if number:
+        raise ValueError(_FAULTS[number].format(entry))
 
 
 @compiled
@@ -215,16 +125,13 @@ def gate_pairings(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
-) -> tuple[int, int, IntArray, IntArray, IntArray, Array, Array, IntArray, int]:
-    """`_Gated`, as a plain tuple."""
-    fault, where = _bad_measurement(points, noise)
-    offered, bad_feature, entry = _offered(points, noise, positions, covariances, measurements, eligible, gate)
-    if fault == 0 and bad_feature > 0:
-        fault, where = bad_feature, entry
+) -> tuple[Fault, Candidates]:
+    """`individual`, of eligible rows, or of all where `eligible` is empty."""
+    offered, fault = _offered(points, noise, positions, covariances, measurements, eligible, gate)
     count, room = 0, len(measurements) * len(offered)
     starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(room, np.int64)
     slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
-    for level in range(len(measurements) if fault == 0 else 0):
+    for level in range(len(measurements) if fault[0] == 0 else 0):
         i = measurements[level]
         for o in range(len(offered)):
             j = offered[o]
@@ -236,7 +143,7 @@ def gate_pairings(
             xy = covariances[j, 0, 1] + noise[i, 0, 1]
             determinant = xx * yy - xy * xy
             if not determinant > 0.0:
-                fault, where = 5, i
+                fault = (5, i)
                 continue
             distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
             if not distance < gate:
@@ -251,8 +158,9 @@ def gate_pairings(
             count += 1
         starts[level + 1] = count
     rows = offered[_number_distinct(slots[:count], len(offered))]
-    tests = len(measurements) * len(offered)
-    return fault, where, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, tests
+    return fault, Candidates(
+        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, room
+    )
 
 
 @compiled
@@ -264,11 +172,15 @@ def _offered(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
-) -> tuple[IntArray, int, int]:
-    """Eligible rows whose gate reaches into the box around the measurements: the others are compatible with none.
-
-    An empty `eligible` stands for all rows. Then the first bad number of all features, as in `_bad_measurement`.
-    """
+) -> tuple[IntArray, Fault]:
+    """Eligible rows whose gate reaches into the box around the measurements: the others are compatible with none. And
+    the first bad number of a measurement or feature, whether it is among them or not."""
+    for i in range(len(points)):
+        if not math.isfinite(points[i, 0] + points[i, 1]):
+            return np.empty(0, np.int64), (1, i)
+        a, b, d = noise[i, 0, 0], noise[i, 0, 1], noise[i, 1, 1]
+        if not (a >= 0.0 and d >= 0.0 and a * d - b * b >= -1e-9 * a * d and math.isfinite(a + d)):
+            return np.empty(0, np.int64), (2, i)
     left, right, bottom, top = math.inf, -math.inf, math.inf, -math.inf
     most_x, most_y = 0.0, 0.0
     for i in measurements:
@@ -279,16 +191,16 @@ def _offered(
     for j in range(len(positions)):
         px, py, xx, yy = positions[j, 0], positions[j, 1], covariances[j, 0, 0], covariances[j, 1, 1]
         if not math.isfinite(px + py):
-            return offered[:0], 3, j
+            return offered[:0], (3, j)
         if not (0.0 <= xx < math.inf and 0.0 <= yy < math.inf):
-            return offered[:0], 4, j
+            return offered[:0], (4, j)
         if len(eligible) > 0 and not eligible[j]:
             continue
         x, y = max(left - px, px - right, 0.0), max(bottom - py, py - top, 0.0)
         if x * x < gate * (xx + most_x) and y * y < gate * (yy + most_y):
             offered[count] = j
             count += 1
-    return offered[:count], 0, -1
+    return offered[:count], NO_FAULT
 
 
 @compiled

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam_gym.association.compatibility import chi2_gate, individual, joint_distance, joint_gates
+from slam_gym.association.compatibility import chi2_gate, individual, joint_gates
 from slam_gym.geometry import rotate_covariances, transform
-from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 
 
@@ -44,15 +43,15 @@ def test_candidates_are_the_individually_compatible_pairings(seed):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_only_chosen_measurements_and_eligible_rows_are_offered(seed):
+def test_only_chosen_measurements_are_offered_rows(seed):
     rng = np.random.default_rng(seed)
     scan, prediction = oracles.problem(rng, 8, 12, spread=1.5)
-    chosen, eligible = rng.permutation(8)[:5], rng.random(12) < 0.5
+    chosen = rng.permutation(8)[:5]
     expected = oracles.compatible(scan, prediction, 0.99)
-    candidates = individual(scan, prediction, measurements=chosen, eligible=eligible)
+    candidates = individual(scan, prediction, measurements=chosen)
     for level, i in enumerate(chosen):
         here = candidates.slots[slice(*candidates.starts[level : level + 2])]
-        assert candidates.rows[here].tolist() == [j for _, j in expected[i] if eligible[j]]
+        assert candidates.rows[here].tolist() == [j for _, j in expected[i]]
 
 
 @pytest.mark.parametrize("seed", range(50))
@@ -76,17 +75,6 @@ def test_compatibility_does_not_depend_on_the_axes():
     assert len(before.slots) > 10
     np.testing.assert_array_equal(before.rows[before.slots], after.rows[after.slots])
     np.testing.assert_allclose(before.distances, after.distances, rtol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_joint_distance_is_that_of_all_pairings_stacked(seed):
-    rng = np.random.default_rng(seed)
-    scan, prediction = oracles.problem(rng, 6, 9)
-    rows = np.where(rng.random(6) < 0.7, rng.integers(0, 9, 6), UNPAIRED)
-    pairs = [(i, int(j)) for i, j in enumerate(rows) if j != UNPAIRED]
-    distance, dof = joint_distance(scan, prediction, rows)
-    assert distance == pytest.approx(oracles.distance(scan, prediction, pairs))
-    assert dof == 2 * len(pairs)
 
 
 def broken(what, entry, value):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import jcbb
-from slam_gym.association.compatibility import individual, joint_distance
+from slam_gym.association.compatibility import individual
 from slam_gym.association.tree import branches, decided, extend, hypothesis, interpretation_tree, root
 from slam_gym.types import UNPAIRED, Effort
 from tests.oracles import association as oracles
@@ -85,7 +85,6 @@ def test_a_node_carries_the_factored_innovation_covariance_of_its_path(seed):
     np.testing.assert_allclose(factor @ factor.T, S, atol=1e-12)
     np.testing.assert_allclose(factor @ whitened, innovation, atol=1e-12)
     assert node.distance == pytest.approx(oracles.distance(tree.scan, tree.prediction, pairs), rel=1e-9, abs=1e-12)
-    assert node.distance == pytest.approx(joint_distance(tree.scan, tree.prediction, decided(tree, node))[0])
 
 
 @pytest.mark.parametrize("seed", range(30))

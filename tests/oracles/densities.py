@@ -20,8 +20,8 @@ class Rates(NamedTuple):
     """What a density is made of beside the innovations."""
 
     detection: float  # P_D
-    unseen: float  # least visibility of a paired feature
     density: float  # [1/m²] λ
+    unseen: float = 0.05  # least visibility of a paired feature
 
 
 SIGHT = ViewsFrom(FieldOfView(1.2, 1.6), ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
@@ -118,10 +118,6 @@ def _stacked(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -
 
 WIDE = {"width": 3000, "margin": 1e9}
 """Search options under which no hypothesis of a small problem is dropped."""
-
-RATES = Rates(0.8, 0.1, 0.07)
-MODEL = {"detection": RATES.detection, "density": RATES.density, "unseen": RATES.unseen}
-"""The same rates as options of `marginal`."""
 
 
 def small_problem(seed: int, **options: Any) -> tuple[Scan, Prediction]:

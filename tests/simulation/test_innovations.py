@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from slam_gym.association import true_association
-from slam_gym.association.compatibility import joint_distance
 from slam_gym.mapping.stochastic_map import MapSpec
 from slam_gym.scenarios import Scenario, get_scenario, world_generator
 from slam_gym.scenarios.registry import DRIFT
@@ -57,7 +56,7 @@ def _add_episode(scenario: Scenario, world: int, found: Innovations) -> None:
         rows[measured] = np.searchsorted(prediction.features, hypothesis.features[measured])
         touching = int(episode.odometry.covariance[1, 1] > 0.004**2 + scenario.odometry.lateral**2 * 0.1)
         if len(measured):
-            found.nis[:, touching] += [joint_distance(scan, prediction, rows).squared, 2.0 * len(measured)]
+            found.nis[:, touching] += [hypothesis.joint_distance, 2.0 * len(measured)]
         now: dict[int, np.ndarray] = {}
         for i in measured:
             root = np.linalg.cholesky(prediction.covariances[rows[i]] + scan.covariances[i])

@@ -19,7 +19,6 @@ import numpy as np
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.tracking.path import Path, append
 from slam_gym.association.tree import (
-    Innovation,
     Pairings,
     Pivot,
     condition,
@@ -55,15 +54,6 @@ class Beam(NamedTuple):
     joined: Path  # by node: each pairing as it joined those before it
 
 
-class BeamSearch(NamedTuple):
-    """What a beam search came to."""
-
-    beam: Beam
-    nodes: int
-    tests: int  # joint tests
-    cut: bool  # the width turned hypotheses away
-
-
 class _Room(NamedTuple):
     """Where a search works: room for B hypotheses, of which levels write the next ones beside their own."""
 
@@ -73,87 +63,94 @@ class _Room(NamedTuple):
     nodes: IntArray  # (2, B, P)
     together: IntArray  # (B,) how many of its first nodes each has in common with the one before
     along: Array  # (P + 1, 5) innovations of a pairing along a path
-    offered: (
-        Array  # (B, 1 + c) scores with `*`, then with each pairing on offer; −inf where it may not be or is hopeless
-    )
+    offered: Array  # (B, 1 + c) scores with `*`, then with each pairing; −inf where it may not be or is hopeless
     joins: IntArray  # (B, 1 + c) nodes of those pairings
     flat: Array  # (B (1 + c),) scores that may be kept
 
 
+class _Level(NamedTuple):
+    """Where a search stands."""
+
+    room: _Room
+    joined: Path
+    now: int  # which of the two halves of the room holds the hypotheses
+    kept: int  # their number
+
+
 @compiled
-def search(pairings: Pairings, levels: IntArray, prices: Prices) -> BeamSearch:
-    """The best hypotheses over levels whose pairings begin and end at `levels` (l, 2), in the order of decision."""
-    place = pairings.given + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
-    room, joined = _room_for(levels, prices.width, place), _path_for(pairings, place)
-    used, kept, now, nodes, tests, cut = _begin(pairings, room, joined), 1, 0, 0, 0, False
+def search(pairings: Pairings, levels: IntArray, prices: Prices) -> tuple[Beam, int, int, bool]:
+    """The best hypotheses over levels whose pairings begin and end at `levels` (l, 2), in the order of decision; the
+    nodes and the joint tests that it took; and whether the width turned hypotheses away."""
+    room, joined, used = _begin(pairings, levels, prices.width)
+    now, kept, nodes, tests, cut = 0, 1, 0, 0, False
     for level in range(len(levels)):
         first, last = levels[level, 0], levels[level, 1]
-        best = _offer_none(room, now, kept, last - first, prices.unpaired)
+        best = _offer_none(room, now, kept, prices.unpaired)
         for c in range(first, last):
             joined = _with_room(joined, used + kept)
-            price = prices.gains[c], prices.margin
-            best, used, more = _pair(pairings, room, joined, now, kept, c, 1 + c - first, price, best, used)
+            here, price = _Level(room, joined, now, kept), (prices.gains[c], prices.margin)
+            best, used, more = _pair(pairings, here, c, 1 + c - first, price, best, used)
             tests += more
-        floor, full = _floor(room, kept, 1 + last - first, best - prices.margin, prices.width)
-        kept = _next(room, now, kept, first, 1 + last - first, floor, prices.width)
+        kept, full = _select(room, now, kept, levels[level], best - prices.margin, prices.width)
         now, nodes, cut = 1 - now, nodes + kept, cut or full
     beam = Beam(
         room.score[now, :kept], room.pairings[now, :kept], room.made[now, :kept], room.nodes[now, :kept], joined
     )
-    return BeamSearch(beam, nodes, tests, cut)
+    return beam, nodes, tests, cut
 
 
 @compiled
-def _room_for(levels: IntArray, width: int, place: int) -> _Room:
-    """For so many hypotheses of so many pairings; fewer, where the levels have no more to offer."""
-    most, count = 0, 1
+def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Path, int]:
+    """Room for `width` hypotheses, or fewer where the levels have no more to offer, with that of the given pairings
+    entered; and the number of nodes in use."""
+    place = pairings.given + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
+    most, count, used = 0, 1, _LOOKED_AT + 1
     for level in range(len(levels)):
         offers = 1 + levels[level, 1] - levels[level, 0]
         most, count = max(most, offers), min(count * offers, width)
-    return _Room(
-        np.empty((2, count)), np.empty((2, count), np.int64), np.zeros((2, count, place), np.int64),
+    room = _Room(
+        np.zeros((2, count)), np.zeros((2, count), np.int64), np.zeros((2, count, place), np.int64),
         np.zeros((2, count, place), np.int64), np.zeros(count, np.int64), np.empty((place + 1, 5)),
         np.empty((count, 1 + most)), np.zeros((count, 1 + most), np.int64), np.empty(count * (1 + most)),
     )  # fmt: skip
+    N = max(_NODES, pairings.given + 2)
+    joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * place, 2)))
+    for d in range(pairings.given):
+        room.offered[0, 0] = -math.inf
+        _, used, _ = _pair(pairings, _Level(room, joined, 0, 1), d, 0, (0.0, math.inf), -math.inf, used)
+        room.made[0, 0, d], room.nodes[0, 0, d] = d, room.joins[0, 0]
+        room.pairings[0, 0], room.score[0, 0] = d + 1, room.offered[0, 0]
+    return room, joined, used
 
 
 @compiled
-def _offer_none(room: _Room, now: int, kept: int, count: int, unpaired: float) -> float:
-    """Begin a level of `count` pairings: every hypothesis may go on with `*`. The best score so far."""
-    offered, score, pairings, nodes, together = room.offered, room.score, room.pairings, room.nodes, room.together
+def _offer_none(room: _Room, now: int, kept: int, unpaired: float) -> float:
+    """Begin a level: every hypothesis may go on with `*`. The best score so far."""
+    score, count, nodes, together = room.score[now], room.pairings[now], room.nodes[now], room.together
     best = -math.inf
     for b in range(kept):
-        offered[b, 0] = score[now, b] + unpaired
-        best = max(best, offered[b, 0])
-        for k in range(1, 1 + count):
-            offered[b, k] = -math.inf
+        room.offered[b] = -math.inf
+        room.offered[b, 0] = score[b] + unpaired
+        best = max(best, room.offered[b, 0])
         together[b] = 0
-        p = min(pairings[now, b], pairings[now, b - 1]) if b > 0 else 0
-        while together[b] < p and nodes[now, b, together[b]] == nodes[now, b - 1, together[b]]:
+        p = min(count[b], count[b - 1]) if b > 0 else 0
+        while together[b] < p and nodes[b, together[b]] == nodes[b - 1, together[b]]:
             together[b] += 1
     return best
 
 
 @compiled
 def _pair(
-    pairings: Pairings,
-    room: _Room,
-    joined: Path,
-    now: int,
-    kept: int,
-    c: int,
-    place: int,
-    price: tuple[float, float],
-    best: float,
-    used: int,
+    pairings: Pairings, level: _Level, c: int, place: int, price: tuple[float, float], best: float, used: int
 ) -> tuple[float, int, int]:
-    """Enter scores and nodes of pairing c, at its gain and the margin, after each of the `kept` hypotheses of `now`
-    that allows it, as offers number `place`.
+    """Enter scores and nodes of pairing c, at its `price` (gain and margin), after each hypothesis that allows it, as
+    offers number `place`.
 
     Returns the best score, the nodes in use, and how many were tested. Hypothesis b has its first together[b] nodes in
     common with the one before, and along[q] is the innovation of c after q nodes: both are worked out anew only from
     where the hypotheses part.
     """
+    room, joined, now, kept = level
     gain, margin = price
     slots, covariance, local, given = pairings.slots, pairings.covariance, pairings.local, pairings.given
     made, path, count, score, along = room.made, room.nodes, room.pairings, room.score, room.along
@@ -183,7 +180,9 @@ def _pair(
         total = before + gain - 0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
         if total > best - margin:
             offered[b, place], joins[b, place], best = total, used, max(best, total)
-            _join(joined, used, p, c, e)
+            for r in range(2 * p):
+                w[used, r, 0], w[used, r, 1] = w[_LOOKED_AT, r, 0], w[_LOOKED_AT, r, 1]
+            append(joined, used, c, e)
             used += 1
     return best, used, tests
 
@@ -226,24 +225,14 @@ def _condition_all(P: Array, known: Array, pivots: Array, d: int, slot: int, q: 
     for j in range(len(x)):
         x[j], y[j] = top[j], low[j]
     for r in range(2 * q):
-        _subtract(x, y, w[r], known[d, r, 0], known[d, r, 1])
+        a, b, row = known[d, r, 0], known[d, r, 1], w[r]
+        for j in range(len(x)):
+            x[j] -= a * row[j]
+            y[j] -= b * row[j]
     for j in range(len(x)):
         x[j] = x[j] * xx
         y[j] = (y[j] - yx * x[j]) * yy
-    _lessen(e[q], e[q + 1], x, y, u, v)
-
-
-@inlined
-def _subtract(x: Array, y: Array, row: Array, a: float, b: float) -> None:
-    """x −= a · row, y −= b · row."""
-    for j in range(len(x)):
-        x[j] -= a * row[j]
-        y[j] -= b * row[j]
-
-
-@inlined
-def _lessen(before: Array, after: Array, x: Array, y: Array, u: float, v: float) -> None:
-    """All innovations (5, k) `before` a pairing and `after` it, of which `tree.condition` makes its answer."""
+    before, after = e[q], e[q + 1]
     for j in range(after.shape[1]):
         s00, s01, s10, s11 = x[2 * j], x[2 * j + 1], y[2 * j], y[2 * j + 1]
         after[0, j] = before[0, j] - s00 * u - s10 * v
@@ -251,25 +240,6 @@ def _lessen(before: Array, after: Array, x: Array, y: Array, u: float, v: float)
         after[2, j] = before[2, j] - s00 * s00 - s10 * s10
         after[3, j] = before[3, j] - s00 * s01 - s10 * s11
         after[4, j] = before[4, j] - s01 * s01 - s11 * s11
-
-
-@compiled
-def _path_for(pairings: Pairings, place: int) -> Path:
-    """Nodes of hypotheses of so many pairings."""
-    N = max(_NODES, pairings.given + 2)
-    return Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * place, 2)))
-
-
-@compiled
-def _begin(pairings: Pairings, room: _Room, joined: Path) -> int:
-    """Enter the hypothesis of the given pairings; the number of nodes in use."""
-    room.score[0, 0], room.pairings[0, 0], room.together[0], used = 0.0, 0, 0, _LOOKED_AT + 1
-    for d in range(pairings.given):
-        room.offered[0, 0] = -math.inf
-        _, used, _ = _pair(pairings, room, joined, 0, 1, d, 0, (0.0, math.inf), -math.inf, used)
-        room.made[0, 0, d], room.nodes[0, 0, d] = d, room.joins[0, 0]
-        room.pairings[0, 0], room.score[0, 0] = d + 1, room.offered[0, 0]
-    return used
 
 
 @compiled
@@ -284,38 +254,24 @@ def _with_room(joined: Path, nodes: int) -> Path:
     return more
 
 
-@inlined
-def _join(joined: Path, node: int, p: int, c: int, e: Innovation) -> None:
-    """Pairing c, just looked at with innovation e after p others, becomes a node."""
-    w = joined.w
-    for r in range(2 * p):
-        w[node, r, 0], w[node, r, 1] = w[_LOOKED_AT, r, 0], w[_LOOKED_AT, r, 1]
-    append(joined, node, c, e)
-
-
 @compiled
-def _floor(room: _Room, kept: int, offers: int, least: float, width: int) -> tuple[float, bool]:
-    """The least score to be kept, and whether the width has turned hypotheses away."""
-    offered, scores, count = room.offered, room.flat, 0
-    for b in range(kept):
-        for k in range(offers):
-            if offered[b, k] >= least and offered[b, k] > -math.inf:
-                scores[count] = offered[b, k]
-                count += 1
-    if count <= width:
-        return least, False
-    return np.partition(scores[:count], count - width)[count - width], True
-
-
-@compiled
-def _next(room: _Room, now: int, kept: int, first: int, offers: int, floor: float, width: int) -> int:
-    """Enter the hypotheses of the next level: each that scores the floor with `*`, then with the pairings from `first`
-    on. Returns their number."""
-    then, found, offered, joins = 1 - now, 0, room.offered, room.joins
+def _select(room: _Room, now: int, kept: int, level: IntArray, least: float, width: int) -> tuple[int, bool]:
+    """Enter the hypotheses of the next level, those that score best of what scores `least`: each goes on with `*`, then
+    with the pairings of the `level`. Returns their number, and whether the width has turned any away."""
+    offered, joins, scores, first, last = room.offered, room.joins, room.flat, level[0], level[1]
     score, count, made, nodes = room.score, room.pairings, room.made, room.nodes
+    found = 0
+    for b in range(kept):
+        for k in range(1 + last - first):
+            if offered[b, k] >= least and offered[b, k] > -math.inf:
+                scores[found] = offered[b, k]
+                found += 1
+    full, then = found > width, 1 - now
+    floor = np.partition(scores[:found], found - width)[found - width] if full else least
+    found = 0
     for b in range(kept):
         p = count[now, b]
-        for k in range(offers):
+        for k in range(1 + last - first):
             if found == width or not offered[b, k] >= floor or offered[b, k] == -math.inf:
                 continue
             for q in range(p):
@@ -325,7 +281,7 @@ def _next(room: _Room, now: int, kept: int, first: int, offers: int, floor: floa
                 made[then, found, p], nodes[then, found, p] = first + k - 1, joins[b, k]
                 count[then, found] = p + 1
             found += 1
-    return found
+    return found, full
 
 
 @inlined

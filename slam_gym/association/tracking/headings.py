@@ -52,16 +52,41 @@ def whole(expected: Expected) -> Part:
 @compiled
 def parts_of(expected: Expected) -> list[Part]:
     """The narrow headings of a prediction: one, itself, where its heading is well known."""
-    positions, variance = expected.positions, expected.pose[3]
-    phi, log_weights = split(variance)
-    if len(phi) == 1 or len(positions) == 0:
+    positions, k, sigma2 = expected.positions, len(expected.positions), expected.pose[3]
+    if not math.sqrt(max(sigma2, 0.0)) > _WIDE or k == 0:
         return [whole(expected)]
-    everything = joint(expected, np.arange(len(positions)))
-    moved, across, spread, given = predicted(positions, expected.across, everything, max(variance, 0.0), phi)
+    given, slope = joint(expected, np.arange(k)), expected.across / sigma2
+    slopes, one = slope.copy().reshape(2 * k), np.empty(1, np.int64)
+    for i in range(2 * k):
+        for j in range(2 * k):
+            given[i, j] -= slopes[i] * slopes[j] * sigma2
+    phis, weights = _split(sigma2)
     out: list[Part] = []
-    for k in range(len(phi)):
-        out.append(Part(log_weights[k], NARROW * NARROW, moved[k], spread[k], phi[k], across[k], given))
+    for phi, weight in zip(phis, weights):
+        c, s, moved, g = math.cos(phi), math.sin(phi), np.empty((k, 2)), np.empty((k, 2))
+        part = Part(math.log(weight), NARROW * NARROW, moved, np.empty((k, 2, 2)), phi, g, given)
+        for j in range(k):
+            ax, ay = slope[j, 0] - positions[j, 1], slope[j, 1] + positions[j, 0]
+            x, y = positions[j, 0] + phi * ax, positions[j, 1] + phi * ay
+            moved[j, 0], moved[j, 1] = c * x + s * y, c * y - s * x
+            g[j, 0], g[j, 1] = c * ax + s * ay + moved[j, 1], c * ay - s * ax - moved[j, 0]
+            one[0] = j
+            part.covariances[j] = joint_in(expected, part, one)
+        out.append(part)
     return out
+
+
+@compiled
+def _split(sigma2: float) -> tuple[Array, Array]:
+    """The headings φ_k [rad] (h,) that a variance [rad²] is split into, and their weights."""
+    spread, total = math.sqrt(sigma2 - NARROW * NARROW), 0.0
+    n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)
+    phis, weights = np.empty(2 * n + 1), np.empty(2 * n + 1)
+    for k in range(2 * n + 1):
+        phis[k] = 2.0 * NARROW * (k - n)
+        weights[k] = math.exp(-0.5 * (phis[k] / spread) ** 2)
+        total += weights[k]
+    return phis, weights / total
 
 
 @compiled
@@ -69,67 +94,16 @@ def joint_in(expected: Expected, part: Part, rows: IntArray) -> Array:
     """(2r, 2r) [m²] covariance of the features at `rows` together, in a narrow heading."""
     if part.given.size == 0:
         return joint(expected, rows)
-    return joint_of_part(part.given, part.phi, part.across, rows)
-
-
-@compiled
-def split(variance: float) -> tuple[Array, Array]:
-    """The headings φ_k [rad] (h,) that a variance [rad²] is split into, and the logs of their weights; one, where it
-    is small."""
-    if not math.sqrt(max(variance, 0.0)) > _WIDE:
-        return np.zeros(1), np.zeros(1)
-    spread, total = math.sqrt(variance - NARROW * NARROW), 0.0
-    n = min(math.ceil(0.5 * _SIGMAS * spread / NARROW), _MOST)
-    phi, weights = np.empty(2 * n + 1), np.empty(2 * n + 1)
-    for k in range(2 * n + 1):
-        phi[k] = 2.0 * NARROW * (k - n)
-        weights[k] = math.exp(-0.5 * (phi[k] / spread) ** 2)
-        total += weights[k]
-    for k in range(2 * n + 1):
-        weights[k] = math.log(weights[k] / total)
-    return phi, weights
-
-
-@compiled
-def predicted(
-    positions: Array, with_heading: Array, joint: Array, variance: float, headings: Array
-) -> tuple[Array, Array, Array, Array]:
-    """m (h, k, 2), g (h, k, 2) and the covariances (h, k, 2, 2) of each part, and what they have in common: the
-    covariance (2k, 2k) once the heading is known. `with_heading` (k, 2) are the c, `variance` is σ²."""
-    h, k, slope = len(headings), len(positions), with_heading / variance
-    moved, across, covariances = np.empty((h, k, 2)), np.empty((h, k, 2)), np.empty((h, k, 2, 2))
-    given, slopes, one = np.empty((2 * k, 2 * k)), slope.copy().reshape(2 * k), np.empty(1, np.int64)
-    for i in range(2 * k):
-        for j in range(2 * k):
-            given[i, j] = joint[i, j] - slopes[i] * slopes[j] * variance
-    for part in range(h):
-        phi = headings[part]
-        c, s, g = math.cos(phi), math.sin(phi), across[part]
-        for j in range(k):
-            ax, ay = slope[j, 0] - positions[j, 1], slope[j, 1] + positions[j, 0]
-            x, y = positions[j, 0] + phi * ax, positions[j, 1] + phi * ay
-            moved[part, j, 0], moved[part, j, 1] = c * x + s * y, c * y - s * x
-            g[j, 0], g[j, 1] = c * ax + s * ay + moved[part, j, 1], c * ay - s * ax - moved[part, j, 0]
-            one[0] = j
-            covariances[part, j] = joint_of_part(given, phi, g, one)
-    return moved, across, covariances, given
-
-
-@compiled
-def joint_of_part(given: Array, phi: float, across: Array, rows: IntArray) -> Array:
-    """(2r, 2r) covariance of the features at `rows` in a part."""
-    c, s, v = math.cos(phi), math.sin(phi), NARROW * NARROW
+    given, c, s, v = part.given, math.cos(part.phi), math.sin(part.phi), NARROW * NARROW
     out = np.empty((2 * len(rows), 2 * len(rows)))
     for a in range(len(rows)):
         for b in range(len(rows)):
             i, j = 2 * rows[a], 2 * rows[b]
             xx, xy, yx, yy = given[i, j], given[i, j + 1], given[i + 1, j], given[i + 1, j + 1]
             ux, uy, vx, vy = c * xx + s * yx, c * xy + s * yy, c * yx - s * xx, c * yy - s * xy
-            g, h = across[rows[a]], across[rows[b]]
-            out[2 * a, 2 * b], out[2 * a, 2 * b + 1] = (
-                c * ux + s * uy + v * g[0] * h[0],
-                c * uy - s * ux + v * g[0] * h[1],
-            )
+            g, h = part.across[rows[a]], part.across[rows[b]]
+            out[2 * a, 2 * b] = c * ux + s * uy + v * g[0] * h[0]
+            out[2 * a, 2 * b + 1] = c * uy - s * ux + v * g[0] * h[1]
             out[2 * a + 1, 2 * b] = c * vx + s * vy + v * g[1] * h[0]
             out[2 * a + 1, 2 * b + 1] = c * vy - s * vx + v * g[1] * h[1]
     return out

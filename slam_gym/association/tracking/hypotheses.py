@@ -8,6 +8,9 @@ with λ [1/m²] the density of what is not in the map, clutter and new features 
 detector reports a feature in view, and v_j the probability that feature j is in view from where the hypothesis itself
 puts the robot. Where nobody can tell what is in view, nothing is concluded from what was not seen: factors are P_D for
 paired and 1 for other features.
+
+Weighed against each other (`weighed`), hypotheses give the marginal probability of every pairing, as in joint
+probabilistic data association: the sum of the weights of those that make it.
 """
 
 from __future__ import annotations
@@ -18,14 +21,18 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.prediction import Expected, visibility
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.prediction import Expected, Prediction, visibility
 from slam_gym.association.tracking.beam import Beam, Prices, updated
 from slam_gym.association.tracking.beam import search as beam_search
 from slam_gym.association.tracking.headings import Part, joint_in
+from slam_gym.association.tracking.near_first import Spent
 from slam_gym.association.tracking.path import path_of, support_of
 from slam_gym.association.tree import Pairings, write_rows
 from slam_gym.types import UNPAIRED, Array, IntArray
 
+UNSEEN = 0.05  # least v_j that is believed of a paired feature: what is in view may be mistaken
+TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
 _HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
 _MIN_AREA = 1.0  # [m²] of a scan
 
@@ -34,7 +41,6 @@ class Rates(NamedTuple):
     """What the search takes for true: its prices for pairing and for not pairing."""
 
     detection: float  # P_D
-    unseen: float  # least v_j that is believed of a paired feature: what is in view may be mistaken
     density: float  # [1/m²] λ
 
 
@@ -44,6 +50,17 @@ class Limits(NamedTuple):
     gate: float  # χ² of candidates
     width: int  # hypotheses kept at each level
     margin: float  # none is kept that scores so much less than the best
+
+
+class Problem(NamedTuple):
+    """What is searched: the pairings of a scan with the features in reach, in one heading."""
+
+    part: Part
+    pairings: Pairings
+    starts: IntArray  # (l + 1,) where each measurement's pairings begin, after those given
+    rows: IntArray  # (u,) row of the prediction of each slot
+    visible: Array  # (k,) probability of being in view from the predicted pose; (0,): nobody can tell
+    rates: Rates
 
 
 class Searched(NamedTuple):
@@ -58,75 +75,74 @@ class Searched(NamedTuple):
     cut: bool  # the beam was full
 
 
-class Views(NamedTuple):
-    """What each hypothesis has in view: hypotheses of one group are taken for as good as at one place."""
+class Kept(NamedTuple):
+    """Hypotheses, of one search or of several."""
 
-    group: IntArray  # (b,)
-    visibility: Array  # (groups, q) of the features of the tree and of others; (0, 0) where nobody can tell
-    columns: IntArray  # (u,) where the features of the tree are among those, by slot
-
-
-def candidate_gate(confidence: float) -> float:
-    """Confidence of the individual gate that candidates are taken from: ten times as sure, .999 for .99.
-
-    The density itself turns down what is improbable, so that no other test is made.
-    """
-    return 1.0 - 0.1 * (1.0 - confidence)
+    rows: IntArray  # (b, m) row of the prediction that each pairs with each measurement, or UNPAIRED
+    fit: Array  # (b,) log density but for what is in view
+    seen: Array  # (b, d) what that adds, for each P_D
+    spent: Spent
 
 
-def check_search(detection: float, unseen: float, width: int, margin: float) -> None:
-    """Raises ValueError for what no search can be told."""
-    if not 0.0 < detection < 1.0:
-        raise ValueError(f"detection: {detection} is not between 0 and 1")
-    if not 0.0 < unseen <= 1.0:
-        raise ValueError(f"unseen: {unseen} is not in (0, 1]")
+class Weighed(NamedTuple):
+    """Sums over all hypotheses."""
+
+    scores: Array  # (b,) log densities, P_D summed over
+    weights: Array  # (b,) in sum 1
+    by_value: Array  # (d,) log weights of P_D
+    pairings: Array  # (m, k) p_ij
+    unpaired: Array  # (m,) probability that each measurement is of nothing in the map
+
+
+class Standing(NamedTuple):
+    """How probable a decision is: the fields of `Posterior`."""
+
+    log_density: float
+    probability: float
+    runner_up: IntArray
+    runner_up_probability: float
+    marginals: Array
+    unpaired: Array
+
+
+def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float, int, float]:
+    """`Limits`: candidates are taken from a gate ten times as sure as that of the prediction, 0.999 for 0.99, since the
+    density itself turns down what is improbable. Raises ValueError for what bounds no search."""
     if width < 1:
         raise ValueError(f"width: {width} is less than 1")
     if not margin > 0.0:
         raise ValueError(f"margin: {margin} is not positive")
+    return chi2_gate(2, 1.0 - 0.1 * (1.0 - prediction.confidence)), width, float(margin)
 
 
 @compiled
-def search_tree(
-    pairings: Pairings,
-    starts: IntArray,
-    rows: IntArray,
-    visible: Array,
-    odds: Array,
-    rates: Rates,
-    limits: Limits,
-) -> Searched:
-    """The hypotheses of greatest density, by what is in view from the predicted pose.
+def search_tree(problem: Problem, odds: Array, limits: Limits) -> Searched:
+    """The hypotheses of greatest density, by what is in view from the predicted pose, and by log odds (c,) of pairings
+    that the model does not know of; (0,): none.
 
     Measurements whose candidates find most support (the other measurements that still have a candidate once the pose is
     updated with that one pairing) are decided first; those without a candidate are `*` in all hypotheses.
-
-    Arguments:
-        starts: (l + 1,) where each measurement's pairings begin, after those given.
-        rows: (u,) row of the prediction of each slot.
-        visible: (k,) probability of being in view from the predicted pose; (0,): nobody can tell.
-        odds: (c,) of each pairing, which the model does not know of; (0,): none.
     """
+    pairings, starts, rates = problem.pairings, problem.starts, problem.rates
+    rows, visible = problem.rows, problem.visible
     gains = np.full(len(pairings.slots), math.log(rates.detection))
     for c in range(len(gains) if len(visible) > 0 else 0):
         v = visible[rows[pairings.slots[c]]]
-        gains[c] += math.log(max(v, rates.unseen)) - math.log1p(-rates.detection * v)
+        gains[c] += math.log(max(v, UNSEEN)) - math.log1p(-rates.detection * v)
     levels = _levels(pairings, starts, limits.gate)
     offered = gains + odds if len(odds) > 0 else gains
     prices = Prices(offered, math.log(rates.density), limits.width, limits.margin)
-    found = beam_search(pairings, levels, prices)
-    beam = found.beam
+    beam, nodes, tests, cut = beam_search(pairings, levels, prices)
     fit, unpaired = beam.score.copy(), np.empty(len(beam.score), np.int64)
-    decided = np.empty((len(fit), len(pairings.noise)), np.int64)
+    decided = np.full((len(fit), len(pairings.noise)), UNPAIRED)
     for b in range(len(fit)):
         made = beam.pairings[b] - pairings.given
         unpaired[b] = len(starts) - 1 - made
         fit[b] -= (len(levels) - made) * prices.unpaired
         for q in range(pairings.given, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
-        decided[b] = UNPAIRED
         write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
-    return Searched(beam, decided, fit, unpaired, found.nodes, found.tests, found.cut)
+    return Searched(beam, decided, fit, unpaired, nodes, tests, cut)
 
 
 @compiled
@@ -146,51 +162,47 @@ def _levels(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
 
 
 @compiled
-def views(
-    expected: Expected, part: Part, pairings: Pairings, rows: IntArray, found: Searched, visible: Array, together: float
-) -> tuple[Views, int]:
-    """What is in view from where each hypothesis puts the robot, and the first feature at fault, or −1.
+def _views(expected: Expected, problem: Problem, beam: Beam, together: float) -> tuple[IntArray, Array, IntArray]:
+    """The group (b,) of each hypothesis, all of which put the robot at as good as one place; what a group has in view
+    (groups, q) of the features of the tree and of others, (0, 0) where nobody can tell; and where the features of the
+    tree (u,) are among those, by slot.
 
     Hypotheses that put every feature within `together` [m] of where another puts it share its view. So do all of them
     where the features are predicted as well as that, or where what is in view does not depend on the pose.
     """
-    beam, group = found.beam, np.zeros(len(found.fit), np.int64)
+    part, p, rows, visible = problem.part, problem.pairings, problem.rows, problem.visible
+    group, narrow = np.zeros(len(beam.score), np.int64), together > 0.0
     if len(visible) == 0:
-        return Views(group, np.empty((0, 0)), rows), -1
-    if len(expected.visible) > 0 or not expected.view_moves or all_below(part.covariances, rows, together * together):
-        return Views(group, visible.copy().reshape(1, -1), rows), -1
+        return group, np.empty((0, 0)), rows
+    for j in rows:
+        narrow &= max(part.covariances[j, 0, 0], part.covariances[j, 1, 1]) < together * together
+    if len(expected.visible) > 0 or not expected.view_moves or narrow:
+        return group, visible.copy().reshape(1, -1), rows
     possible = visible > _HARDLY
     possible[rows] = False
     both = np.concatenate((rows, np.flatnonzero(possible)))
     joint = joint_in(expected, part, both)
-    wider = Pairings(
-        pairings.slots, pairings.measured, pairings.innovations, pairings.noise, joint, pairings.local, pairings.given
-    )
+    wider = Pairings(p.slots, p.measured, p.innovations, p.noise, joint, p.local, p.given)
     positions, covariances = updated(wider, beam, part.positions[both])
-    first = grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
+    first = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
     width = len(first) * len(both)
-    seen, fault = visibility(expected, positions[first].reshape(width, 2), covariances[first].reshape(width, 2, 2))
-    return Views(group, seen.reshape(len(first), len(both)), np.arange(len(rows))), fault
+    seen, _ = visibility(expected, positions[first].reshape(width, 2), covariances[first].reshape(width, 2, 2))
+    return group, seen.reshape(len(first), len(both)), np.arange(len(rows))
 
 
 @compiled
-def all_below(covariances: Array, rows: IntArray, variance: float) -> bool:
-    """Whether the positions at `rows` are all predicted with less than a variance, in x and in y."""
-    for j in rows:
-        if not (covariances[j, 0, 0] < variance and covariances[j, 1, 1] < variance):
-            return False
-    return variance > 0.0
+def weighed_by_view(expected: Expected, problem: Problem, beam: Beam, detections: Array, together: float) -> Array:
+    """log Π P_D v_j · Π (1 − P_D v_j) (b, d) of each hypothesis, for each P_D of `detections`.
 
-
-@compiled
-def weighed_by_view(found: Searched, slots: IntArray, seen: Views, detections: Array, unseen: float) -> Array:
-    """log Π P_D v_j · Π (1 − P_D v_j) of each hypothesis, for each P_D of `detections`: (b, d)."""
-    pairings, made, (group, visible, columns) = found.beam.pairings, found.beam.made, seen
+    Hypotheses that put every feature within `together` [m] of where another puts it share what is in view.
+    """
+    slots, pairings, made = problem.pairings.slots, beam.pairings, beam.made
+    group, visible, columns = _views(expected, problem, beam, together)
     out, (groups, features) = np.empty((len(made), len(detections))), visible.shape
     missed, paired = np.empty(features), np.empty((groups, len(columns)))
     for g in range(groups):
         for s in range(len(columns)):
-            paired[g, s] = math.log(max(visible[g, columns[s]], unseen))
+            paired[g, s] = math.log(max(visible[g, columns[s]], UNSEEN))
     for d in range(len(detections)):
         P = detections[d]
         log_P = math.log(P)
@@ -213,7 +225,7 @@ def weighed_by_view(found: Searched, slots: IntArray, seen: Views, detections: A
 
 
 @compiled
-def grouped(positions: Array, order: IntArray, together: float, group: IntArray) -> IntArray:
+def _grouped(positions: Array, order: IntArray, together: float, group: IntArray) -> IntArray:
     """Enter the group of each hypothesis by the features (b, k, 2) where it puts them; the first in order of each."""
     first, count = np.empty(len(positions), np.int64), 0
     for b in order:
@@ -232,6 +244,58 @@ def grouped(positions: Array, order: IntArray, together: float, group: IntArray)
             group[b], first[count] = count, b
             count += 1
     return first[:count]
+
+
+@compiled
+def weighed(kept: Kept, prior: Array, features: int) -> Weighed:
+    """The probability of every pairing, over all hypotheses and all values of P_D, of log weights `prior` (d,)."""
+    hypotheses, (count, values) = kept.rows, kept.seen.shape
+    scores, by_value = np.empty(count), np.full(values, -math.inf)
+    for b in range(count):
+        scores[b] = -math.inf
+        for d in range(values):
+            density = kept.fit[b] + kept.seen[b, d] + prior[d]
+            scores[b], by_value[d] = np.logaddexp(scores[b], density), np.logaddexp(by_value[d], density)
+    weights = np.exp(scores - scores.max())
+    weights /= weights.sum()
+    pairings, unpaired = np.zeros((hypotheses.shape[1], features)), np.zeros(hypotheses.shape[1])
+    for b in range(count):
+        for i in range(hypotheses.shape[1]):
+            if hypotheses[b, i] == UNPAIRED:
+                unpaired[i] += weights[b]
+            else:
+                pairings[i, hypotheses[b, i]] += weights[b]
+    return Weighed(scores, weights, by_value - by_value.max(), pairings, unpaired)
+
+
+@compiled
+def standing(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntArray) -> Standing:
+    """Of the decision for `rows` (m,), and of the most probable other one among `hypotheses` (b, m).
+
+    Hypotheses of several headings may decide alike: each counts for the first of its like, the decision being the first
+    of all.
+    """
+    every = np.concatenate((rows.copy().reshape(1, -1), hypotheses))
+    keys, weights = np.zeros(len(every), np.int64), np.zeros(len(every))
+    for b in range(len(every)):
+        for row in every[b]:
+            keys[b] = keys[b] * 1_000_003 + row  # few others have the same
+        first = 0
+        while keys[first] != keys[b] or (first < b and (every[first] != every[b]).any()):
+            first += 1
+        if b > 0:
+            weights[first] += sums.weights[b - 1]
+    second = 1 + np.argmax(weights[1:])
+    runner_up, marginals = np.full(len(rows), UNPAIRED), sums.unpaired.copy()
+    for i in range(len(rows)):
+        if weights[second] > 0.0 and every[second, i] != UNPAIRED:
+            runner_up[i] = expected.features[every[second, i]]
+        if rows[i] != UNPAIRED:
+            marginals[i] = min(sums.pairings[i, rows[i]], 1.0)
+    most = sums.scores.max()
+    total = most + math.log(np.exp(sums.scores - most).sum())
+    log_density = total + math.log(weights[0]) if weights[0] > 0.0 else -math.inf
+    return Standing(log_density, weights[0], runner_up, weights[second], marginals, sums.unpaired)
 
 
 @compiled

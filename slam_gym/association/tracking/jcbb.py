@@ -13,7 +13,7 @@ import numpy as np
 
 from slam_gym._arrays import fill_from
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.compatibility import joint_gates
+from slam_gym.association.compatibility import NO_FAULT, joint_gates
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_over, offer
 from slam_gym.association.tree import (
@@ -56,11 +56,11 @@ def check_node_limit(node_limit: int) -> None:
 @compiled
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_limit: int) -> Decided:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    rows, distance, spent, fault, entry = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False), 0, -1
+    rows, distance, spent, fault = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False), NO_FAULT
     for search in range(2):
         found = offer(scan, expected, rows, search == 0, gates[1])
-        fault, entry, best = found.fault, found.entry, _Best(distance, 0, 0, False)
-        if fault == 0 and len(found.pairings.slots) > found.pairings.given:
+        fault, best = found.fault, _Best(distance, 0, 0, False)
+        if fault[0] == 0 and len(found.pairings.slots) > found.pairings.given:
             best = branch_and_bound(found.pairings, found.rows, gates, node_limit, rows)
         distance = best.distance
         spent = Spent(
@@ -69,9 +69,9 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_l
             spent.joint_tests + best.tests,
             spent.limit_hit or best.limit_hit,
         )
-        if fault != 0 or is_over(expected, rows):
+        if fault[0] != 0 or is_over(expected, rows):
             break
-    return decided(expected, rows, distance, spent, fault, entry)
+    return decided(expected, rows, distance, spent, fault)
 
 
 class _Best(NamedTuple):

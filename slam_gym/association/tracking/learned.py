@@ -13,14 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import check_fault, chi2_gate
+from slam_gym.association.compatibility import Fault, check_fault
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
-from slam_gym.association.tracking.headings import split
-from slam_gym.association.tracking.hypotheses import Limits, candidate_gate, scan_area
+from slam_gym.association.tracking.hypotheses import Limits, limits_of, scan_area, weighed
 from slam_gym.association.tracking.marginal import (
-    LimitArrays,
     Past,
     PastArrays,
+    Ready,
     gathered,
     looks_of,
     made_ready,
@@ -28,13 +27,11 @@ from slam_gym.association.tracking.marginal import (
     past_of,
     prices_of,
     run_of,
-    summed,
 )
 from slam_gym.association.tracking.network import INPUTS, VERSION, inputs_of, load_network
 from slam_gym.types import UNKNOWN_KIND, Array, Hypothesis, IntArray, Scan, ScanArrays
 
 WEIGHTS = "associator"
-_UNSEEN = 0.05
 _COST, _PROVISIONAL = 10.0, 3.0
 
 
@@ -74,37 +71,36 @@ class Example(NamedTuple):
     log_densities: Array  # (b,)
 
 
-def examples(
-    scan: Scan,
-    prediction: Prediction,
-    *,
-    width: int,
-    margin: float,
-    detection: float | None = None,
-    density: float | None = None,
-) -> list[Example]:
+def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -> list[Example]:
     """What the search of each narrow heading comes across. Raises ValueError as `check_fault`."""
-    limits = chi2_gate(2, candidate_gate(prediction.confidence)), width, float(margin)
-    parts = len(split(prediction.heading_variance)[0]) if len(prediction) else 1
-    past, out = past_of(prediction.experience, detection, density), []
-    for part in range(parts):
-        example, (fault, entry) = _example(scan.arrays, prediction.arrays, past, limits, part)
-        check_fault(fault, entry)
+    past, limits = past_of(prediction.experience), limits_of(prediction, width, margin)
+    out: list[Example] = []
+    parts = 1
+    while len(out) < parts:
+        example, parts, fault = _example(scan.arrays, prediction.arrays, past, limits, len(out))
+        check_fault(fault)
         out.append(example)
     return out
 
 
 @compiled
 def _example(
-    scan: ScanArrays, prediction: PredictionArrays, past_arrays: PastArrays, limit_arrays: LimitArrays, number: int
-) -> tuple[Example, tuple[int, int]]:
+    scan: ScanArrays,
+    prediction: PredictionArrays,
+    past_arrays: PastArrays,
+    limit_arrays: tuple[float, int, float],
+    number: int,
+) -> tuple[Example, int, Fault]:
+    """That of one narrow heading, by its number, and how many there are."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     past, limits = Past(*past_arrays), Limits(*limit_arrays)
     m, area = len(scan[0]), scan_area(scan[0])
-    looks, fault = looks_of(scan, expected, past, area, _UNSEEN, limits.gate, True)
-    ready = made_ready(looks[number], scan, expected, limits.margin)
-    look = ready.look
-    inputs = inputs_of(scan, ready.pairings, look.rows, expected, look.part, ready.visible, run_of(past))
-    kept = gathered([ready], m, expected, past, _UNSEEN, limits, prices_of(past, area, m))
-    sums = summed(kept, past.detections, len(expected.features))
-    return Example(inputs, look.measured, look.rows[look.slots], kept.rows, sums.scores), fault
+    looks, fault = looks_of(scan, expected, past, area, limits.gate, True)
+    look = looks[number]
+    problem = made_ready(look, scan, expected)
+    inputs = inputs_of(scan, problem, expected, run_of(past))
+    ready = Ready(look, problem, np.empty(0), limits.margin)
+    kept = gathered([ready], m, expected, past, limits, prices_of(past, area, m))
+    scores = weighed(kept, past.detections, len(expected.features)).scores
+    found = look.candidates
+    return Example(inputs, found.measured, found.rows[found.slots], kept.rows, scores), len(looks), fault

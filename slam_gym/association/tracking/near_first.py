@@ -7,6 +7,7 @@ locality. Where there is no locality, one search sees everything.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import check_fault, chi2_gate, distance_of, gate_pairings, paired_rows
+from slam_gym.association.compatibility import NO_FAULT, Fault, check_fault, chi2_gate, gate_pairings
 from slam_gym.association.prediction import Expected, Prediction, PredictionArrays, expected_of, joint, local
 from slam_gym.association.tree import Pairings
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Scan, ScanArrays
@@ -27,8 +28,16 @@ class Offer(NamedTuple):
     starts: IntArray  # (l + 1,) where the candidates of each undecided measurement begin among those that are not kept
     rows: IntArray  # (u,) row of the prediction of each slot
     tests: int  # pairings tested for individual compatibility
-    fault: int  # of the numbers in scan and prediction, see `check_fault`
-    entry: int  # at fault
+    fault: Fault
+
+
+class Spent(NamedTuple):
+    """What the searches of a scan took: the first fields of `Effort`."""
+
+    nodes: int
+    individual_tests: int
+    joint_tests: int
+    limit_hit: bool
 
 
 class Decided(NamedTuple):
@@ -37,27 +46,13 @@ class Decided(NamedTuple):
     features: IntArray  # (m,) map features, or UNPAIRED
     distance: float  # D²_H
     pairings: int
-    nodes: int
-    individual_tests: int
-    joint_tests: int
-    limit_hit: bool
-    fault: int
-    entry: int
+    spent: tuple[int, int, int, bool]  # `Spent`
+    fault: Fault
 
     def hypothesis(self, *, exclusive: bool = True) -> Hypothesis:
         """The answer. Raises ValueError as `check_fault`."""
-        check_fault(self.fault, self.entry)
-        effort = Effort(self.nodes, self.individual_tests, self.joint_tests, self.limit_hit)
-        return Hypothesis(self.features, self.distance, 2 * self.pairings, effort, exclusive=exclusive)
-
-
-class Spent(NamedTuple):
-    """What the searches of a scan took."""
-
-    nodes: int
-    individual_tests: int
-    joint_tests: int
-    limit_hit: bool
+        check_fault(self.fault)
+        return Hypothesis(self.features, self.distance, 2 * self.pairings, Effort(*self.spent), exclusive=exclusive)
 
 
 @compiled
@@ -67,22 +62,22 @@ def offer(scan: ScanArrays, expected: Expected, rows: IntArray, near: bool, gate
     eligible = expected.near if near else ~expected.near
     if len(expected.neighbours) == 0:
         eligible = eligible[:0]  # all of them
-    fault, entry, starts, measured, slots, _, innovations, offered, tests = gate_pairings(
+    fault, found = gate_pairings(
         points, noise, expected.positions, expected.covariances, np.flatnonzero(rows == UNPAIRED), eligible, gate
     )
     paired = np.flatnonzero(rows != UNPAIRED)
     kept = rows[paired]
-    behind = np.concatenate((kept, offered))
+    offered = np.concatenate((kept, found.rows))
     pairings = Pairings(
-        np.concatenate((np.arange(len(kept)), slots + len(kept))),
-        np.concatenate((paired, measured)),
-        np.concatenate((points[paired] - expected.positions[kept], innovations)),
+        np.concatenate((np.arange(len(kept)), found.slots + len(kept))),
+        np.concatenate((paired, found.measured)),
+        np.concatenate((points[paired] - expected.positions[kept], found.innovations)),
         noise,
-        joint(expected, behind),
-        np.empty((0, 0), np.bool_) if near else local(expected, behind),
+        joint(expected, offered),
+        np.empty((0, 0), np.bool_) if near else local(expected, offered),
         len(kept),
     )
-    return Offer(pairings, starts, behind, tests, fault, entry)
+    return Offer(pairings, found.starts, offered, found.tests, fault)
 
 
 @compiled
@@ -92,44 +87,60 @@ def is_over(expected: Expected, rows: IntArray) -> bool:
 
 
 @compiled
-def decided(expected: Expected, rows: IntArray, distance: float, spent: Spent, fault: int, entry: int) -> Decided:
+def decided(expected: Expected, rows: IntArray, distance: float, spent: Spent, fault: Fault) -> Decided:
     """The answer that pairs measurements with `rows` (m,) of the prediction."""
     features, pairings = np.full(len(rows), UNPAIRED), 0
     for i in range(len(rows)):
         if rows[i] != UNPAIRED:
             features[i] = expected.features[rows[i]]
             pairings += 1
-    return Decided(
-        features, distance, pairings, spent.nodes, spent.individual_tests, spent.joint_tests, spent.limit_hit, fault,
-        entry,
-    )  # fmt: skip
+    return Decided(features, distance, pairings, spent[:], fault)
 
 
 @compiled
 def joint_distance_of(scan: ScanArrays, expected: Expected, rows: IntArray) -> float:
-    """D²_H of pairing each measurement with `rows` (m,), or UNPAIRED; NaN where S_H is not positive definite."""
-    chosen = paired_rows(rows)
-    if len(chosen) == 0:
-        return 0.0
-    return distance_of(scan[0], scan[1], expected.positions, rows, joint(expected, chosen))
+    """D²_H = νᵀ S⁻¹ ν = yᵀy with y = L⁻¹ν, S = L Lᵀ, of pairing each measurement with `rows` (m,), or UNPAIRED; NaN
+    where S is not positive definite."""
+    points, noise, positions = scan[0], scan[1], expected.positions
+    paired, squared = np.flatnonzero(rows != UNPAIRED), 0.0
+    if len(paired) == 0:
+        return squared
+    L, y = joint(expected, rows[paired]), np.empty(2 * len(paired))
+    for p in range(len(paired)):
+        i = paired[p]
+        for a in range(2):
+            y[2 * p + a] = points[i, a] - positions[rows[i], a]
+            for b in range(2):
+                L[2 * p + a, 2 * p + b] += noise[i, a, b]
+    for a in range(len(L)):
+        for b in range(a + 1):
+            for k in range(b):
+                L[a, b] -= L[a, k] * L[b, k]
+            if b < a:
+                L[a, b] /= L[b, b]
+                y[a] -= L[a, b] * y[b]
+        if not L[a, a] > 0.0:
+            return math.nan
+        L[a, a] = math.sqrt(L[a, a])
+        y[a] /= L[a, a]
+        squared += y[a] * y[a]
+    return squared
 
 
 @compiled
 def answer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, spent: Spent) -> Decided:
-    """`decided`, with its D²_H."""
+    """`decided` with its D²_H, as Python calls it."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, 0, -1)
+    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, NO_FAULT)
 
 
 @compiled
-def offer_to(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: bool, gate: float) -> Offer:
+def _offer_to(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: bool, gate: float) -> Offer:
     """`offer`, as Python calls it."""
     return offer(scan, expected_of(prediction[0], prediction[1], prediction[2]), rows, near, gate)
 
 
-def near_first(
-    scan: Scan, prediction: Prediction, search: Callable[[Offer, IntArray], Effort], *, exclusive: bool = True
-) -> Hypothesis:
+def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntArray], Effort]) -> Hypothesis:
     """The hypothesis of a search written in Python, which enters what it pairs in `rows` (m,) of the prediction.
 
     Raises ValueError as `check_fault`.
@@ -137,18 +148,18 @@ def near_first(
     rows, effort = np.full(len(scan), UNPAIRED), Effort()
     gate = chi2_gate(2, prediction.confidence)
     for near in (True, False):
-        found = offer_to(scan.arrays, prediction.arrays, rows, near, gate)
-        check_fault(found.fault, found.entry)
-        effort = together(effort, Effort(individual_tests=found.tests))
+        found = _offer_to(scan.arrays, prediction.arrays, rows, near, gate)
+        check_fault(found.fault)
+        effort = _together(effort, Effort(individual_tests=found.tests))
         if len(found.pairings.slots) > found.pairings.given:
-            effort = together(effort, search(found, rows))
+            effort = _together(effort, search(found, rows))
         if not prediction.has_localities or prediction.near.all() or not (rows == UNPAIRED).any():
             break
-    spent = Spent(effort.nodes, effort.individual_tests, effort.joint_tests, effort.limit_hit)
-    return replace(answer(scan.arrays, prediction.arrays, rows, spent).hypothesis(exclusive=exclusive), effort=effort)
+    decision = answer(scan.arrays, prediction.arrays, rows, Spent(0, 0, 0, False))
+    return replace(decision.hypothesis(), effort=effort)
 
 
-def together(first: Effort, second: Effort) -> Effort:
+def _together(first: Effort, second: Effort) -> Effort:
     """The effort of two searches: counts and times add up."""
     counts = {name: getattr(first, name) + getattr(second, name) for name in Effort.__slots__}
     return Effort(**counts | {"limit_hit": first.limit_hit or second.limit_hit})

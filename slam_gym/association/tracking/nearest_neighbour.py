@@ -1,4 +1,4 @@
-"""The two associators that look at one pairing at a time: nearest neighbour and singles."""
+"""The associators that weigh each pairing alone: nearest neighbour, singles, and global nearest neighbour."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate, gate_pairings
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
-from slam_gym.association.tracking.near_first import Decided, Spent, decided, joint_distance_of
-from slam_gym.types import UNPAIRED, Hypothesis, Scan, ScanArrays
+from slam_gym.association.tracking.near_first import Decided, Offer, Spent, decided, joint_distance_of, near_first
+from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, IntArray, Scan, ScanArrays
+
+_FORBIDDEN = 1e9  # the price of a pairing that is not compatible: more than any assignment without one
 
 
 def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
@@ -17,7 +19,8 @@ def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     Measurements are decided independently and never reconsidered, so a feature may be paired more than once.
     Raises ValueError as `check_fault`.
     """
-    return _decide(scan.arrays, prediction.arrays, _gate(prediction), False).hypothesis(exclusive=False)
+    gate = chi2_gate(2, prediction.confidence)
+    return _decide(scan.arrays, prediction.arrays, gate, False).hypothesis(exclusive=False)
 
 
 def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
@@ -25,11 +28,44 @@ def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
 
     Raises ValueError as `check_fault`.
     """
-    return _decide(scan.arrays, prediction.arrays, _gate(prediction), True).hypothesis(exclusive=False)
+    gate = chi2_gate(2, prediction.confidence)
+    return _decide(scan.arrays, prediction.arrays, gate, True).hypothesis(exclusive=False)
 
 
-def _gate(prediction: Prediction) -> float:
-    return chi2_gate(2, prediction.confidence)
+def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
+    """GNN: minimises Σ (D²_ij + log det S_ij) over the pairings plus a price for every measurement left unpaired.
+
+    Pairings are individually compatible, each feature paired at most once (Blackman and Popoli, "Design and Analysis of
+    Modern Tracking Systems", 1999, §6.4). Leaving measurement i unpaired costs the gate χ²_{2,conf} plus the largest
+    log det S_ij among its candidates, so any compatible pairing is better than none, unless it takes a feature from a
+    measurement that needs it more. Each pairing is still weighed alone: their correlation through the robot's pose is
+    ignored. Solved exactly, by scipy's linear assignment.
+
+    A locality of the prediction is used as in `jcbb`, except that pairings in the second search, made all at once, do
+    not restrict each other. Raises ValueError as `check_fault`.
+    """
+    from scipy.optimize import linear_sum_assignment  # takes as long to import as everything else together
+
+    gate = chi2_gate(2, prediction.confidence)
+
+    def search(offer: Offer, rows: IntArray) -> Effort:
+        p, g = offer.pairings, offer.pairings.given
+        measured, level = np.unique(p.measured[g:], return_inverse=True)
+        features, columns = offer.rows[p.slots[g:]], len(offer.rows)
+        S = prediction.covariances[features] + scan.covariances[p.measured[g:]]
+        size = np.log(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)
+        distances = np.einsum("ci,cij,cj->c", p.innovations[g:], np.linalg.inv(S), p.innovations[g:])
+        costs = np.full((len(measured), columns + len(measured)), _FORBIDDEN)
+        costs[level, p.slots[g:]] = distances + size
+        largest = np.full(len(measured), -np.inf)
+        np.maximum.at(largest, level, size)
+        costs[np.arange(len(measured)), columns + np.arange(len(measured))] = gate + largest
+        _, chosen = linear_sum_assignment(costs)
+        paired: BoolArray = chosen < columns
+        rows[measured[paired]] = offer.rows[chosen[paired]]
+        return Effort(nodes=len(offer.starts) - 1)
+
+    return near_first(scan, prediction, search)
 
 
 @compiled
@@ -39,17 +75,18 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     m = len(scan[0])
     rows, everywhere = np.full(m, UNPAIRED), expected.near[:0]
-    fault, entry, starts, _, slots, _, _, offered, tests = gate_pairings(
+    fault, found = gate_pairings(
         scan[0], scan[1], expected.positions, expected.covariances, np.arange(m), everywhere, gate
     )
-    if fault == 0:
-        wanted = np.zeros(len(offered), np.int64)
+    starts, slots = found.starts, found.slots
+    if fault[0] == 0:
+        wanted = np.zeros(len(found.rows), np.int64)
         for slot in slots:
             wanted[slot] += 1
         for i in range(m):
             if starts[i] == starts[i + 1]:
                 continue
             if not mutual or (starts[i] + 1 == starts[i + 1] and wanted[slots[starts[i]]] == 1):
-                rows[i] = offered[slots[starts[i]]]
+                rows[i] = found.rows[slots[starts[i]]]
     distance = joint_distance_of(scan, expected, rows)
-    return decided(expected, rows, distance, Spent(m, tests, 0, False), fault, entry)
+    return decided(expected, rows, distance, Spent(m, found.tests, 0, False), fault)

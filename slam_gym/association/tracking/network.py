@@ -26,6 +26,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Expected
 from slam_gym.association.tracking.headings import Part
+from slam_gym.association.tracking.hypotheses import Problem
 from slam_gym.association.tree import Pairings, innovation_of, squared
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, ScanArrays
 from slam_gym.weights import load
@@ -151,22 +152,12 @@ def log_odds(network: Network, inputs: Array, measured: IntArray, slots: IntArra
 
 
 @compiled
-def inputs_of(
-    scan: ScanArrays,
-    pairings: Pairings,
-    rows: IntArray,
-    expected: Expected,
-    part: Part,
-    visible: Array,
-    run: tuple[float, float],
-) -> Array:
+def inputs_of(scan: ScanArrays, problem: Problem, expected: Expected, run: tuple[float, float]) -> Array:
     """(c, inputs) of each pairing in a narrow heading, of which none is given.
 
-    Arguments:
-        rows: (u,) row of the prediction of each slot.
-        visible: (k,) probability of being in view, or (0,).
-        run: log density of what is not in the map [1/m²], and whether there were scans before.
+    `run`: log density of what is not in the map [1/m²], and whether there were scans before.
     """
+    part, pairings, rows, visible = problem.part, problem.pairings, problem.rows, problem.visible
     points, count, m = scan[0], len(pairings.slots), len(scan[0])
     out, weight = np.empty((count, 26)), np.empty(count)
     by_measurement, by_feature = np.zeros((m, 2)), np.zeros((len(rows), 2))  # number of pairings, sum of weights

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,13 +14,6 @@ from slam_gym.association.tracking.near_first import Offer, near_first
 from slam_gym.association.tracking.path import append, distances_after, distances_with, follow, path_of
 from slam_gym.association.tree import Pairings, is_local
 from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
-
-
-class _Draws(NamedTuple):
-    """What the draws came to."""
-
-    chosen: IntArray  # (p,) pairings made, rescued ones included
-    drawn: int  # draws made
 
 
 def one_point_ransac(
@@ -50,17 +42,17 @@ def one_point_ransac(
     def search(offer: Offer, rows: IntArray) -> Effort:
         pairings, g = offer.pairings, offer.pairings.given
         count = len(pairings.slots) - g
-        draws = _draw(pairings, g + rng.permutation(count), gate, success, tries)
-        rows[pairings.measured[draws.chosen]] = offer.rows[pairings.slots[draws.chosen]]
-        limit_hit = draws.drawn == tries and tries < count
-        return Effort(draws.drawn, draws.drawn * count, tries=draws.drawn, limit_hit=limit_hit)
+        chosen, drawn = _draw(pairings, g + rng.permutation(count), gate, success, tries)
+        rows[pairings.measured[chosen]] = offer.rows[pairings.slots[chosen]]
+        return Effort(drawn, drawn * count, tries=drawn, limit_hit=drawn == tries and tries < count)
 
     return near_first(scan, prediction, search)
 
 
 @compiled
-def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, tries: int) -> _Draws:
-    """Draw the candidates in `order` (c,) until it is enough; the given pairings are kept."""
+def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, tries: int) -> tuple[IntArray, int]:
+    """The pairings made, rescued ones included, and how many candidates were drawn, in `order` (c,), until it was
+    enough; the given pairings are kept."""
     slots, measured, count = pairings.slots, pairings.measured, len(order)
     path = path_of(pairings, min(count, len(pairings.noise)) + 2)
     distances, best, best_sum, needed, drawn = np.empty(len(slots)), order[:0], math.inf, math.inf, 0
@@ -85,7 +77,7 @@ def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, trie
     for c in range(len(slots)):
         if len(best) > 0 and not is_local(pairings.local, slots[best[0]], slots[c]):
             distances[c] = math.inf
-    return _Draws(np.concatenate((best, _nearest_first(distances, slots, measured, gate, best))), drawn)
+    return np.concatenate((best, _nearest_first(distances, slots, measured, gate, best))), drawn
 
 
 @compiled

@@ -11,10 +11,10 @@ from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
+from tests.oracles.densities import WIDE
 
-WIDE = {"width": 3000, "margin": 1e9}
-DETECTION, CLUTTER, NEW, UNSEEN = 0.8, 0.02, 0.05, 0.1
-MODEL = {"detection": DETECTION, "clutter_density": CLUTTER, "new_density": NEW, "unseen": UNSEEN}
+RATES = densities.Rates(0.8, 0.07)
+MODEL = {"detection": RATES.detection, "density": RATES.density}
 
 
 def small_problem(seed, **options):
@@ -24,8 +24,7 @@ def small_problem(seed, **options):
 
 
 def log_density(scan, prediction, rows):
-    rates = densities.Rates(DETECTION, UNSEEN, CLUTTER + NEW)
-    return densities.log_density(scan, prediction, rows, rates)
+    return densities.log_density(scan, prediction, rows, RATES)
 
 
 def hypotheses(scan, prediction, allowed, given, related):
@@ -102,7 +101,7 @@ def test_the_problems_above_are_hard_enough():
 @pytest.mark.parametrize("seed", range(30))
 def test_the_denser_the_clutter_the_fewer_the_pairings(seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
-    pairings = [map_hypothesis(scan, prediction, clutter_density=d).dof for d in (1e-6, 1e-2, 1.0, 1e3, 1e9)]
+    pairings = [map_hypothesis(scan, prediction, density=d).dof for d in (1e-6, 1e-2, 1.0, 1e3, 1e9)]
     assert pairings == sorted(pairings, reverse=True) and pairings[-1] == 0
 
 
@@ -111,9 +110,8 @@ def test_the_denser_the_clutter_the_fewer_the_pairings(seed):
     [
         {"detection": 1.0},
         {"detection": math.nan},
-        {"unseen": 0.0},
-        {"clutter_density": -1.0},
-        {"clutter_density": 0.0, "new_density": 0.0},
+        {"density": 0.0},
+        {"density": math.inf},
         {"width": 0},
         {"margin": 0.0},
     ],

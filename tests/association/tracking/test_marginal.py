@@ -16,7 +16,7 @@ from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Experience, Odometry, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
-from tests.oracles.densities import MODEL, RATES, WIDE, small_problem
+from tests.oracles.densities import WIDE, small_problem
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -53,12 +53,36 @@ def test_the_problems_above_are_hard_enough():
     assert fewer > 15 and other > 15, (fewer, other)
 
 
+def area_shown(scan):
+    """[m²] of the box around the measurements, and no less than a sector as far as the farthest, two radians wide."""
+    if not len(scan):
+        return 0.0
+    box, farthest = np.prod(np.ptp(scan.points, axis=0)), np.hypot(*scan.points.T).max()
+    return max(float(box), 0.5 * 2.0 * farthest**2, 1.0)
+
+
+def experienced(seed, **options):
+    """A small problem for a robot that has seen something; every hypothesis of it, and their log densities: λ is
+    integrated out by its Γ distribution, P_D over its values."""
+    rng, (scan, prediction) = np.random.default_rng(seed), small_problem(seed, **options)
+    known = Experience(float(rng.uniform(0, 20)), float(rng.uniform(0, 200)), rng.normal(0.0, 2.0, len(DETECTIONS)))
+    every = densities.every_hypothesis(scan, prediction)
+    a, b = 1.0 + known.unpaired, 50.0 + known.area + area_shown(scan)
+    scores = []
+    for rows in every:
+        u = rows.count(UNPAIRED)
+        by_value = [
+            weight + densities.log_density(scan, prediction, rows, densities.Rates(value, 1.0))
+            for weight, value in zip(known.detections, DETECTIONS)
+        ]
+        scores.append(logsumexp(by_value) + gammaln(a + u) - (a + u) * math.log(b))
+    return scan, dataclasses.replace(prediction, experience=known), every, np.array(scores)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_the_posterior_tells_of_all_decisions_together(seed):
-    scan, prediction = small_problem(seed)
-    every = densities.every_hypothesis(scan, prediction)
-    scores = np.array([densities.log_density(scan, prediction, rows, RATES) for rows in every])
-    answer = marginal(scan, prediction, cost=5.0, **MODEL, **WIDE)
+    scan, prediction, every, scores = experienced(seed)
+    answer = marginal(scan, prediction, cost=5.0, **WIDE)
     row_of = {int(f): j for j, f in enumerate(prediction.features)} | {UNPAIRED: UNPAIRED}
     decided = every.index([row_of[int(f)] for f in answer.features])
     assert answer.posterior.log_density == pytest.approx(scores[decided])
@@ -134,11 +158,6 @@ def test_of_two_features_at_one_place_none_is_paired():
         {"cost": 0.9},
         {"cost": math.inf},
         {"provisional_cost": 0.9},
-        {"detection": 1.0},
-        {"detection": math.nan},
-        {"density": 0.0},
-        {"density": math.inf},
-        {"unseen": 0.0},
         {"width": 0},
         {"margin": 0.0},
     ],
@@ -150,7 +169,7 @@ def test_meaningless_options_are_refused(options):
 
 def summed(m, n, every, log_densities):
     """(m, n) marginals of every pairing."""
-    weights = np.exp(np.array(log_densities) - logsumexp(log_densities))
+    weights = np.exp(log_densities - logsumexp(log_densities))
     out = np.zeros((m, n))
     for rows, weight in zip(every, weights):
         for i, j in enumerate(rows):
@@ -161,24 +180,12 @@ def summed(m, n, every, log_densities):
 
 @pytest.mark.parametrize("seed", range(120))
 def test_marginals_are_sums_over_every_hypothesis(seed):
-    scan, prediction = small_problem(seed, locality=seed % 2 == 0)  # of which nothing is left out
-    every = densities.every_hypothesis(scan, prediction)
-    expected = summed(
-        len(scan), len(prediction), every, [densities.log_density(scan, prediction, rows, RATES) for rows in every]
-    )
-    found = marginals(scan, prediction, **MODEL, **WIDE)
+    scan, prediction, every, scores = experienced(seed, locality=seed % 2 == 0)  # of which nothing is left out
+    expected = summed(len(scan), len(prediction), every, scores)
+    found = marginals(scan, prediction, **WIDE)
     assert found.pairings == pytest.approx(expected, abs=1e-9)
     assert found.unpaired == pytest.approx(1.0 - expected.sum(axis=1), abs=1e-9)
-    near = marginals(scan, prediction, **MODEL)
-    assert near.pairings == pytest.approx(expected, abs=0.002)
-
-
-def area_shown(scan):
-    """[m²] of the box around the measurements, and no less than a sector as far as the farthest, two radians wide."""
-    if not len(scan):
-        return 0.0
-    box, farthest = np.prod(np.ptp(scan.points, axis=0)), np.hypot(*scan.points.T).max()
-    return max(float(box), 0.5 * 2.0 * farthest**2, 1.0)
+    assert marginals(scan, prediction).pairings == pytest.approx(expected, abs=0.002)
 
 
 def test_a_scan_of_one_measurement_shows_more_than_a_square_metre():
@@ -188,27 +195,6 @@ def test_a_scan_of_one_measurement_shows_more_than_a_square_metre():
         scan = Scan.from_points([[3.0, 2.0]], sigma=0.1)
         known = marginal(scan, dataclasses.replace(prediction, experience=known)).experience
     assert known.area / known.unpaired == pytest.approx(13.0)
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_what_is_not_known_is_integrated_out(seed):
-    """λ by its Γ distribution, P_D over its values, both as the run has shown them so far."""
-    scan, prediction = small_problem(1000 + seed)
-    rng = np.random.default_rng(seed)
-    known = Experience(float(rng.uniform(0, 20)), float(rng.uniform(0, 200)), rng.normal(0.0, 2.0, len(DETECTIONS)))
-    every = densities.every_hypothesis(scan, prediction)
-    a, b = 1.0 + known.unpaired, 50.0 + known.area + area_shown(scan)
-    log_densities = []
-    for rows in every:
-        u = rows.count(UNPAIRED)
-        by_value = [
-            weight + densities.log_density(scan, prediction, rows, densities.Rates(value, 0.05, 1.0))
-            for weight, value in zip(known.detections, DETECTIONS)
-        ]
-        log_densities.append(logsumexp(by_value) + gammaln(a + u) - (a + u) * math.log(b))
-    expected = summed(len(scan), len(prediction), every, log_densities)
-    found = marginals(scan, dataclasses.replace(prediction, experience=known), **WIDE)
-    assert found.pairings == pytest.approx(expected, abs=1e-9)
 
 
 def drawn_from_the_model(rng, n, detection, density):
@@ -226,9 +212,10 @@ def drawn_from_the_model(rng, n, detection, density):
 
 def test_marginals_are_calibrated_where_the_model_holds():
     rng, predicted, right = np.random.default_rng(3), [], []
+    known = Experience(1e3, 1e4, np.where(DETECTIONS == 0.85, 0.0, -1e9))
     for _ in range(500):
         scan, prediction, sources = drawn_from_the_model(rng, 6, 0.85, 0.1)
-        found = marginals(scan, prediction, detection=0.85, density=0.1)
+        found = marginals(scan, dataclasses.replace(prediction, experience=known))
         predicted.append(found.pairings[found.pairings > 0.0])
         right.append((sources[:, None] == np.arange(6))[found.pairings > 0.0])
     p, hit = np.concatenate(predicted), np.concatenate(right)

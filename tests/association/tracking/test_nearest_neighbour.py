@@ -1,8 +1,14 @@
-"""The two associators that look at one pairing at a time, by their definitions."""
+"""The associators that weigh each pairing alone, by their definitions."""
 
+import functools
+import itertools
+import math
+
+import numpy as np
 import pytest
 
-from slam_gym.association import nearest_neighbour, singles
+from slam_gym.association import global_nearest_neighbour, nearest_neighbour, singles
+from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 
 
@@ -18,3 +24,33 @@ def test_singles(seed):
     scan, prediction, confidence = oracles.small_problem(seed)
     answer = singles(scan, prediction)
     oracles.check(answer, scan, prediction, oracles.singles(scan, prediction, confidence))
+
+
+def cheapest(scan, prediction, confidence, allowed, given, _):
+    """Every way to pair what is compatible, by its price."""
+    lists = oracles.compatible(scan, prediction, confidence)
+    undecided = [i for i in range(len(scan)) if given[i] == UNPAIRED]
+    options, price = [], {}
+    for i in undecided:
+        found = [(d2, j) for d2, j in lists[i] if allowed[j] and j not in given]
+        sizes = [np.log(np.linalg.det(prediction.covariances[j] + scan.covariances[i])) for _, j in found]
+        price |= {(i, j): d2 + size for (d2, j), size in zip(found, sizes)}
+        price[i, UNPAIRED] = oracles.gate(2, confidence) + max(sizes, default=0.0)
+        options.append([UNPAIRED, *(j for _, j in found)])
+    best, best_price = given, math.inf
+    for choice in itertools.product(*options):
+        paired = [j for j in choice if j != UNPAIRED]
+        total = sum(price[i, j] for i, j in zip(undecided, choice))
+        if len(set(paired)) == len(paired) and total < best_price:
+            rows = list(given)
+            for i, j in zip(undecided, choice):
+                rows[i] = j
+            best, best_price = rows, total
+    return best
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_global_nearest_neighbour_is_the_cheapest_of_all_assignments(seed):
+    scan, prediction, confidence = oracles.smaller_problem(seed, locality=seed % 2 == 0)
+    rows = oracles.near_first(prediction, len(scan), functools.partial(cheapest, scan, prediction, confidence))
+    oracles.check(global_nearest_neighbour(scan, prediction), scan, prediction, rows)
