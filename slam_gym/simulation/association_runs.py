@@ -111,7 +111,7 @@ class LoggedRun:
         self.scans, self.length = 0, log.length
         self.poses: list[Array] = []  # true, (3,) in the frame of the log
         self.estimates: list[Array] = []  # (3,) in B
-        self._error, self._error_at = 1.0, 0
+        self._error = 1.0
 
     @property
     def over(self) -> bool:
@@ -132,6 +132,8 @@ class LoggedRun:
         self._judged.learn(self.scan, self.prediction, hypothesis, self.truth)
         self.poses.append(self.truth.pose)
         self.estimates.append(self.slam.map.pose)
+        if len(self.log.targets):
+            self._error = map_quality.map_error(self.slam.map.confirmed, self.targets, self.log.prior_sigma)
 
     @property
     def targets(self) -> Array:
@@ -141,9 +143,6 @@ class LoggedRun:
 
     def map_error(self) -> float:
         """As `metrics.map_quality.map_error`; 1, that of an empty map, where nobody knows the true features."""
-        if len(self.log.targets) and self._error_at != len(self.estimates):
-            self._error_at = len(self.estimates)
-            self._error = map_quality.map_error(self.slam.map.confirmed, self.targets, self.log.prior_sigma)
         return self._error
 
 
