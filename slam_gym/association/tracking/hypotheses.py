@@ -52,7 +52,7 @@ class Limits(NamedTuple):
     margin: float  # none is kept that scores so much less than the best
 
 
-class Problem(NamedTuple):
+class ScanProblem(NamedTuple):
     """What is searched: the pairings of a scan with the features in reach, in one heading."""
 
     part: Part
@@ -94,8 +94,8 @@ class Weighed(NamedTuple):
     unpaired: Array  # (m,) probability that each measurement is of nothing in the map
 
 
-class Standing(NamedTuple):
-    """How probable a decision is: the fields of `Posterior`."""
+class PosteriorArrays(NamedTuple):
+    """How probable a decision is: the fields of `Posterior`, as they come out of compiled code."""
 
     log_density: float
     probability: float
@@ -116,7 +116,7 @@ def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float,
 
 
 @compiled
-def search_tree(problem: Problem, odds: Array, limits: Limits) -> Searched:
+def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
     """The hypotheses of greatest density, by what is in view from the predicted pose, and by log odds (c,) of pairings
     that the model does not know of; (0,): none.
 
@@ -162,7 +162,7 @@ def _levels(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
 
 
 @compiled
-def _views(expected: Expected, problem: Problem, beam: Beam, together: float) -> tuple[IntArray, Array, IntArray]:
+def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float) -> tuple[IntArray, Array, IntArray]:
     """The group (b,) of each hypothesis, all of which put the robot at as good as one place; what a group has in view
     (groups, q) of the features of the tree and of others, (0, 0) where nobody can tell; and where the features of the
     tree (u,) are among those, by slot.
@@ -191,7 +191,7 @@ def _views(expected: Expected, problem: Problem, beam: Beam, together: float) ->
 
 
 @compiled
-def weighed_by_view(expected: Expected, problem: Problem, beam: Beam, detections: Array, together: float) -> Array:
+def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detections: Array, together: float) -> Array:
     """log Π P_D v_j · Π (1 − P_D v_j) (b, d) of each hypothesis, for each P_D of `detections`.
 
     Hypotheses that put every feature within `together` [m] of where another puts it share what is in view.
@@ -269,7 +269,7 @@ def weighed(kept: Kept, prior: Array, features: int) -> Weighed:
 
 
 @compiled
-def standing(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntArray) -> Standing:
+def posterior_of(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntArray) -> PosteriorArrays:
     """Of the decision for `rows` (m,), and of the most probable other one among `hypotheses` (b, m).
 
     Hypotheses of several headings may decide alike: each counts for the first of its like, the decision being the first
@@ -295,7 +295,7 @@ def standing(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntA
     most = sums.scores.max()
     total = most + math.log(np.exp(sums.scores - most).sum())
     log_density = total + math.log(weights[0]) if weights[0] > 0.0 else -math.inf
-    return Standing(log_density, weights[0], runner_up, weights[second], marginals, sums.unpaired)
+    return PosteriorArrays(log_density, weights[0], runner_up, weights[second], marginals, sums.unpaired)
 
 
 @compiled

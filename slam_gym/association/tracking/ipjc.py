@@ -119,17 +119,14 @@ def _distance(pairings: Pairings, errors: Array, path: IntArray, variance: float
         slope = np.array([0.0, -math.sin(phi), math.cos(phi), -1.0])
         Gq = G @ q
         step = -(phi / variance + slope @ Gq) / (1.0 / variance + slope @ (G @ slope))
-        after = _cost(G, variance, phi + step)
-        while after > value and abs(step) > _CONVERGED:
+        while True:
+            at = phi + step
+            q = np.array([1.0, math.cos(at) - 1.0, math.sin(at), -at])
+            after = float(at * at / variance + q @ (G @ q))
+            if not (after > value and abs(step) > _CONVERGED):
+                break
             step *= 0.5
-            after = _cost(G, variance, phi + step)
         if abs(step) <= _CONVERGED:
             break
         phi, value = phi + step, after
     return value
-
-
-@compiled
-def _cost(G: Array, variance: float, phi: float) -> float:
-    q = np.array([1.0, math.cos(phi) - 1.0, math.sin(phi), -phi])
-    return float(phi * phi / variance + q @ (G @ q))

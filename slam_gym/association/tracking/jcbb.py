@@ -119,8 +119,8 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
     best_path, best, best_distance = path.copy(), given, distances[given]
     p, nodes, tests, limit_hit = given, 0, 0, False
     while p >= given:
-        follows = levels[p], features[p], distances[p], floors[p]
-        if position[p] == end[p] or not _promises(p, *follows, best, best_distance):
+        bound, least = p + min(levels[p], features[p]), floors[p] if levels[p] <= features[p] else distances[p]
+        if position[p] == end[p] or bound < best or (bound == best and not least < best_distance):
             p -= 1
             continue
         if nodes == node_limit or tests >= TEST_LIMIT:
@@ -149,17 +149,6 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
                 best_path[q] = path[q]
     write_rows(pairings, best_path[:best], rows, out)
     return _Best(best_distance, nodes, tests, limit_hit)
-
-
-@inlined
-def _promises(
-    p: int, levels: int, features: int, distance: float, floor: float, best: int, best_distance: float
-) -> bool:
-    """Whether something may follow H that beats the best: by pairings, or by D² with as many."""
-    bound = p + min(levels, features)
-    if bound != best:
-        return bool(bound > best)
-    return bool((floor if levels <= features else distance) < best_distance)
 
 
 @compiled

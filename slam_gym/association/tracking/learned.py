@@ -22,10 +22,10 @@ from slam_gym.association.tracking.marginal import (
     Ready,
     gathered,
     looks_of,
-    made_ready,
     marginal,
     past_of,
     prices_of,
+    problem_of,
     run_of,
 )
 from slam_gym.association.tracking.network import INPUTS, VERSION, inputs_of, load_network
@@ -42,9 +42,8 @@ def learned_associator(
     cost: float = _COST,
     provisional_cost: float = _PROVISIONAL,
     weights: str | Path = WEIGHTS,
-    width: int = 100,
 ) -> Hypothesis:
-    """As `marginal`, which explains costs and `width`; with the log odds of `weights` besides.
+    """As `marginal`, which explains costs; with the log odds of `weights` besides.
 
     The network knows that what was seen once may be clutter. Probabilities that say so are calibrated, but a robot that
     went by them at full cost would never confirm what is new: hence the lower `provisional_cost`.
@@ -55,10 +54,10 @@ def learned_associator(
     Raises ValueError as `marginal`, and as `load_network` where there are no such weights.
     """
     if not (prediction.has_view or np.isfinite(scan.sizes).any() or (scan.kinds != UNKNOWN_KIND).any()):
-        return marginal(scan, prediction, cost=cost, width=width)
+        return marginal(scan, prediction, cost=cost)
     network = load_network(weights, VERSION, INPUTS)
     provisional = min(cost, provisional_cost)
-    return marginal(scan, prediction, cost=cost, provisional_cost=provisional, width=width, network=network)
+    return marginal(scan, prediction, cost=cost, provisional_cost=provisional, network=network)
 
 
 class Example(NamedTuple):
@@ -97,7 +96,7 @@ def _example(
     m, area = len(scan[0]), scan_area(scan[0])
     looks, fault = looks_of(scan, expected, past, area, limits.gate, True)
     look = looks[number]
-    problem = made_ready(look, scan, expected)
+    problem = problem_of(look, scan, expected)
     inputs = inputs_of(scan, problem, expected, run_of(past))
     ready = Ready(look, problem, np.empty(0), limits.margin)
     kept = gathered([ready], m, expected, past, limits, prices_of(past, area, m))

@@ -18,13 +18,13 @@ from slam_gym.association.tracking.hypotheses import (
     TOGETHER,
     Kept,
     Limits,
-    Problem,
+    PosteriorArrays,
     Rates,
+    ScanProblem,
     Searched,
-    Standing,
     limits_of,
+    posterior_of,
     search_tree,
-    standing,
     weighed,
     weighed_by_view,
 )
@@ -64,9 +64,8 @@ def map_hypothesis(
     if not 0.0 < density < math.inf:
         raise ValueError(f"density: {density} per m² is not positive")
     limits = limits_of(prediction, width, margin)
-    answer, stands = _decide(scan.arrays, prediction.arrays, (float(detection), float(density)), limits)
-    found = answer.hypothesis()
-    return Hypothesis(found.features, found.joint_distance, found.dof, found.effort, Posterior(*stands))
+    answer, posterior = _decide(scan.arrays, prediction.arrays, (float(detection), float(density)), limits)
+    return answer.hypothesis(posterior=Posterior(*posterior))
 
 
 @compiled
@@ -75,32 +74,32 @@ def _decide(
     prediction: PredictionArrays,
     rate_figures: tuple[float, float],
     limit_figures: tuple[float, int, float],
-) -> tuple[Decided, Standing]:
+) -> tuple[Decided, PosteriorArrays]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rates, limits, m = Rates(*rate_figures), Limits(*limit_figures), len(scan[0])
     rows, spent, fault = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT
-    stands, part = Standing(0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
+    posterior, part = PosteriorArrays(0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
     visible = visibility(expected, part.positions, part.covariances)[0]
     for search in range(2):
         found = offer(scan, expected, rows, search == 0, limits.gate)
         fault, tests = found.fault, spent.individual_tests + found.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
         if fault[0] == 0 and (search == 0 or len(found.pairings.slots) > found.pairings.given):
-            problem = Problem(part, found.pairings, found.starts, found.rows, visible, rates)
+            problem = ScanProblem(part, found.pairings, found.starts, found.rows, visible, rates)
             kept = search_tree(problem, np.empty(0), limits)
             spent = Spent(spent.nodes + kept.nodes, tests, spent.joint_tests + kept.tests, spent.limit_hit or kept.cut)
             fit = kept.fit + math.log(rates.density) * kept.unpaired
             seen = _weighed_by_view(expected, problem, kept, fit, _COUNTS * limits.margin)
             sums = weighed(Kept(kept.rows, fit, seen, spent), np.zeros(1), len(expected.features))
             rows[:] = kept.rows[np.argmax(sums.scores)]
-            stands = standing(expected, kept.rows, sums, rows)
+            posterior = posterior_of(expected, kept.rows, sums, rows)
         if fault[0] != 0 or is_over(expected, rows):
             break
-    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, fault), stands
+    return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, fault), posterior
 
 
 @compiled
-def _weighed_by_view(expected: Expected, problem: Problem, kept: Searched, fit: Array, counts: float) -> Array:
+def _weighed_by_view(expected: Expected, problem: ScanProblem, kept: Searched, fit: Array, counts: float) -> Array:
     """`weighed_by_view` (b, 1). Hypotheses less probable than the best by more than `counts` may share a view."""
     beam, detections = kept.beam, np.array([problem.rates.detection])
     seen = weighed_by_view(expected, problem, beam, detections, TOGETHER)

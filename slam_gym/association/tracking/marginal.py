@@ -40,14 +40,14 @@ from slam_gym.association.tracking.hypotheses import (
     TOGETHER,
     Kept,
     Limits,
-    Problem,
+    PosteriorArrays,
     Rates,
+    ScanProblem,
     Searched,
-    Standing,
     limits_of,
+    posterior_of,
     scan_area,
     search_tree,
-    standing,
     weighed,
     weighed_by_view,
 )
@@ -107,17 +107,13 @@ def marginal(
     """
     known = prediction.experience or NOTHING_SEEN
     costs = cost, cost if provisional_cost is None else provisional_cost
-    answer, told, stands = _searched(scan, prediction, costs, width, margin, network)
-    found = answer.hypothesis()
+    answer, told, posterior = _searched(scan, prediction, costs, width, margin, network)
     experience = Experience(
         _MEMORY * (known.unpaired + float(told.unpaired.sum())),
         _MEMORY * (known.area + told.area),
         _MEMORY * told.by_value if prediction.has_view else known.detections,
     )
-    return Hypothesis(
-        found.features, found.joint_distance, found.dof, found.effort, Posterior(*stands), told.new,
-        experience=experience,
-    )  # fmt: skip
+    return answer.hypothesis(posterior=Posterior(*posterior), new=told.new, experience=experience)
 
 
 def marginals(
@@ -136,14 +132,14 @@ def marginals(
 
 def _searched(
     scan: Scan, prediction: Prediction, costs: tuple[float, float], width: int, margin: float, network: Network
-) -> tuple[Decided, Marginals, Standing]:
+) -> tuple[Decided, Marginals, PosteriorArrays]:
     """`costs`: of a wrong pairing, then of one that is provisional."""
     for name, price in zip(("cost", "provisional_cost"), costs):
         if not 1.0 <= price < math.inf:
             raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
     limits, past = limits_of(prediction, width, margin), past_of(prediction.experience)
-    found: tuple[Decided, Marginals, Standing]
+    found: tuple[Decided, Marginals, PosteriorArrays]
     found = _decide(scan.arrays, prediction.arrays, past, rule, limits, network[:])
     return found
 
@@ -181,7 +177,7 @@ class Ready(NamedTuple):
     """A narrow heading, ready for a search."""
 
     look: Look
-    problem: Problem
+    problem: ScanProblem
     odds: Array  # (c,) log odds of each pairing, which the model does not know of; (0,): none
     margin: float  # by which a hypothesis may be worse than the best
 
@@ -194,7 +190,7 @@ def _decide(
     rule: tuple[float, float, int],
     limit_arrays: tuple[float, int, float],
     network_arrays: tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array],
-) -> tuple[Decided, Marginals, Standing]:
+) -> tuple[Decided, Marginals, PosteriorArrays]:
     """`rule`: the probability that pairs, or starts a feature; that which pairs with a provisional feature; and from
     how many sightings a feature is none."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
@@ -207,7 +203,7 @@ def _decide(
         nothing = np.empty(m)
         told = Marginals(np.empty((m, 0)), nothing, new, past.detections, area)
         refused = decided(expected, rows, 0.0, Spent(0, 0, 0, False), fault)
-        return refused, told, Standing(0.0, 0.0, rows, 0.0, nothing, nothing)
+        return refused, told, PosteriorArrays(0.0, 0.0, rows, 0.0, nothing, nothing)
     chosen = _worth_searching(looks, scan, expected, past, limits, prices, network)
     kept = gathered(chosen, m, expected, past, limits, prices)
     sums = weighed(kept, past.detections, len(expected.features))
@@ -218,7 +214,7 @@ def _decide(
         new[i] = rows[i] == UNPAIRED and sums.unpaired[i] > threshold
     answer = decided(expected, rows, joint_distance_of(scan, expected, rows), kept.spent, NO_FAULT)
     told = Marginals(sums.pairings, sums.unpaired, new, sums.by_value, area)
-    return answer, told, standing(expected, kept.rows, sums, rows)
+    return answer, told, posterior_of(expected, kept.rows, sums, rows)
 
 
 @compiled
@@ -268,13 +264,13 @@ def _greatest_score(noise: Array, starts: IntArray, rates: Rates) -> float:
 
 
 @compiled
-def made_ready(look: Look, scan: ScanArrays, expected: Expected) -> Problem:
+def problem_of(look: Look, scan: ScanArrays, expected: Expected) -> ScanProblem:
     """What a search in a narrow heading takes."""
     part, found = look.part, look.candidates
     visible = visibility(expected, part.positions, part.covariances)[0]
     joint = joint_in(expected, part, found.rows)
     pairings = Pairings(found.slots, found.measured, found.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0)
-    return Problem(part, pairings, found.starts, found.rows, visible, look.rates)
+    return ScanProblem(part, pairings, found.starts, found.rows, visible, look.rates)
 
 
 @compiled
@@ -297,7 +293,7 @@ def _worth_searching(
         look, n = looks[k], len(found)
         if look.at_most <= best - margin:
             break
-        problem, odds = made_ready(look, scan, expected), np.empty(0)
+        problem, odds = problem_of(look, scan, expected), np.empty(0)
         if len(network.centre) > 0:
             inputs = inputs_of(scan, problem, expected, run_of(past))
             odds = log_odds(network, inputs, look.candidates.measured, look.candidates.slots)

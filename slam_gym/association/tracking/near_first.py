@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,10 +49,10 @@ class Decided(NamedTuple):
     spent: tuple[int, int, int, bool]  # `Spent`
     fault: Fault
 
-    def hypothesis(self, *, exclusive: bool = True) -> Hypothesis:
-        """The answer. Raises ValueError as `check_fault`."""
+    def hypothesis(self, **others: Any) -> Hypothesis:
+        """The answer; `others` are further fields of it. Raises ValueError as `check_fault`."""
         check_fault(self.fault)
-        return Hypothesis(self.features, self.distance, 2 * self.pairings, Effort(*self.spent), exclusive=exclusive)
+        return Hypothesis(self.features, self.distance, 2 * self.pairings, Effort(*self.spent), **others)
 
 
 @compiled

@@ -26,7 +26,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Expected
 from slam_gym.association.tracking.headings import Part
-from slam_gym.association.tracking.hypotheses import Problem
+from slam_gym.association.tracking.hypotheses import ScanProblem
 from slam_gym.association.tree import Pairings, innovation_of, squared
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, ScanArrays
 from slam_gym.weights import load
@@ -152,7 +152,7 @@ def log_odds(network: Network, inputs: Array, measured: IntArray, slots: IntArra
 
 
 @compiled
-def inputs_of(scan: ScanArrays, problem: Problem, expected: Expected, run: tuple[float, float]) -> Array:
+def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: tuple[float, float]) -> Array:
     """(c, inputs) of each pairing in a narrow heading, of which none is given.
 
     `run`: log density of what is not in the map [1/m²], and whether there were scans before.

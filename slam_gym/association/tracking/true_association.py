@@ -28,9 +28,9 @@ def true_association(
     for row, source in enumerate(identities[prediction.features].tolist()):
         row_of.setdefault(source, row)
     rows = np.array([row_of.get(s, UNPAIRED) if s >= 0 else UNPAIRED for s in sources.tolist()], np.int64)
-    found = answer(scan.arrays, prediction.arrays, rows, Spent(len(rows), 0, 0, False)).hypothesis(exclusive=False)
     new = _first_seen(sources, identities) if new_features else None
-    return Hypothesis(found.features, found.joint_distance, found.dof, found.effort, new=new, exclusive=False)
+    decided = answer(scan.arrays, prediction.arrays, rows, Spent(len(rows), 0, 0, False))
+    return decided.hypothesis(new=new, exclusive=False)
 
 
 def _first_seen(sources: IntArray, identities: IntArray) -> BoolArray:
