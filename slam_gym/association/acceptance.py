@@ -44,8 +44,8 @@ from scipy.special import gammaln, logsumexp, xlogy
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import floats, integers, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of, unary_table
+from slam_gym.association.relocation.arrays import Mapped, floats, integers, map_arrays, scan_arrays
+from slam_gym.association.relocation.constraints import difference_covariance, unary_table
 from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
 
@@ -148,7 +148,7 @@ def crowding_of(landmarks: Landmarks, width: float) -> Crowding:
 
     O(n). Raises ValueError as `map_arrays` does.
     """
-    mapped = mapped_of(map_arrays(landmarks))
+    mapped = map_arrays(landmarks)
     others, neighbours = _neighbourhoods(mapped.positions, width / 3.0)
     sample = np.arange(0, len(landmarks), max(len(landmarks) // _SAMPLE, 1))
     variance = _relative_variance(mapped, sample[neighbours[sample] != UNPAIRED], neighbours)
@@ -188,7 +188,7 @@ def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
         return np.full(len(scan), float(len(landmarks) > 0))
     step = max(len(landmarks) // _SAMPLE, 1)
     passed = unary_table(
-        *scan_arrays(scan)[2:],
+        scan_arrays(scan),
         floats(landmarks.sizes[::step]),
         floats(landmarks.size_variances[::step]),
         integers(landmarks.kinds[::step]),

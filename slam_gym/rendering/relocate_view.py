@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from slam_gym.association.relocation.location import locate
-from slam_gym.association.relocation.tree import hypothesis
 from slam_gym.association.relocation.walk import RelocationWalk
 from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
@@ -58,7 +57,7 @@ def draw(
 
 def _codes(walk: RelocationWalk, kidnapped: Kidnapped) -> IntArray:
     """(m,) `Decision` on each measurement, or UNDECIDED."""
-    features, right = hypothesis(walk.tree, walk.node), kidnapped.features
+    features, right = walk.node.hypothesis, kidnapped.features
     codes = np.where(features == right, int(Decision.RIGHT), int(Decision.WRONG))
     codes[features == UNPAIRED] = Decision.DISCARDED
     codes[~walk.node.decided] = UNDECIDED
@@ -85,7 +84,7 @@ def _draw_map(
     symbols.landmarks(canvas, landmarks, np.zeros(len(landmarks), np.bool_), 2.3)
     if walk.node.path.features.size:
         first = int(walk.node.path.features[0])
-        local = mapped.landmarks.positions[:0] if walk.tree.locality is None else walk.tree.locality.of(first)
+        local = mapped.landmarks.positions[:0] if walk.locality is None else walk.locality.of(first)
         canvas.discs(landmarks[local.astype(np.int64).ravel()], 4.6, None, symbols.PROVISIONAL, 0.9)
     if kidnapped.inside:
         symbols.robot_body(canvas, kidnapped.true_pose, 0.2)
@@ -106,17 +105,17 @@ def _draw_hypothesis(
     canvas: Canvas, walk: RelocationWalk, mapped: MappedWorld, landmarks: Array, codes: IntArray
 ) -> None:
     """The features paired; and where they put the robot and its measurements, once there are two."""
-    features = hypothesis(walk.tree, walk.node)
+    features = walk.node.hypothesis
     paired = features != UNPAIRED
     if paired.sum() < 2:
         for code in (Decision.RIGHT, Decision.WRONG):
             canvas.discs(landmarks[features[codes == code]], 4.2, symbols.DECISIONS[code], symbols.PAPER, 0.8)
         return
-    located = locate(walk.tree.scan, walk.tree.landmarks, features)
+    located = locate(walk.scan, walk.landmarks, features)
     if not np.isfinite(located.pose).all():
         return
     pose = compose(mapped.base, located.pose)
-    points, ends = transform(pose, walk.tree.scan.points), np.full((len(features), 2), np.nan)
+    points, ends = transform(pose, walk.scan.points), np.full((len(features), 2), np.nan)
     ends[paired] = landmarks[features[paired]]
     known = codes != UNDECIDED
     symbols.undecided(canvas, points[~known])
@@ -128,7 +127,7 @@ def _draw_hypothesis(
 
 def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, codes: IntArray) -> None:
     """The scan in R, x up: what is decided, what is to be decided now, what is left."""
-    points = walk.tree.scan.points[:, ::-1] * np.array([-1.0, 1.0])  # x ahead, drawn upwards
+    points = walk.scan.points[:, ::-1] * np.array([-1.0, 1.0])  # x ahead, drawn upwards
     reach = 1.3 * max(float(np.abs(points).max(initial=1.0)), 1.0)
     canvas = Canvas((_INSET, _INSET), (-reach, -reach), 0.5 * _INSET / reach, symbols.PAPER)
     canvas.segments(np.concatenate([np.zeros_like(points), points], axis=1), symbols.LINE, 0.8)
@@ -177,7 +176,7 @@ def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
     """What may be chosen: action, feature, what it could come to, D² of its distances to the pairings of the path."""
     offer, i, star = walk.offer, walk.measurement, walk.spec.star
     assert offer is not None and i is not None
-    m, gate, k = len(walk.order), walk.tree.problem.gates.one, walk.node.pairings
+    m, gate, k = len(walk.order), walk.problem.scan.gates.one, walk.node.pairings
     choices = []
     for action, feature in enumerate(offer.features[:star].tolist()):
         bound, worst = k + 1 + int(offer.support[action]), float(offer.worst[action])

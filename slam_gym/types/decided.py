@@ -91,7 +91,7 @@ class Relocation:
     joint_distance: float  # D²_H at that pose
     dof: int  # 2k − 3 for k pairings, since the pose was fitted from them
     min_pairings: int  # what the rule asks for, given scan and map
-    ambiguous: bool  # another pose explains as many measurements, or nearly: the scan does not decide
+    ambiguous: bool  # another pose explains as many measurements: the scan does not decide
     ties: int  # hypotheses at other poses with as many pairings
     effort: Effort
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import min_pairings as by_rule
-from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.association.relocation.tree import (
@@ -25,7 +22,7 @@ from slam_gym.association.relocation.tree import (
     Problem,
 )
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import UNPAIRED, Array, Effort, IntArray, Landmarks, Relocation, Scan
+from slam_gym.types import UNPAIRED, Array, Effort, IntArray, Relocation
 
 _RIVALS = 256  # hypotheses with as many pairings as the best that are kept
 
@@ -38,53 +35,6 @@ class Best(NamedTuple):
     covariances: Array  # (r, 3, 3)
     distances: Array  # (r,) D²
     state: IntArray  # (3,) number of pairings, of rivals, and which of them has the least D²
-
-
-class Found(NamedTuple):
-    """The best hypothesis."""
-
-    features: IntArray  # (m,) map feature of each measurement, or UNPAIRED
-    pose: Array  # (3,) [m, m, rad] in B
-    covariance: Array  # (3, 3)
-    distance: float  # D²
-    ties: int  # rivals that are elsewhere
-
-
-@functools.lru_cache(maxsize=256)
-def location_gates(pairings: int, confidence: float) -> Array:
-    """χ²_{2k−3,conf} for k = 0 … pairings, inf for k < 2; and at the end χ²_{3,conf}, of a pose. (pairings + 2,)."""
-    gates = [math.inf if k < 2 else chi2_gate(2 * k - 3, confidence) for k in range(pairings + 1)]
-    return np.array([*gates, chi2_gate(3, confidence)])
-
-
-def relocation(
-    scan: Scan,
-    landmarks: Landmarks,
-    found: Found,
-    effort: IntArray,
-    seconds: float,
-    *,
-    confidence: float,
-    min_pairings: int | None,
-) -> Relocation:
-    """The answer: the best hypothesis, under the rule or under the `min_pairings` given; `effort` (8,) as counted."""
-    features, pose, covariance, distance, ties = found
-    if min_pairings is None:
-        min_pairings = by_rule(scan, landmarks, confidence=confidence)
-    counts = [int(count) for count in effort]
-    spent = Effort(
-        nodes=counts[NODES],
-        unary_tests=counts[UNARY],
-        binary_tests=counts[BINARY],
-        orientation_tests=counts[ORIENTATION],
-        joint_tests=counts[JOINT],
-        leaves=counts[LEAVES],
-        tries=counts[TRIES],
-        limit_hit=counts[LIMIT] > 0,
-        seconds=seconds,
-    )
-    dof = max(2 * int((features != UNPAIRED).sum()) - 3, 0)
-    return Relocation(features, pose, covariance, distance, dof, min_pairings, ties > 0, ties, spent)
 
 
 @compiled
@@ -100,14 +50,14 @@ def nothing_found(measurements: int) -> Best:
 
 
 @compiled
-def offer(best: Best, problem: Problem, path: Path, k: int, gates: Array) -> bool:
+def offer(best: Best, problem: Problem, path: Path, k: int) -> bool:
     """Locate and test the hypothesis of k pairings, and keep it if it has as many as the best; whether it holds."""
     if k < 2:
         return False
     pose, covariance = np.empty(3), np.empty((3, 3))
     problem.effort[JOINT] += 1
     distance = locate_pairings(problem.scan.points, problem.scan.noise, problem.mapped, path, k, pose, covariance)
-    if not distance < gates[k]:
+    if not distance < problem.joint_gates[k]:
         return False
     keep(best, path, k, pose, covariance, distance)
     return True
@@ -140,19 +90,47 @@ def keep(best: Best, path: Path, k: int, pose: Array, covariance: Array, distanc
         state[2] = r
 
 
-def decide(best: Best, gate: float) -> Found:
-    """The rival with the least D².
+def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -> Relocation:
+    """The rival with the least D², and how many of the others are elsewhere. All UNPAIRED and NaN if there is none.
 
     Two poses are one place when their difference δ is compatible with both covariances together,
-    δᵀ(Σ_1 + Σ_2)⁻¹δ < `gate`, χ²_3. All UNPAIRED and NaN where nothing was found.
+    δᵀ(Σ_1 + Σ_2)⁻¹δ < χ²_3.
     """
     _, rivals, b = best.state.tolist()
     if rivals == 0:
-        nowhere = np.full(3, math.nan), np.full((3, 3), math.nan)
-        return Found(np.full(best.features.shape[1], UNPAIRED), *nowhere, 0.0, 0)
+        nowhere = np.full(best.features.shape[1], UNPAIRED), np.full(3, math.nan), np.full((3, 3), math.nan)
+        return relocation(*nowhere, 0.0, 0, min_pairings, problem.effort, seconds)
     apart = best.poses[:rivals] - best.poses[b]
     apart[:, 2] = [wrap_angle(turn) for turn in apart[:, 2].tolist()]
     both = best.covariances[:rivals] + best.covariances[b]
     squares = np.einsum("ra,ra->r", apart, np.linalg.solve(both, apart[:, :, None])[:, :, 0])
-    features, pose, covariance = best.features[b].copy(), best.poses[b].copy(), best.covariances[b].copy()
-    return Found(features, pose, covariance, float(best.distances[b]), int((squares >= gate).sum()))
+    ties, distance = int((squares >= problem.joint_gates[-1]).sum()), float(best.distances[b])
+    located = best.features[b].copy(), best.poses[b].copy(), best.covariances[b].copy(), distance
+    return relocation(*located, ties, min_pairings, problem.effort, seconds)
+
+
+def relocation(
+    features: IntArray,
+    pose: Array,
+    covariance: Array,
+    distance: float,
+    ties: int,
+    min_pairings: int,
+    effort: IntArray,
+    seconds: float,
+) -> Relocation:
+    """The answer of any search, with its effort as counted."""
+    counts = effort.tolist()
+    spent = Effort(
+        nodes=counts[NODES],
+        unary_tests=counts[UNARY],
+        binary_tests=counts[BINARY],
+        orientation_tests=counts[ORIENTATION],
+        joint_tests=counts[JOINT],
+        leaves=counts[LEAVES],
+        tries=counts[TRIES],
+        limit_hit=counts[LIMIT] > 0,
+        seconds=seconds,
+    )
+    dof = max(2 * int((features != UNPAIRED).sum()) - 3, 0)
+    return Relocation(features, pose, covariance, distance, dof, min_pairings, ties > 0, ties, spent)

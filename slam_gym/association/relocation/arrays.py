@@ -2,49 +2,54 @@
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._jit import compiled
 from slam_gym.association.compatibility import plain
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import check_scan
 
 _TOLERANCE = 1e-9  # of a negative determinant, relative to the variances' product
 
-_FAULTS = (
-    "",
-    "positions[{}] is not finite",
-    "covariances[{}] is not finite",
-    "covariances[{}] is not PSD",
-    "size_variances[{}] is negative",
-)
 
-ScanArrays = tuple[Array, Array, Array, Array, IntArray]
-MapArrays = tuple[Array, Array, Array, Array, IntArray, Array, IntArray, IntArray, Array]
+class ScanArrays(NamedTuple):
+    """A scan."""
+
+    points: Array  # (m, 2) [m] in R
+    noise: Array  # (m, 2, 2) [m²]
+    sizes: Array  # (m,) [m], NaN where unknown
+    size_variances: Array  # (m,) [m²]
+    kinds: IntArray  # (m,)
+
+
+class Mapped(NamedTuple):
+    """A map."""
+
+    positions: Array  # (n, 2) [m] in B
+    covariances: Array  # (n, 2, 2) [m²]
+    sizes: Array  # (n,) [m], NaN where unknown
+    size_variances: Array  # (n,) [m²]
+    kinds: IntArray  # (n,)
+    covariance: Array  # (2n, 2n) [m²] or (0, 0)
+    block_starts: IntArray  # (n + 1,) or (0,)
+    block_columns: IntArray  # (e,)
+    blocks: Array  # (e, 2, 2) [m²]
 
 
 def scan_arrays(scan: Scan) -> ScanArrays:
-    """Points, noise, sizes, size variances and kinds (all UNKNOWN_KIND where there are none), fit for kernels.
-
-    Raises ValueError naming the field and measurement that is not finite, or no covariance.
-    """
+    """Raises ValueError naming the field and measurement that is not finite, or no covariance."""
     check_scan(scan)
-    m = len(scan)
-    kinds = integers(scan.kinds)
-    if kinds.shape != (m,):
-        raise ValueError(f"Scan.kinds: shape {kinds.shape}, expected ({m},)")
     if np.any(scan.size_variances < 0.0):
         raise ValueError(f"Scan.size_variances: measurement {int(np.argmax(scan.size_variances < 0.0))}: negative")
-    return floats(scan.points), floats(scan.covariances), floats(scan.sizes), floats(scan.size_variances), kinds
+    of_points = floats(scan.points), floats(scan.covariances)
+    return ScanArrays(*of_points, floats(scan.sizes), floats(scan.size_variances), integers(scan.kinds))
 
 
-def map_arrays(landmarks: Landmarks) -> MapArrays:
-    """Positions, covariances, sizes, size variances, kinds, covariance and the three of the blocks, fit for kernels.
+def map_arrays(landmarks: Landmarks) -> Mapped:
+    """Raises ValueError naming the field of a wrong shape, or that holds what is not finite or no covariance.
 
-    Raises ValueError naming the field of a wrong shape, or that holds what is not finite or no covariance. The joint
-    covariance is not looked through: at 1 000 features that would cost more than the search.
+    The joint covariance is not looked through: at 1 000 features that would cost more than the search.
     """
     n, e = len(landmarks.positions), len(landmarks.blocks)
     shapes = {
@@ -61,11 +66,25 @@ def map_arrays(landmarks: Landmarks) -> MapArrays:
             raise ValueError(f"Landmarks.{name}: shape {getattr(landmarks, name).shape}, expected {shape}")
     if landmarks.covariance.shape not in ((2 * n, 2 * n), (0, 0)):
         raise ValueError(f"Landmarks.covariance: shape {landmarks.covariance.shape}, expected {(2 * n, 2 * n)}")
-    if len(landmarks.block_starts) not in (0, n + 1) or (
-        len(landmarks.block_starts) and landmarks.block_starts[-1] != e
-    ):
+    starts = landmarks.block_starts
+    if len(starts) not in (0, n + 1) or (len(starts) and starts[-1] != e):
         raise ValueError(f"Landmarks.block_starts: does not delimit {e} blocks of {n} features")
-    arrays = (
+    (a, b), (_, d) = landmarks.covariances.transpose(1, 2, 0)
+    with np.errstate(invalid="ignore"):
+        psd = (a >= 0.0) & (d >= 0.0) & (a * d - b * b >= -_TOLERANCE * a * d) & np.isfinite(a + d)
+    for name, is_fault, fault in (
+        ("positions", ~np.isfinite(landmarks.positions).all(axis=1), "not finite"),
+        ("covariances", ~psd, "not PSD"),
+        ("size_variances", landmarks.size_variances < 0.0, "negative"),
+    ):
+        if is_fault.any():
+            raise ValueError(f"Landmarks.{name}[{is_fault.argmax()}] is {fault}")
+    return unchecked_map(landmarks)
+
+
+def unchecked_map(landmarks: Landmarks) -> Mapped:
+    """The arrays of a map as they are."""
+    return Mapped(
         floats(landmarks.positions),
         floats(landmarks.covariances),
         floats(landmarks.sizes),
@@ -76,10 +95,6 @@ def map_arrays(landmarks: Landmarks) -> MapArrays:
         integers(landmarks.block_columns),
         floats(landmarks.blocks),
     )
-    fault, where = _first_bad_feature(arrays[0], arrays[1], arrays[3])
-    if fault:
-        raise ValueError(f"Landmarks.{_FAULTS[fault].format(where)}")
-    return arrays
 
 
 def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArray]:
@@ -102,19 +117,3 @@ def floats(array: Array) -> Array:
 def integers(array: IntArray) -> IntArray:
     """The same for int64."""
     return plain(np.ascontiguousarray(array, np.int64))
-
-
-@compiled
-def _first_bad_feature(positions: Array, covariances: Array, size_variances: Array) -> tuple[int, int]:
-    """(index into _FAULTS, feature) of the first bad number; (0, −1) where all are good."""
-    for j in range(len(positions)):
-        if not math.isfinite(positions[j, 0] + positions[j, 1]):
-            return 1, j
-        a, b, d = covariances[j, 0, 0], covariances[j, 0, 1], covariances[j, 1, 1]
-        if not math.isfinite(a + b + d):
-            return 2, j
-        if a < 0.0 or d < 0.0 or a * d - b * b < -_TOLERANCE * a * d:
-            return 3, j
-        if size_variances[j] < 0.0:
-            return 4, j
-    return 0, -1

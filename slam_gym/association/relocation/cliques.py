@@ -18,11 +18,12 @@ import networkx as nx
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.relocation.answer import Best, decide, location_gates, nothing_found, offer, relocation
+from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.relocation.answer import Best, answer_of, nothing_found, offer
 from slam_gym.association.relocation.constraints import Path, binary_test
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, UNARY, Problem, problem_of
-from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at
 _MAXIMAL = 200_000  # maximal cliques that networkx goes through
@@ -44,17 +45,16 @@ def max_clique(
     likewise where there are more than 256 largest cliques, of which the others are not looked at, and where networkx
     has gone through 200 000 maximal ones. Raises ValueError as `gcbb` does.
     """
-    start, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
+    began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
     pairings, edges = _consistent(problem, node_limit)
     cliques, complete = largest_cliques(edges)
     if not complete:
         problem.effort[LIMIT] = 1
     members = np.sort(cliques, axis=1)
-    hypotheses = Path(pairings.measurements[members], pairings.features[members])
-    gates = location_gates(len(scan), confidence)
-    found = decide(_best_of(problem, hypotheses, gates), gates[-1])
-    seconds = time.perf_counter() - start
-    return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
+    best = _best_of(problem, Path(pairings.measurements[members], pairings.features[members]))
+    if min_pairings is None:
+        min_pairings = by_rule(scan, landmarks, confidence=confidence)
+    return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 def largest_cliques(edges: IntArray) -> tuple[IntArray, bool]:
@@ -83,52 +83,49 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
 
     Without edges where there would be too many nodes.
     """
-    scan, where, effort = problem.scan, problem.where, problem.effort
-    (m, n), number, nodes = where.allowed.shape, np.full(where.allowed.shape, -1), 0
-    effort[UNARY] += m * n
-    pairings = Path(np.empty(m * n, np.int64), np.empty(m * n, np.int64))
-    for i in range(m):
-        for j in range(n):
-            if where.allowed[i, j]:
-                pairings.measurements[nodes], pairings.features[nodes], number[i, j] = i, j, nodes
-                nodes += 1
-    effort[NODES] = nodes
+    scan, mapped, effort = problem.scan, problem.mapped, problem.effort
+    allowed, starts, of_each = problem.allowed, problem.starts, problem.members
+    measurements, features = np.nonzero(allowed)
+    nodes, (m, n), number = len(features), allowed.shape, np.full(allowed.shape, -1)
+    effort[UNARY], effort[NODES] = m * n, nodes
     edges, count = np.empty((1024, 2), np.int64), 0
     if nodes > node_limit:
         effort[LIMIT] = 1
         nodes = 0
     for a in range(nodes):
-        i, j = pairings.measurements[a], pairings.features[a]
-        begin, end = (where.starts[j], where.starts[j + 1]) if len(where.starts) > 0 else (0, n)
+        number[measurements[a], features[a]] = a
+    for a in range(nodes):
+        i, j = measurements[a], features[a]
+        begin, end = (starts[j], starts[j + 1]) if len(starts) > 0 else (0, n)
         for k in range(i + 1, m):
             for position in range(begin, end):
-                l = where.members[position] if len(where.starts) > 0 else position
+                l = of_each[position] if len(starts) > 0 else position
                 if l == j or number[k, l] < 0:
                     continue
                 effort[BINARY] += 1
-                if not binary_test(scan, problem.mapped, problem.gates, i, j, k, l):
+                if not binary_test(scan, mapped, i, j, k, l):
                     continue
                 if count == len(edges):
                     edges = np.concatenate((edges, edges))
                 edges[count, 0], edges[count, 1] = a, number[k, l]
                 count += 1
-    return pairings, edges[:count]
+    return Path(measurements, features), edges[:count]
 
 
 @compiled
-def _best_of(problem: Problem, hypotheses: Path, gates: Array) -> Best:
+def _best_of(problem: Problem, hypotheses: Path) -> Best:
     """The best of the hypotheses, one a row of each array; where none holds, of what they shrink to."""
-    best, holds = nothing_found(len(problem.where.allowed)), False
+    best, holds = nothing_found(len(problem.allowed)), False
     for c in range(len(hypotheses.features)):
         problem.effort[LEAVES] += 1
         path = Path(hypotheses.measurements[c].copy(), hypotheses.features[c].copy())
-        holds = offer(best, problem, path, len(path.features), gates) or holds
+        holds = offer(best, problem, path, len(path.features)) or holds
     for c in range(len(hypotheses.features) if not holds else 0):
         path = Path(hypotheses.measurements[c].copy(), hypotheses.features[c].copy())
-        while len(path.features) > 2 and not offer(best, problem, path, len(path.features), gates):
+        while len(path.features) > 2 and not offer(best, problem, path, len(path.features)):
             path = _without_the_worst(problem, path)
         if len(path.features) == 2:
-            offer(best, problem, path, 2, gates)
+            offer(best, problem, path, 2)
     return best
 
 

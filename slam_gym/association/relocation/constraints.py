@@ -15,38 +15,10 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import MapArrays, map_arrays, scan_arrays
+from slam_gym.association.relocation.arrays import Mapped, ScanArrays, map_arrays, scan_arrays
 from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Scan
 
 _CLOSE = 16.0  # points are close when nearer than √16 = 4 σ to each other
-
-
-class Measured(NamedTuple):
-    """A scan as the compiled constraints take it."""
-
-    points: Array  # (m, 2) [m] in R
-    noise: Array  # (m, 2, 2) [m²]
-    distances: Array  # (m, m) [m] between measurements
-    variances: Array  # (m, m) [m²] of those, uᵀ(R_i + R_k)u
-    spreads: Array  # (m, m) [m²] largest eigenvalue of R_i + R_k
-
-
-class Mapped(NamedTuple):
-    """A map as the compiled constraints take it."""
-
-    positions: Array  # (n, 2) [m] in B
-    covariances: Array  # (n, 2, 2) [m²]
-    covariance: Array  # (2n, 2n) [m²] or (0, 0)
-    block_starts: IntArray  # (n + 1,) or (0,)
-    block_columns: IntArray  # (e,)
-    blocks: Array  # (e, 2, 2) [m²]
-
-
-class Path(NamedTuple):
-    """Pairings made, with room for more: of a path with p pairings, the first p entries count."""
-
-    measurements: IntArray  # in the order of pairing
-    features: IntArray  # theirs
 
 
 class Gates(NamedTuple):
@@ -56,27 +28,40 @@ class Gates(NamedTuple):
     two: float  # χ²_2: distances of what is closer than its noise
 
 
+class Measured(NamedTuple):
+    """A scan as the compiled constraints take it, at one confidence."""
+
+    points: Array  # (m, 2) [m] in R
+    noise: Array  # (m, 2, 2) [m²]
+    distances: Array  # (m, m) [m] between measurements
+    variances: Array  # (m, m) [m²] of those, uᵀ(R_i + R_k)u
+    spreads: Array  # (m, m) [m²] largest eigenvalue of R_i + R_k
+    gates: Gates
+
+
+class Path(NamedTuple):
+    """Pairings made, with room for more: of a path with p pairings, the first p entries count."""
+
+    measurements: IntArray  # in the order of pairing
+    features: IntArray  # theirs
+
+
 def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArray:
     """Which measurement may be which feature by size and kind alone, (m, n).
 
     Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j); kinds, when they are equal. A size that is NaN and a kind
     that is UNKNOWN_KIND say nothing and agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
     """
-    return unary_table(*scan_arrays(scan)[2:], *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
+    return unary_table(scan_arrays(scan), *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
 
 
-def gates(confidence: float) -> Gates:
+def gates_at(confidence: float) -> Gates:
     """Raises ValueError unless 0 < confidence < 1."""
     return Gates(chi2_gate(1, confidence), chi2_gate(2, confidence))
 
 
-def mapped_of(arrays: MapArrays) -> Mapped:
-    """What the constraints look at of a map."""
-    return Mapped(arrays[0], arrays[1], *arrays[5:])
-
-
 @compiled
-def measured(points: Array, noise: Array) -> Measured:
+def measured(points: Array, noise: Array, gates: Gates) -> Measured:
     """Distances between all measurements, with their variances."""
     m = len(points)
     distances, variances, spreads = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
@@ -88,7 +73,7 @@ def measured(points: Array, noise: Array) -> Measured:
             square = x * x + y * y
             distances[i, k], spreads[i, k] = math.sqrt(square), largest_eigenvalue(xx, xy, yy)
             variances[i, k] = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else spreads[i, k]
-    return Measured(points, noise, distances, variances, spreads)
+    return Measured(points, noise, distances, variances, spreads, gates)
 
 
 @compiled
@@ -155,7 +140,7 @@ def far_apart(error: float, spread: float, trace: float, of_other: float, gate: 
 
 
 @compiled
-def binary_test(scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k: int, l: int) -> bool:
+def binary_test(scan: Measured, mapped: Mapped, i: int, j: int, k: int, l: int) -> bool:
     """Whether pairings (i, j) and (k, l) agree in the distance of their measurements and that of their features.
 
     With g the distance, (g_scan − g_map)² < χ²_{1,conf} (σ²_scan + σ²_map), where σ²_scan = uᵀ(R_i + R_k)u and
@@ -167,28 +152,27 @@ def binary_test(scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k:
     square, spread = x * x + y * y, scan.spreads[i, k]
     error = scan.distances[i, k] - math.sqrt(square)
     P = mapped.covariances
-    if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], P[l, 0, 0] + P[l, 1, 1], gates.two):
+    if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], P[l, 0, 0] + P[l, 1, 1], scan.gates.two):
         return False
     xx, xy, yy = difference_covariance(mapped, j, l)
     widest = spread + max(largest_eigenvalue(xx, xy, yy), 0.0)
     if min(square, scan.distances[i, k] ** 2) < _CLOSE * widest:
-        return bool(error * error < gates.two * widest)
+        return bool(error * error < scan.gates.two * widest)
     variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
-    return bool(error * error < gates.one * (scan.variances[i, k] + max(variance, 0.0)))
+    return bool(error * error < scan.gates.one * (scan.variances[i, k] + max(variance, 0.0)))
 
 
 @compiled
-def orientation_test(
-    scan: Measured, mapped: Mapped, gates: Gates, i: int, j: int, k: int, l: int, p: int, q: int
-) -> bool:
+def orientation_test(scan: Measured, mapped: Mapped, ikp: tuple[int, int, int], jlq: tuple[int, int, int]) -> bool:
     """Whether pairings (i, j), (k, l) and (p, q) go round in the same sense in scan and map, or noise leaves it open.
 
     The signed areas of the two triangles must have the same sign, unless noise explains the difference:
     (A_scan − A_map)² < χ²_{1,conf} (σ²_scan + σ²_map), by linearisation with full cross-covariances.
     """
-    z, F = scan.points, mapped.positions
-    seen = _twice_area(z[i, 0], z[i, 1], z[k, 0], z[k, 1], z[p, 0], z[p, 1])
-    known = _twice_area(F[j, 0], F[j, 1], F[l, 0], F[l, 1], F[q, 0], F[q, 1])
+    (i, k, p), (j, l, q), z, F = ikp, jlq, scan.points, mapped.positions
+    # twice the signed areas
+    seen = (z[k, 0] - z[i, 0]) * (z[p, 1] - z[i, 1]) - (z[k, 1] - z[i, 1]) * (z[p, 0] - z[i, 0])
+    known = (F[l, 0] - F[j, 0]) * (F[q, 1] - F[j, 1]) - (F[l, 1] - F[j, 1]) * (F[q, 0] - F[j, 0])
     if seen * known >= 0.0:
         return True
     variance = 0.0
@@ -204,24 +188,13 @@ def orientation_test(
         xx, xy, yx, yy = cross_covariance(mapped, a, b)
         of_map += gx * gx * P[0, 0] + 2.0 * gx * gy * P[0, 1] + gy * gy * P[1, 1]
         of_map += 2.0 * (gx * (xx * hx + xy * hy) + gy * (yx * hx + yy * hy))
-    return (seen - known) ** 2 < gates.one * (variance + max(of_map, 0.0))
+    return bool((seen - known) ** 2 < scan.gates.one * (variance + max(of_map, 0.0)))
 
 
 @compiled
-def _twice_area(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> float:
-    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-
-
-@compiled
-def unary_table(
-    sizes: Array,
-    variances: Array,
-    kinds: IntArray,
-    of_sizes: Array,
-    of_variances: Array,
-    of_kinds: IntArray,
-    gate: float,
-) -> BoolArray:
+def unary_table(scan: ScanArrays, of_sizes: Array, of_variances: Array, of_kinds: IntArray, gate: float) -> BoolArray:
+    """`unary_test` of all measurements and features, (m, n)."""
+    sizes, variances, kinds = scan.sizes, scan.size_variances, scan.kinds
     table = np.empty((len(sizes), len(of_sizes)), np.bool_)
     for i in range(len(sizes)):
         for j in range(len(of_sizes)):

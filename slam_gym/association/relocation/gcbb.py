@@ -7,17 +7,11 @@ import time
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.relocation.answer import (
-    Best,
-    decide,
-    location_gates,
-    nothing_found,
-    offer,
-    relocation,
-)
+from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.relocation.answer import Best, answer_of, nothing_found, offer
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.tree import LEAVES, LIMIT, NODES, Problem, next_branch, problem_of
-from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 
 _STAR = -1  # in place of a candidate: `*` comes next, the candidates are done
 
@@ -54,30 +48,26 @@ def gcbb(
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
-    levels, start = _from_centre(scan.points) if outwards else np.arange(len(scan)), time.perf_counter()
-    problem = problem_of(scan, landmarks, locality, confidence)
-    gates = location_gates(len(scan), confidence)
-    found = decide(_gcbb(problem, levels, gates, node_limit, rivals), gates[-1])
-    seconds = time.perf_counter() - start
-    return relocation(scan, landmarks, found, problem.effort, seconds, confidence=confidence, min_pairings=min_pairings)
-
-
-def _from_centre(points: Array) -> IntArray:
-    """Measurements (m,), those nearest to their mean first."""
-    if not len(points):
-        return np.empty(0, np.int64)
-    order: IntArray = np.argsort(((points - points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
-    return order
+    began, problem, levels = (
+        time.perf_counter(),
+        problem_of(scan, landmarks, locality, confidence),
+        np.arange(len(scan)),
+    )
+    if outwards and len(scan):
+        levels = np.argsort(((scan.points - scan.points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
+    best = _gcbb(problem, levels, node_limit, rivals)
+    if min_pairings is None:
+        min_pairings = by_rule(scan, landmarks, confidence=confidence)
+    return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 @compiled
-def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, rivals: bool) -> Best:
+def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> Best:
     """The search, level l deciding measurement levels[l].
 
     By level: how many pairings there are above it, and how many candidates were tried.
     """
-    m, best = len(levels), nothing_found(len(levels))
-    scan, mapped, chi2, where, effort = problem.scan, problem.mapped, problem.gates, problem.where, problem.effort
+    m, best, effort = len(levels), nothing_found(len(levels)), problem.effort
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     above, tried = np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     level = 0
@@ -88,19 +78,19 @@ def _gcbb(problem: Problem, levels: IntArray, gates: Array, node_limit: int, riv
             continue
         if level == m:
             effort[LEAVES] += 1
-            offer(best, problem, path, p, gates)
+            offer(best, problem, path, p)
             level -= 1
             continue
-        branch = next_branch(scan, mapped, chi2, effort, where, path, p, levels[level], tried[level])
-        tried[level] = _STAR if branch.feature == UNPAIRED else branch.tried
-        if branch.feature == UNPAIRED and not _promises(best, p + m - level - 1, rivals):
+        feature, done = next_branch(problem, path, p, levels[level], tried[level])
+        tried[level] = _STAR if feature == UNPAIRED else done
+        if feature == UNPAIRED and not _promises(best, p + m - level - 1, rivals):
             continue
         if effort[NODES] == node_limit:
             effort[LIMIT] = 1
             break
         effort[NODES] += 1
-        if branch.feature != UNPAIRED:
-            path.measurements[p], path.features[p] = levels[level], branch.feature
+        if feature != UNPAIRED:
+            path.measurements[p], path.features[p] = levels[level], feature
             p += 1
         level += 1
         above[level], tried[level] = p, 0

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.relocation.arrays import floats, integers
-from slam_gym.association.relocation.constraints import Mapped, Path, cross_covariance
+from slam_gym.association.relocation.arrays import Mapped, floats, integers, unchecked_map
+from slam_gym.association.relocation.constraints import Path, cross_covariance
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Scan
 from slam_gym.validation import check_scan
@@ -46,21 +46,14 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
     check_scan(scan)
     if len(features) != len(scan):
         raise ValueError(f"features: {len(features)} decisions for {len(scan)} measurements")
-    mapped = Mapped(
-        floats(landmarks.positions),
-        floats(landmarks.covariances),
-        floats(landmarks.covariance),
-        integers(landmarks.block_starts),
-        integers(landmarks.block_columns),
-        floats(landmarks.blocks),
-    )
     paired = np.flatnonzero(features != UNPAIRED)
     path, k = Path(paired, integers(features[paired])), len(paired)
     if k and not (path.features.min() >= 0 and path.features.max() < len(landmarks)):
         raise ValueError(f"features: {features.tolist()} for a map of {len(landmarks)} features")
     pose, covariance, distance = np.full(3, math.nan), np.full((3, 3), math.nan), 0.0
     if k >= 2:
-        distance = locate_pairings(floats(scan.points), floats(scan.covariances), mapped, path, k, pose, covariance)
+        points, noise, mapped = floats(scan.points), floats(scan.covariances), unchecked_map(landmarks)
+        distance = locate_pairings(points, noise, mapped, path, k, pose, covariance)
     if math.isnan(distance):
         raise ValueError(f"landmarks: the joint covariance of features {features.tolist()} is none, or not finite")
     return Located(pose, covariance, distance, max(2 * k - 3, 0))
@@ -80,12 +73,18 @@ def locate_pairings(
 
     NaN where S is not positive definite; inf where the pose is not determined. The pose is NaN with either.
     """
-    P = _joint_covariance(mapped, path.features, k)
-    _closed_form(points, noise, mapped, path, k, pose)
+    measurements, features = path.measurements[:k], path.features[:k]
+    z, R, F, P = (
+        points[measurements],
+        noise[measurements],
+        mapped.positions[features],
+        _joint_covariance(mapped, features),
+    )
+    _closed_form(z, R, F, P, pose)
     L, columns = np.empty((2 * k, 2 * k)), np.empty((2 * k, 4))
     distance, normal, step = math.nan, np.empty((3, 3)), np.empty(3)
     for _ in range(_ITERATIONS):
-        _linearise(points, noise, mapped, path, k, pose, P, L, columns)
+        _linearise(z, R, F, P, pose, L, columns)
         distance = math.nan
         if not _whiten(L, columns):
             break
@@ -103,10 +102,10 @@ def locate_pairings(
 
 
 @compiled
-def _joint_covariance(mapped: Mapped, features: IntArray, k: int) -> Array:
-    """P (2k, 2k) [m²] of the features `features[:k]`."""
-    P = np.empty((2 * k, 2 * k))
-    for a in range(k):
+def _joint_covariance(mapped: Mapped, features: IntArray) -> Array:
+    """P (2k, 2k) [m²] of features (k,)."""
+    P = np.empty((2 * len(features), 2 * len(features)))
+    for a in range(len(features)):
         own = mapped.covariances[features[a]]
         P[2 * a, 2 * a], P[2 * a + 1, 2 * a + 1] = own[0, 0] + _FLOOR, own[1, 1] + _FLOOR
         P[2 * a, 2 * a + 1] = P[2 * a + 1, 2 * a] = own[0, 1]
@@ -118,21 +117,18 @@ def _joint_covariance(mapped: Mapped, features: IntArray, k: int) -> Array:
 
 
 @compiled
-def _closed_form(points: Array, noise: Array, mapped: Mapped, path: Path, k: int, pose: Array) -> None:
+def _closed_form(points: Array, noise: Array, positions: Array, P: Array, pose: Array) -> None:
     """Weighted Umeyama without scale: θ from the weighted sums of products about the centroids, then t."""
-    total, zx, zy, fx, fy = 0.0, 0.0, 0.0, 0.0, 0.0
-    weights = np.empty(k)
-    for a in range(k):
-        i, j = path.measurements[a], path.features[a]
-        R, P, z, F = noise[i], mapped.covariances[j], points[i], mapped.positions[j]
-        weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[0, 0] + P[1, 1] + _FLOOR)
-        total += weights[a]
-        zx, zy, fx, fy = zx + weights[a] * z[0], zy + weights[a] * z[1], fx + weights[a] * F[0], fy + weights[a] * F[1]
+    total, zx, zy, fx, fy, weights = 0.0, 0.0, 0.0, 0.0, 0.0, np.empty(len(points))
+    for a in range(len(points)):
+        R, z, F = noise[a], points[a], positions[a]
+        weight = weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[2 * a, 2 * a] + P[2 * a + 1, 2 * a + 1])
+        total += weight
+        zx, zy, fx, fy = zx + weight * z[0], zy + weight * z[1], fx + weight * F[0], fy + weight * F[1]
     zx, zy, fx, fy = zx / total, zy / total, fx / total, fy / total
     along, across = 0.0, 0.0
-    for a in range(k):
-        z, F = points[path.measurements[a]], mapped.positions[path.features[a]]
-        x, y, u, v = z[0] - zx, z[1] - zy, F[0] - fx, F[1] - fy
+    for a in range(len(points)):
+        x, y, u, v = points[a, 0] - zx, points[a, 1] - zy, positions[a, 0] - fx, positions[a, 1] - fy
         along += weights[a] * (x * u + y * v)
         across += weights[a] * (x * v - y * u)
     pose[2] = math.atan2(across, along)
@@ -141,39 +137,17 @@ def _closed_form(points: Array, noise: Array, mapped: Mapped, path: Path, k: int
 
 
 @compiled
-def _linearise(
-    points: Array,
-    noise: Array,
-    mapped: Mapped,
-    path: Path,
-    k: int,
-    pose: Array,
-    P: Array,
-    S: Array,
-    columns: Array,
-) -> None:
+def _linearise(points: Array, noise: Array, positions: Array, P: Array, pose: Array, S: Array, columns: Array) -> None:
     """The lower triangle of S, and in `columns` (2k, 4) A and e, all at `pose`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    for a in range(k):
-        x, y = points[path.measurements[a], 0], points[path.measurements[a], 1]
-        u, v = c * x - s * y, s * x + c * y
+    for a in range(len(points)):
+        u, v = c * points[a, 0] - s * points[a, 1], s * points[a, 0] + c * points[a, 1]
         p, q = 2 * a, 2 * a + 1
-        columns[p, 0], columns[p, 1], columns[p, 2], columns[p, 3] = (
-            1.0,
-            0.0,
-            -v,
-            mapped.positions[path.features[a], 0] - pose[0] - u,
-        )
-        columns[q, 0], columns[q, 1], columns[q, 2], columns[q, 3] = (
-            0.0,
-            1.0,
-            u,
-            mapped.positions[path.features[a], 1] - pose[1] - v,
-        )
+        columns[p, 0], columns[p, 1], columns[p, 2], columns[p, 3] = 1.0, 0.0, -v, positions[a, 0] - pose[0] - u
+        columns[q, 0], columns[q, 1], columns[q, 2], columns[q, 3] = 0.0, 1.0, u, positions[a, 1] - pose[1] - v
         for b in range(p):
             S[p, b], S[q, b] = P[p, b], P[q, b]
-        R = noise[path.measurements[a]]
-        xx, xy, yy = R[0, 0], R[0, 1], R[1, 1]
+        xx, xy, yy = noise[a, 0, 0], noise[a, 0, 1], noise[a, 1, 1]
         S[p, p] = P[p, p] + c * c * xx - 2.0 * c * s * xy + s * s * yy
         S[q, p] = P[q, p] + c * s * (xx - yy) + (c * c - s * s) * xy
         S[q, q] = P[q, q] + s * s * xx + 2.0 * c * s * xy + c * c * yy

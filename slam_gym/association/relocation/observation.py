@@ -75,7 +75,7 @@ def observe_walk(walk: RelocationWalk, measurements: int) -> WalkObservation:
 
 
 def _measurement(walk: RelocationWalk) -> Float32Array:
-    out, scan, i = np.zeros(len(MEASUREMENT_FIELDS), np.float32), walk.tree.scan, walk.measurement
+    out, scan, i = np.zeros(len(MEASUREMENT_FIELDS), np.float32), walk.scan, walk.measurement
     if i is None or walk.offer is None:
         return out
     xx, xy, yy = (float(scan.covariances[i].flat[entry]) for entry in (0, 1, 3))
@@ -88,11 +88,11 @@ def _measurement(walk: RelocationWalk) -> Float32Array:
 
 
 def _candidates(walk: RelocationWalk) -> Float32Array:
-    k, m, i, offer = walk.spec.candidates, len(walk.tree.scan), walk.measurement, walk.offer
+    k, m, i, offer = walk.spec.candidates, len(walk.scan), walk.measurement, walk.offer
     out = np.zeros((k, len(CANDIDATE_FIELDS)), np.float32)
     if i is None or offer is None:
         return out.ravel()
-    scan, landmarks, shown = walk.tree.scan, walk.tree.landmarks, offer.features[:k]
+    scan, landmarks, shown = walk.scan, walk.landmarks, offer.features[:k]
     rows, support = out[: len(shown)], offer.support[:k]
     rows[:, 0] = 1.0
     rows[:, 1] = support / max(m - walk.level - 1, 1)
@@ -107,7 +107,7 @@ def _candidates(walk: RelocationWalk) -> Float32Array:
 
 def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
     out = np.zeros((measurements, len(SCAN_FIELDS)), np.float32)
-    scan, shown = walk.tree.scan, walk.order[:measurements]
+    scan, shown = walk.scan, walk.order[:measurements]
     rows = out[: len(shown)]
     rows[:, 0] = 1.0
     rows[:, 1:3] = _squash(scan.points[shown], POSITION_SCALE)
@@ -119,7 +119,7 @@ def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
 
 
 def _path(walk: RelocationWalk) -> Float32Array:
-    m = max(len(walk.tree.scan), 1)
+    m = max(len(walk.scan), 1)
     leaf, compatible = walk.leaf is not None, walk.leaf is not None and walk.leaf.compatible
     pairings, without = walk.node.pairings, walk.node.bound_without(walk.measurement)
     return np.array(
@@ -129,7 +129,7 @@ def _path(walk: RelocationWalk) -> Float32Array:
 
 
 def _search(walk: RelocationWalk) -> Float32Array:
-    m, best = max(len(walk.tree.scan), 1), walk.best
+    m, best = max(len(walk.scan), 1), walk.best
     return np.array(
         [
             best.pairings / m,

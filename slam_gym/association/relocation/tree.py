@@ -4,13 +4,12 @@ A pairing is legal when the unary constraints hold, when its distance agrees wit
 orientation with the first and every other, when its feature is free, and when that is local to the feature of the first
 pairing. `follows` is that rule, and the only one: `next_branch` is the branch that a depth-first search takes next, as
 `gcbb` and `random_sampling` do; a `RelocationNode`, which walks go by, keeps all pairings that are still legal, since
-what is illegal at a node is so in its whole subtree.
-
-`root` gives the node to start from, `branches` what may follow a node, `extend` the node that follows.
+what is illegal at a node is so in its whole subtree. `branches` is what may follow a node, `extend` the node that does.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -18,17 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.relocation.arrays import locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import (
-    Gates,
-    Mapped,
     Measured,
     Path,
     binary_test,
     difference_covariance,
     far_apart,
-    gates,
-    mapped_of,
+    gates_at,
     measured,
     orientation_test,
     unary_table,
@@ -36,18 +33,7 @@ from slam_gym.association.relocation.constraints import (
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Landmarks, Locality, Scan
 
 NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
-"""Entries of `Problem.effort`."""
-
-_NOTHING = np.empty(0, np.int64)
-
-
-class Where(NamedTuple):
-    """Where to look for the feature of a measurement."""
-
-    allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
-    traces: Array  # (n,) [m²] of the features' covariances
-    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
-    members: IntArray
+"""Entries of the effort that the searches count."""
 
 
 class Problem(NamedTuple):
@@ -55,19 +41,12 @@ class Problem(NamedTuple):
 
     scan: Measured
     mapped: Mapped
-    gates: Gates
-    where: Where
+    joint_gates: Array  # (m + 2,) `location_gates`
+    allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
+    traces: Array  # (n,) [m²] of the features' covariances
+    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
+    members: IntArray
     effort: IntArray  # (8,)
-
-
-@dataclass(frozen=True, slots=True)
-class RelocationTree:
-    """A scan's interpretation tree over a whole map: what all walks of it share."""
-
-    scan: Scan
-    landmarks: Landmarks
-    locality: Locality | None
-    problem: Problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +75,13 @@ class RelocationNode:
             alive[measurement] = False
         return self.pairings + int(min(alive.any(axis=1).sum(), alive.any(axis=0).sum()))
 
+    @property
+    def hypothesis(self) -> IntArray:
+        """Feature paired with each measurement (m,); UNPAIRED for `*` and for what is undecided."""
+        features = np.full(len(self.decided), UNPAIRED)
+        features[self.path.measurements] = self.path.features
+        return features
+
 
 @dataclass(frozen=True, slots=True)
 class RelocationBranches:
@@ -108,114 +94,89 @@ class RelocationBranches:
     local: Array  # (b,) fraction of the path's features that are local to this one; 1 without pairings
 
 
-class _Outlook(NamedTuple):
-    """Beyond each of one measurement's branches."""
-
-    support: IntArray  # (b,)
-    figures: Array  # (b, 3) mean, worst and local
-
-
-class Branch(NamedTuple):
-    """A step of a depth-first search."""
-
-    feature: int  # or UNPAIRED
-    tried: int  # candidates done with
+@functools.lru_cache(maxsize=256)
+def location_gates(pairings: int, confidence: float) -> Array:
+    """χ²_{2k−3,conf} for k = 0 … pairings, inf for k < 2; and at the end χ²_{3,conf}, of a pose. (pairings + 2,)."""
+    gates = [math.inf if k < 2 else chi2_gate(2 * k - 3, confidence) for k in range(pairings + 1)]
+    return np.array([*gates, chi2_gate(3, confidence)])
 
 
 def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, confidence: float) -> Problem:
     """What a search without a prior is given. Raises ValueError for bad numbers in scan, map or locality."""
-    seen = scan_arrays(scan)
-    arrays, chi2 = map_arrays(landmarks), gates(confidence)
-    mapped, (starts, members) = mapped_of(arrays), locality_arrays(locality, len(landmarks))
-    allowed = unary_table(*seen[2:], *arrays[2:5], chi2.one)
-    traces = mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1]
-    effort = np.zeros(8, np.int64)
-    return Problem(measured(*seen[:2]), mapped, chi2, Where(allowed, traces, starts, members), effort)
+    seen, mapped, gates = scan_arrays(scan), map_arrays(landmarks), gates_at(confidence)
+    return Problem(
+        measured(seen.points, seen.noise, gates),
+        mapped,
+        location_gates(len(scan), confidence),
+        unary_table(seen, mapped.sizes, mapped.size_variances, mapped.kinds, gates.one),
+        mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1],
+        *locality_arrays(locality, len(landmarks)),
+        np.zeros(8, np.int64),
+    )
 
 
-def relocation_tree(
-    scan: Scan, landmarks: Landmarks, locality: Locality | None = None, confidence: float = 0.99
-) -> RelocationTree:
-    """The tree of a scan in a map, in the frame of the map. Raises ValueError as `problem_of` does."""
-    return RelocationTree(scan, landmarks, locality, problem_of(scan, landmarks, locality, confidence))
+def root(problem: Problem) -> RelocationNode:
+    """Nothing decided."""
+    nothing = np.empty(0, np.int64)
+    return RelocationNode(Path(nothing, nothing), np.zeros(len(problem.allowed), np.bool_), problem.allowed)
 
 
-def root(tree: RelocationTree) -> RelocationNode:
-    """The root: nothing decided."""
-    return RelocationNode(Path(_NOTHING, _NOTHING), np.zeros(len(tree.scan), np.bool_), tree.problem.where.allowed)
-
-
-def branches(tree: RelocationTree, node: RelocationNode, measurement: int) -> RelocationBranches:
+def branches(problem: Problem, node: RelocationNode, measurement: int) -> RelocationBranches:
     """What `measurement` may be paired with at `node`; `*` is always legal besides."""
     candidates = np.flatnonzero(node.alive[measurement])
-    ahead = _look_ahead(tree.problem, node.alive, node.path, measurement, candidates)
-    order = np.lexsort((ahead.figures[:, 0], -ahead.support))
-    mean, worst, local = ahead.figures[order].T
-    return RelocationBranches(candidates[order], ahead.support[order], mean, worst, local)
+    support, figures = _look_ahead(problem, node.alive, node.path, measurement, candidates)
+    order = np.lexsort((figures[:, 0], -support))
+    return RelocationBranches(candidates[order], support[order], *figures[order].T)
 
 
-def extend(tree: RelocationTree, node: RelocationNode, measurement: int, feature: int) -> RelocationNode:
-    """The node reached by pairing `measurement` with `feature`, or with UNPAIRED.
-
-    Raises ValueError where the measurement is decided or the pairing is not legal.
-    """
+def extend(problem: Problem, node: RelocationNode, measurement: int, feature: int) -> RelocationNode:
+    """The node reached by pairing `measurement`, undecided, with a legal feature or with UNPAIRED."""
     decided, alive = node.decided.copy(), node.alive.copy()
-    if decided[measurement]:
-        raise ValueError(f"measurement: {measurement} is decided already")
     decided[measurement], alive[measurement] = True, False
     if feature == UNPAIRED:
         return RelocationNode(node.path, decided, alive)
-    if not (0 <= feature < len(tree.landmarks) and node.alive[measurement, feature]):
-        raise ValueError(f"feature: measurement {measurement} may not be paired with {feature} here")
     path = Path(np.append(node.path.measurements, measurement), np.append(node.path.features, feature))
-    _keep_what_follows(tree.problem, alive, path)
+    _keep_what_follows(problem, alive, path)
     return RelocationNode(path, decided, alive)
 
 
-def hypothesis(tree: RelocationTree, node: RelocationNode) -> IntArray:
-    """Feature paired with each measurement (m,); UNPAIRED for `*` and for what is undecided."""
-    features = np.full(len(tree.scan), UNPAIRED)
-    features[node.path.measurements] = node.path.features
-    return features
-
-
 @compiled
-def follows(
-    scan: Measured, mapped: Mapped, chi2: Gates, effort: IntArray, path: Path, p: int, i: int, j: int, since: int
-) -> bool:
+def follows(scan: Measured, mapped: Mapped, effort: IntArray, path: Path, p: int, i: int, j: int, since: int) -> bool:
     """Whether pairing (i, j) may follow the p pairings of a path, given that it may follow the first `since` of them.
 
     The unary constraint and the locality of the first pairing are the caller's to see to: both say where to look. The
-    first four arguments are of a `Problem`; taken out of it here, at every call, they cost as much as the tests.
+    first three arguments are of a `Problem`; taken out of it here, at every call, they cost as much as the tests.
     """
     for a in range(since, p):
         if path.features[a] == j:
             return False
         effort[BINARY] += 1
-        if not binary_test(scan, mapped, chi2, path.measurements[a], path.features[a], i, j):
+        if not binary_test(scan, mapped, path.measurements[a], path.features[a], i, j):
             return False
     for a in range(max(since, 1), p):
         effort[ORIENTATION] += 1
-        k, l = path.measurements[a], path.features[a]
-        if not orientation_test(scan, mapped, chi2, path.measurements[0], path.features[0], k, l, i, j):
+        measurements, features = (
+            (path.measurements[0], path.measurements[a], i),
+            (path.features[0], path.features[a], j),
+        )
+        if not orientation_test(scan, mapped, measurements, features):
             return False
     return True
 
 
 @compiled
-def next_branch(
-    scan: Measured, mapped: Mapped, chi2: Gates, effort: IntArray, where: Where, path: Path, p: int, i: int, tried: int
-) -> Branch:
-    """The next feature that measurement i may be paired with after the p pairings, or UNPAIRED.
+def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tuple[int, int]:
+    """The next feature that measurement i may be paired with after the p pairings, or UNPAIRED; candidates done with.
 
-    Candidates are the features local to the first one paired, or all; the first `tried` of them are done with. The
-    first five arguments are of a `Problem`, see `follows`.
+    Candidates are the features local to the first one paired, or all; the first `tried` of them are done with.
     """
-    positions, traces, allowed, members, gate = mapped.positions, where.traces, where.allowed, where.members, chi2.two
-    restricted = p > 0 and len(where.starts) > 0
+    scan, mapped, effort, traces = problem.scan, problem.mapped, problem.effort, problem.traces
+    positions, starts, members, allowed = mapped.positions, problem.starts, problem.members, problem.allowed
+    gate = scan.gates.two
+    restricted = p > 0 and len(starts) > 0
     begin, end = 0, len(traces)
     if restricted:
-        begin, end = where.starts[path.features[0]], where.starts[path.features[0] + 1]
+        begin, end = starts[path.features[0]], starts[path.features[0] + 1]
     first, x0, y0, trace, distance, spread = UNPAIRED, 0.0, 0.0, 0.0, 0.0, 0.0
     if p > 0:
         first = path.features[0]
@@ -232,71 +193,60 @@ def next_branch(
             if far_apart(distance - math.sqrt(x * x + y * y), spread, traces[j], trace, gate):
                 effort[BINARY] += first != j
                 continue
-        if follows(scan, mapped, chi2, effort, path, p, i, j, 0):
-            return Branch(j, position + 1 - begin)
-    return Branch(UNPAIRED, end - begin)
+        if follows(scan, mapped, effort, path, p, i, j, 0):
+            return j, position + 1 - begin
+    return UNPAIRED, end - begin
 
 
 @compiled
 def _local_to(problem: Problem, feature: int) -> BoolArray:
     """(n,) L(feature)."""
-    n = len(problem.where.traces)
-    if len(problem.where.starts) == 0:
-        return np.ones(n, np.bool_)
-    local = np.zeros(n, np.bool_)
-    for at in range(problem.where.starts[feature], problem.where.starts[feature + 1]):
-        local[problem.where.members[at]] = True
+    local = np.full(len(problem.traces), len(problem.starts) == 0)
+    if len(problem.starts) > 0:
+        for at in range(problem.starts[feature], problem.starts[feature + 1]):
+            local[problem.members[at]] = True
     return local
 
 
 @compiled
 def _keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
     """Strike from `alive` (m, n), in place, what the last pairing of the path rules out."""
-    scan, mapped, chi2, effort, p = problem.scan, problem.mapped, problem.gates, problem.effort, len(path.features)
+    scan, mapped, effort, p = problem.scan, problem.mapped, problem.effort, len(path.features)
     local = _local_to(problem, path.features[p - 1])
     for k in range(alive.shape[0]):
         for l in range(alive.shape[1]):
-            if not alive[k, l]:
-                continue
-            alive[k, l] = False
-            if p > 1 or local[l]:
-                alive[k, l] = follows(scan, mapped, chi2, effort, path, p, k, l, p - 1)
+            if alive[k, l]:
+                alive[k, l] = (p > 1 or local[l]) and follows(scan, mapped, effort, path, p, k, l, p - 1)
 
 
 @compiled
-def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidates: IntArray) -> _Outlook:
-    """Beyond the pairings of measurement i with each of `candidates` (b,)."""
-    scan, mapped, chi2, effort, p = problem.scan, problem.mapped, problem.gates, problem.effort, len(path.features)
+def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidates: IntArray) -> tuple[IntArray, Array]:
+    """Beyond the pairings of measurement i with each of `candidates` (b,): support (b,), and mean, worst, local (b, 3).
+
+    D² of a distance is (g_scan − g_map)² / (σ²_scan + σ²_map).
+    """
+    scan, mapped, effort, p = problem.scan, problem.mapped, problem.effort, len(path.features)
+    positions = mapped.positions
     longer = Path(np.empty(p + 1, np.int64), np.empty(p + 1, np.int64))
     longer.measurements[:p], longer.features[:p], longer.measurements[p] = path.measurements, path.features, i
     support, figures = np.zeros(len(candidates), np.int64), np.zeros((len(candidates), 3))
     for c in range(len(candidates)):
-        longer.features[p] = candidates[c]
-        local = _local_to(problem, candidates[c])
+        j = longer.features[p] = candidates[c]
+        local = _local_to(problem, j)
         for k in range(alive.shape[0]):
-            if k == i:
-                continue
-            for l in range(alive.shape[1]):
-                if not alive[k, l] or (p == 0 and not local[l]):
-                    continue
-                if follows(scan, mapped, chi2, effort, longer, p + 1, k, l, p):
+            for l in range(alive.shape[1] if k != i else 0):
+                if alive[k, l] and (p > 0 or local[l]) and follows(scan, mapped, effort, longer, p + 1, k, l, p):
                     support[c] += 1
                     break
-        _distances(problem, path, i, candidates[c], figures[c])
+        total, worst = 0.0, 0.0
+        for a in range(p):
+            k, l = path.measurements[a], path.features[a]
+            x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
+            square = max(x * x + y * y, 1e-12)
+            xx, xy, yy = difference_covariance(mapped, j, l)
+            variance = scan.variances[i, k] + max((x * x * xx + 2.0 * x * y * xy + y * y * yy) / square, 0.0)
+            distance = (scan.distances[i, k] - square**0.5) ** 2 / max(variance, 1e-12)
+            total, worst = total + distance, max(worst, distance)
+        figures[c, 0], figures[c, 1] = total / max(p, 1), worst
         figures[c, 2] = local[path.features].sum() / p if p > 0 else 1.0
-    return _Outlook(support, figures)
-
-
-@compiled
-def _distances(problem: Problem, path: Path, i: int, j: int, out: Array) -> None:
-    """Mean and largest D² = (g_scan − g_map)² / (σ²_scan + σ²_map) of (i, j) to the pairings of the path, or 0."""
-    scan, positions, p, total, worst = problem.scan, problem.mapped.positions, len(path.features), 0.0, 0.0
-    for a in range(p):
-        k, l = path.measurements[a], path.features[a]
-        x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
-        square = max(x * x + y * y, 1e-12)
-        xx, xy, yy = difference_covariance(problem.mapped, j, l)
-        variance = scan.variances[i, k] + max((x * x * xx + 2.0 * x * y * xy + y * y * yy) / square, 0.0)
-        distance = (scan.distances[i, k] - square**0.5) ** 2 / max(variance, 1e-12)
-        total, worst = total + distance, max(worst, distance)
-    out[0], out[1] = total / max(p, 1), worst
+    return support, figures

@@ -1,8 +1,9 @@
 """The search in a hash of triangles: which triples of measurements are looked up, and what is made of the poses.
 
 Completeness by pigeonhole: with the measurements in g groups, any 2g + 1 of them have three in one group. So once all
-triples within the groups have been looked up, no pose is unseen that explains more than 2g measurements. Groups are
-compact, since small triangles have few likes: they number n in proportion to the radius of their circumcircle.
+triples within the groups have been looked up, no pose is unseen that explains more than 2g measurements (but for
+triples wider than the hash reaches, which are left out). Groups are compact, since small triangles have few likes: they
+number n in proportion to the radius of their circumcircle.
 
 The triangles of the map that look like a triple imply poses. Each is held against the whole scan, first by the
 distance to the nearest feature where a measurement would lie, then by pairing, fit and joint test. A fit places the
@@ -21,19 +22,20 @@ from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.association.relocation.arrays import ScanArrays
-from slam_gym.association.relocation.constraints import largest_eigenvalue, unary_test
-from slam_gym.types import UNPAIRED, Array, IntArray
+from slam_gym.association.relocation.constraints import Gates, Measured, measured, unary_test
+from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
-NODES, BINARY, LEAVES, JOINT, TRIES, LIMIT, WORK = range(7)
-"""Entries of `Found.effort`. WORK is measured in poses held against the scan."""
-
+WORK = 8  # of the effort, after the entries that all searches count: in poses held against the scan
 FAR = 255  # in the raster of distances: farther than it reaches
 _HYPOTHESES = 16  # remembered: the best and those that tie with it
 _FIT = 10  # numbers of a fit: t [m], cos θ, sin θ, and the covariance xx, xy, yy, xθ, yθ, θθ of t and θ
 _TURNS = 16  # of a scan, for groups that are less wide
 _ROUNDS = 6  # of fitting and pairing again; as a rule two are enough
-_COMPARISON, _VISIT, _SETTLING = 0.02, 0.25, 30.0
-"""Poses that take as long as comparing a triangle of the hash, visiting a feature without it, settling a hypothesis."""
+_COMPARISON, _FITTING = (
+    0.02,
+    30.0,
+)  # poses that take as long as comparing a triangle of the hash, as fitting a hypothesis
 
 Integers32 = NDArray[np.int32]
 Floats32 = NDArray[np.float32]
@@ -78,13 +80,11 @@ class TriangleHash(NamedTuple):
 class Look(NamedTuple):
     """A scan, and what is asked of a hypothesis."""
 
-    points: Array  # (m, 2) [m] from their mean
-    noise: Array  # (m, 2, 2) [m²]
+    scan: Measured  # points from their mean
     sizes: Array  # (m,) [m], NaN where unknown
     size_variances: Array  # (m,) [m²]
     kinds: IntArray  # (m,)
-    widest: Array  # (m,) [m²] largest variance in any direction
-    gates: Array  # (m + 1,) χ²_1, χ²_2, then χ²_{2k−3} from k = 2
+    joint_gates: Array  # (m + 2,) χ²_{2k−3} of k pairings
     local_starts: IntArray  # (n + 1,), or (0,) where all is local to all
     local_members: IntArray
     needed: int  # pairings
@@ -99,7 +99,7 @@ class Found(NamedTuple):
     fits: Array  # (h, 10)
     squares: Array  # (h,) D²
     state: IntArray  # (3,) pairings of the best, or one less than what is worth keeping; hypotheses; looking for likes
-    effort: IntArray  # (7,)
+    effort: IntArray  # (9,)
 
 
 class _Seed(NamedTuple):
@@ -108,47 +108,36 @@ class _Seed(NamedTuple):
     triple: IntArray  # (3,) counterclockwise
     others: IntArray  # (m − 3,)
     offsets: Array  # (2, m − 3) [m] of the others from the centroid
-    gates: Array  # (m − 3, 3) [m²] of those along the line of sight from the centroid and across it; [m] the larger
-    limits: IntArray  # (m − 3,) steps of the raster beyond which no feature is within the gate
-    sides: Array  # (3,) [m] between measurements 0–1, 1–2, 2–0 of the triple
-    variances: Array  # (3,) [m²] of those
+    limits: IntArray  # (m − 3,) steps of the raster beyond which no feature is within their gate
     margin: float  # [m] gate of a side, whatever the features
-    required: int  # of `others`: poses that do not explain it are of no use; UNPAIRED: none
-
-
-@compiled
-def look_at(scan: ScanArrays, gates: Array, locality: tuple[IntArray, IntArray], limits: tuple[int, int, int]) -> Look:
-    """A scan as the search takes it; `limits` are pairings needed, pairings that decide, and most work."""
-    points, noise, sizes, variances, kinds = scan
-    centred, widest = np.empty_like(points), np.empty(len(points))
-    x, y = (points[:, 0].mean(), points[:, 1].mean()) if len(points) > 0 else (0.0, 0.0)
-    for i in range(len(points)):
-        centred[i, 0], centred[i, 1] = points[i, 0] - x, points[i, 1] - y
-        widest[i] = largest_eigenvalue(noise[i, 0, 0], noise[i, 0, 1], noise[i, 1, 1])
-    return Look(centred, noise, sizes, variances, kinds, widest, gates, *locality, *limits)
 
 
 @compiled
 def search(
     table: TriangleHash,
     scan: ScanArrays,
-    gates: Array,
+    gates: Gates,
+    joint_gates: Array,
     locality: tuple[IntArray, IntArray],
     limits: tuple[int, int, int],
 ) -> Found:
-    """All hypotheses with most pairings, `needed` − 1 at least.
+    """All hypotheses with most pairings, one less than needed at least.
 
-    With `needed` pairings or more, there are no others with as many but what the gates turn away; with `decisive` ones,
-    no others that explain all but (pairings / 3 − 1) of the same measurements: places that look alike.
+    `limits` are pairings needed, pairings that decide, and most work. With as many pairings as needed or more, there
+    are no others with as many but what the gates turn away; with decisive ones, no others that explain all but
+    (pairings / 3 − 1) of the same measurements: places that look alike.
     """
-    look = look_at(scan, gates, locality, limits)
-    m = len(look.points)
+    points, m = np.empty_like(scan.points), len(scan.points)
+    for axis in range(2 if m > 0 else 0):
+        points[:, axis] = scan.points[:, axis] - scan.points[:, axis].mean()
+    of_scan = measured(points, scan.noise, gates)
+    look = Look(of_scan, scan.sizes, scan.size_variances, scan.kinds, joint_gates, *locality, *limits)
     found = Found(
         np.full((_HYPOTHESES, m), UNPAIRED),
         np.full((_HYPOTHESES, _FIT), math.nan),
         np.zeros(_HYPOTHESES),
         np.array([max(look.needed - 1, 3) - 1, 0, 0]),
-        np.zeros(7, np.int64),
+        np.zeros(WORK + 1, np.int64),
     )
     done = np.zeros(m * (m - 1) * (m - 2) // 6, np.bool_)
     groups, complete, beyond = max(m // 5, 1), m, m  # no pose is unseen that explains more than `beyond`
@@ -180,18 +169,11 @@ def _most_groups(look: Look, found: Found) -> int:
 
 
 @compiled
-def _try_groups(table: TriangleHash, look: Look, found: Found, groups: int, done: NDArray[np.bool_]) -> bool:
+def _try_groups(table: TriangleHash, look: Look, found: Found, groups: int, done: BoolArray) -> bool:
     """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them."""
     order, starts = _near_groups(table, look, groups)
-    triples, short = _triples(table, look, order, starts, done)
-    for t in range(len(triples)):
-        triple, instead = triples[t], np.empty((0, 4), np.int64)
-        if t >= short:
-            instead = _instead_of(table, look, found, triple)
-        for other in instead:
-            _try_triple(table, look, found, other[:3], other[3])
-        if len(instead) == 0:
-            _try_triple(table, look, found, triple, UNPAIRED)
+    for triple in _triples(table, look, order, starts, done):
+        _try_triple(table, look, found, triple)
         done[_number(triple)] = True
         if found.effort[LIMIT] > 0 or _decided(look, found) or _most_groups(look, found) > groups:
             return False
@@ -201,17 +183,15 @@ def _try_groups(table: TriangleHash, look: Look, found: Found, groups: int, done
 @compiled
 def _near_groups(table: TriangleHash, look: Look, groups: int) -> tuple[IntArray, IntArray]:
     """`_groups`, the scan turned so that few pairs within them are too wide for the hash."""
-    least, pair = math.inf, np.empty(3, np.int64)
-    best, best_starts = np.empty(0, np.int64), np.empty(0, np.int64)
+    least, best, best_starts = math.inf, np.empty(0, np.int64), np.empty(0, np.int64)
     for turn in range(_TURNS):
         c, s = math.cos(0.5 * math.pi * turn / _TURNS), math.sin(0.5 * math.pi * turn / _TURNS)
-        order, starts = _groups(look.points @ np.array([[c, -s], [s, c]]), groups)
+        order, starts = _groups(look.scan.points @ np.array([[c, -s], [s, c]]), groups)
         wide = 0
         for g in range(groups):
             for p in range(starts[g], starts[g + 1]):
                 for q in range(starts[g], p):
-                    pair[0], pair[1], pair[2] = order[p], order[q], order[q]
-                    wide += not _is_hashed(table, look, pair)
+                    wide += not _is_hashed(table, look, order[p], order[q], order[q])
         if wide < least:
             least, best, best_starts = wide, order, starts
         if wide == 0:
@@ -248,69 +228,39 @@ def _groups(points: Array, groups: int) -> tuple[IntArray, IntArray]:
 
 
 @compiled
-def _triples(
-    table: TriangleHash, look: Look, order: IntArray, starts: IntArray, done: NDArray[np.bool_]
-) -> tuple[IntArray, int]:
-    """Triples of measurements within groups and not yet `done`, (t, 3), small circumcircles first; how many are short.
-
-    The others, which come last, have a side that is too long for the hash.
-    """
+def _triples(table: TriangleHash, look: Look, order: IntArray, starts: IntArray, done: BoolArray) -> IntArray:
+    """Triples of measurements within groups that are hashed and not yet `done`, (t, 3), small circumcircles first."""
     room = 0
     for g in range(len(starts) - 1):
         size = starts[g + 1] - starts[g]
         room += size * (size - 1) * (size - 2) // 6
-    triples, radii, count, short = np.empty((room, 3), np.int64), np.empty(room), 0, 0
+    triples, radii, count = np.empty((room + 1, 3), np.int64), np.empty(room), 0
     for g in range(len(starts) - 1):
         for p in range(starts[g], starts[g + 1]):
             for q in range(starts[g], p):
                 for r in range(starts[g], q):
                     triple = triples[count]
                     triple[0], triple[1], triple[2] = order[p], order[q], order[r]
-                    if not done[_number(triple)]:
-                        hashed = _is_hashed(table, look, triple)
-                        radii[count] = _turn(look.points, triple) + (0.0 if hashed else 1e12)
-                        count, short = count + 1, short + hashed
-    return triples[:count][np.argsort(radii[:count], kind="mergesort")], short
+                    if not done[_number(triple)] and _is_hashed(table, look, order[p], order[q], order[r]):
+                        radii[count] = _turn(look.scan, triple)
+                        count += 1
+    return triples[:count][np.argsort(radii[:count], kind="mergesort")]
 
 
 @compiled
-def _instead_of(table: TriangleHash, look: Look, found: Found, triple: IntArray) -> IntArray:
-    """What to look up instead of a triple too wide for the hash: two of it with other third measurements, (t, 4).
-
-    Of m measurements, a hypothesis with the triple and w − 3 others leaves out m − w, so of any m − w + 1 measurements
-    besides the triple it pairs one: two of the triple are looked up with each of these, where the hash reaches. The
-    last column is the one left out. None where the hash does not reach enough of them.
-    """
-    m, count = len(look.points), 0
-    instead, radii, other = np.empty((m, 4), np.int64), np.empty(m), np.empty(3, np.int64)
-    for i in range(m):
-        least = math.inf
-        for k in range(3 if i != triple[0] and i != triple[1] and i != triple[2] else 0):
-            other[0], other[1], other[2] = triple[k], triple[(k + 1) % 3], i
-            if _is_hashed(table, look, other):
-                radius = _turn(look.points, other)
-                if radius < least:
-                    instead[count, :3], instead[count, 3] = other, triple[(k + 2) % 3]
-                    radii[count] = least = radius
-        count += least < math.inf
-    enough = m - _wanted(look, found) + 1
-    return instead[np.argsort(radii[:count], kind="mergesort")[: enough if count >= enough else 0]]
-
-
-@compiled
-def _try_likes(table: TriangleHash, look: Look, found: Found, done: NDArray[np.bool_]) -> None:
+def _try_likes(table: TriangleHash, look: Look, found: Found, done: BoolArray) -> None:
     """Look up disjoint triples of what the best explains, until it stays: a place like its own explains one of them."""
     pairings, found.state[2] = 0, 1
     while pairings < found.state[0] and found.effort[LIMIT] == 0:
         pairings = found.state[0]
         paired = np.flatnonzero(found.features[0] != UNPAIRED)
-        order, starts = _groups(look.points[paired], pairings // 3)
+        order, starts = _groups(look.scan.points[paired], pairings // 3)
         for g in range(pairings // 3):
             triple = paired[order[starts[g] : starts[g] + 3]]
-            _turn(look.points, triple)
-            if not done[_number(triple)] and _is_hashed(table, look, triple):
+            _turn(look.scan, triple)
+            if not done[_number(triple)] and _is_hashed(table, look, triple[0], triple[1], triple[2]):
                 done[_number(triple)] = True
-                _try_triple(table, look, found, triple, UNPAIRED)
+                _try_triple(table, look, found, triple)
 
 
 @compiled
@@ -322,114 +272,82 @@ def _number(triple: IntArray) -> int:
 
 
 @compiled
-def _turn(points: Array, triple: IntArray) -> float:
+def _turn(scan: Measured, triple: IntArray) -> float:
     """Turn a triple so that it runs counterclockwise; the radius [m] of its circumcircle."""
-    a, b, c = points[triple[0]], points[triple[1]], points[triple[2]]
+    a, b, c = scan.points[triple[0]], scan.points[triple[1]], scan.points[triple[2]]
     area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
     if area < 0.0:
         triple[1], triple[2] = triple[2], triple[1]
-    sides = math.hypot(b[0] - a[0], b[1] - a[1]) * math.hypot(c[0] - b[0], c[1] - b[1])
-    return float(sides * math.hypot(a[0] - c[0], a[1] - c[1]) / (2.0 * abs(area) + 1e-9))
+    sides = scan.distances[triple[0], triple[1]] * scan.distances[triple[1], triple[2]]
+    return float(sides * scan.distances[triple[2], triple[0]] / (2.0 * abs(area) + 1e-9))
 
 
 @compiled
-def _side(look: Look, i: int, l: int) -> tuple[float, float]:
-    """Distance [m] between two measurements, and its variance uᵀ(R_i + R_l)u [m²]."""
-    x, y = look.points[l, 0] - look.points[i, 0], look.points[l, 1] - look.points[i, 1]
-    R, Q, square = look.noise[i], look.noise[l], x * x + y * y
-    xx, xy, yy = R[0, 0] + Q[0, 0], R[0, 1] + Q[0, 1], R[1, 1] + Q[1, 1]
-    if square == 0.0:
-        return 0.0, xx + yy
-    return math.sqrt(square), (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square
+def _is_hashed(table: TriangleHash, look: Look, i: int, k: int, l: int) -> bool:
+    """Whether the triangles like three measurements, as far as its gates reach, are all short enough for the hash."""
+    distances, variances = look.scan.distances, look.scan.variances
+    longest = max(distances[i, k], distances[k, l], distances[l, i])
+    widest = max(variances[i, k], variances[k, l], variances[l, i])
+    return bool(longest + math.sqrt(look.scan.gates.one * (2.0 * table.widest + widest)) <= table.reach)
 
 
 @compiled
-def _is_hashed(table: TriangleHash, look: Look, triple: IntArray) -> bool:
-    """Whether the triangles like a triple, as far as its gates reach, are all short enough for the hash."""
-    longest, widest = 0.0, 0.0
-    for k in range(3):
-        side, variance = _side(look, triple[k], triple[(k + 1) % 3])
-        longest, widest = max(longest, side), max(widest, variance)
-    return bool(longest + math.sqrt(look.gates[0] * (2.0 * table.widest + widest)) <= table.reach)
-
-
-@compiled
-def _seed(table: TriangleHash, look: Look, triple: IntArray, required: int) -> _Seed:
+def _seed(table: TriangleHash, look: Look, triple: IntArray) -> _Seed:
     """The seed of a triple. With error variance v per pairing and inertia I about the centroid, a pose fitted to it has
     variance v/3 at the centroid and v/I in heading, so that a measurement at distance d has v/3 + d²v/I from the pose.
     """
-    points, m, worst, inertia = look.points, len(look.points), 0.0, 1e-12
+    scan, points, m, widest, inertia = look.scan, look.scan.points, len(look.scan.points), 0.0, 1e-12
     x, y = points[triple, 0].mean(), points[triple, 1].mean()
     for i in triple:
         inertia += (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2
-        worst = max(worst, table.widest + look.widest[i])
-    others, offsets, gates, count = np.empty(m, np.int64), np.empty((2, m)), np.empty(m), 0
+        widest = max(widest, 0.5 * scan.spreads[i, i])
+    worst, count = table.widest + widest, 0
+    others, offsets, limits = np.empty(m, np.int64), np.empty((2, m)), np.empty(m, np.int64)
     for i in range(m):
         if i != triple[0] and i != triple[1] and i != triple[2]:
-            others[count], offsets[0, count], offsets[1, count] = i, points[i, 0] - x, points[i, 1] - y
-            square = offsets[0, count] ** 2 + offsets[1, count] ** 2
-            gates[count] = look.widest[i] + worst / 3.0 + square * worst / inertia
+            u, v = points[i, 0] - x, points[i, 1] - y
+            variance = 0.5 * scan.spreads[i, i] + worst / 3.0 + (u * u + v * v) * worst / inertia
+            others[count], offsets[0, count], offsets[1, count] = i, u, v
+            limits[count] = min(int(math.sqrt(look.scan.gates.two * variance) / table.raster.step), FAR)
             count += 1
-    limits, ellipses, place = np.empty(count, np.int64), np.empty((count, 3)), UNPAIRED
-    for p in range(count):
-        narrow = look.widest[others[p]] + worst / 3.0
-        limits[p] = min(int(math.sqrt(look.gates[1] * gates[p]) / table.raster.step), FAR)
-        ellipses[p, 0] = look.gates[1] * (narrow + table.widest)
-        ellipses[p, 1] = look.gates[1] * (gates[p] + table.widest)
-        ellipses[p, 2] = math.sqrt(ellipses[p, 1])
-        if others[p] == required:
-            place = p
-    sides, variances = np.empty(3), np.empty(3)
-    for k in range(3):
-        sides[k], variances[k] = _side(look, triple[k], triple[(k + 1) % 3])
-    margin = math.sqrt(look.gates[0] * (2.0 * table.widest + variances.max()))
-    return _Seed(
-        triple.copy(), others[:count], offsets[:, :count], ellipses, limits, sides, variances, margin, place
-    )  # fmt: skip
+    i, k, l = triple
+    of_sides = max(scan.variances[i, k], scan.variances[k, l], scan.variances[l, i])
+    margin = math.sqrt(look.scan.gates.one * (2.0 * table.widest + of_sides))
+    return _Seed(triple, others[:count], offsets[:, :count], limits[:count], margin)
 
 
 @compiled
-def _try_triple(table: TriangleHash, look: Look, found: Found, triple: IntArray, required: int) -> None:
+def _try_triple(table: TriangleHash, look: Look, found: Found, triple: IntArray) -> None:
     """Look up the triangles like a triple of measurements, however turned, and verify the poses that they imply.
 
-    A measurement `required` must be explained, too. A triple that is nearly straight may run either way round.
+    A triple that is nearly straight may run either way round.
     """
     found.effort[TRIES] += 1
-    seed = _seed(table, look, triple, required)
-    longest = seed.sides.max()
+    distances, points, (i, k, l) = look.scan.distances, look.scan.points, triple
+    longest = max(distances[i, k], distances[k, l], distances[l, i])
     if longest == 0.0:
         return
-    if not _is_hashed(table, look, triple):
-        _visit_pairs(table, look, found, seed)
-        return
-    a, b, c = look.points[triple[0]], look.points[triple[1]], look.points[triple[2]]
+    seed = _seed(table, look, triple)
+    a, b, c = points[i], points[k], points[l]
     height = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / longest
-    corners = np.empty(3, np.int64)
     for turn in range(6 if height < 2.0 * seed.margin else 3):
-        for k in range(3):
-            corners[k] = (turn + k * (1 if turn < 3 else 2)) % 3
-        # of three corners, the side from one to the next is numbered by the one that comes first counterclockwise
-        first, second, third = corners if turn < 3 else np.roll(corners, -1)
-        if seed.sides[first] + 2.0 * seed.margin < longest:
-            continue
-        sides = np.array([seed.sides[first], seed.sides[second], seed.sides[third]])
-        variances = np.array([seed.variances[first], seed.variances[second], seed.variances[third]])
-        like, compared = _like(table, sides, variances, look.gates[0])
-        _spend(look, found, BINARY, compared, _COMPARISON * compared)
-        _verify(table, look, found, seed, seed.triple[corners], like)
+        onwards = 1 if turn < 3 else 2
+        corners = np.array([triple[turn % 3], triple[(turn + onwards) % 3], triple[(turn + 2 * onwards) % 3]])
+        if distances[corners[0], corners[1]] + 2.0 * seed.margin >= longest:
+            _verify(table, look, found, seed, corners, _like(table, look, found, corners))
 
 
 @compiled
-def _like(table: TriangleHash, sides: Array, variances: Array, gate: float) -> tuple[Integers32, int]:
-    """Corners (t, 3) of the triangles whose sides are within the gate of `sides`, and how many were compared."""
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+def _like(table: TriangleHash, look: Look, found: Found, corners: IntArray) -> Integers32:
+    """Corners (t, 3) of the triangles whose sides are those between three measurements, within the gate."""
+    sides, variances, low, high = np.empty(3), np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
     for k in range(3):
-        margin = math.sqrt(gate * (variances[k] + 2.0 * table.widest))
+        i, l = corners[k], corners[(k + 1) % 3]
+        sides[k], variances[k] = look.scan.distances[i, l], look.scan.variances[i, l] + (1e-7 * table.reach) ** 2
+        margin = math.sqrt(look.scan.gates.one * (variances[k] + 2.0 * table.widest))
         low[k] = max(0, math.floor((sides[k] - margin) / table.quantum))
         high[k] = math.floor(min(sides[k] + margin, table.reach) / table.quantum)
-    chosen, count, compared = np.empty((64, 3), np.int32), 0, 0
-    rounding = (1e-7 * table.reach) ** 2
-    first, second, third = variances[0] + rounding, variances[1] + rounding, variances[2] + rounding
+    chosen, count, compared, gate = np.empty((64, 3), np.int32), 0, 0, look.scan.gates.one
     for c in range(low[0], high[0] + 1):
         for a in range(low[1], min(c, high[1]) + 1):
             for b in range(max(low[2], c - a - 1), min(c, high[2]) + 1):
@@ -443,80 +361,18 @@ def _like(table: TriangleHash, sides: Array, variances: Array, gate: float) -> t
                 for t in range(start, end):
                     x, y, z = table.sides[t, 0] - sides[0], table.sides[t, 1] - sides[1], table.sides[t, 2] - sides[2]
                     of_map = table.sides[t, 3]
-                    near = (x * x <= gate * (first + of_map)) & (y * y <= gate * (second + of_map))
+                    near = (x * x <= gate * (variances[0] + of_map)) & (y * y <= gate * (variances[1] + of_map))
                     for k in range(3):
                         chosen[count, k] = table.corners[t, k]
-                    count += near & (z * z <= gate * (third + of_map))  # a branch could not be foretold
-    return chosen[:count], compared
+                    count += near & (z * z <= gate * (variances[2] + of_map))  # a branch could not be foretold
+    _spend(look, found, BINARY, compared, _COMPARISON * compared)
+    return chosen[:count]
 
 
 @compiled
 def cell_number(c: int, a: int, b: int) -> int:
     """Number of the cell of sides c ≥ a, b in quanta: those of smaller c come first."""
     return c * (c + 1) * (2 * c + 1) // 6 + a * (c + 1) + b
-
-
-@compiled
-def _visit_pairs(table: TriangleHash, look: Look, found: Found, seed: _Seed) -> None:
-    """Verify the triangles of the map like a seed that the hash does not reach, from pairs like its shortest side."""
-    first = np.argmin(seed.sides)
-    corners = seed.triple[(first + np.arange(3)) % 3]
-    side, second, third = seed.sides[first], seed.sides[(first + 1) % 3], seed.sides[(first + 2) % 3]
-    if side == 0.0:
-        return
-    along = (side * side + third * third - second * second) / (2.0 * side)
-    across = math.sqrt(max(third * third - along * along, 0.0))
-    around, positions = 2.0 * seed.margin * max(1.0, third / side), table.positions
-    for i in range(len(positions)):
-        x, y = positions[i, 0], positions[i, 1]
-        beside = _within(table, x, y, side + seed.margin)
-        _spend(look, found, BINARY, len(beside), _VISIT * len(beside))
-        for j in beside:
-            ux, uy = positions[j, 0] - x, positions[j, 1] - y
-            length = math.hypot(ux, uy)
-            if j == i or length < side - seed.margin or length == 0.0:
-                continue
-            for l in _within(
-                table, x + (along * ux - across * uy) / length, y + (along * uy + across * ux) / length, around
-            ):
-                a = math.hypot(positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1])
-                b = math.hypot(positions[l, 0] - x, positions[l, 1] - y)
-                if l != i and l != j and abs(a - second) <= seed.margin and abs(b - third) <= seed.margin:
-                    _verify(table, look, found, seed, corners, np.array([[i, j, l]], np.int32))
-        if found.effort[LIMIT] > 0:
-            return
-
-
-@compiled
-def _cells_around(grid: Grid, x: float, y: float, radius: float) -> tuple[int, int, int, int]:
-    """First and last row, first and last column of what a square of `radius` [m] around a point touches.
-
-    Where it touches nothing, the last is less than the first, and the first column no more than one past the grid.
-    """
-    (rows, columns), (left, bottom, side) = grid.shape, grid.origin
-    return (
-        max(math.floor((y - radius - bottom) / side), 0),
-        min(math.floor((y + radius - bottom) / side), rows - 1),
-        min(max(math.floor((x - radius - left) / side), 0), columns),
-        min(math.floor((x + radius - left) / side), columns - 1),
-    )
-
-
-@compiled
-def _within(table: TriangleHash, x: float, y: float, radius: float) -> IntArray:
-    """The features within `radius` [m] of a point."""
-    grid, count, near = table.grid, 0, np.empty(16, np.int64)
-    bottom, top, left, right = _cells_around(grid, x, y, radius)
-    for row in range(bottom, top + 1):
-        start, end = row * grid.shape[1] + left, row * grid.shape[1] + right + 1
-        for at in range(grid.starts[start], grid.starts[end] if end > start else 0):
-            j = grid.members[at]
-            if (table.positions[j, 0] - x) ** 2 + (table.positions[j, 1] - y) ** 2 <= radius * radius:
-                if count == len(near):
-                    near = np.append(near, near)
-                near[count] = j
-                count += 1
-    return near[:count]
 
 
 @compiled
@@ -538,61 +394,27 @@ def _verify(
     up early: loops without branches take less time than it takes to foresee their end.
     """
     _spend(look, found, NODES, len(triangles), len(triangles))
-    asked, allowed = len(seed.others), len(look.points) - found.state[0] - (found.state[1] == 0)
-    counts = np.ones(asked, np.bool_)
+    points, steps, (left, bottom, side) = look.scan.points, table.raster.steps, table.raster.origin
+    counts, allowed = np.ones(len(seed.others), np.bool_), len(points) - found.state[0] - (found.state[1] == 0)
     if found.state[2] > 0:
         counts[:] = found.features[0][seed.others] != UNPAIRED
         allowed = max(found.state[0] // 3 - 1, 0)
-    steps, (left, bottom, side) = table.raster.steps, table.raster.origin
     rows, columns = steps.shape
-    poses = _implied_poses(table.positions, look.points[corners], triangles)
+    poses = _implied_poses(table.positions, points[corners], triangles)
     flat, scale, missed = steps.ravel(), 1.0 / side, np.zeros(len(triangles), np.int64)
     x, y, cosine, sine, places = poses[0], poses[1], poses[2], poses[3], np.empty(len(triangles), np.int64)
-    for p in range(asked):
-        if not counts[p]:
-            continue
+    for p in np.flatnonzero(counts):
         u, v, limit = seed.offsets[0, p], seed.offsets[1, p], seed.limits[p]
-        weight = len(look.points) if p == seed.required else 1
         for t in range(len(triangles)):
             column = min(max(int((x[t] + cosine[t] * u - sine[t] * v - left) * scale), 0), columns - 1)
             row = min(max(int((y[t] + sine[t] * u + cosine[t] * v - bottom) * scale), 0), rows - 1)
             places[t] = row * columns + column
         for t in range(len(triangles)):
-            missed[t] += weight * (flat[places[t]] > limit)
+            missed[t] += flat[places[t]] > limit
     for passed in np.flatnonzero(missed <= allowed):
         t = int(passed)
-        if found.effort[LIMIT] > 0:
-            return
-        if _misses(table, seed, counts, poses[:, t], allowed) <= allowed:
+        if found.effort[LIMIT] == 0:
             _examine(table, look, found, corners, triangles[t], poses[:, t])
-
-
-@compiled
-def _misses(table: TriangleHash, seed: _Seed, counts: NDArray[np.bool_], pose: Array, allowed: int) -> int:
-    """How many of the measurements that count miss every feature at a pose, in gates that are ellipses here.
-
-    They are long across the line of sight from the seed, since its heading is what is least known. No more than one
-    above `allowed` are counted.
-    """
-    grid, positions, missed = table.grid, table.positions, 0
-    for p in range(len(counts)):
-        if not counts[p]:
-            continue
-        u = pose[2] * seed.offsets[0, p] - pose[3] * seed.offsets[1, p]
-        v = pose[3] * seed.offsets[0, p] + pose[2] * seed.offsets[1, p]
-        square, met = u * u + v * v + 1e-12, False
-        bottom, top, left, right = _cells_around(grid, pose[0] + u, pose[1] + v, seed.gates[p, 2])
-        for row in range(bottom, top + 1):
-            first, last = row * grid.shape[1] + left, row * grid.shape[1] + right
-            for at in range(grid.starts[first], grid.starts[last + 1] if last >= first else 0):
-                j = grid.members[at]
-                dx, dy = positions[j, 0] - pose[0] - u, positions[j, 1] - pose[1] - v
-                along, across = dx * u + dy * v, dy * u - dx * v
-                met |= along * along / seed.gates[p, 0] + across * across / seed.gates[p, 1] < square
-        missed += not met
-        if missed > allowed:
-            break
-    return missed
 
 
 @compiled
@@ -611,48 +433,57 @@ def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Ar
 
 @compiled
 def _examine(
-    table: TriangleHash,
-    look: Look,
-    found: Found,
-    corners: IntArray,
-    features: Integers32,
-    pose: Array,
+    table: TriangleHash, look: Look, found: Found, corners: IntArray, features: Integers32, pose: Array
 ) -> None:
-    """Pair, fit and test around a pose that the raster lets pass, and keep what is as good as the best or better."""
-    m, wanted, known = len(look.points), found.state[0] + (found.state[1] == 0), False
+    """Pair and fit in turns around a pose that the raster lets pass, until the pairings stay.
+
+    Then drop the worst until the rest is jointly compatible, and keep what is as good as the best or better.
+    """
+    points, m, wanted = look.scan.points, len(look.scan.points), found.state[0] + (found.state[1] == 0)
     for k in range(3):
         if not _may_pair(table, look, corners[k], features[k], features[0]):
             return
     for h in range(found.state[1]):
         best = found.features[h]
-        known |= best[corners[0]] == features[0] and best[corners[1]] == features[1] and best[corners[2]] == features[2]
-    if known:
-        return
-    fit, decisions, squares = np.zeros(_FIT), np.full(m, UNPAIRED), np.empty(m)
-    x, y = look.points[corners, 0].mean(), look.points[corners, 1].mean()
-    fit[:4] = pose
+        if best[corners[0]] == features[0] and best[corners[1]] == features[1] and best[corners[2]] == features[2]:
+            return
+    fit, decisions, others, squares = np.zeros(_FIT), np.full(m, UNPAIRED), np.empty(m, np.int64), np.empty(m)
+    x, y = points[corners, 0].mean(), points[corners, 1].mean()
     fit[0], fit[1] = pose[0] - pose[2] * x + pose[3] * y, pose[1] - pose[3] * x - pose[2] * y
+    fit[2], fit[3] = pose[2], pose[3]
     for k in range(3):
         decisions[corners[k]] = features[k]
-    _improve(table, look, decisions, fit, squares)
-    others = np.empty(m, np.int64)
-    if _pair_around(table, look, fit, features[0], wanted, others, squares) == 0:
-        return
-    for k in range(3):
-        others[corners[k]] = features[k]
-    _spend(look, found, LEAVES, 1, _SETTLING)
-    pairings, square = _settle(table, look, found, features[0], wanted, others, fit)
-    if pairings >= wanted:
-        _keep(found, others, fit, square, pairings)
+    pairings = 3
+    for turn in range(_ROUNDS + 1):
+        if not _improve(table, look, decisions, fit, squares) < 1.0:
+            _improve(table, look, decisions, fit, squares)
+        pairings = _pair_around(table, look, fit, features[0], wanted, others, squares)
+        if pairings == 0:
+            return
+        if turn == 0:
+            _spend(look, found, LEAVES, 1, _FITTING)
+        same = (decisions == others).all()
+        decisions[:] = others
+        if same:
+            break
+    while pairings >= max(wanted, 2):
+        for _ in range(_ROUNDS):
+            if not _improve(table, look, decisions, fit, squares) > 1e-6:
+                break
+        found.effort[JOINT] += 1
+        if squares.sum() < look.joint_gates[pairings]:
+            _keep(found, decisions, fit, squares.sum(), pairings)
+            return
+        decisions[np.argmax(squares)] = UNPAIRED
+        pairings -= 1
 
 
 @compiled
 def _may_pair(table: TriangleHash, look: Look, i: int, j: int, anchor: int) -> bool:
     """The unary constraints, as far as sizes and kinds are known, and the locality of feature `anchor`."""
     size, variance, kind = look.sizes[i], look.size_variances[i], look.kinds[i]
-    if not unary_test(
-        size, variance, kind, table.sizes[j], table.size_variances[j], table.kinds[j], look.gates[0]
-    ):  # fmt: skip
+    of_feature = table.sizes[j], table.size_variances[j], table.kinds[j]
+    if not unary_test(size, variance, kind, *of_feature, look.scan.gates.one):
         return False
     if len(look.local_starts) == 0:
         return True
@@ -681,18 +512,20 @@ def _pair_around(
     Writes `features` (m,) and their D² (m,); returns the number of pairings, or 0 once fewer than `needed` are left.
     """
     grid, positions, spreads, misses = table.grid, table.positions, table.spreads, 0
+    (rows, columns), (left, bottom, side) = grid.shape, grid.origin
     for i in range(len(features)):
-        lx = fit[2] * look.points[i, 0] - fit[3] * look.points[i, 1]
-        ly = fit[3] * look.points[i, 0] + fit[2] * look.points[i, 1]
-        x, y, (xx, xy, yy) = fit[0] + lx, fit[1] + ly, _turned(look.noise[i], fit)
+        lx = fit[2] * look.scan.points[i, 0] - fit[3] * look.scan.points[i, 1]
+        ly = fit[3] * look.scan.points[i, 0] + fit[2] * look.scan.points[i, 1]
+        x, y, (xx, xy, yy) = fit[0] + lx, fit[1] + ly, _turned(look.scan.noise[i], fit)
         xx, yy = xx + fit[4] - 2.0 * ly * fit[7] + ly * ly * fit[9], yy + fit[6] + 2.0 * lx * fit[8] + lx * lx * fit[9]
         xy += fit[5] + lx * fit[7] - ly * fit[8] - lx * ly * fit[9]
-        features[i], squares[i] = UNPAIRED, look.gates[1]
-        radius = math.sqrt(look.gates[1] * (max(xx, yy) + abs(xy) + table.widest))
-        bottom, top, left, right = _cells_around(grid, x, y, radius)
-        for row in range(bottom, top + 1):
-            start, end = row * grid.shape[1] + left, row * grid.shape[1] + right + 1
-            for at in range(grid.starts[start], grid.starts[end] if end > start else 0):
+        features[i], squares[i] = UNPAIRED, look.scan.gates.two
+        radius = math.sqrt(look.scan.gates.two * (max(xx, yy) + abs(xy) + table.widest))
+        first = max(math.floor((x - radius - left) / side), 0)
+        end = min(math.floor((x + radius - left) / side) + 1, columns)
+        top = min(math.floor((y + radius - bottom) / side) + 1, rows) if first < end else 0
+        for row in range(max(math.floor((y - radius - bottom) / side), 0), top):
+            for at in range(grid.starts[row * columns + first], grid.starts[row * columns + end]):
                 j = grid.members[at]
                 dx, dy = positions[j, 0] - x, positions[j, 1] - y
                 if abs(dx) > radius or abs(dy) > radius:
@@ -725,10 +558,10 @@ def _improve(table: TriangleHash, look: Look, features: IntArray, fit: Array, sq
         j, squares[i] = features[i], 0.0
         if j == UNPAIRED:
             continue
-        lx = fit[2] * look.points[i, 0] - fit[3] * look.points[i, 1]
-        ly = fit[3] * look.points[i, 0] + fit[2] * look.points[i, 1]
+        lx = fit[2] * look.scan.points[i, 0] - fit[3] * look.scan.points[i, 1]
+        ly = fit[3] * look.scan.points[i, 0] + fit[2] * look.scan.points[i, 1]
         ex, ey = table.positions[j, 0] - fit[0] - lx, table.positions[j, 1] - fit[1] - ly
-        sxx, sxy, syy = _turned(look.noise[i], fit)
+        sxx, sxy, syy = _turned(look.scan.noise[i], fit)
         sxx, sxy, syy = sxx + table.spreads[j, 0], sxy + table.spreads[j, 1], syy + table.spreads[j, 2]
         determinant = sxx * syy - sxy * sxy
         xx, xy, yy = syy / determinant, -sxy / determinant, sxx / determinant
@@ -749,38 +582,6 @@ def _improve(table: TriangleHash, look: Look, features: IntArray, fit: Array, sq
     fit[4], fit[5], fit[6] = aa / determinant, bb / determinant, cc / determinant
     fit[7], fit[8], fit[9] = dd / determinant, ee / determinant, ff / determinant
     return g * x + h * y + k * turn
-
-
-@compiled
-def _settle(
-    table: TriangleHash, look: Look, found: Found, anchor: int, needed: int, features: IntArray, fit: Array
-) -> tuple[int, float]:
-    """Fit and pair in turns until the pairings stay, then drop the worst until the rest is jointly compatible.
-
-    Returns the number of pairings and D²; (0, 0) where fewer than `needed` are left.
-    """
-    m, pairings = len(features), 0
-    others, squares = np.empty(m, np.int64), np.empty(m)
-    for _ in range(_ROUNDS):
-        if not _improve(table, look, features, fit, squares) < 1.0:
-            _improve(table, look, features, fit, squares)
-        pairings = _pair_around(table, look, fit, anchor, needed, others, squares)
-        if pairings == 0:
-            return 0, 0.0
-        same = (features == others).all()
-        features[:] = others
-        if same:
-            break
-    while pairings >= max(needed, 2):
-        for _ in range(_ROUNDS):
-            if not _improve(table, look, features, fit, squares) > 1e-6:
-                break
-        found.effort[JOINT] += 1
-        if squares.sum() < look.gates[pairings]:
-            return pairings, squares.sum()
-        features[np.argmax(squares)] = UNPAIRED
-        pairings -= 1
-    return 0, 0.0
 
 
 @compiled

@@ -17,20 +17,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import Crowding, least_pairings, log_expected
-from slam_gym.association.acceptance import min_pairings as rule
+from slam_gym.association.acceptance import Crowding, crowding_of, least_pairings, log_expected
+from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import MapArrays, locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import Mapped, difference_covariance, mapped_of
+from slam_gym.association.relocation.answer import relocation
+from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.relocation.constraints import difference_covariance, gates_at
 from slam_gym.association.relocation.location import locate
+from slam_gym.association.relocation.tree import location_gates
 from slam_gym.association.relocation.triangle_search import (
-    BINARY,
     FAR,
-    JOINT,
-    LEAVES,
-    LIMIT,
-    NODES,
-    TRIES,
     Bytes,
     Floats32,
     Grid,
@@ -41,11 +37,11 @@ from slam_gym.association.relocation.triangle_search import (
     search,
 )
 from slam_gym.geometry import wrap_angle
-from slam_gym.types import Array, Effort, IntArray, Landmarks, Locality, Relocation, Scan
+from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
-_WITHIN = 23  # features within reach of each
+_WITHIN = 23  # features within reach of each, more in small maps
 _SAMPLE = 200  # features by whose surroundings the reach is judged
-_TRIANGLES = 64  # for each feature, on average, at most
+_TRIANGLES, _TRIANGLES_EACH = 40_000, 64  # at most: in any map, or for each feature
 _NEAREST = 24  # features around each that its error is taken relative to, every other one of them
 _POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
 _DECISIVE = 0.002  # probability of pairings by chance so small that no rival of the same number is looked for
@@ -56,25 +52,14 @@ _RASTER_CELLS = 512  # for each feature, at most
 class FeatureIndex:
     """A hash of the triangles in a map, for relocation.
 
-    Arguments:
-        landmarks: the map.
-        reach: [m] longest side of the triangles hashed. Scans are looked up by triples of measurements that are nearer
-            to each other than this; for others all pairs of near features are gone through. Default: what gives each
-            feature some 23 others within reach, and 64 triangles at most.
-
-    Raises ValueError where the reach is not positive and finite, and as `map_arrays` does.
+    Triangles are hashed whose sides are within reach: so that each feature has some 23 others there and 64 triangles,
+    or the map 40 000 of them. Raises ValueError as `map_arrays` does.
     """
 
-    def __init__(self, landmarks: Landmarks, *, reach: float | None = None) -> None:
-        self.landmarks, arrays = landmarks, map_arrays(landmarks)
-        positions, spreads = arrays[0], relative_covariances(landmarks) + _FLOOR * np.eye(2)
-        variances = 0.5 * np.trace(spreads, axis1=1, axis2=2)
-        noise = math.sqrt(2.0 * float(np.median(variances)) + 1e-6) if len(positions) else 0.07
-        if reach is None:
-            reach = _usual_reach(positions)
-        if not 0.0 < reach < math.inf:
-            raise ValueError(f"reach: {reach} is not positive and finite")
-        self._hash = _hash_of(arrays, spreads, reach, max(noise, reach / 400.0))
+    def __init__(self, landmarks: Landmarks) -> None:
+        self.landmarks, mapped = landmarks, map_arrays(landmarks)
+        spreads = relative_covariances(landmarks) + _FLOOR * np.eye(2)
+        self._hash = _hash_of(mapped, spreads)
 
     def __len__(self) -> int:
         return len(self.landmarks)
@@ -84,18 +69,6 @@ class FeatureIndex:
         """[m] longest side of the triangles hashed."""
         return self._hash.reach
 
-    @property
-    def triangles(self) -> int:
-        """Triangles hashed."""
-        return len(self._hash.corners)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of all arrays [bytes]."""
-        table = self._hash
-        arrays = (table.positions, table.spreads, table.starts, table.corners, table.sides)
-        return sum(array.nbytes for array in (*arrays, table.grid.starts, table.grid.members, table.raster.steps))
-
     def relocate(
         self,
         scan: Scan,
@@ -103,62 +76,49 @@ class FeatureIndex:
         *,
         confidence: float = 0.99,
         min_pairings: int | None = None,
-        exhaustive: bool = False,
         node_limit: int | None = None,
     ) -> Relocation:
         """The pose that explains most measurements, if it explains enough and no other explains as many.
 
         With `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule of
-        `acceptance`, with densities in squares of 1.5 reach; one pairing less is reported as ambiguous, and what
-        explains less than that is not looked for. The search ends once no pose is unseen that explains as many
-        measurements as the best. Unless `exhaustive`, it also ends with one pairing more than needed, or with so many
-        as chance brings once in 500 maps by the rule, and no other place found that looks alike: none that explains all
-        but k/3 − 1 of the same k measurements.
+        `acceptance`, with densities in squares of 1.5 reach; what explains two less is not looked for. The
+        search ends once no pose is unseen that explains as many measurements as the best. It also ends with one pairing
+        more than needed, or with so many as chance brings once in 500 maps by the rule, and no other place found that
+        looks alike: none that explains all but k/3 − 1 of the same k measurements.
 
-        `node_limit` bounds the work, as so many poses verified: fits, and features gone through where the hash does not
-        reach, count as several. Default: 20 000 and 3 for each feature, some three times what it takes to refuse a scan
-        of 20 measurements from elsewhere. Where it is met, `effort.limit_hit` says so, and the answer is what was found
-        until then.
+        `node_limit` bounds the work, as so many poses verified: fits count as several. Default: 20 000 and 3 for each
+        feature, some three times what it takes to refuse a scan of 20 measurements from elsewhere. Where it is met,
+        `effort.limit_hit` says so, and the answer is what was found until then.
 
         Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
         another number of features.
         """
-        start, arrays = time.perf_counter(), scan_arrays(scan)
+        began, arrays = time.perf_counter(), scan_arrays(scan)
         decisive = len(scan) + 1
         if min_pairings is None:
             by_chance = log_expected(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
             min_pairings, decisive = least_pairings(by_chance, 0.02), least_pairings(by_chance, _DECISIVE)
         if min_pairings < 3:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
-        enough = len(scan) + 1 if exhaustive else min(decisive, min_pairings + 1)
         most_work = _POSES + _POSES_EACH * len(self) if node_limit is None else node_limit
-        gates, places = _gates(len(scan), confidence), locality_arrays(locality, len(self))
-        found = search(self._hash, arrays, gates, places, (min_pairings, enough, most_work))
-        count, pairings = int(found.state[1]), int(found.state[0]) if found.state[1] else 0
+        limits = min_pairings, min(decisive, min_pairings + 1), most_work
+        gates, places = gates_at(confidence), locality_arrays(locality, len(self))
+        found = search(self._hash, arrays, gates, location_gates(len(scan), confidence), places, limits)
+        count = int(found.state[1])
         best = int(found.squares[:count].argmin()) if count else 0
         features, distance = found.features[best], float(found.squares[best])
         if count and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
             located = locate(scan, self.landmarks, features)
             pose, covariance, distance = located.pose, located.covariance, located.joint_distance
         else:
-            pose, covariance = _pose_of(found.fits[best], arrays[0])
-        spent = found.effort.tolist()
-        effort = Effort(
-            nodes=spent[NODES], binary_tests=spent[BINARY], joint_tests=spent[JOINT], leaves=spent[LEAVES],
-            tries=spent[TRIES], limit_hit=spent[LIMIT] > 0, seconds=time.perf_counter() - start,
-        )  # fmt: skip
-        ties, dof = max(count - 1, 0), max(2 * pairings - 3, 0)
-        ambiguous = ties > 0 or 0 < pairings < min_pairings
-        return Relocation(features, pose, covariance, distance, dof, min_pairings, ambiguous, ties, effort)
+            pose, covariance = _pose_of(found.fits[best], arrays.points)
+        ties = max(count - 1, 0)
+        seconds = time.perf_counter() - began
+        return relocation(features, pose, covariance, distance, ties, min_pairings, found.effort, seconds)
 
     @functools.cached_property
     def _crowding(self) -> Crowding:
-        """That of squares of 1.5 reach, with the mean variance of all features relative to those around."""
-        table, width = self._hash, 1.5 * self.reach
-        tree = cKDTree(table.positions)
-        others = tree.query_ball_point(table.positions, 0.5 * width, p=math.inf, return_length=True) - 1
-        variance = 0.5 * float((table.spreads[:, 0] + table.spreads[:, 2]).mean()) if len(self) else 0.0
-        return Crowding(np.bincount(others), width * width, variance)
+        return crowding_of(self.landmarks, 1.5 * self.reach)
 
 
 def indexed(
@@ -172,7 +132,7 @@ def indexed(
 ) -> Relocation:
     """`FeatureIndex.relocate` in an index built for the occasion: for maps that are small, or looked up once."""
     if min_pairings is None:
-        min_pairings = rule(scan, landmarks, confidence=confidence)
+        min_pairings = by_rule(scan, landmarks, confidence=confidence)
     return FeatureIndex(landmarks).relocate(
         scan, locality, confidence=confidence, min_pairings=min_pairings, node_limit=node_limit
     )
@@ -185,7 +145,7 @@ def relative_covariances(landmarks: Landmarks) -> Array:
     drops out. C_j is what makes D_jl ≈ C_j + C_l in the mean over near features l. Without cross-covariances it is
     P_jj. Raises ValueError as `map_arrays` does.
     """
-    mapped, n = mapped_of(map_arrays(landmarks)), len(landmarks)
+    mapped, n = map_arrays(landmarks), len(landmarks)
     if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
         return mapped.covariances.copy()
     near = cKDTree(mapped.positions).query(mapped.positions, k=min(_NEAREST + 1, n))[1][:, 1::2]
@@ -212,21 +172,6 @@ def _differences(mapped: Mapped, near: IntArray) -> Array:
     return out
 
 
-def _largest_eigenvalues(covariances: Array) -> Array:
-    """(k,) of symmetric matrices (k, 2, 2)."""
-    half = 0.5 * (covariances[:, 0, 0] - covariances[:, 1, 1])
-    mean = 0.5 * (covariances[:, 0, 0] + covariances[:, 1, 1])
-    largest: Array = mean + np.sqrt(half * half + covariances[:, 0, 1] ** 2)
-    return largest
-
-
-@functools.lru_cache(maxsize=1024)
-def _gates(m: int, confidence: float) -> Array:
-    """χ²_1, χ²_2, then χ²_{2k−3} for k = 2 … m; shared, not to be written to."""
-    degrees = [1, 2, *(2 * k - 3 for k in range(2, m + 1))]
-    return np.array([chi2_gate(dof, confidence) for dof in degrees])
-
-
 def _pose_of(fit: Array, points: Array) -> tuple[Array, Array]:
     """Pose of the robot (3,) and its covariance (3, 3), from a fit about the mean of the points (m, 2)."""
     tx, ty, c, s, xx, xy, yy, xt, yt, tt = fit.tolist()
@@ -239,67 +184,74 @@ def _pose_of(fit: Array, points: Array) -> tuple[Array, Array]:
 
 
 def _usual_reach(positions: Array) -> float:
-    """[m] what gives each feature some 23 others within reach; 11 m where there are fewer than three features."""
+    """[m] what gives each feature enough others within reach; 11 m where there are fewer than three features."""
     n = len(positions)
     if n < 3:
         return 11.0
-    near = min(_WITHIN, n - 1)
+    near = min(int(_WITHIN * math.sqrt(_most_triangles(n) / (_TRIANGLES_EACH * n))), n - 1)
     distances = cKDTree(positions).query(positions[:: max(n // _SAMPLE, 1)], k=near + 1)[0]
     return max(float(np.median(distances[:, near])), 1e-3)
 
 
-def _hash_of(arrays: MapArrays, spreads: Array, reach: float, noise: float) -> TriangleHash:
+def _most_triangles(n: int) -> int:
+    return max(_TRIANGLES_EACH * n, _TRIANGLES)
+
+
+def _hash_of(mapped: Mapped, spreads: Array) -> TriangleHash:
     """The hash of a map, `spreads` (n, 2, 2) being the covariances of features relative to those around."""
-    positions, _, sizes, size_variances, kinds, *_ = arrays
-    packed, widest = spreads.reshape(-1, 4)[:, [0, 1, 3]], _largest_eigenvalues(spreads)
-    reach, starts, neighbours = _neighbours(positions, reach)
+    positions, reach, n = mapped.positions, _usual_reach(mapped.positions), len(mapped.positions)
+    packed = spreads.reshape(-1, 4)[:, [0, 1, 3]]
+    widest = np.linalg.eigvalsh(spreads)[:, 1].astype(np.float64)
+    noise = math.sqrt(float(np.median(packed[:, 0] + packed[:, 2])) + 1e-6) if n else 0.07
+    noise = max(noise, reach / 400.0)
+    reach, neighbours = _neighbours(positions, reach)
     quantum = max(5.0 * noise, reach / 32.0)
     counts = np.zeros(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1, np.int64)
     nothing = np.empty((0, 3), np.int32), np.empty((0, 4), np.float32)
-    while _enter_triangles(positions, packed, starts, neighbours, quantum, reach, counts, *nothing) < 0:
-        reach, starts, neighbours = _neighbours(positions, 0.9 * reach)
+    most = _most_triangles(n)
+    while _enter_triangles(positions, packed, neighbours, quantum, reach, most, counts, nothing) > most:
+        reach, neighbours = _neighbours(positions, 0.9 * reach)
         counts[:] = 0
     ends = np.cumsum(counts)
     corners, sides = np.empty((ends[-1], 3), np.int32), np.empty((ends[-1], 4), np.float32)
-    _enter_triangles(positions, packed, starts, neighbours, quantum, reach, ends[:-1].copy(), corners, sides)
+    _enter_triangles(positions, packed, neighbours, quantum, reach, most, ends[:-1].copy(), (corners, sides))
+    grid, raster = _grid_of(positions, reach / 3.0), _raster_of(positions, widest, 3.5 * noise)
+    features = positions, packed, mapped.sizes, mapped.size_variances, mapped.kinds
     largest = float(widest.max(initial=_FLOOR))
-    return TriangleHash(
-        positions, packed, sizes, size_variances, kinds, ends, corners, sides, _grid_of(positions, reach / 3.0),
-        _raster_of(positions, widest, 3.5 * noise), reach, quantum, largest,
-    )  # fmt: skip
+    return TriangleHash(*features, ends, corners, sides, grid, raster, reach, quantum, largest)
 
 
-def _neighbours(positions: Array, reach: float) -> tuple[float, IntArray, IntArray]:
+def _neighbours(positions: Array, reach: float) -> tuple[float, tuple[IntArray, IntArray]]:
     """Features later than each and within reach of it, (n + 1,) starts and (e,); the reach is less where they crowd."""
     n, tree = len(positions), cKDTree(positions)
-    while n and tree.count_neighbors(tree, reach) > 4 * _WITHIN * n:
+    while n and tree.count_neighbors(tree, reach) > 4 * _WITHIN * _most_triangles(n) / _TRIANGLES_EACH:
         reach *= 0.9
     pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
-    pairs = pairs[np.argsort(pairs[:, 0] * n + pairs[:, 1])]
-    return reach, np.searchsorted(pairs[:, 0], np.arange(n + 1)), np.ascontiguousarray(pairs[:, 1])
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return reach, (np.searchsorted(pairs[:, 0], np.arange(n + 1)), np.ascontiguousarray(pairs[:, 1]))
 
 
 @compiled
 def _enter_triangles(
     positions: Array,
     spreads: Array,
-    starts: IntArray,
-    neighbours: IntArray,
+    neighbours: tuple[IntArray, IntArray],
     quantum: float,
     reach: float,
+    most: int,
     places: IntArray,
-    corners: Integers32,
-    sides: Floats32,
+    entries: tuple[Integers32, Floats32],
 ) -> int:
-    """Enter each triangle at the place of its cell, which moves on; without room for any, they are counted one later.
+    """Enter corners and sides of each triangle at the place of its cell, which moves on; returns how many there are.
 
-    Returns how many there are, or −1 where they are too many.
+    Without room for any entries, they are counted one cell later; not on and on where they are more than `most`.
     """
+    (starts, later), (corners, sides) = neighbours, entries
     count, fill, numbers, lengths = 0, len(corners) > 0, np.empty(3, np.int64), np.empty(3)
     for f in range(len(positions)):
         for p in range(starts[f], starts[f + 1]):
             for q in range(starts[f], p):
-                j, l = neighbours[q], neighbours[p]
+                j, l = later[q], later[p]
                 (fx, fy), (jx, jy), (lx, ly) = positions[f], positions[j], positions[l]
                 if (jx - lx) ** 2 + (jy - ly) ** 2 > reach * reach:
                     continue
@@ -315,26 +267,21 @@ def _enter_triangles(
                 if not fill:
                     places[cell + 1] += 1
                     continue
-                place = places[cell]
+                place, variance = places[cell], 0.0
                 places[cell] += 1
-                variance = 0.0
                 for side in range(3):
-                    d, e = numbers[(first + side) % 3], numbers[(first + side + 1) % 3]
-                    corners[place, side], sides[place, side] = d, lengths[(first + side) % 3]
-                    variance = max(variance, _side_variance(positions, spreads, d, e))
+                    a, b = numbers[(first + side) % 3], numbers[(first + side + 1) % 3]
+                    x, y = positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1]
+                    xx, yy = spreads[a, 0] + spreads[b, 0], spreads[a, 2] + spreads[b, 2]
+                    xy = spreads[a, 1] + spreads[b, 1]
+                    corners[place, side], sides[place, side] = a, lengths[(first + side) % 3]
+                    square = x * x + y * y
+                    along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
+                    variance = max(variance, along)
                 sides[place, 3] = variance
-        if count > _TRIANGLES * len(positions):
-            return -1
+        if count > most:
+            break
     return count
-
-
-@compiled
-def _side_variance(positions: Array, spreads: Array, j: int, l: int) -> float:
-    """[m²] of the distance between two features."""
-    x, y = positions[l, 0] - positions[j, 0], positions[l, 1] - positions[j, 1]
-    xx, xy, yy = spreads[j, 0] + spreads[l, 0], spreads[j, 1] + spreads[l, 1], spreads[j, 2] + spreads[l, 2]
-    square = x * x + y * y
-    return float((x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy)
 
 
 def _grid_of(positions: Array, side: float) -> Grid:

@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.relocation.answer import decide, keep, location_gates, nothing_found, relocation
+from slam_gym.association.relocation.answer import answer_of, keep, nothing_found
 from slam_gym.association.relocation.location import Located, locate
 from slam_gym.association.relocation.tree import (
     JOINT,
@@ -26,8 +26,7 @@ from slam_gym.association.relocation.tree import (
     RelocationBranches,
     branches,
     extend,
-    hypothesis,
-    relocation_tree,
+    problem_of,
     root,
 )
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
@@ -100,17 +99,16 @@ class RelocationWalk:
     ) -> None:
         if not spec.sizes:
             scan = Scan.from_points(scan.points, scan.covariances, kinds=scan.kinds)
-        self.spec = spec
-        self.tree = relocation_tree(scan, landmarks, locality, spec.confidence)
+        self.spec, self.scan, self.landmarks, self.locality = spec, scan, landmarks, locality
+        self.problem = problem_of(scan, landmarks, locality, spec.confidence)
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
-        self.counters = self.tree.problem.effort
-        self.counters[UNARY] = self.tree.problem.where.allowed.size
+        self.counters = self.problem.effort
+        self.counters[UNARY] = self.problem.allowed.size
         self.done = False
         self._rng = rng or np.random.default_rng(0)
         self._at_root: dict[int, RelocationBranches] = {}  # every try begins with the same offer
         self._kept = nothing_found(len(scan))
-        self._gates = location_gates(len(scan), spec.confidence)
-        self.best = self._answer()
+        self.best = self.answer()
         self._begin()
 
     # where the walk stands
@@ -184,12 +182,12 @@ class RelocationWalk:
 
     def answer(self) -> Relocation:
         """What the walk has come to: the best hypothesis, or none at all."""
-        return self._answer()
+        return answer_of(self._kept, self.problem, self.needed, 0.0)
 
     def _begin(self) -> None:
         """A new try, from the root."""
         self.order = self._deal()
-        self.node = root(self.tree)
+        self.node = root(self.problem)
         self.leaf: Leaf | None = None
         self.path: list[int] = []  # features decided, level by level
         self.offered: list[tuple[int, int]] = []  # of each such level: candidates on offer, action taken
@@ -199,25 +197,25 @@ class RelocationWalk:
         self._go_on()
 
     def _deal(self) -> IntArray:
-        points = self.tree.scan.points
+        points = self.scan.points
         if self.spec.order == "random":
             return self._rng.permutation(len(points))
         if self.spec.order == "as_scanned":
             return np.arange(len(points))
         far = np.hypot(points[:, 0], points[:, 1])
-        few = self.tree.problem.where.allowed.sum(axis=1)
+        few = self.problem.allowed.sum(axis=1)
         return np.argsort(far if self.spec.order == "nearest_first" else few, kind="stable")
 
     def _decide(self, feature: int) -> None:
         shown = 0 if self._offer is None else min(len(self._offer.features), self.spec.candidates)
         self.offered.append((shown, self.spec.star if feature == UNPAIRED else self.action_of(feature) or 0))
-        self.node = extend(self.tree, self.node, int(self.order[self.level]), feature)
+        self.node = extend(self.problem, self.node, int(self.order[self.level]), feature)
         self.path.append(feature)
         self.counters[NODES] += 1
 
     def _go_on(self) -> None:
         """Pass by the levels that leave no choice; make the offer of the next, or judge the leaf."""
-        self._offer, m = None, len(self.tree.scan)
+        self._offer, m = None, len(self.scan)
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
             self._decide(UNPAIRED)
         if self._spent or self.level == m:
@@ -228,9 +226,9 @@ class RelocationWalk:
 
     def _branches(self, measurement: int) -> RelocationBranches:
         if self.level > 0:
-            return branches(self.tree, self.node, measurement)
+            return branches(self.problem, self.node, measurement)
         if measurement not in self._at_root:
-            self._at_root[measurement] = branches(self.tree, self.node, measurement)
+            self._at_root[measurement] = branches(self.problem, self.node, measurement)
         return self._at_root[measurement]
 
     @property
@@ -239,27 +237,15 @@ class RelocationWalk:
 
     def _judge(self) -> Leaf:
         """Locate and test the hypothesis of the path; keep it if none has more pairings."""
-        node, features, k = self.node, hypothesis(self.tree, self.node), self.node.pairings
-        located = locate(self.tree.scan, self.tree.landmarks, features)
+        node, features, k = self.node, self.node.hypothesis, self.node.pairings
+        located = locate(self.scan, self.landmarks, features)
         self.counters[LEAVES] += 1
         compatible = False
         if k >= 2:
             self.counters[JOINT] += 1
-            compatible = bool(located.joint_distance < self._gates[k])
+            compatible = bool(located.joint_distance < self.problem.joint_gates[k])
         if compatible:
             distance = located.joint_distance
             keep(self._kept, node.path, k, located.pose, located.covariance, distance)
-            self.best = self._answer()
+            self.best = self.answer()
         return Leaf(features, located, compatible)
-
-    def _answer(self) -> Relocation:
-        found, spec = decide(self._kept, float(self._gates[-1])), self.spec
-        return relocation(
-            self.tree.scan,
-            self.tree.landmarks,
-            found,
-            self.counters,
-            0.0,
-            confidence=spec.confidence,
-            min_pairings=self.needed,
-        )

@@ -14,13 +14,13 @@ from tests.oracles import relocation as oracles
 def binary(scan, landmarks, *pairs, confidence=0.99):
     """Whether two pairings agree in their distances."""
     problem = problem_of(scan, landmarks, None, confidence)
-    return binary_test(problem.scan, problem.mapped, problem.gates, *pairs[0], *pairs[1])
+    return binary_test(problem.scan, problem.mapped, *pairs[0], *pairs[1])
 
 
 def orientation(scan, landmarks, *pairs):
     """Whether three pairings go round in the same sense."""
     problem = problem_of(scan, landmarks, None, 0.99)
-    return orientation_test(problem.scan, problem.mapped, problem.gates, *pairs[0], *pairs[1], *pairs[2])
+    return orientation_test(problem.scan, problem.mapped, *zip(*pairs))
 
 
 def plant(seed, n=6, *, keep="dense", sigma=0.05, drift=0.5, spread=2.0):
@@ -144,8 +144,8 @@ def test_bad_input_is_refused_by_name():
         unary(replace(scan, size_variances=np.full(6, -1.0)), landmarks)
     with pytest.raises(ValueError, match=r"Scan.kinds: shape"):
         unary(replace(scan, kinds=np.zeros(2, np.int64)), landmarks)
-    for field, match in (("positions", "is not finite"), ("covariances", "is not PSD"), ("size_variances", "negative")):
+    for field, match in (("positions", "not finite"), ("covariances", "not PSD"), ("size_variances", "negative")):
         spoilt = getattr(landmarks, field).copy()
         spoilt[2] = np.nan if field == "positions" else -1.0
-        with pytest.raises(ValueError, match=rf"Landmarks.{field}\[2\] {match}|Landmarks.{field}\[2\] is {match}"):
+        with pytest.raises(ValueError, match=rf"Landmarks.{field}\[2\] is {match}"):
             unary(scan, replace(landmarks, **{field: spoilt}))

@@ -16,8 +16,8 @@ def test_sizes_off_looks_at_no_sizes():
     scan, landmarks, *_ = walks.easy(2)
     other = replace(scan, sizes=scan.sizes + 5.0)
     pair = [RelocationWalk(WalkSpec(sizes=False), s, landmarks) for s in (scan, other)]
-    assert pair[0].tree.problem.where.allowed.all()
-    assert not RelocationWalk(WalkSpec(), other, landmarks).tree.problem.where.allowed.all()
+    assert pair[0].problem.allowed.all()
+    assert not RelocationWalk(WalkSpec(), other, landmarks).problem.allowed.all()
     for a, b in zip(*(observe_walk(walk, 20).values() for walk in pair)):
         np.testing.assert_array_equal(a, b)
 

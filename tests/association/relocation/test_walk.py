@@ -82,7 +82,7 @@ def test_levels_are_in_the_order_asked_for():
         assert sorted(orders[order]) == list(range(len(scan)))
     assert orders["as_scanned"] == list(range(len(scan)))
     assert np.all(np.diff(np.hypot(*scan.points[orders["nearest_first"]].T)) >= 0.0)
-    assert np.all(np.diff(walk.tree.problem.where.allowed.sum(axis=1)[orders["fewest_candidates"]]) >= 0)
+    assert np.all(np.diff(walk.problem.allowed.sum(axis=1)[orders["fewest_candidates"]]) >= 0)
     first = walk.order.tolist()
     walk.take(0)
     walk.take(walk.spec.restart)
