@@ -71,7 +71,7 @@ def test_looking_around_is_given_up_by_a_robot_that_cannot_turn() -> None:
 
 
 def test_a_goal_is_given_up_by_a_robot_that_cannot_move() -> None:
-    env = explore(short(400, robot=RobotSpec(max_acceleration=1e-6, max_angular_acceleration=1e-6)))
+    env = explore(short(400, robot=RobotSpec(max_acceleration=1e-3, max_angular_acceleration=1e-3)))
     _, info = env.reset(seed=0)
     slot = np.flatnonzero(info["action_mask"])[1]
     assert env.step(slot)[-1]["ticks"] == STUCK_TICKS + 1

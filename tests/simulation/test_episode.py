@@ -214,6 +214,6 @@ def test_a_plan_without_features_or_free_space_is_refused() -> None:
     nothing = Features(np.empty((0, 2)), np.empty(0, np.int64), np.empty(0))
     with pytest.raises(ValueError, match="has no features"):
         survey(replace(plan, features=nothing), SMALL)
-    wide = replace(SMALL, robot=replace(SMALL.robot, radius=50.0))
+    wide = replace(SMALL, robot=replace(SMALL.robot, radius=9.0))
     with pytest.raises(ValueError, match="no free space"):
         survey(plan, wide)
