@@ -108,6 +108,7 @@ class _Seed(NamedTuple):
     triple: IntArray  # (3,) counterclockwise
     others: IntArray  # (m − 3,)
     offsets: Array  # (2, m − 3) [m] of the others from the centroid
+    gates: Array  # (2, m − 3) [m²] of those along the line of sight from the centroid and across it
     limits: IntArray  # (m − 3,) steps of the raster beyond which no feature is within their gate
     margin: float  # [m] gate of a side, whatever the features
 
@@ -302,18 +303,22 @@ def _seed(table: TriangleHash, look: Look, triple: IntArray) -> _Seed:
         inertia += (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2
         widest = max(widest, 0.5 * scan.spreads[i, i])
     worst, count = table.widest + widest, 0
-    others, offsets, limits = np.empty(m, np.int64), np.empty((2, m)), np.empty(m, np.int64)
+    others, offsets = np.empty(m, np.int64), np.empty((2, m))
+    gates, limits = np.empty((2, m)), np.empty(m, np.int64)
     for i in range(m):
         if i != triple[0] and i != triple[1] and i != triple[2]:
             u, v = points[i, 0] - x, points[i, 1] - y
-            variance = 0.5 * scan.spreads[i, i] + worst / 3.0 + (u * u + v * v) * worst / inertia
+            along = 0.5 * scan.spreads[i, i] + worst / 3.0
+            across = along + (u * u + v * v) * worst / inertia
             others[count], offsets[0, count], offsets[1, count] = i, u, v
-            limits[count] = min(int(math.sqrt(look.scan.gates.two * variance) / table.raster.step), FAR)
+            gates[0, count] = look.scan.gates.two * (along + table.widest)
+            gates[1, count] = look.scan.gates.two * (across + table.widest)
+            limits[count] = min(int(math.sqrt(look.scan.gates.two * across) / table.raster.step), FAR)
             count += 1
     i, k, l = triple
     of_sides = max(scan.variances[i, k], scan.variances[k, l], scan.variances[l, i])
     margin = math.sqrt(look.scan.gates.one * (2.0 * table.widest + of_sides))
-    return _Seed(triple, others[:count], offsets[:, :count], limits[:count], margin)
+    return _Seed(triple, others[:count], offsets[:, :count], gates[:, :count], limits[:count], margin)
 
 
 @compiled
@@ -348,6 +353,7 @@ def _like(table: TriangleHash, look: Look, found: Found, corners: IntArray) -> I
         low[k] = max(0, math.floor((sides[k] - margin) / table.quantum))
         high[k] = math.floor(min(sides[k] + margin, table.reach) / table.quantum)
     chosen, count, compared, gate = np.empty((64, 3), np.int32), 0, 0, look.scan.gates.one
+    (first, second, third), (u, v, w) = sides, variances
     for c in range(low[0], high[0] + 1):
         for a in range(low[1], min(c, high[1]) + 1):
             for b in range(max(low[2], c - a - 1), min(c, high[2]) + 1):
@@ -359,12 +365,12 @@ def _like(table: TriangleHash, look: Look, found: Found, corners: IntArray) -> I
                     chosen = longer
                 compared += end - start
                 for t in range(start, end):
-                    x, y, z = table.sides[t, 0] - sides[0], table.sides[t, 1] - sides[1], table.sides[t, 2] - sides[2]
+                    x, y, z = table.sides[t, 0] - first, table.sides[t, 1] - second, table.sides[t, 2] - third
                     of_map = table.sides[t, 3]
-                    near = (x * x <= gate * (variances[0] + of_map)) & (y * y <= gate * (variances[1] + of_map))
+                    near = (x * x <= gate * (u + of_map)) & (y * y <= gate * (v + of_map))
                     for k in range(3):
                         chosen[count, k] = table.corners[t, k]
-                    count += near & (z * z <= gate * (variances[2] + of_map))  # a branch could not be foretold
+                    count += near & (z * z <= gate * (w + of_map))  # a branch could not be foretold
     _spend(look, found, BINARY, compared, _COMPARISON * compared)
     return chosen[:count]
 
@@ -413,8 +419,47 @@ def _verify(
             missed[t] += flat[places[t]] > limit
     for passed in np.flatnonzero(missed <= allowed):
         t = int(passed)
-        if found.effort[LIMIT] == 0:
+        if found.effort[LIMIT] == 0 and _misses(table, seed, counts, poses[:, t], allowed) <= allowed:
             _examine(table, look, found, corners, triangles[t], poses[:, t])
+
+
+@compiled
+def _misses(table: TriangleHash, seed: _Seed, counts: BoolArray, pose: Array, allowed: int) -> int:
+    """How many of the measurements that count miss every feature at a pose, in gates that are ellipses here.
+
+    They are long across the line of sight from the seed, since its heading is what is least known. No more than one
+    above `allowed` are counted.
+    """
+    grid, positions, missed = table.grid, table.positions, 0
+    for p in np.flatnonzero(counts):
+        u = pose[2] * seed.offsets[0, p] - pose[3] * seed.offsets[1, p]
+        v = pose[3] * seed.offsets[0, p] + pose[2] * seed.offsets[1, p]
+        square, met = u * u + v * v + 1e-12, False
+        bottom, top, left, right = _cells_around(grid, pose[0] + u, pose[1] + v, math.sqrt(seed.gates[1, p]))
+        for row in range(bottom, top):
+            start = row * grid.shape[1]
+            for at in range(grid.starts[start + left], grid.starts[start + right]):
+                j = grid.members[at]
+                dx, dy = positions[j, 0] - pose[0] - u, positions[j, 1] - pose[1] - v
+                along, across = dx * u + dy * v, dy * u - dx * v
+                met |= along * along / seed.gates[0, p] + across * across / seed.gates[1, p] < square
+        missed += not met
+        if missed > allowed:
+            break
+    return missed
+
+
+@compiled
+def _cells_around(grid: Grid, x: float, y: float, radius: float) -> tuple[int, int, int, int]:
+    """First row and column of what a square of `radius` [m] around a point touches, and one past the last of each.
+
+    There are no rows where it touches no column.
+    """
+    (rows, columns), (left, bottom, side) = grid.shape, grid.origin
+    first = max(math.floor((x - radius - left) / side), 0)
+    end = min(math.floor((x + radius - left) / side) + 1, columns)
+    top = min(math.floor((y + radius - bottom) / side) + 1, rows) if first < end else 0
+    return max(math.floor((y - radius - bottom) / side), 0), top, first, end
 
 
 @compiled
@@ -512,7 +557,6 @@ def _pair_around(
     Writes `features` (m,) and their D² (m,); returns the number of pairings, or 0 once fewer than `needed` are left.
     """
     grid, positions, spreads, misses = table.grid, table.positions, table.spreads, 0
-    (rows, columns), (left, bottom, side) = grid.shape, grid.origin
     for i in range(len(features)):
         lx = fit[2] * look.scan.points[i, 0] - fit[3] * look.scan.points[i, 1]
         ly = fit[3] * look.scan.points[i, 0] + fit[2] * look.scan.points[i, 1]
@@ -521,11 +565,10 @@ def _pair_around(
         xy += fit[5] + lx * fit[7] - ly * fit[8] - lx * ly * fit[9]
         features[i], squares[i] = UNPAIRED, look.scan.gates.two
         radius = math.sqrt(look.scan.gates.two * (max(xx, yy) + abs(xy) + table.widest))
-        first = max(math.floor((x - radius - left) / side), 0)
-        end = min(math.floor((x + radius - left) / side) + 1, columns)
-        top = min(math.floor((y + radius - bottom) / side) + 1, rows) if first < end else 0
-        for row in range(max(math.floor((y - radius - bottom) / side), 0), top):
-            for at in range(grid.starts[row * columns + first], grid.starts[row * columns + end]):
+        bottom, top, left, right = _cells_around(grid, x, y, radius)
+        for row in range(bottom, top):
+            start = row * grid.shape[1]
+            for at in range(grid.starts[start + left], grid.starts[start + right]):
                 j = grid.members[at]
                 dx, dy = positions[j, 0] - x, positions[j, 1] - y
                 if abs(dx) > radius or abs(dy) > radius:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import Crowding, crowding_of, least_pairings, log_expected
+from slam_gym.association.acceptance import Crowding, least_pairings, log_expected
 from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.answer import relocation
@@ -118,7 +118,12 @@ class FeatureIndex:
 
     @functools.cached_property
     def _crowding(self) -> Crowding:
-        return crowding_of(self.landmarks, 1.5 * self.reach)
+        """That of squares of 1.5 reach, with the mean variance of all features relative to those around."""
+        table, width = self._hash, 1.5 * self.reach
+        tree = cKDTree(table.positions)
+        others = tree.query_ball_point(table.positions, 0.5 * width, p=math.inf, return_length=True) - 1
+        variance = 0.5 * float((table.spreads[:, 0] + table.spreads[:, 2]).mean()) if len(self) else 0.0
+        return Crowding(np.bincount(others), width * width, variance)
 
 
 def indexed(
