@@ -11,20 +11,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._arrays import fill_from
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import NO_FAULT, joint_gates
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_over, offer
 from slam_gym.association.tree import (
-    Node,
     Pairings,
     condition,
+    innovation_of,
     is_local,
     may_follow,
     pivot_of,
     read,
-    root_of,
+    squared,
     store,
     write_rows,
 )
@@ -110,12 +109,11 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
 
     By p: path[p] the pairing that comes next, position[p] in alive[p] of the candidate to try next, level[p] its level.
     """
-    node, given = root_of(pairings), pairings.given
-    measured, depth = pairings.measured, len(gates)
-    stack = _stack_at(pairings, node, depth)
-    alive, total, _, _, end, levels, features, distances, floors, _ = stack
+    measured, given, depth = pairings.measured, pairings.given, len(gates)
     path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
-    fill_from(path, node.path)
+    path[:given] = np.arange(given)
+    stack = _stack_at(pairings, path)
+    alive, total, _, _, end, levels, features, distances, floors, _ = stack
     best_path, best, best_distance = path.copy(), given, distances[given]
     p, nodes, tests, limit_hit = given, 0, 0, False
     while p >= given:
@@ -152,9 +150,10 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
 
 
 @compiled
-def _stack_at(pairings: Pairings, node: Node, depth: int) -> _Stack:
-    """The stack with what may follow the root."""
-    count, features, held, slots = len(pairings.slots), len(pairings.covariance) // 2, len(node.path), pairings.slots
+def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
+    """The stack with what may follow the pairings given, with which the path begins."""
+    slots, measured, _, _, covariance, _, given = pairings
+    count, features, depth = len(slots), len(covariance) // 2, len(path)
     stack = _Stack(
         np.empty((depth, count), np.int64),
         np.empty((depth, count)),
@@ -167,22 +166,24 @@ def _stack_at(pairings: Pairings, node: Node, depth: int) -> _Stack:
         np.zeros(depth),
         np.zeros(features + 1, np.int64),
     )
+    innovations, distance, kept, last = stack.innovations[given], 0.0, 0, _UNDECIDED
     for c in range(count):
-        for r in range(2 * held):
-            stack.w[c, r, 0], stack.w[c, r, 1] = node.w[c, r, 0], node.w[c, r, 1]
-    distance, kept, last = node.distance, 0, _UNDECIDED
-    for c in range(held, count):
-        if not may_follow(pairings, node.path, held, c):
+        store(innovations, c, innovation_of(pairings, c))
+    for d in range(given):
+        e = read(innovations, d)
+        pivot, distance = pivot_of(slots[d], e), distance + squared(e)
+        for c in range(d + 1, count):
+            store(innovations, c, condition(covariance, stack.w, pivot, d, d, c, slots[c], read(innovations, c)))
+    for c in range(given, count):
+        if not may_follow(pairings, path, given, c):
             continue
-        e = read(node.innovations, c)
-        store(stack.innovations[held], c, e)
-        stack.total[held, c] = distance + node.added[c]
-        stack.alive[held, kept] = c
+        stack.total[given, c] = distance + squared(read(innovations, c))
+        stack.alive[given, kept] = c
         kept += 1
-        if pairings.measured[c] != last:
-            stack.levels[held], last = stack.levels[held] + 1, pairings.measured[c]
-    stack.end[held], stack.distance[held], stack.floor[held] = kept, distance, distance
-    stack.features[held] = _count_features(slots, stack.alive[held, :kept], stack.stamps)
+        if measured[c] != last:
+            stack.levels[given], last = stack.levels[given] + 1, measured[c]
+    stack.end[given], stack.distance[given], stack.floor[given] = kept, distance, distance
+    stack.features[given] = _count_features(slots, stack.alive[given, :kept], stack.stamps)
     return stack
 
 
