@@ -85,7 +85,7 @@ def search(pairings: Pairings, levels: IntArray, prices: Prices) -> tuple[Beam, 
     now, kept, nodes, tests, cut = 0, 1, 0, 0, False
     for level in range(len(levels)):
         first, last = levels[level, 0], levels[level, 1]
-        best = _offer_none(room, now, kept, prices.unpaired)
+        best = _offer_none(room, now, kept, last - first, prices.unpaired)
         for c in range(first, last):
             joined = _with_room(joined, used + kept)
             here, price = _Level(room, joined, now, kept), (prices.gains[c], prices.margin)
@@ -124,17 +124,18 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Pat
 
 
 @compiled
-def _offer_none(room: _Room, now: int, kept: int, unpaired: float) -> float:
-    """Begin a level: every hypothesis may go on with `*`. The best score so far."""
-    score, count, nodes, together = room.score[now], room.pairings[now], room.nodes[now], room.together
+def _offer_none(room: _Room, now: int, kept: int, count: int, unpaired: float) -> float:
+    """Begin a level of `count` pairings: every hypothesis may go on with `*`. The best score so far."""
+    offered, score, pairings, nodes, together = room.offered, room.score, room.pairings, room.nodes, room.together
     best = -math.inf
     for b in range(kept):
-        room.offered[b] = -math.inf
-        room.offered[b, 0] = score[b] + unpaired
-        best = max(best, room.offered[b, 0])
+        offered[b, 0] = score[now, b] + unpaired
+        best = max(best, offered[b, 0])
+        for k in range(1, 1 + count):
+            offered[b, k] = -math.inf
         together[b] = 0
-        p = min(count[b], count[b - 1]) if b > 0 else 0
-        while together[b] < p and nodes[b, together[b]] == nodes[b - 1, together[b]]:
+        p = min(pairings[now, b], pairings[now, b - 1]) if b > 0 else 0
+        while together[b] < p and nodes[now, b, together[b]] == nodes[now, b - 1, together[b]]:
             together[b] += 1
     return best
 

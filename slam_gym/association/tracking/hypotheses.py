@@ -94,15 +94,8 @@ class Weighed(NamedTuple):
     unpaired: Array  # (m,) probability that each measurement is of nothing in the map
 
 
-class PosteriorArrays(NamedTuple):
-    """How probable a decision is: the fields of `Posterior`, as they come out of compiled code."""
-
-    log_density: float
-    probability: float
-    runner_up: IntArray
-    runner_up_probability: float
-    marginals: Array
-    unpaired: Array
+PosteriorFields = tuple[float, float, IntArray, float, Array, Array]
+"""The fields of `Posterior`, as they come out of compiled code."""
 
 
 def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float, int, float]:
@@ -269,7 +262,7 @@ def weighed(kept: Kept, prior: Array, features: int) -> Weighed:
 
 
 @compiled
-def posterior_of(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntArray) -> PosteriorArrays:
+def posterior_of(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntArray) -> PosteriorFields:
     """Of the decision for `rows` (m,), and of the most probable other one among `hypotheses` (b, m).
 
     Hypotheses of several headings may decide alike: each counts for the first of its like, the decision being the first
@@ -295,7 +288,7 @@ def posterior_of(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: 
     most = sums.scores.max()
     total = most + math.log(np.exp(sums.scores - most).sum())
     log_density = total + math.log(weights[0]) if weights[0] > 0.0 else -math.inf
-    return PosteriorArrays(log_density, weights[0], runner_up, weights[second], marginals, sums.unpaired)
+    return log_density, weights[0], runner_up, weights[second], marginals, sums.unpaired
 
 
 @compiled

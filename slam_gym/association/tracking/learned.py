@@ -98,7 +98,7 @@ def _example(
     look = looks[number]
     problem = problem_of(look, scan, expected)
     inputs = inputs_of(scan, problem, expected, run_of(past))
-    ready = Ready(look, problem, np.empty(0), limits.margin)
+    ready = Ready(problem, look.candidates.tests, np.empty(0), limits.margin)
     kept = gathered([ready], m, expected, past, limits, prices_of(past, area, m))
     scores = weighed(kept, past.detections, len(expected.features)).scores
     found = look.candidates

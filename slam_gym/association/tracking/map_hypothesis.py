@@ -18,7 +18,7 @@ from slam_gym.association.tracking.hypotheses import (
     TOGETHER,
     Kept,
     Limits,
-    PosteriorArrays,
+    PosteriorFields,
     Rates,
     ScanProblem,
     Searched,
@@ -74,11 +74,11 @@ def _decide(
     prediction: PredictionArrays,
     rate_figures: tuple[float, float],
     limit_figures: tuple[float, int, float],
-) -> tuple[Decided, PosteriorArrays]:
+) -> tuple[Decided, PosteriorFields]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rates, limits, m = Rates(*rate_figures), Limits(*limit_figures), len(scan[0])
     rows, spent, fault = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT
-    posterior, part = PosteriorArrays(0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
+    posterior, part = (0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
     visible = visibility(expected, part.positions, part.covariances)[0]
     for search in range(2):
         found = offer(scan, expected, rows, search == 0, limits.gate)

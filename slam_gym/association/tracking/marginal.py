@@ -40,7 +40,7 @@ from slam_gym.association.tracking.hypotheses import (
     TOGETHER,
     Kept,
     Limits,
-    PosteriorArrays,
+    PosteriorFields,
     Rates,
     ScanProblem,
     Searched,
@@ -78,6 +78,10 @@ class Marginals(NamedTuple):
     area: float  # [m²] of the scan
 
 
+MarginalFields = tuple[Array, Array, BoolArray, Array, float]
+"""The same, as they come out of compiled code."""
+
+
 def marginal(
     scan: Scan,
     prediction: Prediction,
@@ -107,13 +111,13 @@ def marginal(
     """
     known = prediction.experience or NOTHING_SEEN
     costs = cost, cost if provisional_cost is None else provisional_cost
-    answer, told, posterior = _searched(scan, prediction, costs, width, margin, network)
+    answer, (_, unpaired, new, by_value, area), posterior = _searched(scan, prediction, costs, width, margin, network)
     experience = Experience(
-        _MEMORY * (known.unpaired + float(told.unpaired.sum())),
-        _MEMORY * (known.area + told.area),
-        _MEMORY * told.by_value if prediction.has_view else known.detections,
+        _MEMORY * (known.unpaired + float(unpaired.sum())),
+        _MEMORY * (known.area + area),
+        _MEMORY * by_value if prediction.has_view else known.detections,
     )
-    return answer.hypothesis(posterior=Posterior(*posterior), new=told.new, experience=experience)
+    return answer.hypothesis(posterior=Posterior(*posterior), new=new, experience=experience)
 
 
 def marginals(
@@ -127,19 +131,19 @@ def marginals(
     """The probabilities that `marginal` decides by. Arguments and errors: see there."""
     answer, told, _ = _searched(scan, prediction, (1.0, 1.0), width, margin, network)
     check_fault(answer.fault)
-    return told
+    return Marginals(*told)
 
 
 def _searched(
     scan: Scan, prediction: Prediction, costs: tuple[float, float], width: int, margin: float, network: Network
-) -> tuple[Decided, Marginals, PosteriorArrays]:
+) -> tuple[Decided, MarginalFields, PosteriorFields]:
     """`costs`: of a wrong pairing, then of one that is provisional."""
     for name, price in zip(("cost", "provisional_cost"), costs):
         if not 1.0 <= price < math.inf:
             raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
     limits, past = limits_of(prediction, width, margin), past_of(prediction.experience)
-    found: tuple[Decided, Marginals, PosteriorArrays]
+    found: tuple[Decided, MarginalFields, PosteriorFields]
     found = _decide(scan.arrays, prediction.arrays, past, rule, limits, network[:])
     return found
 
@@ -176,8 +180,8 @@ class Look(NamedTuple):
 class Ready(NamedTuple):
     """A narrow heading, ready for a search."""
 
-    look: Look
     problem: ScanProblem
+    tests: int  # pairings tested for individual compatibility
     odds: Array  # (c,) log odds of each pairing, which the model does not know of; (0,): none
     margin: float  # by which a hypothesis may be worse than the best
 
@@ -190,7 +194,7 @@ def _decide(
     rule: tuple[float, float, int],
     limit_arrays: tuple[float, int, float],
     network_arrays: tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array],
-) -> tuple[Decided, Marginals, PosteriorArrays]:
+) -> tuple[Decided, MarginalFields, PosteriorFields]:
     """`rule`: the probability that pairs, or starts a feature; that which pairs with a provisional feature; and from
     how many sightings a feature is none."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
@@ -201,9 +205,8 @@ def _decide(
     looks, fault = looks_of(scan, expected, past, area, limits.gate, len(network.centre) > 0)
     if fault[0] != 0:
         nothing = np.empty(m)
-        told = Marginals(np.empty((m, 0)), nothing, new, past.detections, area)
         refused = decided(expected, rows, 0.0, Spent(0, 0, 0, False), fault)
-        return refused, told, PosteriorArrays(0.0, 0.0, rows, 0.0, nothing, nothing)
+        return refused, (np.empty((m, 0)), nothing, new, past.detections, area), (0.0, 0.0, rows, 0.0, nothing, nothing)
     chosen = _worth_searching(looks, scan, expected, past, limits, prices, network)
     kept = gathered(chosen, m, expected, past, limits, prices)
     sums = weighed(kept, past.detections, len(expected.features))
@@ -213,7 +216,7 @@ def _decide(
                 rows[i] = j
         new[i] = rows[i] == UNPAIRED and sums.unpaired[i] > threshold
     answer = decided(expected, rows, joint_distance_of(scan, expected, rows), kept.spent, NO_FAULT)
-    told = Marginals(sums.pairings, sums.unpaired, new, sums.by_value, area)
+    told = sums.pairings, sums.unpaired, new, sums.by_value, area
     return answer, told, posterior_of(expected, kept.rows, sums, rows)
 
 
@@ -297,7 +300,7 @@ def _worth_searching(
         if len(network.centre) > 0:
             inputs = inputs_of(scan, problem, expected, run_of(past))
             odds = log_odds(network, inputs, look.candidates.measured, look.candidates.slots)
-        found.append(Ready(look, problem, odds, margin))
+        found.append(Ready(problem, look.candidates.tests, odds, margin))
         if len(looks) == 1:
             return found
         kept = search_tree(problem, odds, Limits(limits.gate, _FIRST_LOOK, margin))
@@ -309,7 +312,7 @@ def _worth_searching(
     for k in range(len(found)):
         if score[k] > best - margin and behind[k] < margin:
             ready = found[k]
-            out.append(Ready(ready.look, ready.problem, ready.odds, margin - max(behind[k], 0.0)))
+            out.append(Ready(ready.problem, ready.tests, ready.odds, margin - max(behind[k], 0.0)))
     if len(out) == 0:  # a score knows no price of what is compatible with nothing
         out.append(found[np.argmin(behind)])
     return out
@@ -335,7 +338,7 @@ def gathered(chosen: list[Ready], m: int, expected: Expected, past: Past, limits
     for ready in chosen:
         kept = search_tree(ready.problem, ready.odds, Limits(limits.gate, limits.width, ready.margin))
         found.append(kept)
-        nodes, tests, joint_tests = nodes + kept.nodes, tests + ready.look.candidates.tests, joint_tests + kept.tests
+        nodes, tests, joint_tests = nodes + kept.nodes, tests + ready.tests, joint_tests + kept.tests
         cut, count = cut or kept.cut, count + len(kept.fit)
     rows, fit, seen, b = np.empty((count, m), np.int64), np.empty(count), np.empty((count, len(past.values))), 0
     for ready, kept in zip(chosen, found):
