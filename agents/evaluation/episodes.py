@@ -16,7 +16,7 @@ from agents.drivers.base import Agent, visible
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.records import Record
 from slam_gym.association.prediction import Associator
-from slam_gym.association.tracking.policy import Policy
+from slam_gym.association.walks import Policy
 from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import Relocator
 

@@ -26,8 +26,8 @@ from agents.drivers.base import ActionKind, Info, legal_goals
 from agents.drivers.base import Observation as ExploreObservation
 from agents.learning.ppo import CHOICES, LARGEST_LAYER, Decision, Hyperparameters, policy_of
 from slam_gym.association.prediction import Associator
-from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.policy import from_policy
+from slam_gym.association.walks import Observation
 from slam_gym.types import BoolArray
 
 FORMAT = "slam_gym policy 2"

@@ -15,7 +15,6 @@ from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.association.relocation.cliques import max_clique
 from slam_gym.association.relocation.gcbb import gcbb
 from slam_gym.association.relocation.policy import (
-    RelocationPolicy,
     SampledRelocation,
     greedy_relocation,
     relocator_from_policy,
@@ -29,8 +28,9 @@ from slam_gym.association.tracking.map_hypothesis import map_hypothesis
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tracking.nearest_neighbour import global_nearest_neighbour, nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
-from slam_gym.association.tracking.policy import Policy, from_policy, greedy
+from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.association.tracking.true_association import true_association
+from slam_gym.association.walks import Policy
 from slam_gym.types import Hypothesis, Relocator, Scan
 from slam_gym.validation import imported
 
@@ -38,7 +38,6 @@ __all__ = [
     "ASSOCIATORS",
     "RELOCATORS",
     "Policy",
-    "RelocationPolicy",
     "SampledRelocation",
     "from_policy",
     "gcbb",

@@ -107,7 +107,7 @@ def _joint_covariance(mapped: Mapped, features: IntArray) -> Array:
     P = np.empty((2 * len(features), 2 * len(features)))
     for a in range(len(features)):
         own = mapped.covariances[features[a]]
-        P[2 * a, 2 * a], P[2 * a + 1, 2 * a + 1] = own[0, 0] + _FLOOR, own[1, 1] + _FLOOR
+        P[2 * a, 2 * a], P[2 * a + 1, 2 * a + 1] = own[0, 0], own[1, 1]
         P[2 * a, 2 * a + 1] = P[2 * a + 1, 2 * a] = own[0, 1]
         for b in range(a):
             xx, xy, yx, yy = cross_covariance(mapped, features[a], features[b])
@@ -122,7 +122,7 @@ def _closed_form(points: Array, noise: Array, positions: Array, P: Array, pose: 
     total, zx, zy, fx, fy, weights = 0.0, 0.0, 0.0, 0.0, 0.0, np.empty(len(points))
     for a in range(len(points)):
         R, z, F = noise[a], points[a], positions[a]
-        weight = weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[2 * a, 2 * a] + P[2 * a + 1, 2 * a + 1])
+        weight = weights[a] = 1.0 / (R[0, 0] + R[1, 1] + P[2 * a, 2 * a] + P[2 * a + 1, 2 * a + 1] + _FLOOR)
         total += weight
         zx, zy, fx, fy = zx + weight * z[0], zy + weight * z[1], fx + weight * F[0], fy + weight * F[1]
     zx, zy, fx, fy = zx / total, zy / total, fx / total, fy / total
@@ -148,9 +148,9 @@ def _linearise(points: Array, noise: Array, positions: Array, P: Array, pose: Ar
         for b in range(p):
             S[p, b], S[q, b] = P[p, b], P[q, b]
         xx, xy, yy = noise[a, 0, 0], noise[a, 0, 1], noise[a, 1, 1]
-        S[p, p] = P[p, p] + c * c * xx - 2.0 * c * s * xy + s * s * yy
+        S[p, p] = P[p, p] + _FLOOR + c * c * xx - 2.0 * c * s * xy + s * s * yy
         S[q, p] = P[q, p] + c * s * (xx - yy) + (c * c - s * s) * xy
-        S[q, q] = P[q, q] + s * s * xx + 2.0 * c * s * xy + c * c * yy
+        S[q, q] = P[q, q] + _FLOOR + s * s * xx + 2.0 * c * s * xy + c * c * yy
 
 
 @compiled

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from slam_gym.association.relocation.walk import RelocationWalk
+from slam_gym.association.walks import (
+    MEASURED_FIELDS,
+    POSITION_SCALE,
+    SIZE_SCALE,
+    Float32Array,
+    Observation,
+    measurement_shown,
+    squash,
+)
 
-Float32Array = NDArray[np.float32]
-WalkObservation = dict[str, Float32Array]
-
-MEASUREMENT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", "size", "legal", "hidden")
+MEASUREMENT_FIELDS = ("present", *MEASURED_FIELDS, "legal", "hidden")
 """Of the measurement to decide, in R; how many candidates are legal, and how many of those are not shown."""
 
 CANDIDATE_FIELDS = ("legal", "support", "bound", "mean", "worst", "size_difference", "covisibility")
@@ -45,9 +47,6 @@ SEARCH_FIELDS = (
 )
 """`search`: what all tries have come to."""
 
-POSITION_SCALE = 6.0  # [m]
-SIGMA_SCALE = 0.1  # [m]
-SIZE_SCALE = 1.0  # [m]
 DISTANCE_SCALE = 2.0  # of D²
 COUNT_SCALE = 4.0
 
@@ -63,7 +62,7 @@ def walk_shapes(candidates: int, measurements: int) -> dict[str, tuple[int, int]
     }
 
 
-def observe_walk(walk: RelocationWalk, measurements: int) -> WalkObservation:
+def observe_walk(walk: RelocationWalk, measurements: int) -> Observation:
     """The parts of `walk_shapes`, flat, in [−1, 1]. Of a longer scan, the first `measurements` levels are shown."""
     return {
         "measurement": _measurement(walk),
@@ -75,16 +74,11 @@ def observe_walk(walk: RelocationWalk, measurements: int) -> WalkObservation:
 
 
 def _measurement(walk: RelocationWalk) -> Float32Array:
-    out, scan, i = np.zeros(len(MEASUREMENT_FIELDS), np.float32), walk.scan, walk.measurement
-    if i is None or walk.offer is None:
-        return out
-    xx, xy, yy = (float(scan.covariances[i].flat[entry]) for entry in (0, 1, 3))
-    sx, sy = math.sqrt(max(xx, 0.0)), math.sqrt(max(yy, 0.0))
-    out[:4] = 1.0, *_squash(scan.points[i], POSITION_SCALE), _squash(sx, SIGMA_SCALE)
-    out[4] = min(max(xy / (sx * sy), -1.0), 1.0) if sx * sy > 0.0 else 0.0
-    out[5:7] = _squash(sy, SIGMA_SCALE), _squash(np.nan_to_num(scan.sizes[i]), SIZE_SCALE)
-    out[7:] = _squash(len(walk.offer.features), COUNT_SCALE), _squash(walk.hidden, COUNT_SCALE)
-    return out
+    i, offer = walk.measurement, walk.offer
+    if i is None or offer is None:
+        return np.zeros(len(MEASUREMENT_FIELDS), np.float32)
+    counts = squash(len(offer.features), COUNT_SCALE), squash(walk.hidden, COUNT_SCALE)
+    return np.array([1.0, *measurement_shown(walk.scan, i), *counts], np.float32)
 
 
 def _candidates(walk: RelocationWalk) -> Float32Array:
@@ -97,10 +91,10 @@ def _candidates(walk: RelocationWalk) -> Float32Array:
     rows[:, 0] = 1.0
     rows[:, 1] = support / max(m - walk.level - 1, 1)
     rows[:, 2] = (walk.node.pairings + 1 + support) / m
-    rows[:, 3], rows[:, 4] = _squash(offer.mean[:k], DISTANCE_SCALE), _squash(offer.worst[:k], DISTANCE_SCALE)
+    rows[:, 3], rows[:, 4] = squash(offer.mean[:k], DISTANCE_SCALE), squash(offer.worst[:k], DISTANCE_SCALE)
     variances = np.maximum(scan.size_variances[i] + landmarks.size_variances[shown], 1e-12)
     difference = (scan.sizes[i] - landmarks.sizes[shown]) / np.sqrt(variances)
-    rows[:, 5] = np.nan_to_num(_squash(difference, 1.0))
+    rows[:, 5] = np.nan_to_num(squash(difference, 1.0))
     rows[:, 6] = offer.local[:k]
     return out.ravel()
 
@@ -110,11 +104,11 @@ def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
     scan, shown = walk.scan, walk.order[:measurements]
     rows = out[: len(shown)]
     rows[:, 0] = 1.0
-    rows[:, 1:3] = _squash(scan.points[shown], POSITION_SCALE)
-    rows[:, 3] = _squash(np.nan_to_num(scan.sizes[shown]), SIZE_SCALE)
+    rows[:, 1:3] = squash(scan.points[shown], POSITION_SCALE)
+    rows[:, 3] = squash(np.nan_to_num(scan.sizes[shown]), SIZE_SCALE)
     rows[:, 4] = walk.node.decided[shown]
     rows[:, 5] = np.isin(shown, walk.node.path.measurements)
-    rows[:, 6] = _squash(walk.node.alive[shown].sum(axis=1), COUNT_SCALE)
+    rows[:, 6] = squash(walk.node.alive[shown].sum(axis=1), COUNT_SCALE)
     return out.ravel()
 
 
@@ -133,19 +127,14 @@ def _search(walk: RelocationWalk) -> Float32Array:
     return np.array(
         [
             best.pairings / m,
-            _squash(best.joint_distance / max(best.dof, 1), DISTANCE_SCALE),
+            squash(best.joint_distance / max(best.dof, 1), DISTANCE_SCALE),
             best.accepted,
             min(walk.needed / m, 1.0),
             1.0 - walk.nodes / walk.spec.node_limit,
-            _squash(walk.tries - 1, COUNT_SCALE),
+            squash(walk.tries - 1, COUNT_SCALE),
         ],
         np.float32,
     )
-
-
-def _squash(value: Any, scale: float) -> Any:
-    """v / (|v| + scale): monotone, 0 at 0, into (−1, 1)."""
-    return value / (np.abs(value) + scale)
 
 
 def unsquash(value: float, scale: float) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,20 +12,16 @@ from slam_gym.association.relocation.observation import (
     COUNT_SCALE,
     PATH_FIELDS,
     SEARCH_FIELDS,
-    WalkObservation,
     observe_walk,
     unsquash,
 )
 from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
+from slam_gym.association.walks import Observation, Policy, play
 from slam_gym.types import BoolArray, Landmarks, Locality, Relocation, Relocator, Scan
-
-RelocationPolicy = Callable[[WalkObservation, BoolArray], int]
-"""Observation of a walk and mask (K + 2,) -> a legal action: a < K pairs with the a-th candidate on offer, K is `*` (at
-a leaf: stop), K + 1 restarts."""
 
 
 def relocator_from_policy(
-    policy: RelocationPolicy,
+    policy: Policy,
     *,
     candidates: int = 8,
     order: RelocationOrder = "fewest_candidates",
@@ -48,19 +43,18 @@ def relocator_from_policy(
 
 @dataclass(frozen=True, slots=True)
 class _PolicyRelocator:
-    policy: RelocationPolicy
+    policy: Policy
     spec: WalkSpec
     measurements: int
     seed: int
 
     def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None = None) -> Relocation:
         walk = RelocationWalk(self.spec, scan, landmarks, locality, np.random.default_rng(self.seed))
-        while not walk.done:
-            walk.take(int(self.policy(observe_walk(walk, self.measurements), walk.mask)))
+        play(walk, self.policy, lambda: observe_walk(walk, self.measurements))
         return walk.answer()
 
 
-def greedy_relocation(observation: WalkObservation, mask: BoolArray) -> int:
+def greedy_relocation(observation: Observation, mask: BoolArray) -> int:
     """One try: always the candidate with most support; stops at the first leaf."""
     return 0 if mask[0] else len(mask) - 2
 
@@ -78,7 +72,7 @@ class SampledRelocation:
             raise ValueError(f"tries, temperature: {tries}, {temperature}: expected >= 1 and > 0")
         self.tries, self.temperature, self.seed = tries, temperature, seed
 
-    def __call__(self, observation: WalkObservation, mask: BoolArray) -> int:
+    def __call__(self, observation: Observation, mask: BoolArray) -> int:
         path = dict(zip(PATH_FIELDS, observation["path"].tolist()))
         search = dict(zip(SEARCH_FIELDS, observation["search"].tolist()))
         again = mask[-1] and not search["accepted"] and unsquash(search["tries"], COUNT_SCALE) + 1.5 < self.tries
@@ -93,5 +87,5 @@ class SampledRelocation:
         weights = np.exp((bounds - bounds.max()) / self.temperature)
         return int(self._rng(observation).choice(legal, p=weights / weights.sum()))
 
-    def _rng(self, observation: WalkObservation) -> np.random.Generator:
+    def _rng(self, observation: Observation) -> np.random.Generator:
         return np.random.default_rng([self.seed, *(zlib.crc32(part.tobytes()) for part in observation.values())])

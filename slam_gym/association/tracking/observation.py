@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import plain
@@ -24,13 +23,11 @@ from slam_gym.association.tree import (
     read,
     squared,
 )
+from slam_gym.association.walks import MEASURED_FIELDS, POSITION_SCALE, Float32Array, Observation, measurement_shown
 from slam_gym.types import Array, BoolArray, IntArray
 
-Float32Array = NDArray[np.float32]
-Observation = dict[str, Float32Array]
-
-MEASUREMENT_FIELDS = ("x", "y", "sigma_x", "correlation", "sigma_y", "size")
-"""`measurement`: the one to decide now, in R. An unknown size is 0."""
+MEASUREMENT_FIELDS = MEASURED_FIELDS
+"""`measurement`: the one to decide now."""
 
 CANDIDATE_FIELDS = (
     "legal",  # 1 where there is a candidate; where there is none, the row is 0
@@ -64,7 +61,7 @@ PAIRING_FIELDS = ("present", "x", "y", "innovation_x", "innovation_y")
 
 PAIRINGS = 8
 
-POSITION_SCALE, SIGMA_SCALE, INNOVATION_SCALE, SIZE_SCALE = 6.0, 0.1, 0.3, 1.0  # [m]
+INNOVATION_SCALE = 0.3  # [m]
 AGE_SCALE = 50.0  # [steps]
 COUNT_SCALE, FEW_SCALE = 10.0, 3.0
 
@@ -96,13 +93,6 @@ class Choice(NamedTuple):
     hidden: int  # legal ones that are not on offer
     compatible: int  # individually compatible ones
     later: int  # where the pairings of later levels begin
-
-
-class _Vectors(NamedTuple):
-    measurement: Float32Array
-    candidates: Float32Array
-    path: Float32Array
-    pairings: Float32Array
 
 
 class _Outlook(NamedTuple):
@@ -147,21 +137,34 @@ def surroundings_of(tree: Tree) -> Surroundings:
 
 def encode(tree: Tree, node: Node, surroundings: Surroundings, choice: Choice) -> Observation:
     """The observation at a node with a choice. Fresh arrays."""
-    return _encode(tree.pairings, node, tree.candidates.distances, tree.gates, surroundings, choice)._asdict()
+    measurement = np.array(measurement_shown(tree.scan, int(tree.pairings.measured[choice.offered[0]])), np.float32)
+    candidates, path, pairings = _encode(
+        tree.pairings, node, tree.candidates.distances, tree.gates, surroundings, choice
+    )
+    return {"measurement": measurement, "candidates": candidates, "path": path, "pairings": pairings}
 
 
 @compiled
 def _encode(
     pairings: Pairings, node: Node, individual: Array, gates: Array, surroundings: Surroundings, choice: Choice
-) -> _Vectors:
-    """`individual` (c,): D²_ij of all pairings."""
-    outlook = _outlook(pairings, node, gates, choice)
-    return _Vectors(
-        _measurement(pairings, surroundings, choice),
-        _candidates(pairings, node, individual, gates, surroundings, choice, outlook),
-        _path(node, gates, choice, outlook),
-        _pairings(pairings, node, surroundings.points),
-    )
+) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """`CANDIDATE_FIELDS`, `PATH_FIELDS` and `PAIRING_FIELDS`; `individual` (c,) are D²_ij of all pairings."""
+    ahead, p = _outlook(pairings, node, gates, choice), len(node.path)
+    candidates = _candidates(pairings, node, individual, gates, surroundings, choice, ahead)
+    path, last = np.zeros(8, np.float32), np.zeros((PAIRINGS, 5), np.float32)
+    path[0], path[1] = choice.level / choice.levels, ahead.left / (ahead.left + COUNT_SCALE)
+    path[2], path[3] = p / (p + COUNT_SCALE), p / max(choice.level, 1)
+    path[4] = node.distance / (node.distance + gates[p]) if p > 0 else 0.0
+    path[5] = choice.compatible / (choice.compatible + FEW_SCALE)
+    path[6], path[7] = choice.hidden / (choice.hidden + FEW_SCALE), ahead.without / max(ahead.left, 1)
+    for q in range(min(PAIRINGS, p)):
+        c = node.path[p - 1 - q]
+        x, y = surroundings.points[pairings.measured[c]]
+        last[q, 0] = 1.0
+        last[q, 1], last[q, 2] = _squash(x, POSITION_SCALE), _squash(y, POSITION_SCALE)
+        last[q, 3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
+        last[q, 4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
+    return candidates, path, last.ravel()
 
 
 @compiled
@@ -193,19 +196,6 @@ def _outlook(pairings: Pairings, node: Node, gates: Array, choice: Choice) -> _O
             if node.distance + node.added[a] + squared(e) < after:
                 support[k], counted = support[k] + 1, measured[c]
     return _Outlook(support, rivals, without, left)
-
-
-@compiled
-def _measurement(pairings: Pairings, surroundings: Surroundings, choice: Choice) -> Float32Array:
-    """`MEASUREMENT_FIELDS`."""
-    i, out = pairings.measured[choice.offered[0]], np.zeros(6, np.float32)
-    (x, y), R, size = surroundings.points[i], pairings.noise[i], surroundings.sizes[i]
-    sx, sy = math.sqrt(max(R[0, 0], 0.0)), math.sqrt(max(R[1, 1], 0.0))
-    out[0], out[1] = _squash(x, POSITION_SCALE), _squash(y, POSITION_SCALE)
-    out[2], out[4] = _squash(sx, SIGMA_SCALE), _squash(sy, SIGMA_SCALE)
-    out[3] = 0.0 if sx * sy == 0.0 else max(-1.0, min(1.0, R[0, 1] / (sx * sy)))
-    out[5] = 0.0 if math.isnan(size) else _squash(size, SIZE_SCALE)
-    return out
 
 
 @compiled
@@ -241,30 +231,4 @@ def _candidates(
         row[8] = covisible / max(p, 1)
         row[9], row[10] = 1.0 if around.near[j] else 0.0, _squash(float(around.ages[j]), AGE_SCALE)
         row[11], row[12] = ahead.support[k] / max(ahead.left, 1), _squash(float(ahead.rivals[k]), FEW_SCALE)
-    return out.ravel()
-
-
-@compiled
-def _path(node: Node, gates: Array, choice: Choice, ahead: _Outlook) -> Float32Array:
-    """`PATH_FIELDS`."""
-    p, out = len(node.path), np.zeros(8, np.float32)
-    out[0], out[1] = choice.level / choice.levels, ahead.left / (ahead.left + COUNT_SCALE)
-    out[2], out[3] = p / (p + COUNT_SCALE), p / max(choice.level, 1)
-    out[4] = node.distance / (node.distance + gates[p]) if p > 0 else 0.0
-    out[5] = choice.compatible / (choice.compatible + FEW_SCALE)
-    out[6], out[7] = choice.hidden / (choice.hidden + FEW_SCALE), ahead.without / max(ahead.left, 1)
-    return out
-
-
-@compiled
-def _pairings(pairings: Pairings, node: Node, points: Array) -> Float32Array:
-    """`PAIRING_FIELDS` of the last of the pairings made so far."""
-    out, p = np.zeros((PAIRINGS, 5), np.float32), len(node.path)
-    for q in range(min(PAIRINGS, p)):
-        c = node.path[p - 1 - q]
-        x, y = points[pairings.measured[c]]
-        out[q, 0] = 1.0
-        out[q, 1], out[q, 2] = _squash(x, POSITION_SCALE), _squash(y, POSITION_SCALE)
-        out[q, 3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
-        out[q, 4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
     return out.ravel()

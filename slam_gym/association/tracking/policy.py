@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from slam_gym.association.prediction import Associator, Prediction
-from slam_gym.association.tracking.observation import Observation
 from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
+from slam_gym.association.walks import Observation, Policy, play
 from slam_gym.types import BoolArray, Hypothesis, Scan
-
-Policy = Callable[[Observation, BoolArray], int]
-"""Observation of a walk and mask (K + 1,) -> a legal action: a < K pairs with the a-th candidate on offer, K is `*`."""
 
 
 def from_policy(
@@ -43,6 +39,5 @@ class _PolicyAssociator:
 
     def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
         walk = Walk(scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility)
-        while not walk.done:
-            walk.take(int(self.policy(walk.observation(), walk.mask.copy())))
+        play(walk, self.policy, walk.observation)
         return walk.hypothesis()

@@ -11,7 +11,6 @@ from slam_gym.association.compatibility import Candidates, individual
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.observation import (
     Choice,
-    Observation,
     Surroundings,
     encode,
     nothing,
@@ -25,6 +24,7 @@ from slam_gym.association.tree import (
     interpretation_tree,
     root,
 )
+from slam_gym.association.walks import Observation
 from slam_gym.types import UNPAIRED, Array, Effort, Hypothesis, IntArray, Scan
 
 Order = Literal["as_scanned", "nearest_first", "fewest_candidates"]
