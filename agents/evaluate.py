@@ -12,7 +12,8 @@ from typer import Option
 
 from agents.cli import Episodes, Execute, RerunFile, World, command, require_rerun
 from agents.drivers.base import AGENTS, SHOWN
-from agents.evaluation.drivers import driver_evaluation, drivers_of, kidnappings, tables, world_of
+from agents.evaluation.drive_tables import driver_tables, kidnappings
+from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
 from agents.evaluation.pipeline import carry_out
 from agents.evaluation.tables import print_table
 
@@ -44,7 +45,7 @@ def main(
             from agents.reports.rerun_log import Drive, log_drives
 
             log_drives(rerun, episodes.first, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
-    for table in tables(results):
+    for table in driver_tables(results):
         print_table(table, how.console)
     for line in kidnappings(results):
         how.console.print(line)

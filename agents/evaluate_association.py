@@ -25,8 +25,10 @@ from agents.cli import (
     search_or_none,
 )
 from agents.drivers.base import AGENTS, make_agent
-from agents.evaluation import associators, recordings
-from agents.evaluation.associators import associator_evaluation, metered, shipped
+from agents.evaluation import recordings
+from agents.evaluation.associators import metered, shipped
+from agents.evaluation.drive_tables import associator_tables
+from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, carry_out
 from agents.evaluation.recordings import Log, logs_of, recording_evaluation
@@ -122,7 +124,7 @@ def main(
         elif recording:
             evaluation, tables = _recording_evaluation(candidates, recorded, recording, out), recordings.tables
         else:
-            evaluation, tables = _loop_evaluation(candidates, loop), associators.tables
+            evaluation, tables = _loop_evaluation(candidates, loop), associator_tables
         results = carry_out(evaluation, out, how)
         if loop.rerun:
             _log_first_episodes(candidates, loop, loop.rerun)

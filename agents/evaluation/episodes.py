@@ -16,7 +16,6 @@ from agents.drivers.base import Agent, visible
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.records import Record
 from slam_gym.association.prediction import Associator
-from slam_gym.association.walks import Policy
 from slam_gym.slam.relocate import SEARCH
 from slam_gym.types import Relocator
 
@@ -140,14 +139,3 @@ def run_episode(
     record = {"episode": episode, "return": total, "decisions": decisions, "seconds": seconds} | quality
     lost = float(record["map_error"] > LOST_ERROR or record["duplicates"] > LOST_DUPLICATES)
     return record | {"map_lost": lost, "ticks": ticks, "ticks_per_second": ticks / seconds, "curve": curve}
-
-
-def associate_episode(env: gym.Env[Any, Any], policy: Policy, episode: int) -> Record:
-    """Associate one episode of Associate-v0 to its end: return, decisions, score and map error of the episode."""
-    observation, info = env.reset(**reset_arguments(episode))
-    total, count, ended = 0.0, 0, False
-    while not ended:
-        action = policy(observation, info["action_mask"])
-        observation, reward, terminated, truncated, info = env.step(action)
-        total, count, ended = total + float(reward), count + 1, terminated or truncated
-    return {"return": total, "decisions": count, "score": info["score"], "map_error": info["map_error"]}

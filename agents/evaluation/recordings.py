@@ -9,12 +9,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from agents.evaluation.associators import find_associator, with_relocation
+from agents.evaluation.associators import contenders
 from agents.evaluation.mapped_log import map_log, measure, write_mapped_log
 from agents.evaluation.pipeline import Evaluation, Results
 from agents.evaluation.records import Key, Record
 from agents.evaluation.tables import Column, Table, by_setting
-from slam_gym.association import resolve_relocator
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.registry import slam_for
@@ -120,15 +119,11 @@ def recording_evaluation(
 
     ValueError for an associator or a relocator that nobody knows.
     """
-    for name in associators:
-        find_associator(name)
-    for relocation in filter(None, relocations):
-        resolve_relocator(relocation)
-    several = len(relocations) > 1
     tasks = [
-        LogTask(name, log, setting, search, with_relocation(name, search) if several else name, out / FOLDER)
-        for setting, log in logs.items() for name in associators for search in relocations
-    ]  # fmt: skip
+        LogTask(associator, log, setting, relocation, name, out / FOLDER)
+        for setting, log in logs.items()
+        for name, (associator, relocation) in contenders(associators, relocations).items()
+    ]
     first = asdict(next(iter(logs.values())))
     conditions = {name: first[name] for name in ("recording", "every", "merge", "clean", "reference")}
     conditions["relocation"] = list(relocations)

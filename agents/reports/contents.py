@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from agents.evaluation import associators, drivers, recordings
+from agents.evaluation import recordings
+from agents.evaluation.drive_tables import driver_tables, headline, kidnappings, scenario_tables
+from agents.evaluation.drives import world_of
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import stem
@@ -19,7 +21,6 @@ from agents.evaluation.tables import (
     Value,
     by_name,
     by_setting,
-    cell,
     counted,
     difference,
     display_name,
@@ -32,23 +33,9 @@ from agents.suite import numbers as suite
 from agents.suite.reliability import reliability, reliability_tables
 from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
-from slam_gym.simulation.judged import CEILING
 
 Content = dict[str, Any]
 """What a template is filled with."""
-
-ABOUT = {
-    "nearest_neighbour": "decides each measurement by itself, for the nearest compatible feature.",
-    "global_nearest_neighbour": "gives each feature to one measurement, by the least sum of single distances.",
-    "singles": "pairs only where measurement and feature have no other candidate.",
-    "one_point_ransac": "lets single pairings vote for a pose, and keeps what agrees with the best of them.",
-    "jcbb": "searches for the largest set of pairings whose innovations agree with each other.",
-    "ipjc": "searches as JCBB does, but tests a set after moving the pose to where it puts the robot.",
-    "map_hypothesis": "searches for the most probable set, in which a pairing must be likelier than clutter.",
-    "marginal": "pairs only what is probable enough over all sets of pairings, by the cost of a mistake.",
-    "learned": "decides as `marginal` does, by odds that a network has learned besides: sizes, rivals, clutter.",
-    CEILING: "is told the truth: the ceiling.",
-}
 
 
 # -- drivers -----------------------------------------------------------------------------------------------------------
@@ -61,11 +48,11 @@ def of_drivers(results: Results, folder: Path) -> Content:
     associator = conditions["associator"] or "of the scenario"
     count = counted(results.frame["episode"].nunique(), "episode")
     return {
-        "title": f"Exploring {drivers.world_of(conditions)}",
+        "title": f"Exploring {world_of(conditions)}",
         "subtitle": f"slam_gym/Explore-v0, associator {associator}, {count} per agent on the same "
         f"{conditions['split']} worlds and seeds",
-        "tables": drivers.tables(results),
-        "kidnappings": drivers.kidnappings(results),
+        "tables": driver_tables(results),
+        "kidnappings": kidnappings(results),
         "lost_means": LOST_MEANS,
         "dots": figures.dot_chart(groups, panels, colours(results.names)),
         "curves": figures.curve_chart(groups, panels, colours(results.names)),
@@ -112,7 +99,7 @@ def of_associators(results: Results, folder: Path) -> Content:
             "limits": _limits_met(own),
             "dots": figures.dot_chart(by_name(own), panels, colour),
         }
-        for (name, own), table in zip(by_setting(results.frame).items(), associators.scenario_tables(results))
+        for (name, own), table in zip(by_setting(results.frame).items(), scenario_tables(results))
     ]
     searches = " and ".join(name or "none" for name in conditions["relocation"])
     count = counted(results.frame["episode"].nunique(), "episode")
@@ -121,7 +108,7 @@ def of_associators(results: Results, folder: Path) -> Content:
         "title": "Associators in the loop",
         "subtitle": f"slam_gym/Explore-v0, driven by {conditions['driver']}, relocation {searches}: {count} a "
         f"scenario, the same {conditions['split']} worlds and seeds for every associator",
-        "headline": associators.headline(results.frame),
+        "headline": headline(results.frame),
         "scenarios": scenarios,
         "carried": bool(results.frame["kidnapped"].any()),
         "reference": reference,
@@ -149,16 +136,16 @@ def _against(groups: Mapping[str, pd.DataFrame], reference: str) -> Table:
 # -- the suite ---------------------------------------------------------------------------------------------------------
 
 _EFFORT = (Column("nodes", "nodes", 0), Column("microseconds", "µs", 0), Column("limits", "limit met", 0))
+_MISTAKES = (Column("spoiled", "spoiled", 3), Column("refused", "refused", 3))
 _DETAILS = (
-    Column("exact", "exact scans", 3), Column("precision", "precision", 3), Column("recall", "recall", 3),
-    Column("spoiled", "spoiled", 3), Column("refused", "refused", 3),
+    Column("exact", "exact scans", 3), Column("precision", "precision", 3), Column("recall", "recall", 3), *_MISTAKES,
 )  # fmt: skip
 
 
 def of_suite(results: Results, folder: Path) -> Content:
-    """The numbers, their order with the reasons, and a plot per capability; suite.png is written into `folder`."""
+    """The numbers, who is ahead of whom, and a plot per capability; suite.png is written into `folder`."""
     size, frame, colour = results.conditions, results.frame, colours(results.names)
-    association, relocation = suite.of_associators(frame), suite.of_relocators(frame)
+    association, relocation = suite.by_role(frame)
     return {
         "title": "The association suite",
         "subtitle": f"{size['worlds']} {size['split']} worlds a level, up to {size['problems']} scans in each, the "
@@ -171,49 +158,17 @@ def of_suite(results: Results, folder: Path) -> Content:
 
 
 def _capabilities(frame: pd.DataFrame, folder: Path, colour: Colours) -> Content:
-    """The numbers of all associators, as a table and as a picture, and the reasons for their order."""
-    scores = suite.scores(frame)
-    mistakes = {key: suite.scores(frame, key) for key in ("spoiled", "refused")}
+    """The numbers of all associators, as a table and as a picture, their mistakes, and how far each is ahead."""
+    scores, columns = suite.scores(frame), suite.score_columns(frame)
+    mistakes = {c.key: suite.scores(frame, c.key) for c in _MISTAKES}
+    rows = {name: own | {key: found[name]["all"] for key, found in mistakes.items()} for name, own in scores.items()}
     bars = figures.capability_bars(scores, colour)
     bars.savefig(folder / "suite.png")
-    reasons = []
-    for name, after in zip(scores, [*list(scores)[1:], ""]):
-        spoiled, refused = (_estimate(mistakes[key][name]["all"]) for key in ("spoiled", "refused"))
-        text = f"({_estimate(scores[name]['all']):.2f}) {ABOUT.get(name, 'is an associator of your own.')} "
-        if name != CEILING:
-            text += f"It spoils {spoiled:.0%} of the scans with a wrong pairing, and refuses {refused:.0%} of what is "
-            text += f"mapped. {_extremes(scores[name])}{_ahead_of(frame, name, after) if after else ''}"
-        reasons.append({"name": name, "text": text})
-    return {"table": Table("", "associator", suite.score_columns(frame), scores), "bars": bars, "reasons": reasons}
-
-
-def _extremes(scores: Mapping[str, Value]) -> str:
-    """The strongest and the weakest capability."""
-    each = {experiment: _estimate(value) for experiment, value in scores.items() if experiment != "all"}
-    if len(each) < 2:
-        return ""
-    weakest, strongest = min(each, key=each.__getitem__), max(each, key=each.__getitem__)
-    return f"Strongest in {strongest} ({each[strongest]:.2f}), weakest in {weakest} ({each[weakest]:.2f}). "
-
-
-def _estimate(value: Value) -> float:
-    return value.estimate if isinstance(value, Interval) else float(value)
-
-
-def _ahead_of(frame: pd.DataFrame, name: str, after: str) -> str:
-    """How far `name` is ahead of the next on the same worlds, and where most of that comes from."""
-    everywhere, worlds = suite.overall(frame), suite.by_world(frame)
-    ahead = suite.paired_difference(everywhere[name], everywhere[after])
-    value, bounds = cell(ahead, 3, signed=True)
-    if not ahead.low > 0.0:
-        return f"Not told apart from {display_name(after)} on the same scans: {value} [{bounds}]."
-    gaps = {e: suite.paired_difference(worlds[e, name], worlds[e, after]) for e in suite.experiments(frame)}
-    gained = {e: f"{e} ({cell(gap, 2, signed=True)[0]})" for e, gap in gaps.items()}
-    most = sorted((e for e in gaps if gaps[e].low > 0.0), key=lambda e: -gaps[e].estimate)[:2]
-    behind = [e for e in gaps if gaps[e].high < 0.0 and gaps[e].estimate <= -0.005]
-    text = f"Ahead of {display_name(after)} by {value} [{bounds}]"
-    text += f", above all in {' and '.join(gained[e] for e in most)}" if most else ""
-    return text + (f"; behind it in {', '.join(gained[e] for e in behind)}" if behind else "") + "."
+    return {
+        "table": Table("", "associator", [*columns, *_MISTAKES], rows),
+        "bars": bars,
+        "leads": Table("", "ahead of the next by", columns, suite.leads(frame), differences=True),
+    }
 
 
 def _reliability(frame: pd.DataFrame, colour: Colours) -> Content | None:
@@ -256,7 +211,7 @@ def _by_level(frame: pd.DataFrame, names: list[str]) -> dict[str, dict[float, In
 def _effort(frame: pd.DataFrame, name: str) -> dict[str, Value]:
     """Means over worlds, and the number of searches that met their limit."""
     own = frame[frame["name"] == name]
-    means = {key: estimate(suite.by_world(own, key)).estimate for key in ("nodes", "microseconds")}
+    means = {key: estimate(suite.by_world(own, key)["all"]).estimate for key in ("nodes", "microseconds")}
     return means | {"limits": float(own["limits"].sum())}
 
 

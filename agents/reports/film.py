@@ -12,7 +12,7 @@ import imageio.v2 as imageio
 import numpy as np
 
 from agents.drivers.base import Agent
-from agents.evaluation.drivers import Driver
+from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.parallel import run_all
 from agents.evaluation.pipeline import Execution

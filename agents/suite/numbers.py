@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pandas as pd
 
 from agents.evaluation.pipeline import Results
-from agents.evaluation.tables import Column, Rows, Table, estimate
+from agents.evaluation.tables import Column, Rows, Table, Value, estimate
 from agents.suite.problems import OUTCOMES
 from agents.suite.reliability import promise_tables, reliability_tables
-from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 
 RELOCATION_COLUMNS = (
@@ -16,14 +17,10 @@ RELOCATION_COLUMNS = (
 )  # fmt: skip
 
 
-def of_associators(frame: pd.DataFrame) -> pd.DataFrame:
-    """The results of all experiments but that of relocators."""
-    return frame[frame["experiment"] != RELOCATION]
-
-
-def of_relocators(frame: pd.DataFrame) -> pd.DataFrame:
-    """The results of the experiment that asks relocators."""
-    return frame[frame["experiment"] == RELOCATION]
+def by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The results of associators, and those of the experiment that asks relocators."""
+    relocation = frame["experiment"] == RELOCATION
+    return frame[~relocation], frame[relocation]
 
 
 def experiments(frame: pd.DataFrame) -> list[str]:
@@ -32,45 +29,38 @@ def experiments(frame: pd.DataFrame) -> list[str]:
     return [name for name in EXPERIMENTS if name in found]
 
 
-def by_world(frame: pd.DataFrame, key: str = "score") -> pd.Series:
-    """(experiment, name, world) → mean of a number over the levels, for the worlds that have it in all of them."""
+def by_world(frame: pd.DataFrame, key: str = "score") -> pd.DataFrame:
+    """A row for each name and world, a column for each experiment: the mean of a number over the levels; and `all`, the
+    mean of these. NaN for a world that lacks the number in one of them."""
     groups = frame.groupby(["experiment", "name", "episode"])[key]
     levels = frame.groupby("experiment")["setting"].nunique()
-    means, counts = groups.mean(), groups.count()
-    return means[counts == counts.index.get_level_values("experiment").map(levels)]
-
-
-def overall(frame: pd.DataFrame, key: str = "score") -> pd.Series:
-    """(name, world) → mean of a number over all experiments, for the worlds that have it in all of them."""
-    return by_world(frame, key).unstack("experiment").dropna().mean(axis=1)
+    counts = groups.count()
+    complete = groups.mean().where(counts == counts.index.get_level_values("experiment").map(levels))
+    found = complete.unstack("experiment")[experiments(frame)]
+    return found.assign(all=found.mean(axis=1, skipna=False))
 
 
 def ranked(frame: pd.DataFrame) -> list[str]:
     """Who was asked, by their score over all experiments, best first."""
-    worlds = overall(frame)
-    means = {name: _interval(worlds, name).estimate for name in frame["name"].unique()}
+    worlds = by_world(frame)["all"]
+    means = {name: estimate(worlds[name]).estimate for name in frame["name"].unique()}
     return sorted(means, key=lambda name: (pd.isna(means[name]), -means[name]))
 
 
 def scores(frame: pd.DataFrame, key: str = "score") -> Rows:
     """Name → experiment → interquartile mean over worlds; `all` is that of their means. The best name first."""
-    worlds, everywhere = by_world(frame, key), overall(frame, key)
-    found: Rows = {}
-    for name in ranked(frame):
-        each = {experiment: _interval(worlds, experiment, name) for experiment in experiments(frame)}
-        found[name] = {**each, "all": _interval(everywhere, name)}
-    return found
+    worlds = by_world(frame, key)
+    return {name: _estimates(worlds.loc[name]) for name in ranked(frame)}
 
 
-def _interval(numbers: pd.Series, *labels: str) -> Interval:
-    """Of the worlds under some labels of the index."""
-    known = labels if len(labels) > 1 else labels[0]
-    return estimate(numbers.loc[known] if known in numbers.index.droplevel("episode") else [])
+def leads(frame: pd.DataFrame) -> Rows:
+    """Name → experiment → by how much its score is above that of the next in rank, paired over worlds."""
+    worlds = by_world(frame)
+    return {name: _estimates(worlds.loc[name] - worlds.loc[after]) for name, after in pairwise(ranked(frame))}
 
 
-def paired_difference(first: pd.Series, second: pd.Series) -> Interval:
-    """First − second over the worlds that both have."""
-    return estimate((first - second).dropna())
+def _estimates(worlds: pd.DataFrame) -> dict[str, Value]:
+    return {str(column): estimate(worlds[column]) for column in worlds}
 
 
 def relocation_rows(frame: pd.DataFrame) -> Rows:
@@ -89,7 +79,7 @@ def score_columns(frame: pd.DataFrame) -> list[Column]:
 
 def tables(results: Results) -> list[Table]:
     """The numbers of associators, best first, and those of searches without a prior."""
-    association, relocation = of_associators(results.frame), of_relocators(results.frame)
+    association, relocation = by_role(results.frame)
     size, found = results.conditions, []
     about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
     if len(association):

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
-from agents.evaluation.associators import find_associator
+from agents.evaluation.associators import Metered, find_associator
 from agents.evaluation.pipeline import Evaluation
 from agents.evaluation.records import Key, Record
 from agents.suite.problems import (
@@ -28,7 +27,7 @@ from agents.suite.reliability import binned, promised
 from slam_gym.association import resolve_relocator
 from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
-from slam_gym.types import Effort, Hypothesis, IntArray, Relocator
+from slam_gym.types import Hypothesis, IntArray, Relocator
 from slam_gym.validation import one_of
 
 
@@ -67,39 +66,28 @@ class WorldTask:
 
     def associate(self, associators: Mapping[str, Associator]) -> dict[str, Record]:
         """What associators make of the problems of the world, by their names."""
-        answers: dict[str, list[_Answer]] = {name: [] for name in associators}
+        meters = {name: Metered(partial(ask, name, associate)) for name, associate in associators.items()}
+        answers: dict[str, list[Hypothesis]] = {name: [] for name in associators}
         right: list[IntArray] = []
         for problem in problems(TwoLaps(get_level(self.setting), self.episode, self.split), self.problems):
             right.append(problem.truth.right)
-            for name, associate in associators.items():
-                start = time.perf_counter()
-                hypothesis = ask(name, associate, problem)
-                answers[name].append(_Answer(hypothesis, hypothesis.effort, time.perf_counter() - start))
-        found = {}
-        for name, own in answers.items():
-            hypotheses = [answer.hypothesis for answer in own]
-            judged = [judge(h.features, r) for h, r in zip(hypotheses, right)]
-            reliability = {"reliability": binned(hypotheses, right)} | promised(hypotheses, right)
-            found[name] = association_record(judged) | _effort(own) | reliability
-        return found
+            for name, meter in meters.items():
+                answers[name].append(meter(problem))
+        return {
+            name: association_record([judge(h.features, r) for h, r in zip(own, right)])
+            | meters[name].effort() | {"reliability": binned(own, right)} | promised(own, right)
+            for name, own in answers.items()
+        }  # fmt: skip
 
     def relocate(self, searches: Mapping[str, Relocator]) -> dict[str, Record]:
         """What relocators make of the problems of the world, by their names."""
+        meters = {name: Metered(search) for name, search in searches.items()}
         outcomes: dict[str, Counter[str]] = {name: Counter() for name in searches}
-        answers: dict[str, list[_Answer]] = {name: [] for name in searches}
         for problem in relocation_problems(get_level(self.setting), self.episode, self.problems, self.split):
-            for name, search in searches.items():
-                start = time.perf_counter()
-                found = search(problem.scan, problem.landmarks, problem.locality)
-                answers[name].append(_Answer(None, found.effort, time.perf_counter() - start))
+            for name, meter in meters.items():
+                found = meter(problem.scan, problem.landmarks, problem.locality)
                 outcomes[name][judge_relocation(found, problem.pose)] += 1
-        return {name: relocation_record(outcomes[name]) | _effort(answers[name]) for name in searches}
-
-
-class _Answer(NamedTuple):
-    hypothesis: Hypothesis | None  # of an associator
-    effort: Effort
-    seconds: float
+        return {name: relocation_record(outcomes[name]) | meters[name].effort() for name in searches}
 
 
 def association_record(judged: Sequence[Judgement]) -> Record:
@@ -107,12 +95,17 @@ def association_record(judged: Sequence[Judgement]) -> Record:
     0."""
     mapped, paired = sum(j.mapped for j in judged), sum(j.right + j.wrong for j in judged)
     right = sum(j.right for j in judged)
+    per_scan = {
+        "score": [j.score for j in judged],
+        "spoiled": [j.wrong > 0 for j in judged],
+        "refused": [j.refused / j.mapped for j in judged],
+        "exact": [j.exact for j in judged],
+    }
+    means = {key: float(np.mean(values)) if values else math.nan for key, values in per_scan.items()}
     return {
         "problems": len(judged),
-        "score": max(0.0, _mean(j.score for j in judged)) if judged else math.nan,
-        "spoiled": _mean(j.wrong > 0 for j in judged),
-        "refused": _mean(j.refused / j.mapped for j in judged),
-        "exact": _mean(j.exact for j in judged),
+        **means,
+        "score": max(means["score"], 0.0),  # NaN stays
         "precision": right / paired if paired else math.nan,
         "recall": right / mapped if mapped else math.nan,
     }
@@ -126,19 +119,6 @@ def relocation_record(counts: Counter[str]) -> Record:
     gain = max(0, counts["correct"] - counts["wrong"]) / inside if known else math.nan
     score = gain * counts["refused"] / outside if known else math.nan
     return {"problems": inside + outside, "score": score, **{name: counts[name] for name in OUTCOMES}}
-
-
-def _effort(answers: Sequence[_Answer]) -> Record:
-    return {
-        "nodes": _mean(answer.effort.nodes for answer in answers),
-        "microseconds": 1e6 * float(np.median([answer.seconds for answer in answers])) if answers else math.nan,
-        "limits": sum(answer.effort.limit_hit for answer in answers),
-    }
-
-
-def _mean(values: Iterable[float]) -> float:
-    found = list(values)
-    return float(np.mean(found)) if found else math.nan
 
 
 def suite_evaluation(

@@ -8,16 +8,9 @@ import pytest
 from rich.console import Console
 
 from agents.drivers.base import make_agent
-from agents.evaluation.associators import (
-    Metered,
-    associator_evaluation,
-    find_associator,
-    headline,
-    metered,
-    scenario_tables,
-    shipped,
-    tables,
-)
+from agents.evaluation.associators import Metered, find_associator, metered, shipped
+from agents.evaluation.drive_tables import associator_tables, headline, scenario_tables
+from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import Execution, carry_out
 from agents.evaluation.tables import by_name
@@ -87,7 +80,7 @@ def test_associators_are_found_by_name_and_only_the_name_is_told_the_truth():
 
 
 def test_tables_are_those_of_the_results(finished):
-    table, *whose_map_survives = tables(finished)
+    table, *whose_map_survives = associator_tables(finished)
     assert [shown.title.split()[0] for shown in whose_map_survives] == ["Map", "Map"]
     for name, own in by_name(finished.frame).items():
         for key in ("precision", "f1", "duplicates", "map_error", "anees"):

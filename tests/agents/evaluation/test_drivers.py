@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from agents.evaluation.drivers import Driver, driver_evaluation, drivers_of, kidnappings, tables
+from agents.evaluation.drive_tables import driver_tables, kidnappings
+from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Execution, Results, carry_out
 from slam_gym.metrics.statistics import interquartile_mean
@@ -28,7 +29,7 @@ def test_every_agent_drives_the_same_episodes(finished):
 
 
 def test_the_table_is_that_of_the_results(finished):
-    (table,), frame = tables(finished), finished.frame
+    (table,), frame = driver_tables(finished), finished.frame
     assert list(table.rows) == ["random", "nearest_frontier"] and table.title == "office-small, 3 episodes"
     values = frame.loc[frame["name"] == "random", "map_error"].to_numpy()
     assert table.rows["random"]["map_error"].estimate == interquartile_mean(values)

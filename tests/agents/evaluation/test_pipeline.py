@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from agents.evaluation.associators import associator_evaluation
-from agents.evaluation.drivers import Driver, driver_evaluation
+from agents.evaluation.drives import Driver, associator_evaluation, driver_evaluation
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Execution, carry_out, read_results
 from agents.evaluation.records import Key

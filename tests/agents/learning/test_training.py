@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from agents import train as train_command
 from agents import train_associate
 from agents.drivers.base import make_agent
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments, associate_episode, run_episode
+from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
 from agents.learning.models import load_associator, load_policy, read_about
 from agents.learning.ppo import HYPERPARAMETERS, load_hyperparameters
 from agents.learning.training import HELD_OUT, TrainingPlan, train
@@ -122,7 +122,9 @@ def test_an_associator_decides_elsewhere_as_in_the_environment(associator):
         assert env.walk is None or action == env.action_of(expected)
         observation, _, over, _, info = env.step(action)
     again = pickle.loads(pickle.dumps(associate))
-    assert associate_episode(BRANCHES.make(), again.policy, 4) == associate_episode(BRANCHES.make(), again.policy, 4)
+    observation, info = env.reset(seed=4)
+    mask = info["action_mask"]
+    assert again.policy(observation, mask) == associate.policy(observation, mask)
 
 
 def test_a_driver_is_no_associator_and_an_associator_no_driver(driver, associator, tmp_path):

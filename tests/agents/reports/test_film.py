@@ -5,7 +5,7 @@ import pytest
 from rich.console import Console
 
 from agents.drivers.base import make_agent
-from agents.evaluation.drivers import Driver
+from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Execution
 from agents.reports import film as filming

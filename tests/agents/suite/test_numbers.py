@@ -7,16 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.suite.numbers import (
-    by_world,
-    of_associators,
-    of_relocators,
-    overall,
-    paired_difference,
-    ranked,
-    relocation_rows,
-    scores,
-)
+from agents.suite.numbers import by_role, by_world, leads, ranked, relocation_rows, scores
 from agents.suite.problems import OUTCOMES
 from agents.suite.reliability import EDGES, binned, promise_tables, promised, reliability, reliability_tables
 from agents.suite.worlds import WorldTask
@@ -40,26 +31,27 @@ def test_numbers_are_means_over_levels_then_over_worlds():
         "a": {"closure": [[1.0, 0.8], [0.6, 0.4]], "clutter": [[0.5, 0.5], [0.1, 0.3]]},
     })  # fmt: skip
     worlds = by_world(frame)
-    assert worlds["closure", "a"].to_dict() == pytest.approx({0: 0.8, 1: 0.6})
-    assert overall(frame)["a"].to_dict() == pytest.approx({0: 0.55, 1: 0.5})
+    assert worlds.loc["a", "closure"].to_dict() == pytest.approx({0: 0.8, 1: 0.6})
+    assert worlds.loc["a", "all"].to_dict() == pytest.approx({0: 0.55, 1: 0.5})
     found = scores(frame)
     assert ranked(frame) == list(found) == ["a", "b"] and list(found["a"]) == ["closure", "clutter", "all"]
     assert found["a"]["all"].estimate == pytest.approx(0.525)
-    gap = paired_difference(worlds["clutter", "a"], worlds["clutter", "b"])
+    gap = leads(frame)["a"]["clutter"]
     assert (gap.estimate, gap.low, gap.high) == pytest.approx((0.1, 0.1, 0.1))  # paired: worlds do not blur it
 
 
 def test_a_world_that_has_not_been_through_all_levels_does_not_count():
     frame = results({"a": {"closure": [[1.0, 0.8], [0.6, 0.4]]}, "b": {"closure": [[math.nan, 0.8]]}})
-    assert by_world(frame[frame["name"] == "a"][:-1]).to_list() == pytest.approx([0.8])
+    assert by_world(frame[frame["name"] == "a"][:-1])["closure"].dropna().to_list() == pytest.approx([0.8])
     assert math.isnan(scores(frame)["b"]["all"].estimate) and ranked(frame) == ["a", "b"]
 
 
 def test_relocators_have_numbers_of_their_own():
     found = {"jcbb": {"closure": [[0.7]]}, "worse": {"kidnapped": [[0.2]]}, "gcbb": {"kidnapped": [[0.4]]}}
     frame = results(found, **dict.fromkeys(OUTCOMES, 2))
-    assert list(of_associators(frame)["name"]) == ["jcbb"]
-    rows = relocation_rows(of_relocators(frame))
+    association, relocation = by_role(frame)
+    assert list(association["name"]) == ["jcbb"]
+    rows = relocation_rows(relocation)
     assert list(rows) == ["gcbb", "worse"] and rows["gcbb"]["correct"] == 2
     assert rows["gcbb"]["kidnapped"].estimate == 0.4
 

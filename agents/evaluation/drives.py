@@ -1,10 +1,10 @@
-"""Drivers on the same test worlds: every agent drives every episode."""
+"""Drives through the same test worlds: by every driver, or by one driver with every associator."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,24 +12,10 @@ from typing import Any
 import gymnasium as gym
 
 from agents.drivers.base import Agent, is_learned, make_agent
-from agents.drivers.clairvoyant import Clairvoyant
+from agents.evaluation.associators import Metered, contenders, metered
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
-from agents.evaluation.pipeline import Evaluation, Results
+from agents.evaluation.pipeline import Evaluation
 from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Table, by_name, counted, display_name, estimates
-
-LOST = Column("map_lost", "lost", 3, "lower", rare=True)
-COLUMNS = (
-    Column("map_error", "map error", 3, "lower"),
-    Column("local_error", "local error", 3, "lower"),
-    Column("coverage", "coverage", 3, "higher"),
-    Column("precision", "precision", 3, "higher"),
-    Column("recall", "recall", 3, "higher"),
-    Column("anees", "ANEES", 2),
-    LOST,
-    Column("ticks", "ticks", 0),
-    Column("ticks_per_second", "ticks/s", 0),
-)
 
 
 @dataclass(frozen=True)
@@ -54,32 +40,45 @@ def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list
 
 
 @dataclass(frozen=True)
-class DriverTask:
-    """One episode to drive."""
+class DriveTask:
+    """One drive through one world. Where an associator is evaluated, its decisions and its effort are recorded too."""
 
+    name: str  # of who is evaluated
+    setting: str
+    episode: int
     driver: Driver
     arguments: ExploreArguments
-    episode: int
+    associator: str | None = None  # who is evaluated, in place of that of the arguments
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        return (Key(self.driver.agent, world_of(self.arguments.plain), self.episode, self.driver.model),)
+        return (Key(self.name, self.setting, self.episode, self.driver.model),)
 
     def run(self, wanted: Sequence[Key]) -> list[Record]:
         agent = _agent(self.driver)
-        record = run_episode(_env(self.arguments, agent.action), agent, self.episode)
+        env, meter = _loop(self.arguments, agent.action, self.associator)
+        if meter is None:
+            record = run_episode(env, agent, self.episode)
+        else:
+            meter.reset()
+            record = run_episode(env, agent, self.episode)
+            del record["curve"]
+            tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
+            record |= {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()
         return [key._asdict() | record for key in wanted]
 
 
-# Agent and environment are kept for the next task of the same process.
+# Agents and environments are kept for the next task of the same process.
 @lru_cache(maxsize=8)
 def _agent(driver: Driver) -> Agent:
     return driver.make()
 
 
-@lru_cache(maxsize=2)
-def _env(arguments: ExploreArguments, action: str) -> gym.Env[Any, Any]:
-    return arguments.make(action)
+@lru_cache(maxsize=4)
+def _loop(arguments: ExploreArguments, action: str, associator: str | None) -> tuple[gym.Env[Any, Any], Metered | None]:
+    """The environment, and the meter on the associator that is evaluated."""
+    meter, associate = (None, None) if associator is None else metered(associator)
+    return arguments.make(action, associator=associate), meter
 
 
 def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, episodes: Sequence[int]) -> Evaluation:
@@ -87,7 +86,8 @@ def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, ep
     for action in sorted({driver.make().action for driver in drivers}):
         _warm_up(arguments.make(action), episodes[0])
     models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
-    tasks = [DriverTask(driver, arguments, k) for k in episodes for driver in drivers]
+    setting = world_of(arguments.plain)
+    tasks = [DriveTask(driver.agent, setting, k, driver, arguments) for k in episodes for driver in drivers]
     return Evaluation("drivers", tasks, arguments.plain, {"models": models})
 
 
@@ -116,26 +116,23 @@ def world_of(conditions: Mapping[str, Any]) -> str:
     return Path(floor).name if floor else str(conditions["scenario"])
 
 
-def tables(results: Results) -> list[Table]:
-    """The table, of the agents in the order in which they were asked for; models of one agent are pooled."""
-    title = f"{world_of(results.conditions)}, {counted(results.frame['episode'].nunique(), 'episode')}"
-    rows = {agent: estimates(own, COLUMNS) for agent, own in by_name(results.frame).items()}
-    table = Table(title, "agent", COLUMNS, rows)
-    if Clairvoyant.name not in rows:
-        return [table]
-    return [replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")]
+def associator_evaluation(
+    associators: Sequence[str],
+    loops: Sequence[ExploreArguments],
+    driver: str,
+    episodes: Sequence[int],
+    relocations: Sequence[str | None],
+) -> Evaluation:
+    """Every associator in every loop, with each of the `relocations`, checked.
 
-
-def kidnappings(results: Results) -> list[str]:
-    """What became of the robots that were carried away, a line an agent; nothing of agents whose robot was not."""
-    lines = []
-    for agent, episodes in by_name(results.frame).items():
-        own = episodes[episodes["kidnapped"] > 0.0]
-        if own.empty:
-            continue
-        found = own[own["recovered"] > 0.0]
-        line = f"{display_name(agent)}: carried away {len(own)}, recovered {len(found)}, never {len(own) - len(found)}"
-        line += f", wrong relocations {own['relocations_wrong'].sum():.0f}"
-        astray = f"; ticks astray {found['ticks_astray'].median():.0f} (median of the recovered)"
-        lines.append(line + (astray if len(found) else ""))
-    return lines
+    ValueError for an associator, scenario, driver or relocator that nobody knows.
+    """
+    who, by, tasks = contenders(associators, relocations), Driver(driver), []
+    for loop in loops:
+        _loop(loop, _agent(by).action, associators[0])
+        tasks += [
+            DriveTask(name, loop.scenario, k, by, replace(loop, relocation=relocation), associator)
+            for k in episodes for name, (associator, relocation) in who.items()
+        ]  # fmt: skip
+    shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
+    return Evaluation("associators", tasks, {"driver": driver, "relocation": list(relocations)} | shared)
