@@ -8,15 +8,15 @@ command is given again.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rich.console import Console
 from typer import Option
 
 from agents.cli import Execute, command, command_line
 from agents.drivers.base import AGENTS
-from agents.evaluation.pipeline import Execution, carry_out
+from agents.evaluation.pipeline import carry_out
 from agents.evaluation.records import write_whole
 from agents.ranking.board import BASELINES, markdown, ranked, read_entries, write_entry
 from agents.ranking.entry_process import EntryError
@@ -66,8 +66,7 @@ def _evaluate(entry: str, role: Role | None, quick: bool, board: Path, execute: 
     chosen = Protocol(found, quick)
     stem = f"{found}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
     out = execute.out or board / "runs" / stem
-    resumed = execute.resume or (out / "results.json").exists()
-    how = Execution(execute.jobs, execute.backend, command_line(), resumed, Console())
+    how = replace(execute.execution(), resume=execute.resume or (out / "results.json").exists())
     results = carry_out(leaderboard_evaluation(entry, chosen), out, how)
     records = results.frame.to_dict("records")
     failed = [record["failed"] for record in records if isinstance(record.get("failed"), str)]

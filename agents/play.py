@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium as gym
+import numpy as np
 from typer import Option
 
 from agents.cli import RerunFile, World, command, require_rerun
 from agents.drivers.base import AGENTS, Agent, Info, make_agent, visible
-from agents.evaluation.associators import SIMPLEST_FIRST
+from agents.evaluation.associators import SIMPLEST_FIRST, find_associator
 from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
-from agents.player import Controls, Screen, SearchSwitch, Switch
+from agents.player import Controls, Screen
+from slam_gym.association import resolve_relocator
+from slam_gym.association.prediction import Prediction
 from slam_gym.simulation.judged import CEILING
+from slam_gym.slam.relocate import SEARCH
+from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Relocation, Scan
 
 HELP = """\
   ↑ ↓ or W S   forward, backward        N   next world
@@ -36,19 +42,25 @@ class Game:
     arguments: ExploreArguments
     agent: Agent
     controls: Controls
-    switch: Switch
-    search: SearchSwitch
+    associators: deque[str]  # the first associates; none where the truth does, which nothing may stand in for
+    relocating: bool
     rivals: dict[int, float] = field(default_factory=dict)  # world → map error of information gain
 
     def make(self) -> gym.Env[Any, Any]:
-        """The environment, with the switches in it."""
-        associator = None if self.told else self.switch
-        return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.search)
+        """The environment, in which the player decides who associates and whether a lost robot is searched for."""
+        associator = self.associate if self.associators else None
+        return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.relocate)
 
-    @property
-    def told(self) -> bool:
-        """The truth associates, which nothing may stand in for."""
-        return self.arguments.associator == CEILING
+    def associate(self, scan: Scan, prediction: Prediction) -> Hypothesis:
+        """By the associator that is switched on."""
+        return find_associator(self.associators[0])(scan, prediction)
+
+    def relocate(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
+        """Nothing is found while relocation is off."""
+        if self.relocating:
+            return resolve_relocator(self.arguments.relocation or SEARCH)(scan, landmarks, locality)
+        nowhere = np.full(len(scan), UNPAIRED)
+        return Relocation(nowhere, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
 
     def rival(self, world: int) -> float:
         """What information gain makes of a world, with the scenario's associator."""
@@ -62,8 +74,8 @@ class Game:
     def lines(self, env: gym.Env[Any, Any], verdict: str = "") -> list[str]:
         """What stands under the picture."""
         episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
-        relocation = "on" if self.search.on else "off"
-        associator = CEILING if self.told else self.switch.name
+        associator = self.associators[0] if self.associators else CEILING
+        relocation = "on" if self.relocating else "off"
         now = (
             f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
             f"coverage {episode.coverage():.0%}   {associator}   relocation {relocation}"
@@ -81,9 +93,9 @@ def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: 
     while steps is None or taken < steps:
         wish = game.controls.poll()
         if wish == "associator":
-            game.switch.next()
+            game.associators.rotate(-1)
         elif wish == "relocation":
-            game.search.on = not game.search.on
+            game.relocating = not game.relocating
         elif wish is not None:
             return wish
         if ended:
@@ -128,9 +140,8 @@ def main(
     watched = make_agent(agent, model) if agent else None
     arguments, controls = world_options.arguments("office", split="train"), Controls()
     probe: Any = arguments.make("twist").unwrapped  # refuses what nobody knows; has the scenario's associator
-    first = [] if probe.associator == CEILING else [probe.associator]
-    switch = Switch([*first, *SIMPLEST_FIRST])
-    game = Game(arguments, watched or controls, controls, switch, SearchSwitch(arguments.relocation))
+    names = () if probe.associator == CEILING else dict.fromkeys([probe.associator, *SIMPLEST_FIRST])
+    game = Game(arguments, watched or controls, controls, deque(names), arguments.relocation is not None)
     env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))
     print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
     if rerun:

@@ -1,4 +1,4 @@
-"""What a player has at hand: keys or a gamepad, switches for who associates and who finds a lost robot, a screen."""
+"""What a player has at hand: keys or a gamepad, and a screen."""
 
 from __future__ import annotations
 
@@ -9,11 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.drivers.base import ActionKind, Info, Observation
-from agents.evaluation.associators import find_associator
-from slam_gym.association import resolve_relocator
-from slam_gym.association.prediction import Prediction
-from slam_gym.slam.relocate import SEARCH
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Relocation, Scan
 
 WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
 """What can be asked for, and its key, as pygame calls it."""
@@ -72,40 +67,6 @@ class Controls:
         """Where a stick is, in [−1, 1]: right and down are positive."""
         value = self._sticks.get(axis, 0.0)
         return value if abs(value) > _IDLE else 0.0
-
-
-class Switch:
-    """An associator that is another one as soon as it is switched."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self.names = list(dict.fromkeys(names))
-        self._found = [find_associator(name) for name in self.names]
-        self._at = 0
-
-    @property
-    def name(self) -> str:
-        """Who associates now."""
-        return self.names[self._at]
-
-    def next(self) -> None:
-        """On to the next one."""
-        self._at = (self._at + 1) % len(self.names)
-
-    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        return self._found[self._at](scan, prediction)
-
-
-class SearchSwitch:
-    """A search that finds nothing while it is off."""
-
-    def __init__(self, name: str | None) -> None:
-        self._search, self.on = resolve_relocator(name or SEARCH), name is not None
-
-    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
-        if self.on:
-            return self._search(scan, landmarks, locality)
-        nowhere = np.full(len(scan), UNPAIRED)
-        return Relocation(nowhere, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
 
 
 class Screen:

@@ -83,7 +83,7 @@ class Metered:
         return {
             "nodes": float(np.mean(self.nodes)),
             "microseconds": 1e6 * float(np.median(self.seconds)),
-            "limits": float(self.limits),
+            "limits": self.limits,
         }
 
 

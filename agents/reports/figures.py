@@ -165,15 +165,14 @@ def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colo
     return figure
 
 
-def reliability_chart(found: Mapping[str, Mapping[str, Array]], colour: Colours) -> Figure:
+def reliability_chart(found: Mapping[str, pd.DataFrame], colour: Colours) -> Figure:
     """The rate at which decisions are right against what was predicted, on a scale of log-odds, one line per name."""
     figure = _figure(4.2, width=6.4)
     axis = figure.subplots()
     ticks = np.array([0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999])
     axis.plot(_log_odds(ticks), _log_odds(ticks), "--", color=INK, linewidth=0.9)
     for i, (name, bins) in enumerate(found.items()):
-        some = bins["decisions"] > 0
-        x, y = _log_odds(bins["predicted"][some]), _log_odds(bins["right"][some])
+        x, y = _log_odds(bins["predicted"]), _log_odds(bins["right"])
         axis.plot(x, y, marker=MARKERS[i % len(MARKERS)], color=colour[name], label=display_name(name))
     for set_ticks in (axis.set_xticks, axis.set_yticks):
         set_ticks(_log_odds(ticks), [f"{tick:g}" for tick in ticks])

@@ -66,29 +66,23 @@ def promise_tables(frame: pd.DataFrame) -> list[Table]:
     return found
 
 
-def reliability(frame: pd.DataFrame) -> dict[str, dict[str, Array]]:
-    """Associator → the bins (8,) of all its decisions: number, mean probability and rate right, NaN in an empty bin.
+def reliability(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Associator → a row for each bin in which it has decisions: their number, mean probability and rate right.
 
     Without those that do not say how probable their decisions are.
     """
-    found = {}
+    bins, found = [f"{low:g} to {high:g}" for low, high in pairwise(EDGES)], {}
     for name, own in by_name(frame).items():
-        records = [json.loads(cell) for cell in own["reliability"]]
-        decisions, predicted, right = (np.sum([r[c.key] for r in records], axis=0) for c in COLUMNS)
-        if decisions.any():
-            count = np.where(decisions > 0, decisions, math.nan)
-            found[name] = {"decisions": decisions, "predicted": predicted / count, "right": right / count}
+        total = sum(pd.DataFrame(json.loads(cell), bins) for cell in own["reliability"])
+        if (known := total[total["decisions"] > 0]).size:
+            found[name] = known.div(known["decisions"], axis=0).assign(decisions=known["decisions"])
     return found
 
 
 def reliability_tables(frame: pd.DataFrame) -> list[Table]:
     """One an associator: a row a bin."""
-    found = []
-    for name, bins in reliability(frame).items():
-        rows: Rows = {
-            f"{low:g} to {high:g}": {key: float(values[k]) for key, values in bins.items()}
-            for k, (low, high) in enumerate(pairwise(EDGES))
-            if bins["decisions"][k]
-        }
-        found.append(Table(f"reliability of {name}", "probability", COLUMNS, rows, "of all decisions, `*` included"))
-    return found
+    caption = "of all decisions, `*` included"
+    return [
+        Table(f"reliability of {name}", "probability", COLUMNS, bins.to_dict("index"), caption)
+        for name, bins in reliability(frame).items()
+    ]

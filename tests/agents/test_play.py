@@ -1,11 +1,13 @@
 """Playing without a display: keys drive the robot, switch what helps it, and end the game."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 
 from agents.evaluation.episodes import ExploreArguments
 from agents.play import Game, app, play
-from agents.player import WISHES, Controls, Screen, SearchSwitch, Switch
+from agents.player import WISHES, Controls, Screen
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Odometry, Scan
@@ -14,6 +16,7 @@ from tests.rollouts import differences, relocate
 
 pygame = pytest.importorskip("pygame")
 DOWN, UP = pygame.KEYDOWN, pygame.KEYUP
+SMALL = ExploreArguments("office-small", split="train")
 
 
 class Script(Controls):
@@ -44,7 +47,7 @@ def play_with(monkeypatch):
 
     def run(controls, steps, budget=300):
         arguments = ExploreArguments("office-small", (("budget", budget),), split="train")
-        game = Game(arguments, controls, controls, Switch(["jcbb", "nearest_neighbour"]), SearchSwitch("gcbb"))
+        game = Game(arguments, controls, controls, deque(["jcbb", "nearest_neighbour"]), relocating=True)
         env, screen = game.make(), Screen(1000.0)
         open_now.extend((env, screen.window))
         return play(game, env, screen, 0, steps), game, env
@@ -75,7 +78,7 @@ def test_keys_end_the_world(play_with, key, wish):
 def test_associator_and_relocation_are_switched_while_the_robot_drives(play_with):
     controls = Script((2, [(DOWN, pygame.K_c)]), (3, [(DOWN, pygame.K_l)]))
     wish, game, env = play_with(controls, 6)
-    assert wish == "quit" and game.switch.name == "nearest_neighbour" and not game.search.on
+    assert wish == "quit" and game.associators[0] == "nearest_neighbour" and not game.relocating
     shown = game.lines(env)
     assert "tick 6 of 300" in shown[0] and "nearest_neighbour" in shown[0] and "relocation off" in shown[0]
     assert len(controls.actions) == 6
@@ -149,21 +152,19 @@ def test_the_picture_has_lines_below_it(screen):
 
 
 def test_an_associator_is_switched_from_one_scan_to_the_next():
-    switch, slam = Switch(["nearest_neighbour", "jcbb", "nearest_neighbour"]), Slam()
+    game, slam = Game(SMALL, None, None, deque(["nearest_neighbour", "jcbb"]), relocating=False), Slam()
     scan = Scan.from_points([[3.0, 0.0], [3.0, 0.4], [5.0, 1.0]], sigma=0.3)
     slam.step(Odometry.from_motion([0, 0, 0], 0.1), scan, "jcbb")
     prediction = slam.predict(Odometry.from_motion([0, 0, 0], 0.1), scan)
-    for name, same in (("nearest_neighbour", nearest_neighbour), ("jcbb", jcbb), ("nearest_neighbour", None)):
-        assert switch.name == name
-        if same:
-            assert not differences(switch(scan, prediction).features, same(scan, prediction).features)
-        switch.next()
+    for same in (nearest_neighbour, jcbb, nearest_neighbour):
+        assert not differences(game.associate(scan, prediction).features, same(scan, prediction).features)
+        game.associators.rotate(-1)
 
 
 def test_a_search_finds_nothing_while_it_is_off():
-    env, search = relocate(outside=0.0), SearchSwitch(None)
+    env, game = relocate(outside=0.0), Game(SMALL, None, None, deque(), relocating=False)
     env.reset(seed=0)
     problem = env.kidnapped.scan, env.mapped.landmarks, env.mapped.locality("covisibility")
-    assert not search.on and not search(*problem).accepted and (search(*problem).features == UNPAIRED).all()
-    search.on = True
-    assert search(*problem).pairings > 2
+    assert not game.relocate(*problem).accepted and (game.relocate(*problem).features == UNPAIRED).all()
+    game.relocating = True
+    assert game.relocate(*problem).pairings > 2
