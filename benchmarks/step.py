@@ -52,7 +52,7 @@ class Pilot:
     def _plan(self, episode: Any, pose: Array) -> Array:
         field = distance_field(episode.grid, pose[:2], episode.scenario.robot.radius + 0.05)
         ends = episode.grid.frontiers(field.reachable).centres
-        lengths = np.array([field.length_to(end) for end in ends])
+        lengths = field.lengths_to(ends)
         if len(ends) and np.isfinite(lengths).any():
             return field.path(ends[int(np.argmin(lengths))])
         return field.path(field.nearest(pose[:2] + self._rng.normal(0.0, 5.0, 2)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from slam_gym.mapping.linear_algebra import read_only
@@ -13,8 +11,6 @@ from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells, ExploredCells
 from slam_gym.types import Array, Beams, BoolArray
 
 __all__ = ["FREE", "UNKNOWN", "WALL", "Cells", "ExploredCells", "ExploredGrid", "Frontiers"]
-
-_MAX_CELLS = 20_000_000
 
 
 class ExploredGrid:
@@ -30,17 +26,9 @@ class ExploredGrid:
     """
 
     def __init__(self, bounds: Array, resolution: float = 0.2) -> None:
-        bounds = np.array(bounds, dtype=np.float64)
-        if bounds.shape != (4,) or not np.isfinite(bounds).all() or (bounds[2:] <= bounds[:2]).any():
-            raise ValueError(f"bounds: expected finite xmin < xmax and ymin < ymax [m], got {bounds.tolist()}")
-        if not 0.0 < resolution < math.inf:
-            raise ValueError(f"resolution: expected a finite length > 0 [m], got {resolution}")
-        width, height = np.ceil((bounds[2:] - bounds[:2]) / resolution - 1e-9)
-        if width * height > _MAX_CELLS:
-            raise ValueError(f"bounds: {width:.0f} × {height:.0f} cells are more than {_MAX_CELLS}")
-        shape = (int(height), int(width))
+        shape = grid.shape_of(bounds, resolution)
         self.resolution = float(resolution)
-        self.origin: Array = bounds[:2].copy()  # (2,) [m] in B
+        self.origin: Array = np.array(bounds[:2], dtype=np.float64)  # (2,) [m] in B
         self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
         self._blocks = np.zeros([-(-side // grid.BLOCK) for side in shape], dtype=np.int16)
         evidence, sweeps = np.zeros(shape, dtype=np.int8), np.zeros(shape, dtype=np.int32)

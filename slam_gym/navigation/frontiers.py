@@ -100,7 +100,7 @@ def _stand_in(
 
     Where all of them are too near a wall to be reached, free cells around them will do.
     """
-    row, column = 0.0, 0.0
+    (h, w), seen, row, column = labels.shape, -1 - component, 0.0, 0.0
     for i in range(end):
         row, column = row + queue[i, 0] / end, column + queue[i, 1] / end
     best, best_row, best_column = math.inf, -1, -1
@@ -114,22 +114,14 @@ def _stand_in(
                 best, best_row, best_column = distance, r, c
         if best_row >= 0:
             break
-        bounds[ring + 2] = _next_ring(cells, labels, queue, bounds[ring], bounds[ring + 1], component)
+        for i in range(bounds[ring], bounds[ring + 1]):  # the free cells beside them that lie on no frontier
+            for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                r, c = queue[i, 0] + dr, queue[i, 1] + dc
+                if not (0 <= r < h and 0 <= c < w) or cells[r, c] != FREE:
+                    continue
+                if labels[r, c] <= 0 and labels[r, c] != ON_FRONTIER and labels[r, c] != seen:
+                    labels[r, c] = seen
+                    queue[end, 0], queue[end, 1] = r, c
+                    end += 1
+        bounds[ring + 2] = end
     return best_row, best_column
-
-
-@compiled
-def _next_ring(cells: Cells, labels: Labels, queue: Labels, first: int, end: int, component: int) -> int:
-    """Append the free cells beside queue[first:end] that lie on no frontier; returns the new end of the queue."""
-    h, w = cells.shape
-    seen, last = -1 - component, end
-    for i in range(first, last):
-        for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            r, c = queue[i, 0] + dr, queue[i, 1] + dc
-            if not (0 <= r < h and 0 <= c < w) or cells[r, c] != FREE:
-                continue
-            if labels[r, c] <= 0 and labels[r, c] != ON_FRONTIER and labels[r, c] != seen:
-                labels[r, c] = seen
-                queue[end, 0], queue[end, 1] = r, c
-                end += 1
-    return end

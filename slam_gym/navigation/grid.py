@@ -27,6 +27,24 @@ HIT, MISS = np.int64(3), np.int64(-1)  # evidence of one sweep for the cell of a
 SATURATION = 8  # |evidence| never exceeds it, so that nine crossings wash out a wall that has gone
 BLOCK = 2  # cells on a block's side
 SHADE = 85  # brightness that one feature adds to its pixel
+_MAX_CELLS = 20_000_000
+
+
+def shape_of(bounds: Array, cell: float) -> tuple[int, int]:
+    """Rows and columns of a grid over `bounds` (4,) [m] xmin, ymin, xmax, ymax, its cells of side `cell` [m].
+
+    Raises ValueError for bounds that are not finite or enclose nothing, a side that is not finite and positive, and
+    more than 20 million cells.
+    """
+    bounds = np.array(bounds, dtype=np.float64)
+    if bounds.shape != (4,) or not np.isfinite(bounds).all() or (bounds[2:] <= bounds[:2]).any():
+        raise ValueError(f"bounds: expected finite xmin < xmax and ymin < ymax [m], got {bounds.tolist()}")
+    if not 0.0 < cell < math.inf:
+        raise ValueError(f"side of a cell: expected a finite length > 0 [m], got {cell}")
+    width, height = np.ceil((bounds[2:] - bounds[:2]) / cell - 1e-9)
+    if width * height > _MAX_CELLS:
+        raise ValueError(f"bounds: {width:.0f} × {height:.0f} cells are more than {_MAX_CELLS}")
+    return int(height), int(width)
 
 
 class ExploredCells(NamedTuple):

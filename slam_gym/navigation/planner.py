@@ -45,13 +45,8 @@ class DistanceField:
         """Row and column of the cell that holds `point` (2,) in B; None off the grid."""
         return _cell_of(point, self.origin, self.resolution, self.lengths.shape)
 
-    def length_to(self, point: Array) -> float:
-        """Length [m] of the path to the cell that holds `point` (2,) in B; inf if none leads there."""
-        cell = self.cell(point)
-        return math.inf if cell is None else float(self.lengths[cell])
-
     def lengths_to(self, points: Array) -> Array:
-        """`length_to` each of `points` (q, 2), (q,)."""
+        """Lengths [m] (q,) of the paths to the cells that hold `points` (q, 2) in B; inf where none leads."""
         columns, rows = (points - self.origin).T / self.resolution
         h, w = self.lengths.shape
         inside = (rows >= 0.0) & (rows < h) & (columns >= 0.0) & (columns < w)
@@ -151,12 +146,14 @@ def _cell_of(point: Array, origin: Array, resolution: float, shape: tuple[int, .
 
 
 @compiled
-def _squares_to_walls(cells: Cells, radius: int) -> NDArray[np.int32]:
-    """Squared distance [cells²] (h, w) to the nearest wall cell, exact up to `radius`, larger beyond it.
+def _levels(cells: Cells, reach: float) -> tuple[Levels, Array]:
+    """Levels of the cells, within a border of impassable ones (h + 2, w + 2), and weights of the levels.
 
-    First the distances along each row, then the least sum of squares over each column.
+    Walls crowd a path up to `reach` [cells] away. Squared distances to them are exact as far as that, larger beyond:
+    first the distances along each row, then the least sum of squares over each column.
     """
     h, w = cells.shape
+    radius = math.ceil(reach)
     across = np.empty((h, w), dtype=np.int32)
     for r in range(h):
         gap = radius + 1
@@ -166,29 +163,17 @@ def _squares_to_walls(cells: Cells, radius: int) -> NDArray[np.int32]:
         for c in range(w - 1, -1, -1):
             gap = min(across[r, c], gap + 1)
             across[r, c] = gap * gap
-    squares = np.full((h, w), (radius + 1) ** 2, dtype=np.int32)
+    levels = np.zeros((h + 2, w + 2), dtype=np.int32)
+    squares = np.empty(w, dtype=np.int32)  # [cells²] from the cells of a row to the nearest wall
     for r in range(h):
+        squares[:] = (radius + 1) ** 2
         for other in range(max(0, r - radius), min(h, r + radius + 1)):
             along = np.int32((other - r) ** 2)
             for c in range(w):
-                squares[r, c] = min(squares[r, c], across[other, c] + along)
-    return squares
-
-
-@compiled
-def _levels(cells: Cells, reach: float) -> tuple[Levels, Array]:
-    """Levels of the cells, within a border of impassable ones (h + 2, w + 2), and weights of the levels.
-
-    Walls crowd a path up to `reach` [cells] away.
-    """
-    h, w = cells.shape
-    radius = math.ceil(reach)
-    squares = _squares_to_walls(cells, radius)
-    levels = np.zeros((h + 2, w + 2), dtype=np.int32)
-    for r in range(h):
+                squares[c] = min(squares[c], across[other, c] + along)
         for c in range(w):
             if cells[r, c] == FREE:
-                levels[r + 1, c + 1] = 1 + squares[r, c]
+                levels[r + 1, c + 1] = 1 + squares[c]
     weights = np.full((radius + 1) ** 2 + 2, math.inf)
     for level in range(1, weights.shape[0]):
         weights[level] = 1.0 + CROWDING * (1.0 - min(1.0, math.sqrt(level - 1) / reach)) ** 2

@@ -14,7 +14,8 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.types import Array, Beams, BoolArray
+from slam_gym.navigation.grid import shape_of
+from slam_gym.types import Array, Beams
 
 
 class VirtualMap:
@@ -25,23 +26,13 @@ class VirtualMap:
     """
 
     def __init__(self, bounds: Array, cell: float = 1.0, prior_sigma: float = 1.0) -> None:
-        bounds = np.array(bounds, dtype=np.float64)
-        if bounds.shape != (4,) or not np.isfinite(bounds).all() or (bounds[2:] <= bounds[:2]).any():
-            raise ValueError(f"bounds: expected finite xmin < xmax and ymin < ymax [m], got {bounds.tolist()}")
-        for name, length in (("cell", cell), ("prior_sigma", prior_sigma)):
-            if not 0.0 < length < math.inf:
-                raise ValueError(f"{name}: expected a finite length > 0 [m], got {length}")
-        width, height = np.ceil((bounds[2:] - bounds[:2]) / cell - 1e-9).astype(int)
+        if not 0.0 < prior_sigma < math.inf:
+            raise ValueError(f"prior_sigma: expected a finite length > 0 [m], got {prior_sigma}")
+        shape = shape_of(bounds, cell)
         self.cell = float(cell)
         self.prior_sigma = float(prior_sigma)
-        self.origin: Array = bounds[:2].copy()  # (2,) [m] in B
-        self.covariances: Array = np.tile(np.eye(2) * prior_sigma**2, (height, width, 1, 1))  # (h, w, 2, 2) [m²] in B
-
-    @property
-    def observed(self) -> BoolArray:
-        """(h, w) the virtual landmark is better known than the prior."""
-        traces = self.covariances[..., 0, 0] + self.covariances[..., 1, 1]
-        return np.asarray(traces < 2.0 * self.prior_sigma**2)
+        self.origin: Array = np.array(bounds[:2], dtype=np.float64)  # (2,) [m] in B
+        self.covariances: Array = np.tile(np.eye(2) * prior_sigma**2, (*shape, 1, 1))  # (h, w, 2, 2) [m²] in B
 
     def observe(self, pose: Array, pose_covariance: Array, beams: Beams, sigma: float) -> int:
         """Map the virtual landmarks in view of `beams` from `pose` (3,) with `pose_covariance` (3, 3), both in B.
@@ -50,11 +41,8 @@ class VirtualMap:
         sensor's; it is kept where its trace is the smaller. In view is what the nearest beam reaches. Returns how many
         landmarks became better known; a covariance with NaN makes none so.
         """
-        improved: int = _observe(
-            self.covariances, self.origin, self.cell, pose, pose_covariance, sigma * sigma,
-            (beams.bearings, beams.ranges, beams.max_range),
-        )  # fmt: skip
-        return improved
+        seen = beams.bearings, beams.ranges, beams.max_range
+        return _observe(self.covariances, self.origin, self.cell, pose, pose_covariance, sigma * sigma, seen)
 
     def a_opt(self) -> float:
         """A-optimality tr(P)/l [m²] of all l = 2hw coordinates together: the mean λ, σ₀² before any observation."""

@@ -9,25 +9,19 @@ import numpy as np
 
 from slam_gym.association.tracking.walk import Walk
 from slam_gym.geometry import compose, rotate_covariances, transform
-from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
-from slam_gym.rendering.canvas import Canvas, pygame
-from slam_gym.rendering.panels import PANEL, STAR, Choice, Figures, KeyEntry, Level, TreePanel, badges, draw_panel
+from slam_gym.rendering.canvas import Canvas
+from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
 from slam_gym.rendering.scene import Scene, draw_scene, scene_of_episode, scene_of_log
 from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
 from slam_gym.simulation.right_answers import UNDECIDED, RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
-SIZE = (1140, 720)  # [pixels]
 _MARGIN = 60  # [pixels] around the robot and what it sees
 _MIN_EXTENT = 6.0  # [m] shown from edge to edge
 _COLUMNS = (0, 64, 156, 274)  # [pixels] of the table
-_KEY: tuple[KeyEntry, ...] = (
-    (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
-    (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
-    (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
-    (symbols.PAPER, symbols.INK, "not decided yet"),
-    (symbols.CHOICE, symbols.INK, "to decide now"),
+_KEY = (
+    *KEY,
     (symbols.PAPER, symbols.PLAN, "legal, 95 % ellipse"),
     (symbols.PAPER, symbols.LINE, "compatible alone"),
     (symbols.MAPPED, symbols.MAPPED, "mapped feature"),
@@ -35,29 +29,18 @@ _KEY: tuple[KeyEntry, ...] = (
 )
 
 
-def draw(
-    run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures, size: tuple[int, int] = SIZE
-) -> Any:
+def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> Any:
     """A surface with a run and the walk through the tree of its present scan; None: the run is over."""
-    picture = pygame.Surface(size, depth=32)
-    picture.fill(symbols.PAPER)
-    width, height = size[0] - PANEL, size[1]
-    _draw_surroundings(picture, (width, height), run, walk, answers)
-    draw_panel(picture, (width, 0, PANEL, height), _panel(run, walk, answers, figures))
-    return picture
-
-
-def _draw_surroundings(
-    picture: Any, size: tuple[int, int], run: AssociationRun, walk: Walk | None, answers: RightAnswers
-) -> None:
+    picture = picture_with(_panel(run, walk, answers, figures))
     base, scene = _scene(run)
     pose = compose(base, run.slam.map.pose)
-    low, scale = _extent(size, np.vstack([pose[:2], transform(pose, run.scan.points)]))
-    canvas = Canvas(size, low, scale, symbols.PAPER if scene.grid is None else symbols.UNKNOWN_CELL)
+    low, scale = _extent(np.vstack([pose[:2], transform(pose, run.scan.points)]))
+    canvas = Canvas(MAP, low, scale, symbols.PAPER if scene.grid is None else symbols.UNKNOWN_CELL)
     draw_scene(canvas, scene if walk is None else _with_decisions(scene, pose, walk, answers))
     centres = np.empty((0, 2)) if walk is None or walk.done else _draw_choice(canvas, pose, walk)
     picture.blit(canvas.picture(), (0, 0))
-    badges(picture, [(x * scale, size[1] - y * scale) for x, y in (centres - np.array(low)).tolist()])
+    badges(picture, canvas.places(centres))
+    return picture
 
 
 def _scene(run: AssociationRun) -> tuple[Array, Scene]:
@@ -67,12 +50,12 @@ def _scene(run: AssociationRun) -> tuple[Array, Scene]:
     return np.zeros(3), scene_of_log(run)
 
 
-def _extent(size: tuple[int, int], points: Array) -> tuple[tuple[float, float], float]:
-    """Lower left corner [m] and scale [pixels/m] of a canvas that holds the points (k, 2)."""
-    room = np.array(size) - 2 * _MARGIN
+def _extent(points: Array) -> tuple[tuple[float, float], float]:
+    """Lower left corner [m] and scale [pixels/m] of a map that holds the points (k, 2)."""
+    room = np.array(MAP) - 2 * _MARGIN
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     scale = float((room / np.maximum(np.ptp(points, axis=0), _MIN_EXTENT)).min())
-    corner = middle - 0.5 * np.array(size) / scale
+    corner = middle - 0.5 * np.array(MAP) / scale
     return (float(corner[0]), float(corner[1])), scale
 
 

@@ -55,6 +55,10 @@ class Canvas:
         pixels[..., 1] = self.surface.get_height() - pixels[..., 1]
         return np.clip(pixels, -1e5, 1e5, out=pixels)  # what lies far outside must not overflow pygame's integers
 
+    def places(self, points: Array) -> list[tuple[float, float]]:
+        """Where points (k, 2) [m] lie in the picture, in its pixels, y down."""
+        return [(x / SUPERSAMPLING, y / SUPERSAMPLING) for x, y in self._pixels(points).tolist()]
+
     def polygons(self, shapes: Array, fill: Colour | None, line: Colour | None = None, width: float = 1.0) -> None:
         """Closed polygons (k, v, 2)."""
         for shape in self._pixels(shapes).tolist():

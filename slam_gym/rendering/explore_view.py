@@ -17,10 +17,9 @@ from slam_gym.simulation.episode import Episode
 from slam_gym.types import Array
 
 SIZE = (960, 720)  # [pixels]
-_SMALLEST = 240  # [pixels]
 _MARGIN = 16  # [pixels] around the plan, and within the panel
 _BESIDE = 226  # [pixels] width of a panel beside the map
-_TITLE, _ROW, _FIGURE = 48, 20, 150  # [pixels] height of the title with what is around it, size of a figure
+_TITLE, _ROW = 48, 20  # [pixels] height of the title with what is around it, and of a row of figures
 
 
 class Layout(NamedTuple):
@@ -30,16 +29,11 @@ class Layout(NamedTuple):
     low: tuple[float, float]  # [m] position of the map's lower left corner
     scale: float  # [pixels/m]
     panel: Box
-    legend: Any  # a surface; None where there is no room for it
-    columns: int  # of figures
-
-    @property
-    def beside(self) -> bool:
-        """The panel is beside the map, not below it."""
-        return self.panel[1] == 0
+    beside: bool  # the panel is beside the map, not below it
+    legend: Any  # a surface
 
 
-def draw(episode: Episode, goals: Array, *, covisibility: bool = False, size: tuple[int, int] = SIZE) -> Any:
+def draw(episode: Episode, goals: Array, *, covisibility: bool = False) -> Any:
     """A surface with an episode as it is now; `goals` (g, 2) in B are those on offer."""
     scene = scene_of_episode(episode, goals=goals, covisibility=covisibility)
     scene = replace(
@@ -49,18 +43,13 @@ def draw(episode: Episode, goals: Array, *, covisibility: bool = False, size: tu
         paired_positions=paired_positions(episode, scene.landmarks),
     )
     title = f"{episode.scenario.name}, tick {episode.ticks} of {episode.scenario.budget}"
-    return draw_floor(scene, episode.site.plan.bounds, title, _figures(episode), size)
+    return draw_floor(scene, episode.site.plan.bounds, title, _figures(episode))
 
 
-def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = (), size: tuple[int, int] = SIZE) -> Any:
-    """A surface with a scene that lies within `bounds` (4,) [m] xmin ymin xmax ymax, and figures beside it.
-
-    Raises ValueError for a picture too small to hold anything.
-    """
-    if min(size) < _SMALLEST:
-        raise ValueError(f"the picture must be at least {_SMALLEST} pixels wide and high, got {size}")
-    layout = arrange(size, bounds, len(shown), shown_in(scene))
-    picture = pygame.Surface(size, depth=32)
+def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = ()) -> Any:
+    """A surface with a scene that lies within `bounds` (4,) [m] xmin ymin xmax ymax, and figures beside it."""
+    layout = arrange(bounds, len(shown), shown_in(scene))
+    picture = pygame.Surface(SIZE, depth=32)
     picture.fill(symbols.PAPER)
     canvas = Canvas(layout.map_size, layout.low, layout.scale, symbols.UNKNOWN_CELL)
     draw_scene(canvas, scene)
@@ -70,35 +59,30 @@ def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = ()
     return picture
 
 
-def arrange(size: tuple[int, int], bounds: Array, rows: int = 0, shown: frozenset[str] = frozenset()) -> Layout:
-    """The layout that shows `bounds` (4,) [m] largest, with `rows` figures and the legend for what is `shown`.
+def arrange(bounds: Array, rows: int = 0, shown: frozenset[str] = frozenset()) -> Layout:
+    """The layout that shows `bounds` (4,) [m] largest: a panel beside the map, or below it.
 
-    The panel is beside or below the map; where neither leaves room for the legend, there is none.
+    The panel holds `rows` figures and the legend for what is `shown`.
     """
-    width, height = size
-    layouts = []
-    stacked, side_by_side = legend(shown, True), legend(shown, False)
-    if height >= _TITLE + rows * _ROW + stacked.get_height() + 2 * _MARGIN and width >= 2 * _BESIDE:
-        panel = width - _BESIDE, 0, _BESIDE, height
-        layouts.append(_fit((width - _BESIDE, height), panel, bounds, stacked, 1))
-    room = width - side_by_side.get_width()
-    if room >= _FIGURE + 2 * _MARGIN:
-        columns = min(max(1, room // (_FIGURE + _MARGIN)), 2)
-        below = max(_TITLE + math.ceil(rows / columns) * _ROW, side_by_side.get_height() + 2 * _MARGIN)
-        layouts.append(_fit((width, height - below), (0, height - below, width, below), bounds, side_by_side, columns))
-    if not layouts:
-        columns = max(1, width // (_FIGURE + _MARGIN))
-        below = min(_TITLE + math.ceil(rows / columns) * _ROW, height // 3)
-        layouts.append(_fit((width, height - below), (0, height - below, width, below), bounds, None, columns))
+    width, height = SIZE
+    side_by_side = legend(shown, False)
+    below = max(_TITLE + math.ceil(rows / 2) * _ROW, side_by_side.get_height() + 2 * _MARGIN)
+    right = (width - _BESIDE, 0, _BESIDE, height), True, legend(shown, True)
+    bottom = (0, height - below, width, below), False, side_by_side
+    layouts = [
+        Layout(*_fit(area, bounds), *panel)
+        for area, panel in (((width - _BESIDE, height), right), ((width, height - below), bottom))
+    ]
     return max(layouts, key=lambda layout: layout.scale)
 
 
-def _fit(area: tuple[int, int], panel: Box, bounds: Array, key: Any, columns: int) -> Layout:
+def _fit(area: tuple[int, int], bounds: Array) -> tuple[tuple[int, int], tuple[float, float], float]:
+    """The area, the lower left corner [m] and the scale [pixels/m] of a map in it."""
     x0, y0, x1, y1 = (float(b) for b in bounds)
     room = area[0] - 2 * _MARGIN, area[1] - 2 * _MARGIN - 14  # the scale bar stands below the plan
     scale = min(room[0] / max(x1 - x0, 1e-3), room[1] / max(y1 - y0, 1e-3))
     low = 0.5 * (x0 + x1) - 0.5 * area[0] / scale, 0.5 * (y0 + y1) - (0.5 * area[1] + 7) / scale
-    return Layout(area, low, scale, panel, key, columns)
+    return area, low, scale
 
 
 def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:
@@ -107,15 +91,14 @@ def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:
     edge = ((left, top), (left, top + height)) if layout.beside else ((left, top), (left + width, top))
     pygame.draw.line(picture, symbols.LINE, *edge)
     x, y, room = left + _MARGIN, top + _MARGIN - 3, width - 2 * _MARGIN
-    if layout.legend is not None and layout.beside:
+    if layout.beside:
         picture.blit(layout.legend, (x, top + height - _MARGIN - layout.legend.get_height()))
-    elif layout.legend is not None:
+    else:
         room -= layout.legend.get_width() + 8
         picture.blit(layout.legend, (width - layout.legend.get_width(), y + 1))
     sizes = (text(title, size, symbols.INK, bold=True) for size in range(15, 7, -1))
     picture.blit(next((line for line in sizes if line.get_width() <= room), text(title, 8, symbols.INK)), (x, y))
-    rows = (height - _TITLE) // _ROW * layout.columns  # what there is room for
-    figures(picture, shown[:rows], (x, y + 30), room, layout.columns)
+    figures(picture, shown, (x, y + 30), room, 1 if layout.beside else 2)
 
 
 def _scale_bar(picture: Any, layout: Layout) -> None:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, Colour, pygame, text
 from slam_gym.types import Array
@@ -25,8 +26,15 @@ _KEY_ROW, _KEY_COLUMNS = 19, 3
 _BADGE, _APART = 9, 19  # [pixels] radius of a badge; between the centres of two
 _AROUND = ((0.7, -0.7), (-0.7, -0.7), (0.7, 0.7), (-0.7, 0.7), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
-
-PANEL = 420  # [pixels] width
+SIZE, PANEL = (1140, 720), 420  # [pixels] of a picture with a tree; width of the panel on its right
+MAP = (SIZE[0] - PANEL, SIZE[1])  # [pixels] what is on its left
+KEY: tuple[KeyEntry, ...] = (  # what both views show
+    (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
+    (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
+    (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
+    (symbols.PAPER, symbols.INK, "not decided yet"),
+    (symbols.CHOICE, symbols.INK, "to decide now"),
+)
 STAR = -1  # the branch `*`, which pairs the measurement with nothing
 _MARGIN = 18  # [pixels]
 _CLOSEST, _WIDEST = 21, 36  # [pixels] between two levels
@@ -148,6 +156,14 @@ class TreePanel(NamedTuple):
     choices: Sequence[Choice] = ()  # its rows, `*` last
     note: str = ""  # below the table
     remarks: Sequence[str] = ()  # in place of a table, where there is nothing to choose
+
+
+def picture_with(shown: TreePanel) -> Any:
+    """A surface with the panel on its right, and room for a map on its left."""
+    picture = pygame.Surface(SIZE, depth=32)
+    picture.fill(symbols.PAPER)
+    draw_panel(picture, (MAP[0], 0, PANEL, SIZE[1]), shown)
+    return picture
 
 
 def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:

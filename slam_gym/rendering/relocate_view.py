@@ -12,21 +12,16 @@ from slam_gym.geometry import compose, rotate_covariances, transform
 from slam_gym.metrics.association import Decision
 from slam_gym.rendering import symbols
 from slam_gym.rendering.canvas import Canvas, pygame, text
-from slam_gym.rendering.panels import PANEL, STAR, Choice, Figures, KeyEntry, Level, TreePanel, badges, draw_panel
+from slam_gym.rendering.panels import KEY, MAP, STAR, Choice, Figures, Level, TreePanel, badges, picture_with
 from slam_gym.simulation.relocation_problems import Kidnapped, MappedWorld
 from slam_gym.simulation.right_answers import UNDECIDED
 from slam_gym.types import UNPAIRED, Array, IntArray
 
-SIZE = (1140, 720)  # [pixels]
 _INSET, _HEADING = 190, 34  # [pixels] side of the scan, height of the line above the map
 _MARGIN = 0.7  # [m] around the plan
 _COLUMNS = (0, 64, 134, 268)  # [pixels] of the table
-_KEY: tuple[KeyEntry, ...] = (
-    (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
-    (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
-    (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
-    (symbols.PAPER, symbols.INK, "not decided yet"),
-    (symbols.CHOICE, symbols.INK, "to decide now"),
+_KEY = (
+    *KEY,
     (symbols.PAPER, symbols.PLAN, "on offer"),
     (symbols.PAPER, symbols.LINE, "legal, later"),
     (symbols.PAPER, symbols.PROVISIONAL, "local to the first"),
@@ -37,21 +32,12 @@ _KEY: tuple[KeyEntry, ...] = (
 )
 
 
-def draw(
-    walk: RelocationWalk,
-    mapped: MappedWorld,
-    kidnapped: Kidnapped,
-    figures: Figures,
-    size: tuple[int, int] = SIZE,
-) -> Any:
+def draw(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figures: Figures) -> Any:
     """A surface with the walk: left the whole map, in a corner the scan as the robot sees it, right the tree."""
-    picture = pygame.Surface(size, depth=32)
-    picture.fill(symbols.PAPER)
-    width, height = size[0] - PANEL, size[1]
     codes = _codes(walk, kidnapped)
-    _draw_map(picture, (width, height), walk, mapped, kidnapped, codes)
-    _draw_scan(picture, (10, height - _INSET - 10), walk, codes)
-    draw_panel(picture, (width, 0, PANEL, height), _panel(walk, kidnapped.features, codes, figures))
+    picture = picture_with(_panel(walk, kidnapped.features, codes, figures))
+    _draw_map(picture, walk, mapped, kidnapped, codes)
+    _draw_scan(picture, (10, MAP[1] - _INSET - 10), walk, codes)
     return picture
 
 
@@ -64,19 +50,12 @@ def _codes(walk: RelocationWalk, kidnapped: Kidnapped) -> IntArray:
     return codes
 
 
-def _draw_map(
-    picture: Any,
-    size: tuple[int, int],
-    walk: RelocationWalk,
-    mapped: MappedWorld,
-    kidnapped: Kidnapped,
-    codes: IntArray,
-) -> None:
+def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes: IntArray) -> None:
     x0, y0, x1, y1 = mapped.site.plan.bounds + _MARGIN * np.array([-1.0, -1.0, 1.0, 1.0])
-    room = size[0], size[1] - _INSET - _HEADING
+    room = MAP[0], MAP[1] - _INSET - _HEADING
     scale = float(min(room[0] / (x1 - x0), room[1] / (y1 - y0)))
-    low = 0.5 * (x0 + x1) - 0.5 * size[0] / scale, 0.5 * (y0 + y1) - (0.5 * room[1] + _INSET) / scale
-    canvas = Canvas(size, (float(low[0]), float(low[1])), scale, symbols.PAPER)
+    low = 0.5 * (x0 + x1) - 0.5 * MAP[0] / scale, 0.5 * (y0 + y1) - (0.5 * room[1] + _INSET) / scale
+    canvas = Canvas(MAP, (float(low[0]), float(low[1])), scale, symbols.PAPER)
     landmarks = transform(mapped.base, mapped.landmarks.positions)
     canvas.segments(mapped.site.plan.walls, symbols.LINE, 1.6)
     spread = rotate_covariances(mapped.base[2], mapped.landmarks.covariances)
@@ -92,7 +71,7 @@ def _draw_map(
     shown = _on_offer(walk)
     canvas.discs(landmarks[shown], 5.4, None, symbols.PLAN, 1.8)
     picture.blit(canvas.picture(), (0, 0))
-    badges(picture, [(x * scale, size[1] - y * scale) for x, y in (landmarks[shown] - np.array(low)).tolist()])
+    badges(picture, canvas.places(landmarks[shown]))
     where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
     picture.blit(text(where, 13, symbols.MUTED), (14, 10))
 

@@ -10,7 +10,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, Array, IntArray
-from slam_gym.world.ray_casting import Grid, Movers, Packed, hides, movers_near, range_along, sees
+from slam_gym.world.ray_casting import Grid, Movers, Packed, cast, hides, movers_near, range_along, sees
 
 _SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
 
@@ -162,11 +162,10 @@ def noisy_ranges(
     walls: Packed, pose: Array, bearings: Array, finder: Finder, moving: Moving, noise: Array, out: Array
 ) -> None:
     """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach], entered in `out`."""
-    (reach, sigma), grid, x, y = finder, Grid(*walls), pose[0], pose[1]
-    movers = movers_near(x, y, reach, Movers(*moving))
+    reach, sigma = finder
+    free = cast(walls, pose, pose[2] + bearings, reach, moving)
     for b in range(len(bearings)):
-        free = range_along(grid, x, y, pose[2] + bearings[b], reach, movers)
-        out[b] = min(max(free + sigma * noise[b], 0.0), reach) if free < reach else reach
+        out[b] = min(max(free[b] + sigma * noise[b], 0.0), reach) if free[b] < reach else reach
 
 
 class Wheels(NamedTuple):
@@ -217,7 +216,7 @@ def report_and_in_sight(
     out: tuple[Array, IntArray],
 ) -> int:
     """`report` and `in_sight` in one call from Python."""
-    report(wheels[0], wheels[1], wheels[2], wheels[3], wheels[4])
+    report(*wheels)
     return in_sight(walls, pose, features, moving, packed, out)
 
 

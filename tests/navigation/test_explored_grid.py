@@ -88,8 +88,8 @@ def test_bad_readings_are_ignored_and_bad_poses_refused():
         ([0, 0, 1, math.nan], 0.2, "bounds"),
         ([0, 0, 1], 0.2, "bounds"),
         ([0, 0, 1e6, 1e6], 0.2, "bounds"),
-        ([0, 0, 1, 1], 0.0, "resolution"),
-        ([0, 0, 1, 1], math.nan, "resolution"),
+        ([0, 0, 1, 1], 0.0, "side of a cell"),
+        ([0, 0, 1, 1], math.nan, "side of a cell"),
     ],
 )
 def test_absurd_grids_are_refused(bounds, resolution, name):

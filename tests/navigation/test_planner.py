@@ -61,6 +61,11 @@ def costs_by_graph(cells, start, clearance):
     return dijkstra(graph, indices=start[0] * w + start[1]).reshape(h, w), weights
 
 
+def length_to(field, point):
+    """Length [m] of the path to one point (2,)."""
+    return field.lengths_to(np.asarray(point)[None])[0]
+
+
 @pytest.mark.parametrize("seed", range(25))
 def test_costs_are_those_of_dijkstra_on_the_explicit_graph(seed):
     rng = np.random.default_rng(seed)
@@ -128,12 +133,12 @@ def test_gaps_too_narrow_and_goals_unreachable():
     cells[10, 20] = FREE
     grid = grid_of(cells)
     start, goal = centre(grid, 10, 3), centre(grid, 10, 37)
-    assert distance_field(grid, start, 0.2).length_to(goal) == pytest.approx(34 * RESOLUTION)
+    assert length_to(distance_field(grid, start, 0.2), goal) == pytest.approx(34 * RESOLUTION)
     field = distance_field(grid, start, 0.25)
-    assert field.length_to(goal) == math.inf and field.path(goal).shape == (0, 2)
-    assert field.length_to(np.array([99.0, 0.0])) == math.inf and field.path(np.array([99.0, 0.0])).shape == (0, 2)
+    assert length_to(field, goal) == math.inf and field.path(goal).shape == (0, 2)
+    assert length_to(field, np.array([99.0, 0.0])) == math.inf and field.path(np.array([99.0, 0.0])).shape == (0, 2)
     nearest = field.nearest(goal)
-    assert np.isfinite(field.length_to(nearest)) and nearest[0] == pytest.approx(centre(grid, 10, 19)[0])
+    assert np.isfinite(length_to(field, nearest)) and nearest[0] == pytest.approx(centre(grid, 10, 19)[0])
 
 
 def test_start_within_the_clearance_leads_out_and_off_the_grid_nowhere():
@@ -141,9 +146,9 @@ def test_start_within_the_clearance_leads_out_and_off_the_grid_nowhere():
     cells[:, 0] = WALL
     grid = grid_of(cells)
     field = distance_field(grid, centre(grid, 10, 1), 0.5)
-    assert np.isfinite(field.length_to(centre(grid, 25, 25)))
+    assert np.isfinite(length_to(field, centre(grid, 25, 25)))
     away = distance_field(grid, centre(grid, 10, 20), 0.5)
-    assert away.length_to(centre(grid, 10, 1)) == math.inf
+    assert length_to(away, centre(grid, 10, 1)) == math.inf
     assert np.isinf(away.lengths[:, 1:3]).all() and np.isfinite(away.lengths[:, 3:]).all()
     outside = distance_field(grid, np.array([-50.0, 0.0]), 0.25)
     assert np.isinf(outside.lengths).all() and np.array_equal(outside.nearest(np.zeros(2)), [-50.0, 0.0])
@@ -163,8 +168,8 @@ def test_a_field_within_a_rectangle_is_that_of_its_cells_alone():
     np.testing.assert_array_equal(field.lengths, expected.lengths)
     np.testing.assert_allclose(field.origin, low)
     goal = centre(grid, 21, 24)
-    assert field.length_to(goal) == expected.length_to(centre(alone, 13, 14)) and len(field.path(goal)) >= 2
-    assert field.length_to(centre(grid, 2, 2)) == math.inf
+    assert length_to(field, goal) == length_to(expected, centre(alone, 13, 14)) and len(field.path(goal)) >= 2
+    assert length_to(field, centre(grid, 2, 2)) == math.inf
 
 
 def test_points_along_many_paths_are_every_so_many_cells_from_each_goal_back() -> None:

@@ -87,9 +87,6 @@ def test_the_scene_of_an_episode_is_in_the_world_and_that_of_a_log_in_the_frame_
     assert count(drawn(true_pose=unknown.true_pose, pose=scene.pose), symbols.INK) == 0
 
 
-pytest.importorskip("pygame")
-
-
 ALL = frozenset({"furniture", "people", "covisibility", "grid", "goals"})
 
 
@@ -116,9 +113,6 @@ def test_every_entry_has_a_symbol() -> None:
     words_column = (picture[:, 48:] != symbols.PAPER).any(axis=(1, 2))
     for top in np.flatnonzero(words_column[1:] & ~words_column[:-1]):
         assert symbols_column[top : top + 18].any(), f"words at row {top} without a symbol"
-
-
-pytest.importorskip("pygame")
 
 
 def test_colours_that_stand_side_by_side_differ_clearly() -> None:

@@ -1,4 +1,4 @@
-"""The view of an exploration: the whole floor at any size, and a panel that covers none of it."""
+"""The view of an exploration: the whole floor, and a panel that covers none of it."""
 
 import dataclasses
 from itertools import pairwise
@@ -17,7 +17,6 @@ pytest.importorskip("pygame")
 
 BOUNDS = np.array([0.0, 0.0, 10.0, 8.0])
 FIGURES = (("map error", "0.5"), ("explored", "40 %"), ("features mapped", "49 of 138"), ("precision", "0.98"))
-SIZES = [(960, 720), (640, 480), (500, 900), (240, 240), (320, 240), (480, 360), (1600, 500), (400, 1200)]
 
 
 def full_scene(rng) -> Scene:
@@ -46,39 +45,31 @@ def full_scene(rng) -> Scene:
     )
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_pictures_have_the_asked_size_and_are_repeatable(size) -> None:
+def test_pictures_are_repeatable() -> None:
     scene = full_scene(np.random.default_rng(0))
-    first, second = (pixels(draw_floor(scene, BOUNDS, "test", FIGURES, size)) for _ in range(2))
-    assert first.shape == (size[1], size[0], 3)
+    first, second = (pixels(draw_floor(scene, BOUNDS, "test", FIGURES)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.parametrize(
     "bounds", [(0, 0, 24, 14), (-30, 5, -22, 60), (0, 0, 0, 0), (0, 0, 300, 80), (1e4, 1e4, 1e4 + 1, 1e4 + 1)]
 )
-@pytest.mark.parametrize("size", SIZES)
-def test_the_plan_fits_into_the_map_and_the_panel_covers_none_of_it(bounds, size) -> None:
-    layout = arrange(size, np.array(bounds, float), rows=8)
+def test_the_plan_fits_into_the_map_and_the_panel_covers_none_of_it(bounds) -> None:
+    size, layout = explore_view.SIZE, arrange(np.array(bounds, float), rows=8)
     corners = (np.reshape(bounds, (2, 2)) - np.array(layout.low)) * layout.scale
     assert (corners >= 10).all() and (corners <= np.array(layout.map_size) - 10).all()
     left, top, width, height = layout.panel
     assert left >= layout.map_size[0] or top >= layout.map_size[1]
     assert (left + width, top + height) == size
     assert layout.map_size[0] * layout.map_size[1] >= 0.4 * size[0] * size[1]
-    assert pixels(draw_floor(Scene(), np.array(bounds, float), size=size)).shape == (size[1], size[0], 3)
+    assert pixels(draw_floor(Scene(), np.array(bounds, float))).shape == (size[1], size[0], 3)
 
 
 def test_the_legend_explains_what_the_map_shows() -> None:
-    scene, width = full_scene(np.random.default_rng(3)), arrange((960, 720), BOUNDS, 4).map_size[0]
+    scene, width = full_scene(np.random.default_rng(3)), arrange(BOUNDS, 4).map_size[0]
     for people in (scene.people, np.empty((0, 3))):
         picture = pixels(draw_floor(dataclasses.replace(scene, people=people), BOUNDS, "test", FIGURES))
         assert (picture[:, width:] == symbols.PERSON[0]).all(axis=2).any() == bool(len(people))
-
-
-def test_pictures_too_small_to_hold_anything_are_refused() -> None:
-    with pytest.raises(ValueError, match="240 pixels"):
-        draw_floor(Scene(), BOUNDS, size=(100, 700))
 
 
 def test_an_episode_is_drawn_with_its_goals_and_what_became_of_the_robot() -> None:
@@ -97,9 +88,6 @@ def test_an_episode_is_drawn_with_its_goals_and_what_became_of_the_robot() -> No
     ]  # fmt: skip
 
 
-pytest.importorskip("pygame")
-
-
 @pytest.mark.parametrize("scenario", ["corridor", short(20)])
 def test_every_stage_has_its_picture(scenario) -> None:
     env, pictures = associate(scenario, render_mode="rgb_array", candidates=3), set()
@@ -114,9 +102,6 @@ def test_every_stage_has_its_picture(scenario) -> None:
             pictures.add(picture.tobytes())
     assert over and len(pictures) > 3
     np.testing.assert_array_equal(env.render(), env.render())
-
-
-pytest.importorskip("pygame")
 
 
 @pytest.mark.parametrize("outside", [0.0, 1.0])

@@ -33,7 +33,7 @@ def test_goals_are_what_they_say(scenario) -> None:
         assert offer.legal[: 1 + ends].all() and offer.legal[FIRST_REVISIT : FIRST_REVISIT + back].all()  # no gaps
         np.testing.assert_array_equal(offer.positions[LOOK], slam_map.pose[:2])
         for slot in np.flatnonzero(offer.legal)[1:]:
-            assert offer.lengths[slot] == field.length_to(offer.positions[slot]) < math.inf
+            assert offer.lengths[slot] == field.lengths_to(offer.positions[slot : slot + 1])[0] < math.inf
             assert len(field.path(offer.positions[slot])) >= 2
         np.testing.assert_array_equal(
             offer.areas[offer.legal], grid.expected_area(offer.positions[offer.legal], scene.beams.range)
