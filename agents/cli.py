@@ -147,7 +147,7 @@ class Execute:
 
     def execution(self) -> Execution:
         """As the pipeline takes it."""
-        return Execution(self.jobs, self.backend, command_line(), self.resume, Console())
+        return Execution(self.jobs, self.backend, command_line(), self.resume, Console(markup=False))
 
     @contextmanager
     def resumable(self, out: Path) -> Iterator[None]:

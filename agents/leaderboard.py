@@ -8,6 +8,7 @@ command is given again.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -44,7 +45,9 @@ def main(
     """Rank an entry by the frozen protocol, or rank all once more."""
     if entry:
         _evaluate(entry, role, quick, board, execute)
-    entries = read_entries([*([BASELINES] if baselines else []), board])
+    entries, refused = read_entries([*([BASELINES] if baselines else []), board])
+    for line in refused:
+        print(f"left out: {line}", file=sys.stderr)
     if not entries:
         raise ValueError(f"there is no entry in {board}: give one with --entry")
     tables = markdown(entries)

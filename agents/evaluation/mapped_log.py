@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from agents.evaluation.associators import Metered, metered
-from agents.evaluation.records import Record, stem
+from agents.evaluation.records import Record, stem, written_whole
 from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -283,4 +283,5 @@ def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
 
 
 def _write(path: Path, columns: dict[str, Array]) -> None:
-    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9g")
+    with written_whole(path) as partial:
+        pd.DataFrame(columns).to_csv(partial, index=False, float_format="%.9g")

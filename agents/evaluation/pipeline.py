@@ -21,9 +21,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import slam_gym
 from agents.evaluation.parallel import connect, run_all
-from agents.evaluation.records import Key, Record, plain, versions, write_json, written_whole
+from agents.evaluation.records import Key, Record, plain, undamaged, versions, write_json, written_whole
+from slam_gym._files import content_of, json_of
 
 KINDS = ("drivers", "associators", "suite", "recordings", "leaderboard")
+METADATA = "results.json"
+_TYPES = {
+    "kind": str, "commands": list, "complete": bool, "conditions": dict, "evaluated": dict, "versions": dict,
+}  # fmt: skip
 
 
 class Task(Protocol):
@@ -104,13 +109,13 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
 
 def read_results(folder: Path) -> Results:
     """What the folder of an evaluation holds. ValueError where there is none, or nothing finished yet."""
-    path = folder / "results.json"
-    metadata = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    if metadata.get("kind") not in KINDS:
+    metadata = _read_metadata(folder)
+    if metadata is None:
         raise ValueError(f"{folder} holds no results.json of an evaluation")
-    evaluated = metadata["evaluated"]
     frame = _read_records(folder)
-    orders = {column: {value: k for k, value in enumerate(evaluated[f"{column}s"])} for column in Key._fields}
+    with undamaged(folder / METADATA):
+        evaluated = metadata["evaluated"]
+        orders = {column: {value: k for k, value in enumerate(evaluated[f"{column}s"])} for column in Key._fields}
     for column, order in orders.items():
         frame = frame[frame[column].isin(list(order))]
     if frame.empty:
@@ -120,11 +125,26 @@ def read_results(folder: Path) -> Results:
     return Results(metadata, frame)
 
 
+def _read_metadata(folder: Path) -> dict[str, Any] | None:
+    """What results.json says, or None where there is none. ValueError names one that is damaged."""
+    if not (folder / METADATA).exists():
+        return None
+    with undamaged(folder / METADATA):
+        metadata: dict[str, Any] = json_of(content_of(folder / METADATA))
+        wrong = [name for name, kind in _TYPES.items() if not isinstance(metadata[name], kind)]
+        if wrong or metadata["kind"] not in KINDS:
+            raise ValueError(f"{(wrong or ['kind'])[0]} is not what an evaluation writes")
+    return metadata
+
+
 def _read_records(folder: Path) -> pd.DataFrame:
+    """What results.csv holds: nothing where there is none. ValueError names one that is damaged."""
     path = folder / "results.csv"
     if not path.exists():
         return pd.DataFrame(columns=Key._fields)
-    return pd.read_csv(path, dtype={"name": str, "setting": str, "model": str}).fillna({"model": ""})
+    with undamaged(path):
+        frame = pd.read_csv(path, dtype={"name": str, "setting": str, "model": str, "episode": int})
+        return frame.set_index(list(Key._fields)).reset_index().fillna({"model": ""})
 
 
 def _write_records(out: Path, records: Sequence[Record]) -> None:
@@ -161,7 +181,7 @@ def _write_metadata(out: Path, evaluation: Evaluation, commands: Sequence[dict[s
     evaluated = {f"{column}s": list(dict.fromkeys(getattr(key, column) for key in keys)) for column in Key._fields}
     head = {"kind": evaluation.kind, "commands": commands, "complete": done.issuperset(keys)}
     about = {"conditions": _conditions(evaluation), "evaluated": evaluated, **evaluation.about, "versions": versions()}
-    write_json(out / "results.json", head | about)
+    write_json(out / METADATA, head | about)
 
 
 def _conditions(evaluation: Evaluation) -> dict[str, Any]:
@@ -173,20 +193,19 @@ def _to_go_on_from(
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Commands and records of the evaluation that is resumed; none of a new one. ValueError where the folder belongs to
     something else."""
-    path = out / "results.json"
-    if not path.exists():
+    before = _read_metadata(out)
+    if before is None:
         if resume:
             raise ValueError(f"{out} holds no evaluation to resume")
         if out.is_dir() and any(out.iterdir()):
             raise ValueError(f"{out} is not empty: give another --out")
         return [], []
-    before = json.loads(path.read_text(encoding="utf-8"))
-    was, now = before.get("conditions", {}), plain(_conditions(evaluation))
+    was, now = before["conditions"], plain(_conditions(evaluation))
     other = [f"{name} {was.get(name)!r}, not {now[name]!r}" for name in now if was.get(name) != now[name]]
-    if before.get("kind") != evaluation.kind:
-        other = [f"an evaluation of {before.get('kind')}, not of {evaluation.kind}"]
+    if before["kind"] != evaluation.kind:
+        other = [f"an evaluation of {before['kind']}, not of {evaluation.kind}"]
     if other:
         raise ValueError(f"{out} holds the results of another command ({'; '.join(other)}): give another --out")
     if not resume:
         raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --out")
-    return list(before["commands"]), _read_records(out).to_dict("records")
+    return before["commands"], _read_records(out).to_dict("records")

@@ -40,14 +40,27 @@ def stem(*names: str) -> str:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Where to write what is then put in its place: interrupted, or on a full disk, the old file stays whole."""
+    """Where to write what is then put in its place: interrupted, or on a full disk, the old file stays whole.
+
+    OSError names the file.
+    """
     partial = path.with_name(path.name + ".partial")
     try:
         yield partial
         os.replace(partial, path)
-    except BaseException:
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    finally:
         partial.unlink(missing_ok=True)
-        raise
+
+
+@contextmanager
+def undamaged(what: str | Path) -> Iterator[None]:
+    """Whatever reading a damaged file leads to becomes a ValueError that names it."""
+    try:
+        yield
+    except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
+        raise ValueError(f"{what} is damaged ({type(error).__name__}: {error})") from error
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from slam_gym.metrics.statistics import Interval, Statistic, bootstrap_interval, interquartile_mean, mean
 from slam_gym.simulation.judged import CEILING
@@ -189,15 +189,15 @@ def _fits(table: Table, columns: Sequence[Column], console: Console) -> bool:
 
 def _terminal_table(table: Table, columns: Sequence[Column]) -> RichTable:
     shown = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    shown.add_column(table.corner, max_width=30)
+    shown.add_column(Text(table.corner), max_width=30)
     for column in columns:
-        shown.add_column(column.title, justify="right", no_wrap=True)
+        shown.add_column(Text(column.title), justify="right", no_wrap=True)
     for name, row in table.rows.items():
         cells = [cell(row.get(column.key), column.digits, table.differences) for column in columns]
-        shown.add_row(escape(display_name(name)), *(_two_lines(*both) for both in cells))
+        shown.add_row(Text(display_name(name)), *(_two_lines(*both) for both in cells))
     return shown
 
 
-def _two_lines(value: str, interval: str) -> str:
+def _two_lines(value: str, interval: str) -> Text:
     low, _, high = interval.partition(", ")
-    return value if low == high else f"{value}\n[dim]{low}–{high}[/dim]"
+    return Text(value) if low == high else Text.assemble(value, "\n", (f"{low}–{high}", "dim"))

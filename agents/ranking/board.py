@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 import re
@@ -12,9 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.evaluation.records import Record, versions, write_json
+from agents.evaluation.records import Record, undamaged, versions, write_json
 from agents.evaluation.tables import display_name, number
-from agents.ranking.protocol import FIRST, Protocol, column_of
+from agents.ranking.protocol import FIRST, PARTS, Protocol, column_of
+from slam_gym._files import content_of, json_of
 from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import Array
@@ -27,12 +29,35 @@ RESAMPLES = 4000
 
 @dataclass(frozen=True)
 class Ranked:
-    """An entry that was put through the protocol. Only entries of the same protocol are compared."""
+    """An entry that was put through the protocol. Only entries of the same protocol are compared.
+
+    Raises ValueError for what no protocol and no evaluation makes: losses are finite and not below 0.
+    """
 
     name: str
     protocol: dict[str, Any]  # version, role, quick, hash
     losses: dict[str, list[float | None]]  # setting → loss in each of its worlds, None: nothing was to be decided
     about: dict[str, Any]  # command and versions
+
+    def __post_init__(self) -> None:
+        role, code = self.protocol["role"], self.protocol["hash"]
+        if role not in PARTS or not isinstance(self.name, str) or not code.isalnum():
+            raise ValueError("its protocol has no such role, or no such hash")
+        for setting, losses in self.losses.items():
+            for loss in losses:
+                if loss is not None and not (isinstance(loss, int | float) and 0.0 <= loss < math.inf):
+                    raise ValueError(f"the loss {loss!r} in {setting}, expected a number from 0 on")
+        for column, found in self.columns.items():
+            if not np.isfinite(found).any():
+                raise ValueError(f"no loss in {column}")
+        chosen = Protocol(role, self.protocol["quick"])
+        if chosen.about["hash"] == code and {s: len(own) for s, own in self.losses.items()} != chosen.parts:
+            raise ValueError("its losses are not those of its protocol")
+
+    @property
+    def shape(self) -> str:
+        """Protocol, settings and worlds: what entries share that are compared."""
+        return json.dumps([self.protocol["hash"], {setting: len(losses) for setting, losses in self.losses.items()}])
 
     @property
     def file(self) -> str:
@@ -53,9 +78,8 @@ def ranked(name: str, chosen: Protocol, records: Sequence[Record], command: str)
     """The entry that records of a whole evaluation make."""
     losses: dict[str, list[float | None]] = {setting: [None] * count for setting, count in chosen.parts.items()}
     for record in records:
-        loss = record["loss"]
-        if loss is not None and math.isfinite(loss):
-            losses[record["setting"]][record["episode"] - FIRST] = round(float(loss), 6)
+        if not math.isnan(loss := float(record["loss"])):
+            losses[record["setting"]][record["episode"] - FIRST] = round(loss, 6)
     return Ranked(name, chosen.about, losses, {"command": command, "versions": versions()})
 
 
@@ -66,20 +90,18 @@ def write_entry(folder: Path, entry: Ranked) -> Path:
     return folder / entry.file
 
 
-def read_entries(folders: Sequence[Path]) -> list[Ranked]:
-    """All entries of some folders; of two in files of the same name the one in the last folder. ValueError names a file
-    that holds none."""
+def read_entries(folders: Sequence[Path]) -> tuple[list[Ranked], list[str]]:
+    """All entries of some folders, and a line about each file that holds none. Of two in files of the same name it is
+    the one in the last folder."""
     files = {path.name: path for folder in folders for path in sorted(folder.glob("*.json"))}
-    return [_read_entry(path) for path in files.values()]
-
-
-def _read_entry(path: Path) -> Ranked:
-    try:
-        entry = Ranked(**json.loads(path.read_text(encoding="utf-8")))
-        _ = entry.columns, entry.protocol["hash"], entry.file
-        return entry
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{path}: no entry of the leaderboard ({type(error).__name__}: {error})") from None
+    entries, refused = [], []
+    for path in files.values():
+        try:
+            with undamaged(f"{path}: the entry"):
+                entries.append(Ranked(**json_of(content_of(path))))
+        except (ValueError, OSError) as error:
+            refused.append(" ".join(str(error).split()))
+    return entries, refused
 
 
 class Row(NamedTuple):
@@ -125,21 +147,26 @@ def markdown(entries: Sequence[Ranked]) -> str:
     """A table for every protocol among the entries."""
     groups: dict[str, list[Ranked]] = {}
     for entry in entries:
-        groups.setdefault(entry.protocol["hash"], []).append(entry)
+        groups.setdefault(entry.shape, []).append(entry)
     return "\n\n".join(_table(own[0].protocol, rows(own)) for own in groups.values())
 
 
 def _table(protocol: dict[str, Any], found: Sequence[Row]) -> str:
-    heads = ["", "entry", "loss", "behind the first", *found[0].columns]
+    heads = ["", "entry", "loss", "behind the first", *map(_escaped, found[0].columns)]
     quick = ", quick (for tests)" if protocol["quick"] else ""
     lines = [f"### {protocol['role'].capitalize()}s", ""]
     lines += [f"Protocol {protocol['version']}{quick}, hash `{protocol['hash']}`.", ""]
     lines += ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in found:
         behind = "–" if row.behind.estimate == 0.0 else _interval(row.behind, signed=True)
-        cells = [str(row.place or ""), display_name(row.name), _interval(row.loss), behind]
+        cells = [str(row.place or ""), _escaped(display_name(row.name)), _interval(row.loss), behind]
         lines.append("| " + " | ".join([*cells, *(number(mean, 3) for mean in row.columns.values())]) + " |")
     return "\n".join(lines)
+
+
+def _escaped(text: str) -> str:
+    """Text that Markdown and HTML show as it is, on one line."""
+    return re.sub(r"([\\`*_\[\]|])", r"\\\1", html.escape(" ".join(text.split())))
 
 
 def _interval(value: Interval, signed: bool = False) -> str:

@@ -14,7 +14,7 @@ from agents.evaluation.drive_tables import driver_tables, headline, kidnappings,
 from agents.evaluation.drives import world_of
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
-from agents.evaluation.records import stem
+from agents.evaluation.records import stem, written_whole
 from agents.evaluation.tables import (
     Column,
     Table,
@@ -163,7 +163,8 @@ def _capabilities(frame: pd.DataFrame, folder: Path, colour: Colours) -> Content
     mistakes = {c.key: suite.scores(frame, c.key) for c in _MISTAKES}
     rows = {name: own | {key: found[name]["all"] for key, found in mistakes.items()} for name, own in scores.items()}
     bars = figures.capability_bars(scores, colour)
-    bars.savefig(folder / "suite.png")
+    with written_whole(folder / "suite.png") as partial:
+        bars.savefig(partial, format="png")
     return {
         "table": Table("", "associator", [*columns, *_MISTAKES], rows),
         "bars": bars,

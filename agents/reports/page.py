@@ -15,7 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from agents.evaluation.pipeline import read_results
-from agents.evaluation.records import write_whole
+from agents.evaluation.records import undamaged, write_whole
 from agents.evaluation.tables import cell, display_name
 from agents.reports.contents import CONTENTS
 from agents.reports.figures import colours
@@ -37,13 +37,13 @@ def write_report(folder: Path) -> Path:
     results = read_results(folder)
     if results.kind not in CONTENTS:
         raise ValueError(f"{folder} belongs to the {results.kind}, which makes its own page")
-    content = CONTENTS[results.kind](results, folder)
-    page = _PAGES.get_template(f"{results.kind}.html").render(
-        content,
-        colours=colours(results.names),
-        complete=results.metadata["complete"],
-        provenance=provenance(results.metadata),
-    )
+    with undamaged(f"results.csv or results.json of {folder}"):
+        page = _PAGES.get_template(f"{results.kind}.html").render(
+            CONTENTS[results.kind](results, folder),
+            colours=colours(results.names),
+            complete=results.metadata["complete"],
+            provenance=provenance(results.metadata),
+        )
     write_whole(folder / "report.html", page)
     return folder / "report.html"
 

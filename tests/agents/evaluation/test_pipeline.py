@@ -1,6 +1,7 @@
 """Whatever is evaluated: interrupted and resumed is the same as uninterrupted, and nothing is overwritten."""
 
 import json
+import os
 from dataclasses import dataclass
 
 import pandas as pd
@@ -104,3 +105,35 @@ def test_a_folder_without_results_is_refused_by_name(tmp_path):
         read_results(tmp_path)
     with pytest.raises(ValueError, match="no finished episode yet"):
         carry_out(counting([]), tmp_path, NEW)
+
+
+WRONG = {
+    "results.json": (
+        "", "[]", "3", "{}", "[" * 100_000, "\xff", '{"kind": NaN}', {"kind": "others"}, {"kind": ["suite"]},
+        {"commands": 3}, {"conditions": None}, {"evaluated": 3}, {"evaluated": {"names": ["a"]}},
+    ),
+    "results.csv": ("", "\x00\xff", "a,b\n1,2\n", "name,setting,episode,model\na,only,x,\n", 'name,"\n'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("file", "content"), [(file, content) for file in WRONG for content in WRONG[file]])
+def test_damaged_results_are_refused_by_the_name_of_their_file(tmp_path, file, content):
+    told = carry_out(counting([Counting(0)]), tmp_path, NEW).metadata
+    content = json.dumps(told | content) if isinstance(content, dict) else content
+    (tmp_path / file).write_bytes(content.encode("latin-1"))
+    with pytest.raises(ValueError, match=file):
+        read_results(tmp_path)
+    if content != json.dumps(told | {"evaluated": {"names": ["a"]}}):  # which is written anew
+        with pytest.raises(ValueError, match=file):
+            carry_out(counting([Counting(0)]), tmp_path, RESUMED)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a disk that is full")
+@pytest.mark.parametrize("file", WRONG)
+def test_a_full_disk_is_told_with_the_file_and_leaves_the_old_one_whole(tmp_path, file):
+    carry_out(counting([Counting(0)]), tmp_path, NEW)
+    before = (tmp_path / file).read_bytes()
+    (tmp_path / f"{file}.partial").symlink_to("/dev/full")
+    with pytest.raises(OSError, match=rf"No space left on device: .*{file}'"):
+        carry_out(counting([Counting(0), Counting(1)]), tmp_path, RESUMED)
+    assert (tmp_path / file).read_bytes() == before

@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import math
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from agents.leaderboard import MARKS, app, with_tables
 from agents.ranking.board import BASELINES, Ranked, markdown, ranked, read_entries, rows, write_entry
 from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, EntryTask, Protocol
 from slam_gym.scenarios import get_scenario, world_generator
+from tests.agents import typed
 
 MINE = "tests.agents.ranking.strangers:mine"
 FROZEN = {"agent": "1b2ec0b77459f658", "associator": "8e23668ef0b1332c", "relocator": "fa5f642552504756"}
@@ -34,7 +37,8 @@ def test_the_floors_are_what_they_were():
 
 
 def test_what_ships_can_be_read_and_is_of_this_protocol():
-    entries = read_entries([BASELINES])
+    entries, refused = read_entries([BASELINES])
+    assert not refused
     assert {entry.protocol["role"] for entry in entries} == set(PARTS)
     for entry in entries:
         chosen = Protocol(entry.protocol["role"])
@@ -55,7 +59,7 @@ def an_entry(name, shift, seed=0, noise=0.001):
     """Losses of worlds that differ much from each other, shifted by little."""
     hard, own = np.random.default_rng(1), np.random.default_rng(seed)
     losses = {
-        setting: (hard.uniform(0.1, 0.9, count) + shift + noise * own.standard_normal(count)).tolist()
+        setting: (hard.uniform(0.2, 0.9, count) + shift + noise * own.standard_normal(count)).tolist()
         for setting, count in PARTS["agent"].items()
     }
     return Ranked(name, Protocol("agent").about, losses, {})
@@ -83,25 +87,51 @@ def test_columns_weigh_alike_and_what_could_not_be_decided_is_left_out():
     assert row.loss.estimate == pytest.approx(1.0 / len(losses)) and row.loss.low == row.loss.high
 
 
-def test_entries_come_back_from_their_files_and_others_are_refused_by_name(tmp_path):
+def test_entries_come_back_from_their_files(tmp_path):
     chosen = Protocol("associator", quick=True)
-    records = [{"setting": "clutter/1", "episode": FIRST, "loss": None},
-               {"setting": "office-small", "episode": FIRST, "loss": 0.25}]  # fmt: skip
+    records = [{"setting": setting, "episode": FIRST, "loss": 0.25} for setting in chosen.parts]
     entry = ranked("jcbb", chosen, records, "python -m …")
     path = write_entry(tmp_path, entry)
-    assert path.name == "associator-jcbb-quick.json" and read_entries([tmp_path]) == [entry]
-    assert entry.losses == {"clutter/1": [None], "office-small": [0.25]}
-    for content in ("", "[]", json.dumps({"name": 3}), json.dumps(vars(entry) | {"losses": {"a": ["b"]}})):
-        path.write_text(content)
-        with pytest.raises(ValueError, match=r"associator-jcbb-quick\.json: no entry"):
-            read_entries([tmp_path])
+    assert path.name == "associator-jcbb-quick.json" and read_entries([tmp_path]) == ([entry], [])
+    assert entry.losses == {"clutter/1": [0.25], "office-small": [0.25]}
 
 
-def test_entries_of_other_protocols_are_ranked_apart():
-    one = an_entry("a", 0.0)
-    other = Ranked("b", one.protocol | {"hash": "other"}, one.losses, {})
+def test_a_world_in_which_nothing_was_to_be_decided_has_no_loss_and_none_is_infinite():
+    chosen = Protocol("agent")
+    records = [{"setting": s, "episode": FIRST + k, "loss": 0.5} for s, n in chosen.parts.items() for k in range(n)]
+    assert ranked("a", chosen, [records[0] | {"loss": math.nan}, *records[1:]], "").losses["office-small"][0] is None
+    with pytest.raises(ValueError, match="the loss inf in office-small"):
+        ranked("a", chosen, [records[0] | {"loss": math.inf}, *records[1:]], "")
+
+
+GOOD = vars(an_entry("good", 0.0))
+NO_ENTRIES = [
+    "", "[]", "null", "[" * 100_000, "\xff", '{"name": 3}', GOOD | {"name": 3}, GOOD | {"losses": {"a": ["b"]}},
+    GOOD | {"more": 1}, GOOD | {"protocol": None}, GOOD | {"protocol": GOOD["protocol"] | {"role": "judge"}},
+    GOOD | {"protocol": GOOD["protocol"] | {"hash": "` | `"}}, GOOD | {"losses": {"office-small": [0.1]}},
+    *(GOOD | {"losses": GOOD["losses"] | {"hall": [loss] * 8}}
+      for loss in (-0.1, math.nan, math.inf, "0.1", None, 10**400, [0.1])),
+    json.dumps(GOOD).replace('"hall": [', '"hall": [1e999, '),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("content", NO_ENTRIES, ids=lambda content: str(content)[-40:])
+def test_what_is_no_entry_is_named_and_the_rest_of_the_board_is_drawn(tmp_path, content):
+    write_entry(tmp_path, Ranked(**GOOD))
+    damaged = tmp_path / "agent-damaged.json"
+    damaged.write_text(json.dumps(content) if isinstance(content, dict) else content, encoding="latin-1")
+    done = typed(app, "--board", tmp_path, "--no-baselines")
+    assert done.exit_code == 0 and "| 1 | good |" in (tmp_path / "leaderboard.md").read_text()
+    assert done.stderr.startswith(f"left out: {damaged}") and done.stderr.count("\n") == 1
+
+
+def test_names_cannot_break_the_page():
+    one = an_entry("<img src=x> | [a](b) `c` *d*\n# e \\", 0.0)
+    other = Ranked(one.name, one.protocol | {"hash": "other"}, {"<b>|x": [0.5]}, {})
     shown = markdown([one, other])
-    assert shown.count("### Agents") == 2 and "| 1 | a |" in shown and "| 1 | b |" in shown
+    assert r"| &lt;img src=x&gt; \| \[a\](b) \`c\` \*d\* # e \\ |" in shown and r"| &lt;b&gt;\|x |" in shown
+    table = shown.split("### Agents")[1].strip().splitlines()[2:]
+    assert len({len(re.findall(r"(?<!\\)\|", line)) for line in table}) == 1
 
 
 def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was(tmp_path):
@@ -117,9 +147,9 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
     shown = page.read_text()
     assert shown.startswith("before") and shown.endswith("after\n") and "old" not in shown
     assert "| 1 | mine |" in shown and "|  | true association |" in shown and "| clutter | office-small |" in shown
-    before = read_entries([board])
+    before, _ = read_entries([board])
     leaderboard("--entry", MINE, "--role", "associator")
-    assert [entry.losses for entry in read_entries([board])] == [entry.losses for entry in before]
+    assert [entry.losses for entry in read_entries([board])[0]] == [entry.losses for entry in before]
 
 
 @pytest.mark.parametrize(

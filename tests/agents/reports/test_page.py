@@ -6,10 +6,12 @@ import re
 import pandas as pd
 import pytest
 
+from agents import report
 from agents.evaluation.pipeline import KINDS
 from agents.reports.contents import CONTENTS
 from agents.reports.figures import colours
 from agents.reports.page import provenance, write_report
+from tests.agents import typed
 from tests.agents.reports import PNG, Page
 
 METADATA = {
@@ -64,6 +66,30 @@ def test_the_best_of_a_column_is_bold_and_differences_are_signed(folder):
 def test_an_unfinished_evaluation_says_so(folder):
     (folder / "results.json").write_text(json.dumps(METADATA | {"complete": False}))
     assert "unfinished" in Page(write_report(folder).read_text(encoding="utf-8")).text
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("map_error", None), ("map_error", "much"), ("curve", "[3]"), ("kidnapped", "{")],
+)
+def test_numbers_that_are_none_end_in_one_line(folder, column, value):
+    frame = pd.read_csv(folder / "results.csv").astype({column: object})
+    frame.loc[0, column] = value
+    frame = frame.drop(columns=column) if value is None else frame
+    frame.to_csv(folder / "results.csv", index=False)
+    told = typed(report.app, folder)
+    assert (
+        told.exit_code == 2
+        and told.stderr.count("\n") == 1
+        and f"results.csv or results.json of {folder}" in told.stderr
+    )
+
+
+@pytest.mark.parametrize("conditions", [{}, METADATA["conditions"] | {"scenario": None, "floor_plan": 3}])
+def test_conditions_that_are_none_end_in_one_line(folder, conditions):
+    (folder / "results.json").write_text(json.dumps(METADATA | {"conditions": conditions}))
+    told = typed(report.app, folder)
+    assert told.exit_code == 2 and told.stderr.count("\n") == 1 and f"results.json of {folder}" in told.stderr
 
 
 def test_every_kind_of_evaluation_has_a_report_but_the_leaderboard():
