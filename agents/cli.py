@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
 from inspect import Parameter, Signature, signature
@@ -18,8 +17,9 @@ from rich.console import Console
 from typer import Option
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
-from agents.evaluation.pipeline import Execution
+from agents.evaluation.pipeline import Evaluation, Execution, Results, carry_out
 from agents.evaluation.records import stem
+from agents.evaluation.tables import Table, print_table
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
 from slam_gym.slam.relocate import SEARCH
@@ -137,7 +137,7 @@ class Execute:
     """How an evaluation is carried out, and where its files go."""
 
     jobs: Annotated[int, Option(min=1, metavar="J", help="Processes.")] = joblib.cpu_count()
-    backend: Annotated[Literal["loky", "multiprocessing", "ray", "dask"], Option(help="Of joblib.")] = "loky"
+    backend: Annotated[Literal["loky", "ray", "dask"], Option(help="Of joblib.")] = "loky"
     out: Annotated[Path | None, Option(metavar="DIR", help="By default a new folder in results/.")] = None
     resume: Annotated[bool, Option("--resume", help="Go on where an evaluation was interrupted.")] = False
 
@@ -149,14 +149,28 @@ class Execute:
         """As the pipeline takes it."""
         return Execution(self.jobs, self.backend, command_line(), self.resume, Console(markup=False))
 
-    @contextmanager
-    def resumable(self, out: Path) -> Iterator[None]:
-        """Say how to go on where it is interrupted."""
+    def evaluate(
+        self,
+        evaluation: Evaluation,
+        out: Path,
+        tables: Callable[[Results], list[Table]],
+        films: Callable[[Execution], None] | None = None,
+    ) -> None:
+        """Carry it out, make its films, print its tables, and write its report. Where it is interrupted, say how to go
+        on."""
+        how = self.execution()
         try:
-            yield
+            results = carry_out(evaluation, out, how)
+            if films:
+                films(how)
         except KeyboardInterrupt:
             print(f"interrupted; go on with the same command and --resume --out {out}")
             raise
+        for table in tables(results):
+            print_table(table, how.console)
+        from agents.reports.page import write_report  # matplotlib takes a second to import
+
+        how.console.print(f"report: {write_report(out)}", soft_wrap=True)
 
 
 @dataclass(frozen=True)

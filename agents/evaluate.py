@@ -12,10 +12,9 @@ from typer import Option
 
 from agents.cli import Episodes, Execute, RerunFile, World, command, require_rerun
 from agents.drivers.base import AGENTS, SHOWN
-from agents.evaluation.drive_tables import driver_tables, kidnappings
+from agents.evaluation.drive_tables import driver_tables
 from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
-from agents.evaluation.pipeline import carry_out
-from agents.evaluation.tables import print_table
+from agents.evaluation.pipeline import Execution
 
 EPISODES = 40
 
@@ -33,25 +32,20 @@ def main(
     """Evaluate agents on the same test worlds."""
     require_rerun(rerun)
     arguments, numbers = world.arguments("office", split="test"), episodes.range(EPISODES)
-    out, how = execute.folder(world_of(arguments.plain).split(".")[0]), execute.execution()
+    out = execute.folder(world_of(arguments.plain).split(".")[0])
     drivers = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust)
-    with execute.resumable(out):
-        results = carry_out(driver_evaluation(drivers, arguments, numbers), out, how)
-        if films:
-            from agents.reports.film import make_films  # ffmpeg and pygame are needed for films only
 
-            make_films(drivers, arguments, episodes.first, out, how)
-        if rerun:
-            from agents.reports.rerun_log import Drive, log_drives
+    def make_films(how: Execution) -> None:
+        from agents.reports import film  # ffmpeg and pygame are needed for films only
 
-            log_drives(rerun, episodes.first, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
-    for table in driver_tables(results):
-        print_table(table, how.console)
-    for line in kidnappings(results):
-        how.console.print(line)
-    from agents.reports.page import write_report  # matplotlib takes a second to import
+        film.make_films(drivers, arguments, episodes.first, out, how)
 
-    how.console.print(f"report: {write_report(out)}", soft_wrap=True)
+    evaluation = driver_evaluation(drivers, arguments, numbers)
+    execute.evaluate(evaluation, out, driver_tables, make_films if films else None)
+    if rerun:
+        from agents.reports.rerun_log import Drive, log_drives
+
+        log_drives(rerun, episodes.first, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
 
 
 app = command(main)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import gymnasium as gym
 from agents.drivers.base import Agent, is_learned, make_agent
 from agents.evaluation.associators import Metered, contenders, metered
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
-from agents.evaluation.pipeline import Evaluation
+from agents.evaluation.pipeline import Evaluation, Task
 from agents.evaluation.records import Key, Record
 
 
@@ -39,33 +39,18 @@ def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list
     return [Driver(name, file, trust) for name in names for file in (is_learned(name) and files) or [""]]
 
 
-@dataclass(frozen=True)
-class DriveTask:
-    """One drive through one world. Where an associator is evaluated, its decisions and its effort are recorded too."""
-
-    name: str  # of who is evaluated
-    setting: str
-    episode: int
-    driver: Driver
-    arguments: ExploreArguments
-    associator: str | None = None  # who is evaluated, in place of that of the arguments
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        return (Key(self.name, self.setting, self.episode, self.driver.model),)
-
-    def run(self, wanted: Sequence[Key]) -> list[Record]:
-        agent = _agent(self.driver)
-        env, meter = _loop(self.arguments, agent.action, self.associator)
-        if meter is None:
-            record = run_episode(env, agent, self.episode)
-        else:
-            meter.reset()
-            record = run_episode(env, agent, self.episode)
-            del record["curve"]
-            tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
-            record |= {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()
-        return [key._asdict() | record for key in wanted]
+def drive(driver: Driver, arguments: ExploreArguments, associator: str | None, wanted: Sequence[Key]) -> list[Record]:
+    """One drive through one world. An associator that is evaluated stands in for that of the arguments; its decisions
+    and its effort are recorded too."""
+    agent, (key,) = _agent(driver), wanted
+    env, meter = _loop(arguments, agent.action, associator)
+    if meter is None:
+        return [key._asdict() | run_episode(env, agent, key.episode)]
+    meter.reset()
+    record = run_episode(env, agent, key.episode)
+    del record["curve"]
+    tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
+    return [key._asdict() | record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
 
 
 # Agents and environments are kept for the next task of the same process.
@@ -87,7 +72,10 @@ def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, ep
         _warm_up(arguments.make(action), episodes[0])
     models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
     setting = world_of(arguments.plain)
-    tasks = [DriveTask(driver.agent, setting, k, driver, arguments) for k in episodes for driver in drivers]
+    tasks = [
+        Task((Key(driver.agent, setting, k, driver.model),), partial(drive, driver, arguments, None))
+        for k in episodes for driver in drivers
+    ]  # fmt: skip
     return Evaluation("drivers", tasks, arguments.plain, {"models": models})
 
 
@@ -131,7 +119,7 @@ def associator_evaluation(
     for loop in loops:
         _loop(loop, _agent(by).action, associators[0])
         tasks += [
-            DriveTask(name, loop.scenario, k, by, replace(loop, relocation=relocation), associator)
+            Task((Key(name, loop.scenario, k),), partial(drive, by, replace(loop, relocation=relocation), associator))
             for k in episodes for name, (associator, relocation) in who.items()
         ]  # fmt: skip
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}

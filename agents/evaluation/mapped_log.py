@@ -12,19 +12,17 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.associators import Metered, metered
+from agents.evaluation.associators import metered
 from agents.evaluation.records import Record, stem, written_whole
 from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose, inverse, transform
-from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.metrics.association import Identities
+from slam_gym.metrics.association import Identities, Tally
 from slam_gym.metrics.consistency import anees, pose_nees
 from slam_gym.metrics.map_quality import align_se2, ate, landmark_rmse
 from slam_gym.recordings.recording import Recording, interpolate, write_tum
@@ -32,78 +30,45 @@ from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, IntArray, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, Truth
 
 MAX_GAP = 1.0  # [s] between samples, over which poses are not interpolated
 REFERENCE_SIGMA = (0.005, 0.005, math.radians(0.5))  # [m, m, rad] of reference poses
-
-
-@dataclass(frozen=True)
-class MappedLog:
-    """What became of a log of T steps and M measurements, in B, the frame of the map."""
-
-    log: Recording
-    poses: Array  # (T, 3) [m, m, rad]
-    pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
-    step_seconds: Array  # (T,) of the whole step
-    ids: IntArray  # (M,) id of the feature that each measurement updated or started, NO_ID = neither
-    created: BoolArray  # (M,) it started it
-    map: StochasticMap  # in the end, with n features
-    identities: Identities  # what its features are
-    meter: Metered  # on the associator
-    in_world: bool  # B is the frame W of the reference: the log began where the reference does, heading and all
-
-    @property
-    def confirmed(self) -> BoolArray:
-        """(n,) features that have been seen often enough."""
-        return ~self.map.provisional
-
-    @property
-    def sources(self) -> IntArray:
-        """(n,) identity of each feature: that of the measurement which started it."""
-        return self.identities.source_of(self.map.ids)
-
-    @property
-    def sources_of_pairings(self) -> IntArray:
-        """(M,) identity of the feature that each measurement updated or started, UNPAIRED where it did neither."""
-        return np.where(self.ids == NO_ID, UNPAIRED, self.identities.source_of(np.maximum(self.ids, 0)))
-
-    @cached_property
-    def compared(self) -> Comparison:
-        """Poses against the reference, at the instants that both know: whichever has more samples while the log lasts
-        is interpolated at the other's."""
-        log, t, reference = self.log, self.log.reference_times, self.log.reference_poses
-        if len(t) == 0:
-            return Comparison(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
-        during = (t >= log.times[0]) & (t <= log.times[-1])
-        if during.sum() <= len(log):
-            rows = during & _close(log.times, t)
-            return Comparison(t[rows], interpolate(log.times, self.poses, t[rows]), reference[rows])
-        rows = _close(t, log.times)
-        return Comparison(log.times[rows], self.poses[rows], interpolate(t, reference, log.times[rows]))
 
 
 class Comparison(NamedTuple):
     """Poses of the map and of the reference at the same instants."""
 
     times: Array  # (k,) [s]
-    estimated: Array  # (k, 3) [m, m, rad] in B
-    reference: Array  # (k, 3) [m, m, rad] in W
+    estimated: Array  # (k, 3) [m, m, rad] in B, the frame of the map
+    reference: Array  # (k, 3) [m, m, rad] in W, the frame of the reference
 
     @property
     def alignment(self) -> Array:
         """(3,) the pose that moves the estimate rigidly onto the reference."""
         return align_se2(self.estimated[:, :2], self.reference[:, :2])
 
-    @property
-    def aligned(self) -> Array:
-        """(k, 2) [m] estimated positions, moved onto the reference."""
-        return transform(self.alignment, np.ascontiguousarray(self.estimated[:, :2]))
+    def frame(self) -> pd.DataFrame:
+        """A row an instant: time [s], estimated position moved onto the reference, reference, their distance [m]."""
+        x, y = transform(self.alignment, np.ascontiguousarray(self.estimated[:, :2])).T
+        at_x, at_y = self.reference[:, 0], self.reference[:, 1]
+        error = np.hypot(x - at_x, y - at_y)
+        columns = {"time": self.times, "x": x, "y": y, "reference_x": at_x, "reference_y": at_y, "error": error}
+        return pd.DataFrame(columns)
 
-    @property
-    def errors(self) -> Array:
-        """(k,) [m] distance of the aligned estimate from the reference."""
-        return np.hypot(*(self.aligned - self.reference[:, :2]).T)
+
+def compare(log: Recording, poses: Array) -> Comparison:
+    """Poses (T, 3) of a log's steps against its reference, at the instants that both know: whichever has more samples
+    while the log lasts is interpolated at the other's."""
+    t, reference = log.reference_times, log.reference_poses
+    if len(t) == 0:
+        return Comparison(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+    during = (t >= log.times[0]) & (t <= log.times[-1])
+    if during.sum() <= len(log):
+        rows = during & _close(log.times, t)
+        return Comparison(t[rows], interpolate(log.times, poses, t[rows]), reference[rows])
+    rows = _close(t, log.times)
+    return Comparison(log.times[rows], poses[rows], interpolate(t, reference, log.times[rows]))
 
 
 def _close(times: Array, at: Array) -> BoolArray:
@@ -113,6 +78,20 @@ def _close(times: Array, at: Array) -> BoolArray:
     before = np.where(times[after] == at, after, np.maximum(after - 1, 0))
     close: BoolArray = inside & (times[after] - times[before] <= MAX_GAP)
     return close
+
+
+@dataclass(frozen=True)
+class MappedLog:
+    """What became of a log of T steps and M measurements, in B, the frame of the map."""
+
+    log: Recording
+    poses: Array  # (T, 3) [m, m, rad]
+    pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
+    measurements: pd.DataFrame  # M rows: source; whether paired; source of the feature that it updated or started
+    features: pd.DataFrame  # of the map in the end, oldest first: the columns of its file but for the aligned position
+    tally: Tally
+    effort: Record  # of the associator, and of the steps
+    in_world: bool  # B is the frame W of the reference: the log began where the reference does, heading and all
 
 
 def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, relocation: str | None = None) -> MappedLog:
@@ -141,10 +120,27 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
         covariances.append(slam.map.pose_covariance)
         ids.append(step.ids)
         created.append(step.created)
+    feature, identities = np.concatenate(ids), judged.identities
+    measurements = pd.DataFrame({
+        "source": log.sources,
+        "paired": (feature != NO_ID) & ~np.concatenate(created),
+        "feature_source": np.where(feature == NO_ID, UNPAIRED, identities.source_of(np.maximum(feature, 0))),
+    })  # fmt: skip
+    effort = meter.effort() | {"seconds": sum(seconds), "step_microseconds": 1e6 * float(np.median(seconds))}
+    features, tally = _features(slam, identities), identities.total
     return MappedLog(
-        log, np.array(poses), np.array(covariances), np.array(seconds), np.concatenate(ids), np.concatenate(created),
-        slam.map, judged.identities, meter, start is not None,
-    )  # fmt: skip
+        log, np.array(poses), np.array(covariances), measurements, features, tally, effort, start is not None
+    )
+
+
+def _features(slam: Slam, identities: Identities) -> pd.DataFrame:
+    m = slam.map
+    variances = m.covariances.reshape(-1, 4)
+    return pd.DataFrame({
+        "id": m.ids, "identity": identities.source_of(m.ids), "confirmed": (~m.provisional).astype(int),
+        "seen": m.seen, "x": m.positions[:, 0], "y": m.positions[:, 1], "variance_x": variances[:, 0],
+        "covariance_xy": variances[:, 1], "variance_y": variances[:, 3], "size": m.sizes,
+    })  # fmt: skip
 
 
 def start_of(log: Recording) -> Array | None:
@@ -162,48 +158,47 @@ def measure(mapped: MappedLog) -> Record:
     """The numbers of a mapped log."""
     log = mapped.log
     about = {"steps": len(log), "measurements": len(log.points)}
-    return about | _associations(mapped) | _features(mapped) | _poses(mapped) | _landmarks(mapped) | _effort(mapped)
+    return about | _associations(mapped) | _confirmed(mapped) | _poses(mapped) | _landmarks(mapped) | mapped.effort
 
 
 def _associations(mapped: MappedLog) -> Record:
     """Over the measurements with an identity; what became of the spurious ones goes by itself."""
-    tally = mapped.identities.total
-    paired = tally.tp + tally.fp_wrong + tally.fp_duplicate
-    spurious = mapped.log.sources == SPURIOUS
-    accepted = spurious & (mapped.ids != NO_ID) & ~mapped.created
+    tally = mapped.tally
+    pairings = tally.tp + tally.fp_wrong + tally.fp_duplicate
+    spurious = mapped.measurements[mapped.measurements["source"] == SPURIOUS]
+    accepted = spurious[spurious["paired"]]
     return {
-        "precision": _ratio(tally.tp, paired),
+        "precision": tally.tp / pairings if pairings else math.nan,
         "recall": tally.recall,
-        "f1": _ratio(2 * tally.tp, paired + tally.in_map),
+        "f1": 2 * tally.tp / (pairings + tally.in_map) if pairings + tally.in_map else math.nan,
         "wrong": tally.fp_wrong,
-        "clutter": int(spurious.sum()),
-        "clutter_accepted": int(accepted.sum()),
-        "clutter_share": _ratio(int(accepted.sum()), int(spurious.sum())),
-        "clutter_on_landmarks": int((accepted & (mapped.sources_of_pairings >= 0)).sum()),
+        "clutter": len(spurious),
+        "clutter_accepted": len(accepted),
+        "clutter_share": float(spurious["paired"].mean()),
+        "clutter_on_landmarks": int((accepted["feature_source"] >= 0).sum()),
     }
 
 
-def _features(mapped: MappedLog) -> Record:
+def _confirmed(mapped: MappedLog) -> Record:
     """Of the confirmed features, by the identity of what started them."""
-    sources = mapped.sources[mapped.confirmed]
-    real = sources[sources >= 0]
-    found = len(np.unique(real))
+    identity = mapped.features.loc[mapped.features["confirmed"] > 0, "identity"]
+    found = identity[identity >= 0].nunique()
     return {
-        "features": len(sources),
+        "features": len(identity),
         "true_features": len(np.unique(mapped.log.sources[mapped.log.sources >= 0])),
         "found": found,
-        "duplicates": len(real) - found,
-        "clutter_features": int((sources == SPURIOUS).sum()),
-        "unlabelled_features": int((sources < SPURIOUS).sum()),
+        "duplicates": int((identity >= 0).sum()) - found,
+        "clutter_features": int((identity == SPURIOUS).sum()),
+        "unlabelled_features": int((identity < SPURIOUS).sum()),
     }
 
 
 def _poses(mapped: MappedLog) -> Record:
-    compared = mapped.compared
+    compared = compare(mapped.log, mapped.poses)
     known = mapped.in_world and len(compared.times) > 0
     return {
         "ate": ate(compared.estimated, compared.reference, aligned=True),
-        "ate_median": float(np.median(compared.errors)) if len(compared.times) else math.nan,
+        "ate_median": float(compared.frame()["error"].median()),
         "ate_unaligned": ate(compared.estimated, compared.reference) if known else math.nan,
         "anees": _anees(mapped) if known else math.nan,
     }
@@ -221,34 +216,15 @@ def _anees(mapped: MappedLog) -> float:
 
 def _landmarks(mapped: MappedLog) -> Record:
     """Of the landmarks whose place is known; of duplicates, the oldest is the one."""
-    log = mapped.log
-    place = {identity: k for k, identity in enumerate(log.landmark_ids.tolist())}
-    rows: dict[int, int] = {}
-    for row in np.flatnonzero(mapped.confirmed).tolist():
-        if (identity := int(mapped.sources[row])) in place:
-            rows.setdefault(identity, row)
-    estimated = mapped.map.positions[list(rows.values())]
-    true = log.landmarks[[place[identity] for identity in rows]]
+    places = pd.DataFrame(mapped.log.landmarks, mapped.log.landmark_ids, ["true_x", "true_y"])
+    confirmed = mapped.features[mapped.features["confirmed"] > 0].drop_duplicates("identity")
+    both = confirmed.merge(places, left_on="identity", right_index=True)
+    estimated, true = both[["x", "y"]].to_numpy(), both[["true_x", "true_y"]].to_numpy()
     return {
         "landmark_rmse": landmark_rmse(estimated, true, aligned=True),
         "landmark_rmse_unaligned": landmark_rmse(estimated, true) if mapped.in_world else math.nan,
-        "landmarks_compared": len(rows),
+        "landmarks_compared": len(both),
     }
-
-
-def _effort(mapped: MappedLog) -> Record:
-    searched = mapped.meter.effort()
-    return {
-        "seconds": float(mapped.step_seconds.sum()),
-        "step_microseconds": 1e6 * float(np.median(mapped.step_seconds)),
-        "microseconds": searched["microseconds"],
-        "nodes": searched["nodes"],
-        "limits": mapped.meter.limits,
-    }
-
-
-def _ratio(part: int, whole: int) -> float:
-    return part / whole if whole else math.nan
 
 
 # -- files -----------------------------------------------------------------------------------------------------------
@@ -256,32 +232,19 @@ def _ratio(part: int, whole: int) -> float:
 
 def write_mapped_log(folder: Path, associator: str, mapped: MappedLog) -> None:
     """All files of a log mapped with an associator."""
-    log = mapped.log
+    log, base = mapped.log, stem(mapped.log.name, associator)
     folder.mkdir(parents=True, exist_ok=True)
     known = np.isfinite(log.reference_poses[:, 2])
     if known.any():
         write_tum(folder / f"{stem(log.name)}.reference.tum", log.reference_times[known], log.reference_poses[known])
-    _write(folder / f"{stem(log.name)}.landmarks.csv", {"x": log.landmarks[:, 0], "y": log.landmarks[:, 1]})
-    base = stem(log.name, associator)
     write_tum(folder / f"{base}.tum", log.times, mapped.poses)
-    compared, m = mapped.compared, mapped.map
-    variances = m.covariances.reshape(-1, 4)
-    at, aligned_at = m.positions, transform(compared.alignment, m.positions)
-    features = {
-        "id": m.ids, "identity": mapped.sources, "confirmed": mapped.confirmed.astype(int), "seen": m.seen,
-        "x": at[:, 0], "y": at[:, 1], "aligned_x": aligned_at[:, 0], "aligned_y": aligned_at[:, 1],
-        "variance_x": variances[:, 0], "covariance_xy": variances[:, 1], "variance_y": variances[:, 3],
-        "size": m.sizes,
-    }  # fmt: skip
-    _write(folder / f"{base}.map.csv", features)
-    aligned, reference = compared.aligned, compared.reference
-    errors = {
-        "time": compared.times, "x": aligned[:, 0], "y": aligned[:, 1], "reference_x": reference[:, 0],
-        "reference_y": reference[:, 1], "error": compared.errors,
-    }  # fmt: skip
-    _write(folder / f"{base}.errors.csv", errors)
-
-
-def _write(path: Path, columns: dict[str, Array]) -> None:
-    with written_whole(path) as partial:
-        pd.DataFrame(columns).to_csv(partial, index=False, float_format="%.9g")
+    compared, features = compare(log, mapped.poses), mapped.features
+    aligned = transform(compared.alignment, np.ascontiguousarray(features[["x", "y"]].to_numpy()))
+    frames = {
+        f"{stem(log.name)}.landmarks.csv": pd.DataFrame(log.landmarks, columns=["x", "y"]),
+        f"{base}.map.csv": features.assign(aligned_x=aligned[:, 0], aligned_y=aligned[:, 1]),
+        f"{base}.errors.csv": compared.frame(),
+    }
+    for name, frame in frames.items():
+        with written_whole(folder / name) as partial:
+            frame.to_csv(partial, index=False, float_format="%.9g")

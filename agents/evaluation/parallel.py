@@ -40,13 +40,13 @@ def connect(backend: str, jobs: int) -> None:
 def run_all(calls: Sequence[Callable[[], Result]], jobs: int, backend: str = "loky") -> Iterator[Result]:
     """The results of calls that can be pickled, as they finish, in any order; each on one thread.
 
-    `ray` and `multiprocessing` do not hand on single results: these come in batches.
+    `ray` does not hand on single results: these come in batches.
     """
     tasks = [joblib.delayed(_on_one_thread)(call) for call in calls]
     # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     with joblib.parallel_config(backend=backend, n_jobs=jobs):
-        if backend in ("ray", "multiprocessing"):
+        if backend == "ray":
             for start in range(0, len(tasks), 4 * jobs):
                 yield from joblib.Parallel(batch_size=1)(tasks[start : start + 4 * jobs])
         else:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import pandas as pd
 from rich.console import Console
@@ -31,14 +31,11 @@ _TYPES = {
 }  # fmt: skip
 
 
-class Task(Protocol):
+class Task(NamedTuple):
     """A piece of work that yields one record for each of its keys."""
 
-    @property
-    def keys(self) -> tuple[Key, ...]: ...
-
-    def run(self, wanted: Sequence[Key]) -> list[Record]:
-        """The records of some of its keys, in whatever process this is."""
+    keys: tuple[Key, ...]
+    run: Callable[[Sequence[Key]], list[Record]]  # the records of some of its keys, in whatever process this is
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Annotated, Any
 
 import pandas as pd
+from typer import Option
 
 from agents.evaluation.associators import contenders
 from agents.evaluation.mapped_log import map_log, measure, write_mapped_log
-from agents.evaluation.pipeline import Evaluation, Results
+from agents.evaluation.pipeline import Evaluation, Results, Task
 from agents.evaluation.records import Key, Record
 from agents.evaluation.tables import Column, Table, by_setting
 from slam_gym.recordings.catalogue import open_recordings
@@ -21,7 +23,7 @@ from slam_gym.scenarios.registry import slam_for
 COLUMNS = (
     Column("precision", "prec.", 3, "higher"),
     Column("recall", "recall", 3, "higher"),
-    Column("f1", "F1", 3, "higher", optional=True),
+    Column("f1", "F1", 3, "higher"),
     Column("features", "feat.", 0),
     Column("duplicates", "dupl.", 0, "lower"),
     Column("clutter_features", "clut.", 0, "lower"),
@@ -29,7 +31,7 @@ COLUMNS = (
     Column("ate_unaligned", "ATE₀", 2, "lower"),
     Column("landmark_rmse", "lm.", 2, "lower"),
     Column("anees", "ANEES", 1),
-    Column("seconds", "s", 1, "lower", optional=True),
+    Column("seconds", "s", 1, "lower"),
 )
 FURTHER_COLUMNS = (
     Column("ate_median", "median error", 2, "lower"),
@@ -50,108 +52,84 @@ FOLDER = "runs"  # of trajectories and maps, within that of the evaluation
 
 
 @dataclass(frozen=True)
-class Log:
-    """Which log, and what is done to it before it is mapped."""
+class Recorded:
+    """What is done to a recording before it is mapped."""
 
-    recording: str  # a name or a file
-    data: str | None = None  # folder of the published files
-    robot: int | None = None  # of MR.CLAM
-    position: int = 0  # among the logs that the name stands for
-    reference: bool = False  # the vertices of a .g2o file are the truth
-    every: int = 1
-    merge: float = 0.0  # [m]
-    clean: bool = False  # spurious measurements are left out
-
-    def open(self) -> Recording:
-        """The log. Raises as `open_recordings`."""
-        return _opened(self)
-
-
-@functools.lru_cache(maxsize=5)
-def _opened(log: Log) -> Recording:
-    robots = None if log.robot is None else [log.robot]
-    recording = open_recordings(log.recording, log.data, robots, reference=log.reference)[log.position]
-    recording = recording.without_spurious() if log.clean else recording
-    recording = recording.merged(log.merge) if log.merge > 0.0 else recording
-    return recording.every(log.every) if log.every > 1 else recording
-
-
-def logs_of(template: Log, robots: Sequence[int] | None = None) -> dict[str, Log]:
-    """All logs that a recording's name stands for, or those of some robots, by their names. Raises as
-    `open_recordings`; ValueError for robots of another recording than mrclam."""
-    if robots and template.recording != "mrclam":
-        raise ValueError(f"--robots is for mrclam, not for {template.recording}")
-    found: dict[str, Log] = {}
-    for robot in robots or [None]:
-        wanted = None if robot is None else [robot]
-        opened = open_recordings(template.recording, template.data, wanted, reference=template.reference)
-        for position, recording in enumerate(opened):
-            found[recording.name] = replace(template, robot=robot, position=position)
-    return found
-
-
-@dataclass(frozen=True)
-class LogTask:
-    """One log with one associator."""
-
-    associator: str
-    log: Log
-    setting: str  # name of the log
-    relocation: str | None  # the search that finds a lost robot
-    name: str  # of the associator, with its relocation where there are several
-    folder: Path  # for trajectory and map
+    data: Annotated[Path | None, Option(help="Recording: its files, by default under SLAM_GYM_DATA.")] = None
+    robots: Annotated[list[int] | None, Option(help="Recording: of mrclam, by default all.")] = None
+    every: Annotated[int, Option(min=1, help="Recording: only each so many-th scan.")] = 1
+    merge: Annotated[float, Option(min=0.0, help="Recording: landmarks no farther apart [m] are one.")] = 0.0
+    clean: Annotated[bool, Option("--clean", help="Recording: leave out spurious measurements.")] = False
+    reference: Annotated[bool, Option("--reference", help="Recording: vertices of a .g2o are the truth.")] = False
 
     @property
-    def keys(self) -> tuple[Key, ...]:
-        return (Key(self.name, self.setting, 0),)
+    def conditions(self) -> dict[str, Any]:
+        """What may not change when an evaluation is resumed."""
+        return {name: getattr(self, name) for name in ("every", "merge", "clean", "reference")}
 
-    def run(self, wanted: Sequence[Key]) -> list[Record]:
-        log = self.log.open()
-        mapped = map_log(log, self.associator, slam_for(log), self.relocation)
-        write_mapped_log(self.folder, self.name, mapped)
-        return [key._asdict() | {"source": log.source} | measure(mapped) for key in wanted]
+    def logs(self, recording: str) -> list[Recording]:
+        """All logs that a recording's name stands for, as they are to be mapped.
+
+        Raises as `open_recordings`; ValueError for robots of another recording than mrclam.
+        """
+        if self.robots and recording != "mrclam":
+            raise ValueError(f"--robots is for mrclam, not for {recording}")
+        logs = open_recordings(recording, self.data, self.robots, reference=self.reference)
+        logs = [log.without_spurious() for log in logs] if self.clean else logs
+        logs = [log.merged(self.merge) for log in logs] if self.merge > 0.0 else logs
+        return [log.every(self.every) for log in logs] if self.every > 1 else logs
+
+
+def map_and_measure(
+    log: Recording, associator: str, relocation: str | None, folder: Path, wanted: Sequence[Key]
+) -> list[Record]:
+    """One log with one associator, and the search that finds a lost robot; trajectory and map go into a folder."""
+    mapped = map_log(log, associator, slam_for(log), relocation)
+    write_mapped_log(folder, wanted[0].name, mapped)
+    return [wanted[0]._asdict() | {"source": log.source} | measure(mapped)]
 
 
 def recording_evaluation(
-    associators: Sequence[str], logs: dict[str, Log], out: Path, relocations: Sequence[str | None]
+    associators: Sequence[str],
+    logs: Sequence[Recording],
+    conditions: dict[str, Any],
+    out: Path,
+    relocations: Sequence[str | None],
 ) -> Evaluation:
     """Every associator with every relocation on every log, checked; files go into a folder of `out`.
 
     ValueError for an associator or a relocator that nobody knows.
     """
     tasks = [
-        LogTask(associator, log, setting, relocation, name, out / FOLDER)
-        for setting, log in logs.items()
-        for name, (associator, relocation) in contenders(associators, relocations).items()
+        Task((Key(name, log.name, 0),), partial(map_and_measure, log, *searches, out / FOLDER))
+        for log in logs
+        for name, searches in contenders(associators, relocations).items()
     ]
-    first = asdict(next(iter(logs.values())))
-    conditions = {name: first[name] for name in ("recording", "every", "merge", "clean", "reference")}
-    conditions["relocation"] = list(relocations)
-    settings = {setting: asdict(slam_for(log.open())) for setting, log in logs.items()}
-    return Evaluation("recordings", tasks, conditions, {"settings": settings})
+    settings = {log.name: asdict(slam_for(log)) for log in logs}
+    return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, {"settings": settings})
 
 
 def means(frame: pd.DataFrame) -> pd.DataFrame:
     """Of each associator that was run over all logs, in the order of the frame; one row each."""
-    numbers = [column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]
     groups = frame.groupby("name", sort=False)
-    found = groups[numbers].mean()[groups["setting"].nunique() == frame["setting"].nunique()]
-    return found.reset_index()
+    found = groups[[column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]].mean()
+    return found[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
 
 
 def table(frame: pd.DataFrame, columns: Sequence[Column], title: str = "", caption: str = "") -> Table:
     """Of one log, or of the means, with the columns in which there is anything."""
-    rows = {str(row["name"]): {c.key: float(row[c.key]) for c in columns} for row in frame.to_dict("records")}
-    return Table(title, "associator", [c for c in columns if frame[c.key].notna().any()], rows, caption)
+    kept = [column for column in columns if frame[column.key].notna().any()]
+    rows = frame.set_index("name")[[column.key for column in kept]].astype(float).to_dict("index")
+    return Table(title, "associator", kept, rows, caption)
 
 
 def tables(results: Results) -> list[Table]:
     """One table a log, and that of their means where there are several."""
-    logs = by_setting(results.frame)
-    found = []
-    for setting, own in logs.items():
-        about = f"{setting}, {own['steps'].iloc[0]} scans, {own['true_features'].iloc[0]} labelled features"
-        found.append(table(own, COLUMNS, about))
-    if len(logs) > 1:
-        found.append(table(means(results.frame), COLUMNS, "mean"))
+    frames = {
+        f"{name}, {own['steps'].iloc[0]} scans, {own['true_features'].iloc[0]} labelled features": own
+        for name, own in by_setting(results.frame).items()
+    }
+    if len(frames) > 1:
+        frames["mean"] = means(results.frame)
+    found = [table(own, COLUMNS, title) for title, own in frames.items()]
     return [*found[:-1], replace(found[-1], caption=CAPTION)]

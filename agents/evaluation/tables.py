@@ -37,7 +37,6 @@ class Column:
     title: str
     digits: int
     better: str = ""  # "lower", "higher", or neither
-    optional: bool = False  # left out where the terminal is narrow
     rare: bool = False  # happens so seldom that it takes the mean: an interquartile mean does not see it
 
 
@@ -96,12 +95,12 @@ def estimates(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Value
 
 def by_name(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """The episodes of each agent or associator, in the order of the frame."""
-    return {str(name): own for name, own in frame.groupby("name", sort=False)}
+    return dict(iter(frame.groupby("name", sort=False)))
 
 
 def by_setting(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """The episodes of each scenario, level or log, in the order of the frame."""
-    return {str(name): own for name, own in frame.groupby("setting", sort=False)}
+    return dict(iter(frame.groupby("setting", sort=False)))
 
 
 def difference(
@@ -166,25 +165,18 @@ def cell(value: Value | None, digits: int, signed: bool = False) -> tuple[str, s
 
 
 def print_table(table: Table, console: Console) -> None:
-    """The table on the terminal, each interval under its estimate; without the optional columns where that is too wide,
-    and then in pieces, one below the other."""
-    columns = list(table.columns)
-    if not _fits(table, columns, console):
-        columns = [column for column in columns if not column.optional]
+    """The table on the terminal, each interval under its estimate; where that is too wide, in pieces, one below the
+    other."""
     console.print(table.title, style="bold", markup=False, highlight=False, soft_wrap=True)
+    unlimited, columns = console.options.update(max_width=10_000), list(table.columns)
     while columns:
-        count = len(columns)
-        while count > 1 and not _fits(table, columns[:count], console):
-            count -= 1
-        console.print(_terminal_table(table, columns[:count]))
-        columns = columns[count:]
+        pieces = [_terminal_table(table, columns[:count]) for count in range(len(columns), 0, -1)]
+        fitting = [piece for piece in pieces if Measurement.get(console, unlimited, piece).maximum <= console.width]
+        piece = (fitting or pieces[-1:])[0]
+        console.print(piece)
+        columns = columns[len(piece.columns) - 1 :]
     if table.caption:
         console.print(table.caption, style="dim", markup=False, highlight=False)
-
-
-def _fits(table: Table, columns: Sequence[Column], console: Console) -> bool:
-    unlimited = console.options.update(max_width=10_000)
-    return Measurement.get(console, unlimited, _terminal_table(table, columns)).maximum <= console.width
 
 
 def _terminal_table(table: Table, columns: Sequence[Column]) -> RichTable:
@@ -193,11 +185,10 @@ def _terminal_table(table: Table, columns: Sequence[Column]) -> RichTable:
     for column in columns:
         shown.add_column(Text(column.title), justify="right", no_wrap=True)
     for name, row in table.rows.items():
-        cells = [cell(row.get(column.key), column.digits, table.differences) for column in columns]
-        shown.add_row(Text(display_name(name)), *(_two_lines(*both) for both in cells))
+        cells = []
+        for column in columns:
+            value, interval = cell(row.get(column.key), column.digits, table.differences)
+            low, _, high = interval.partition(", ")
+            cells.append(Text(value) if low == high else Text.assemble(value, "\n", (f"{low}–{high}", "dim")))
+        shown.add_row(Text(display_name(name)), *cells)
     return shown
-
-
-def _two_lines(value: str, interval: str) -> Text:
-    low, _, high = interval.partition(", ")
-    return Text(value) if low == high else Text.assemble(value, "\n", (f"{low}–{high}", "dim"))

@@ -10,17 +10,16 @@ import functools
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 
 from agents.drivers.base import Agent, make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.evaluation.pipeline import Evaluation
+from agents.evaluation.pipeline import Evaluation, Task
 from agents.evaluation.records import Key, Record
 from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
-from agents.suite.worlds import WorldTask
+from agents.suite.worlds import associate, relocate
 from slam_gym.association import ASSOCIATORS
 from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
@@ -82,39 +81,23 @@ def column_of(setting: str) -> str:
     return setting.partition("/")[0]
 
 
-@dataclass(frozen=True)
-class EntryTask:
-    """One world of one setting."""
-
-    entry: str
-    role: Role
-    setting: str
-    world: int
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        return (Key(self.entry, self.setting, self.world),)
-
-    def run(self, wanted: Sequence[Key]) -> list[Record]:
-        """The record of the world: its loss, and how the entry failed if it did."""
-        record: Record = self.keys[0]._asdict()
-        try:
-            loss = self._suite() if "/" in self.setting else self._drive()
-        except EntryError as error:
-            return [record | {"loss": LOST, "failed": str(error)}]
-        return [record | {"loss": loss}]
-
-    def _drive(self) -> float:
-        agent, env = _loop(self.entry, self.role, self.setting)
-        return float(run_episode(env, agent, self.world)["map_error"])
-
-    def _suite(self) -> float:
-        task = WorldTask(self.setting, self.world, (self.entry,), PROBLEMS, SPLIT)
-        if self.role == "relocator":
-            found = task.relocate({self.entry: EntryRelocator(process(self.role, self.entry))})
+def lose(entry: str, role: Role, wanted: Sequence[Key]) -> list[Record]:
+    """The record of one world of one setting: what the entry loses there, and how it failed if it did."""
+    (key,) = wanted
+    try:
+        if "/" not in key.setting:
+            agent, env = _loop(entry, role, key.setting)
+            loss = float(run_episode(env, agent, key.episode)["map_error"])
+        elif role == "relocator":
+            search = {entry: EntryRelocator(process(role, entry))}
+            loss = 1.0 - relocate(key.setting, key.episode, search, PROBLEMS, SPLIT)[entry]["score"]
         else:
-            found = task.associate({self.entry: _associator(self.entry)})
-        return 1.0 - float(found[self.entry]["score"])
+            loss = (
+                1.0 - associate(key.setting, key.episode, {entry: _associator(entry)}, PROBLEMS, SPLIT)[entry]["score"]
+            )
+    except EntryError as error:
+        return [key._asdict() | {"loss": LOST, "failed": str(error)}]
+    return [key._asdict() | {"loss": loss}]
 
 
 @functools.lru_cache(maxsize=4)
@@ -142,6 +125,6 @@ def _loop(name: str, role: Role, scenario: str) -> tuple[Agent, gym.Env[Any, Any
 
 def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:
     """An entry through the protocol."""
-    worlds = [(setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)]
-    tasks = [EntryTask(name, chosen.role, *world) for world in worlds]
+    keys = [Key(name, setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)]
+    tasks = [Task((key,), functools.partial(lose, name, chosen.role)) for key in keys]
     return Evaluation("leaderboard", tasks, {"entry": name} | chosen.about)

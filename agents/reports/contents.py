@@ -10,13 +10,14 @@ import numpy as np
 import pandas as pd
 
 from agents.evaluation import recordings
-from agents.evaluation.drive_tables import driver_tables, headline, kidnappings, scenario_tables
+from agents.evaluation.drive_tables import driver_tables, headline, scenario_tables
 from agents.evaluation.drives import world_of
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import stem, written_whole
 from agents.evaluation.tables import (
     Column,
+    Rows,
     Table,
     Value,
     by_name,
@@ -31,14 +32,13 @@ from agents.reports.figures import Colours, Panel, colours
 from agents.reports.film import film_path
 from agents.suite import numbers as suite
 from agents.suite.reliability import reliability, reliability_tables
-from slam_gym.metrics.statistics import Interval
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 
 Content = dict[str, Any]
 """What a template is filled with."""
 
 
-# -- drivers -----------------------------------------------------------------------------------------------------------
+# -- drives ------------------------------------------------------------------------------------------------------------
 
 
 def of_drivers(results: Results, folder: Path) -> Content:
@@ -47,40 +47,33 @@ def of_drivers(results: Results, folder: Path) -> Content:
     panels = (Panel("map_error", "map error (lower is better)"), Panel("coverage", "coverage", "percent"))
     associator = conditions["associator"] or "of the scenario"
     count = counted(results.frame["episode"].nunique(), "episode")
+    columns = [Column(name, display_name(name), 3) for name in groups]
+    rows: Rows = {
+        name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
+        for name, own in groups.items()
+    }
     return {
         "title": f"Exploring {world_of(conditions)}",
         "subtitle": f"slam_gym/Explore-v0, associator {associator}, {count} per agent on the same "
         f"{conditions['split']} worlds and seeds",
         "tables": driver_tables(results),
-        "kidnappings": kidnappings(results),
         "lost_means": LOST_MEANS,
         "dots": figures.dot_chart(groups, panels, colours(results.names)),
         "curves": figures.curve_chart(groups, panels, colours(results.names)),
-        "comparison": _agent_against_agent(groups),
-        "films": [_film(results.frame, agent, film_path(folder, agent)) for agent in _filmed(folder, groups)],
+        "comparison": Table("", "map error of … minus that of", columns, rows, differences=True),
+        "films": _films(groups, folder),
     }
 
 
-def _agent_against_agent(groups: Mapping[str, pd.DataFrame]) -> Table:
-    """Differences of map error on the same episodes: what the common seeds are for."""
-    rows = {
-        name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
-        for name, own in groups.items()
-    }
-    columns = [Column(name, display_name(name), 3) for name in groups]
-    return Table("", "map error of … minus that of", columns, rows, differences=True)
-
-
-def _filmed(folder: Path, groups: Mapping[str, pd.DataFrame]) -> list[str]:
-    return [agent for agent in groups if film_path(folder, agent).with_suffix(".png").exists()]
-
-
-def _film(frame: pd.DataFrame, agent: str, film: Path) -> Content:
-    first = frame[(frame["name"] == agent) & (frame["episode"] == frame["episode"].min())]
-    return {"agent": agent, "picture": film.with_suffix(".png"), "file": film.name, "error": first["map_error"].iloc[0]}
-
-
-# -- associators -------------------------------------------------------------------------------------------------------
+def _films(groups: Mapping[str, pd.DataFrame], folder: Path) -> list[Content]:
+    """Of each agent that was filmed, in its first episode: the last picture, the film, and the error of the map."""
+    found = []
+    for agent, own in groups.items():
+        film = film_path(folder, agent)
+        if (picture := film.with_suffix(".png")).exists():
+            error = own.loc[own["episode"].idxmin(), "map_error"]
+            found.append({"agent": agent, "picture": picture, "file": film.name, "error": error})
+    return found
 
 
 def of_associators(results: Results, folder: Path) -> Content:
@@ -93,17 +86,18 @@ def of_associators(results: Results, folder: Path) -> Content:
         Panel("microseconds", "µs/scan", "log"),
     )
     scenarios = [
-        {
-            "name": name,
-            "table": table,
-            "limits": _limits_met(own),
-            "dots": figures.dot_chart(by_name(own), panels, colour),
-        }
+        {"name": name, "table": table, "dots": figures.dot_chart(by_name(own), panels, colour)}
         for (name, own), table in zip(by_setting(results.frame).items(), scenario_tables(results))
     ]
     searches = " and ".join(name or "none" for name in conditions["relocation"])
     count = counted(results.frame["episode"].nunique(), "episode")
     reference = "jcbb" if "jcbb" in groups else next(iter(groups))
+    columns = (Column("f1", "F1", 3), Column("exact", "exact", 3), Column("map_error", "map error", 3))
+    rows: Rows = {
+        name: {column.key: difference(own, groups[reference], column.key) for column in columns}
+        for name, own in groups.items()
+        if name != reference
+    }
     return {
         "title": "Associators in the loop",
         "subtitle": f"slam_gym/Explore-v0, driven by {conditions['driver']}, relocation {searches}: {count} a "
@@ -112,25 +106,8 @@ def of_associators(results: Results, folder: Path) -> Content:
         "scenarios": scenarios,
         "carried": bool(results.frame["kidnapped"].any()),
         "reference": reference,
-        "comparison": _against(groups, reference),
+        "comparison": Table("", f"… minus {display_name(reference)}", columns, rows, differences=True),
     }
-
-
-def _limits_met(frame: pd.DataFrame) -> str:
-    """Whose search was cut short, and how often."""
-    limits = {name: own["limits"].sum() for name, own in by_name(frame).items()}
-    return ", ".join(f"{display_name(name)} in {count:.0f} scans" for name, count in limits.items() if count > 0)
-
-
-def _against(groups: Mapping[str, pd.DataFrame], reference: str) -> Table:
-    """Differences to one of them on the same episodes: what the common seeds are for."""
-    columns = (Column("f1", "F1", 3), Column("exact", "exact", 3), Column("map_error", "map error", 3))
-    rows = {
-        name: {c.key: difference(own, groups[reference], c.key) for c in columns}
-        for name, own in groups.items()
-        if name != reference
-    }
-    return Table("", f"… minus {display_name(reference)}", columns, rows, differences=True)
 
 
 # -- the suite ---------------------------------------------------------------------------------------------------------
@@ -146,12 +123,14 @@ def of_suite(results: Results, folder: Path) -> Content:
     """The numbers, who is ahead of whom, and a plot per capability; suite.png is written into `folder`."""
     size, frame, colour = results.conditions, results.frame, colours(results.names)
     association, relocation = suite.by_role(frame)
+    bins = reliability(association)
     return {
         "title": "The association suite",
         "subtitle": f"{size['worlds']} {size['split']} worlds a level, up to {size['problems']} scans in each, the "
         "same for all: single scans against real SLAM maps",
         "capabilities": _capabilities(association, folder, colour) if len(association) else None,
-        "reliability": _reliability(association, colour) if len(association) else None,
+        "reliability": figures.reliability_chart(bins, colour) if bins else None,
+        "reliability_tables": reliability_tables(association),
         "experiments": [_experiment(association, name, colour) for name in suite.experiments(association)],
         "relocation": _relocation(relocation, colour) if len(relocation) else None,
     }
@@ -172,12 +151,6 @@ def _capabilities(frame: pd.DataFrame, folder: Path, colour: Colours) -> Content
     }
 
 
-def _reliability(frame: pd.DataFrame, colour: Colours) -> Content | None:
-    """For those who say how probable their decisions are: whether that comes true."""
-    bins = reliability(frame)
-    return {"chart": figures.reliability_chart(bins, colour), "tables": reliability_tables(frame)} if bins else None
-
-
 def _experiment(frame: pd.DataFrame, name: str, colour: Colours) -> Content:
     """One capability: the question, the score level by level, and what is behind it."""
     own = frame[frame["experiment"] == name]
@@ -185,28 +158,21 @@ def _experiment(frame: pd.DataFrame, name: str, colour: Colours) -> Content:
     rows = {
         who: {c.key: details[c.key][who]["all"] for c in _DETAILS} | _effort(own, who) for who in suite.ranked(frame)
     }
-    chart = figures.level_chart(_by_level(own, list(rows)), EXPERIMENTS[name].axis, colour)
-    table = Table("", "associator", (*_DETAILS, *_EFFORT), rows)
-    return {"experiment": EXPERIMENTS[name], "chart": chart, "table": table}
+    return _sweep(own, name, Table("", "associator", (*_DETAILS, *_EFFORT), rows), colour)
 
 
 def _relocation(frame: pd.DataFrame, colour: Colours) -> Content:
     """Searches without a prior: their numbers, level by level, and what their answers were."""
-    outcomes = suite.relocation_rows(frame)
-    rows = {name: row | _effort(frame, name) for name, row in outcomes.items()}
-    experiment = EXPERIMENTS[RELOCATION]
-    return {
-        "experiment": experiment,
-        "table": Table("", "search", (*suite.RELOCATION_COLUMNS, *_EFFORT), rows),
-        "chart": figures.level_chart(_by_level(frame, list(rows)), experiment.axis, colour),
-        "outcomes": figures.outcome_bars(outcomes),
-    }
+    rows = {name: row | _effort(frame, name) for name, row in suite.relocation_rows(frame).items()}
+    return _sweep(frame, RELOCATION, Table("", "search", (*suite.RELOCATION_COLUMNS, *_EFFORT), rows), colour)
 
 
-def _by_level(frame: pd.DataFrame, names: list[str]) -> dict[str, dict[float, Interval]]:
-    """Name → knob → score."""
-    groups = {name: frame[frame["name"] == name].groupby("knob", sort=False)["score"] for name in names}
-    return {name: {float(knob): estimate(own) for knob, own in group} for name, group in groups.items()}
+def _sweep(frame: pd.DataFrame, name: str, table: Table, colour: Colours) -> Content:
+    """An experiment, its table, and the score of each name of the table at each level."""
+    groups = {who: frame[frame["name"] == who].groupby("knob", sort=False)["score"] for who in table.rows}
+    curves = {who: {float(knob): estimate(own) for knob, own in group} for who, group in groups.items()}
+    experiment = EXPERIMENTS[name]
+    return {"experiment": experiment, "table": table, "chart": figures.level_chart(curves, experiment.axis, colour)}
 
 
 def _effort(frame: pd.DataFrame, name: str) -> dict[str, Value]:

@@ -127,8 +127,6 @@ def curve_chart(groups: Mapping[str, pd.DataFrame], panels: Sequence[Panel], col
 
 # -- the suite ---------------------------------------------------------------------------------------------------------
 
-_OUTCOMES = {"correct": "#3f9b7b", "silent": "#d5dbe2", "wrong": "#b0413e", "refused": "#3f9b7b", "invented": "#b0413e"}
-
 
 def capability_bars(scores: Rows, colour: Colours) -> Figure:
     """One group of bars per capability, one bar per name with its interval; the ceiling, near 1, is left out."""
@@ -185,30 +183,6 @@ def reliability_chart(found: Mapping[str, pd.DataFrame], colour: Colours) -> Fig
 def _log_odds(p: Array) -> Array:
     kept = np.clip(p, 1e-4, 1.0 - 1e-4)
     return np.log(kept / (1.0 - kept))
-
-
-def outcome_bars(rows: Rows) -> Figure:
-    """What became of kidnappings inside and outside the map, as fractions."""
-    figure = _figure(1.5 + 0.4 * len(rows))
-    axes = figure.subplots(1, 2, sharey=True)
-    sides = (("inside the map", ("correct", "silent", "wrong")), ("in another building", ("refused", "invented")))
-    for axis, (title, outcomes) in zip(axes, sides):
-        counts = np.array([[row[outcome] for outcome in outcomes] for row in rows.values()], dtype=float)
-        fractions = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
-        left = np.zeros(len(rows))
-        for outcome, fraction in zip(outcomes, fractions.T):
-            bars = axis.barh(range(len(rows)), fraction, left=left, height=0.62, color=_OUTCOMES[outcome])
-            texts = [f"{outcome} {f:.0%}" if f > 0.12 else "" for f in fraction]
-            axis.bar_label(bars, texts, label_type="center", color=INK if outcome == "silent" else "white", fontsize=8)
-            left += fraction
-        axis.set_title(title, fontsize=10, loc="left")
-        axis.set_xlim(0.0, 1.0)
-        axis.grid(visible=False)
-        axis.set_xticks([])
-        axis.spines[["left", "bottom"]].set_visible(False)
-        axis.tick_params(axis="y", length=0)
-    _name_rows(axes[0], list(rows))
-    return figure
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------

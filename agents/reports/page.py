@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator, Mapping
+import json
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
@@ -42,37 +41,11 @@ def write_report(folder: Path) -> Path:
             CONTENTS[results.kind](results, folder),
             colours=colours(results.names),
             complete=results.metadata["complete"],
-            provenance=provenance(results.metadata),
+            split=results.conditions.get("split"),
+            provenance=json.dumps(results.metadata, indent=1, ensure_ascii=False),
         )
     write_whole(folder / "report.html", page)
     return folder / "report.html"
-
-
-def provenance(metadata: Mapping[str, Any]) -> str:
-    """Commands, conditions, models and versions, as text."""
-    commands = [f"{c['command']}    # {c['started']}, {c.get('seconds', '?')} s" for c in metadata["commands"]]
-    episodes, split = metadata["evaluated"]["episodes"], metadata["conditions"].get("split")
-    seeds = f"episode k: reset(seed=k, options={{'world': k}}) of the {split} split, k = {episodes[0]} … {episodes[-1]}"
-    models = [
-        f"{Path(path).name}: sha256 {about['sha256']}, {_facts(about.get('training', {}))}"
-        for path, about in metadata.get("models", {}).items()
-    ]
-    facts = [_facts(metadata["conditions"]), seeds if split else "", *models, _facts(metadata["versions"])]
-    return "\n\n".join(filter(None, ["\n".join(commands), *facts]))
-
-
-def _facts(facts: Mapping[str, Any]) -> str:
-    """Whatever was left at its default, None or empty, is not worth a word."""
-    return ", ".join(f"{name} {value}" for name, value in _flat(facts, "") if value not in (None, [], False))
-
-
-def _flat(facts: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Names and values; those of fields within fields are dotted."""
-    for name, value in facts.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def data_url(picture: Figure | Path) -> str:

@@ -7,11 +7,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import numpy as np
+from typer import Option
 
 from agents.evaluation.associators import Metered, find_associator
-from agents.evaluation.pipeline import Evaluation
+from agents.evaluation.pipeline import Evaluation, Task
 from agents.evaluation.records import Key, Record
 from agents.suite.problems import (
     OUTCOMES,
@@ -24,70 +26,88 @@ from agents.suite.problems import (
     relocation_problems,
 )
 from agents.suite.reliability import binned, promised
-from slam_gym.association import resolve_relocator
+from slam_gym.association import RELOCATORS, resolve_relocator
 from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.types import Hypothesis, IntArray, Relocator
 from slam_gym.validation import one_of
 
-
-@dataclass(frozen=True)
-class SuiteSize:
-    """How much of the suite is run."""
-
-    worlds: int = 24  # a level
-    problems: int = 12  # a world, at most
-    quick: bool = False  # every second level is left out
-    split: str = "test"
+WORLDS, PROBLEMS = 24, 12  # of a level; of a world, at most
+QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
+Names = list[str] | None
 
 
 @dataclass(frozen=True)
-class WorldTask:
-    """One world of one level, and who is asked about it: associators, or relocators where it is about relocation."""
+class Suite:
+    """How much of the association suite is run."""
 
-    setting: str  # id of the level
-    episode: int  # number of the world
-    names: tuple[str, ...]
-    problems: int
-    split: str = "test"
+    quick: Annotated[bool, Option("--quick", help="Suite: every second level, few worlds.")] = False
+    experiments: Annotated[Names, Option(help=f"Suite: of {', '.join(EXPERIMENTS)}; by default all.")] = None
+    relocators: Annotated[Names, Option(help="Suite: whom kidnapped asks; by default all that ship.")] = None
+    worlds: Annotated[int | None, Option(min=1, help=f"Suite: of a level; by default {WORLDS}.")] = None
+    problems: Annotated[int | None, Option(min=1, help=f"Suite: of a world; by default {PROBLEMS}.")] = None
 
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        return tuple(Key(name, self.setting, self.episode) for name in self.names)
+    def evaluation(self, associators: Sequence[str], split: str) -> Evaluation:
+        """Everybody asked about every level, checked. ValueError for names that nobody knows."""
+        worlds = self.worlds or (QUICK_WORLDS if self.quick else WORLDS)
+        count = self.problems or (QUICK_PROBLEMS if self.quick else PROBLEMS)
+        relocators = self.relocators or list(RELOCATORS)
+        for name in associators:
+            find_associator(name)
+        for name in relocators:
+            resolve_relocator(name)
+        tasks = []
+        for name in dict.fromkeys(self.experiments or EXPERIMENTS):
+            one_of("experiment", name, EXPERIMENTS)
+            for level in EXPERIMENTS[name].levels[:: 2 if self.quick else 1]:
+                for world in range(worlds):
+                    names = relocators if name == RELOCATION else associators
+                    keys = tuple(Key(who, level.id, world) for who in names)
+                    tasks.append(Task(keys, partial(ask_all, count, split)))
+        size = {"worlds": worlds, "problems": count, "quick": self.quick, "split": split}
+        return Evaluation("suite", tasks, size)
 
-    def run(self, wanted: Sequence[Key]) -> list[Record]:
-        level, names = get_level(self.setting), [key.name for key in wanted]
-        if level.experiment == RELOCATION:
-            found = self.relocate({name: resolve_relocator(name) for name in names})
-        else:
-            found = self.associate({name: find_associator(name) for name in names})
-        about = {"experiment": level.experiment, "knob": level.knob}
-        return [key._asdict() | about | found[key.name] for key in wanted]
 
-    def associate(self, associators: Mapping[str, Associator]) -> dict[str, Record]:
-        """What associators make of the problems of the world, by their names."""
-        meters = {name: Metered(partial(ask, name, associate)) for name, associate in associators.items()}
-        answers: dict[str, list[Hypothesis]] = {name: [] for name in associators}
-        right: list[IntArray] = []
-        for problem in problems(TwoLaps(get_level(self.setting), self.episode, self.split), self.problems):
-            right.append(problem.truth.right)
-            for name, meter in meters.items():
-                answers[name].append(meter(problem))
-        return {
-            name: association_record([judge(h.features, r) for h, r in zip(own, right)])
-            | meters[name].effort() | {"reliability": binned(own, right)} | promised(own, right)
-            for name, own in answers.items()
-        }  # fmt: skip
+def ask_all(count: int, split: str, wanted: Sequence[Key]) -> list[Record]:
+    """What those who are wanted make of one world of one level: relocators where it is about relocation."""
+    level, world, names = get_level(wanted[0].setting), wanted[0].episode, [key.name for key in wanted]
+    if level.experiment == RELOCATION:
+        found = relocate(level.id, world, {name: resolve_relocator(name) for name in names}, count, split)
+    else:
+        found = associate(level.id, world, {name: find_associator(name) for name in names}, count, split)
+    about = {"experiment": level.experiment, "knob": level.knob}
+    return [key._asdict() | about | found[key.name] for key in wanted]
 
-    def relocate(self, searches: Mapping[str, Relocator]) -> dict[str, Record]:
-        """What relocators make of the problems of the world, by their names."""
-        meters = {name: Metered(search) for name, search in searches.items()}
-        outcomes: dict[str, Counter[str]] = {name: Counter() for name in searches}
-        for problem in relocation_problems(get_level(self.setting), self.episode, self.problems, self.split):
-            for name, meter in meters.items():
-                found = meter(problem.scan, problem.landmarks, problem.locality)
-                outcomes[name][judge_relocation(found, problem.pose)] += 1
-        return {name: relocation_record(outcomes[name]) | meters[name].effort() for name in searches}
+
+def associate(
+    level: str, world: int, associators: Mapping[str, Associator], count: int, split: str = "test"
+) -> dict[str, Record]:
+    """What associators make of up to `count` problems of a world, by their names."""
+    meters = {name: Metered(partial(ask, name, associate)) for name, associate in associators.items()}
+    answers: dict[str, list[Hypothesis]] = {name: [] for name in associators}
+    right: list[IntArray] = []
+    for problem in problems(TwoLaps(get_level(level), world, split), count):
+        right.append(problem.truth.right)
+        for name, meter in meters.items():
+            answers[name].append(meter(problem))
+    return {
+        name: association_record([judge(h.features, r) for h, r in zip(own, right)])
+        | meters[name].effort() | {"reliability": binned(own, right)} | promised(own, right)
+        for name, own in answers.items()
+    }  # fmt: skip
+
+
+def relocate(
+    level: str, world: int, searches: Mapping[str, Relocator], count: int, split: str = "test"
+) -> dict[str, Record]:
+    """What relocators make of up to `count` problems of a world, by their names."""
+    meters = {name: Metered(search) for name, search in searches.items()}
+    outcomes: dict[str, Counter[str]] = {name: Counter() for name in searches}
+    for problem in relocation_problems(get_level(level), world, count, split):
+        for name, meter in meters.items():
+            found = meter(problem.scan, problem.landmarks, problem.locality)
+            outcomes[name][judge_relocation(found, problem.pose)] += 1
+    return {name: relocation_record(outcomes[name]) | meters[name].effort() for name in searches}
 
 
 def association_record(judged: Sequence[Judgement]) -> Record:
@@ -119,22 +139,3 @@ def relocation_record(counts: Counter[str]) -> Record:
     gain = max(0, counts["correct"] - counts["wrong"]) / inside if known else math.nan
     score = gain * counts["refused"] / outside if known else math.nan
     return {"problems": inside + outside, "score": score, **{name: counts[name] for name in OUTCOMES}}
-
-
-def suite_evaluation(
-    associators: Sequence[str], relocators: Sequence[str], experiments: Sequence[str], size: SuiteSize
-) -> Evaluation:
-    """Everybody asked about every level, checked. ValueError for names that nobody knows."""
-    for name in associators:
-        find_associator(name)
-    for name in relocators:
-        resolve_relocator(name)
-    tasks = []
-    for name in experiments:
-        one_of("experiment", name, EXPERIMENTS)
-    for experiment in (EXPERIMENTS[name] for name in experiments):
-        names = tuple(relocators if experiment.name == RELOCATION else associators)
-        for level in experiment.levels[:: 2 if size.quick else 1]:
-            worlds = range(size.worlds if names else 0)
-            tasks += [WorldTask(level.id, k, names, size.problems, size.split) for k in worlds]
-    return Evaluation("suite", tasks, vars(size))

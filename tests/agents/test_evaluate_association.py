@@ -41,7 +41,7 @@ def test_the_command_of_the_suite(tmp_path):
     result = typed(app, *line, "--jobs", 1, "--out", out)
     assert result.exit_code == 0, result.output
     page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
-    assert len(page.pictures) == 5 and (out / "suite.png").read_bytes().startswith(PNG)
+    assert len(page.pictures) == 4 and (out / "suite.png").read_bytes().startswith(PNG)
     for expected in ("Capabilities", "Ahead of the next", "reliability of marginal", "Kidnapped"):
         assert expected in page.text
     assert frame["score"].between(0.0, 1.0).all()

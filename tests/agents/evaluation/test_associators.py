@@ -94,9 +94,9 @@ def test_relocations_are_compared_under_names_of_their_own():
     evaluation = associator_evaluation(["jcbb", "true_association"], [SMALL], "random", range(2), [None, "gcbb"])
     names = ["jcbb", "jcbb + gcbb", "true_association", "true_association + gcbb"]
     assert [task.keys[0].name for task in evaluation.tasks] == 2 * names
-    assert [task.arguments.relocation for task in evaluation.tasks[:4]] == [None, "gcbb"] * 2
+    assert [task.run.args[1].relocation for task in evaluation.tasks[:4]] == [None, "gcbb"] * 2
     one = associator_evaluation(["jcbb"], [SMALL], "random", range(1), ["gcbb"])
-    assert one.tasks[0].keys[0].name == "jcbb" and one.tasks[0].arguments.relocation == "gcbb"
+    assert one.tasks[0].keys[0].name == "jcbb" and one.tasks[0].run.args[1].relocation == "gcbb"
 
 
 # -- the headline ------------------------------------------------------------------------------------------------------

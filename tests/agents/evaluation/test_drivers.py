@@ -2,14 +2,13 @@
 
 import json
 
-import pandas as pd
 import pytest
 from rich.console import Console
 
-from agents.evaluation.drive_tables import driver_tables, kidnappings
+from agents.evaluation.drive_tables import driver_tables
 from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Execution, Results, carry_out
+from agents.evaluation.pipeline import Execution, carry_out
 from slam_gym.metrics.statistics import interquartile_mean
 
 
@@ -40,12 +39,9 @@ def test_a_model_alone_adds_the_learned_agent():
     assert drivers_of(["random", "random"], [], False) == [Driver("random")]
 
 
-def test_what_became_of_robots_that_were_carried_away():
-    carried = {"name": "random", "kidnapped": 1.0, "relocations_wrong": 2.0}
-    episodes = [
-        carried | {"recovered": 1.0, "ticks_astray": 30.0},
-        carried | {"recovered": 0.0, "ticks_astray": 400.0},
-        {"name": "lawnmower", "kidnapped": 0.0},
-    ]
-    (line,) = kidnappings(Results({}, pd.DataFrame(episodes)))
-    assert line.startswith("random: carried away 2, recovered 1, never 1, wrong relocations 4; ticks astray 30")
+def test_what_became_of_robots_that_were_carried_away(finished):
+    (table,) = driver_tables(finished)
+    carried = finished.frame.assign(kidnapped=1.0, recovered=1.0, ticks_astray=30.0)
+    (further,) = driver_tables(finished._replace(frame=carried))
+    assert [c.title for c in further.columns[len(table.columns) :]] == ["recovered", "wrong reloc.", "ticks astray"]
+    assert further.rows["random"]["ticks_astray"].estimate == 30.0

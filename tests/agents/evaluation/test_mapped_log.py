@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.mapped_log import map_log, measure, start_of, write_mapped_log
+from agents.evaluation.mapped_log import compare, map_log, measure, start_of, write_mapped_log
 from slam_gym.metrics.map_quality import ate
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import MRCLAM, VICTORIA_PARK
-from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED
+from slam_gym.types import SPURIOUS, UNLABELLED
 from tests.agents.evaluation import SPEC, posts_log
 
 
@@ -35,7 +35,7 @@ def test_a_map_starts_where_the_reference_does_and_stays_close_to_it() -> None:
     assert mapped.in_world
     np.testing.assert_allclose(start_of(log), log.reference_poses[0], atol=1e-12)
     assert numbers["ate"] <= numbers["ate_unaligned"] < 0.5 and numbers["anees"] < 5.0
-    times, estimated, reference = mapped.compared
+    times, estimated, reference = compare(log, mapped.poses)
     assert numbers["ate_unaligned"] == pytest.approx(ate(estimated, reference))
     np.testing.assert_array_equal(times, log.times)
 
@@ -67,15 +67,14 @@ def log() -> Recording:
 def test_numbers_agree_with_counts_by_hand(log) -> None:
     mapped = map_log(log, "nearest_neighbour", SPEC)
     numbers = measure(mapped)
-    paired = (mapped.ids != NO_ID) & ~mapped.created
+    paired, feature = mapped.measurements["paired"], mapped.measurements["feature_source"]
     real = log.sources >= 0
-    right = sum(1 for i in np.flatnonzero(paired & real) if mapped.sources_of_pairings[i] == log.sources[i])
+    right = sum(1 for i in np.flatnonzero(paired & real) if feature[i] == log.sources[i])
     assert numbers["clutter"] == (log.sources == SPURIOUS).sum()
     assert numbers["clutter_accepted"] == (paired & ~real).sum()
-    assert numbers["clutter_on_landmarks"] == (paired & ~real & (mapped.sources_of_pairings >= 0)).sum()
-    tally = mapped.identities.total
-    assert right == tally.tp + tally.fp_duplicate
-    landmarks = mapped.sources[mapped.confirmed]
+    assert numbers["clutter_on_landmarks"] == (paired & ~real & (feature >= 0)).sum()
+    assert right == mapped.tally.tp + mapped.tally.fp_duplicate
+    landmarks = mapped.features.loc[mapped.features["confirmed"] > 0, "identity"]
     assert numbers["duplicates"] + numbers["found"] == (landmarks >= 0).sum()
     assert numbers["features"] == numbers["duplicates"] + numbers["found"] + numbers["clutter_features"]
 
@@ -94,15 +93,15 @@ def test_instants_are_those_of_whichever_knows_fewer(log) -> None:
 
     fine = np.linspace(-3.0, 70.0, 1000)
     dense = replace(log, reference_times=fine, reference_poses=interpolate(log.times, log.reference_poses, fine))
-    np.testing.assert_array_equal(replace(mapped, log=dense).compared.times, log.times)
+    np.testing.assert_array_equal(compare(dense, mapped.poses).times, log.times)
     sparse = replace(log, reference_times=log.times[1::7] + 0.2, reference_poses=log.reference_poses[1::7])
-    times, estimated, _ = replace(mapped, log=sparse).compared
+    times, estimated, _ = compare(sparse, mapped.poses)
     kept = log.times[1::7] + 0.2
     np.testing.assert_array_equal(times, kept[kept <= log.times[-1]])
     np.testing.assert_allclose(estimated, interpolate(log.times, mapped.poses, times))
     gap = replace(log, reference_times=np.array([0.0, 0.3, 50.0, 59.5]), reference_poses=log.reference_poses[:4])
-    gap = replace(mapped, log=replace(gap, times=log.times * 4.0))
-    assert gap.compared.times.tolist() == [0.0, 50.0]  # on a step; else 2 s apart
+    gap = compare(replace(gap, times=log.times * 4.0), mapped.poses)
+    assert gap.times.tolist() == [0.0, 50.0]  # on a step; else 2 s apart
 
 
 # -- files -------------------------------------------------------------------------------------------------------------

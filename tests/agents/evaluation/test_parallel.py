@@ -13,7 +13,7 @@ def square(number):
     return number**2, os.getpid(), [pool["num_threads"] for pool in threadpool_info()]
 
 
-@pytest.mark.parametrize(("backend", "jobs"), [("loky", 1), ("loky", 2), ("multiprocessing", 2)])
+@pytest.mark.parametrize(("backend", "jobs"), [("loky", 1), ("loky", 2)])
 def test_every_call_is_answered_once_on_one_thread(backend, jobs):
     connect(backend, jobs)
     found = list(run_all([partial(square, k) for k in range(10)], jobs, backend))

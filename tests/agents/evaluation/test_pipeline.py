@@ -2,7 +2,7 @@
 
 import json
 import os
-from dataclasses import dataclass
+from functools import partial
 
 import pandas as pd
 import pytest
@@ -10,31 +10,24 @@ from rich.console import Console
 
 from agents.evaluation.drives import Driver, associator_evaluation, driver_evaluation
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Evaluation, Execution, carry_out, read_results
+from agents.evaluation.pipeline import Evaluation, Execution, Task, carry_out, read_results
 from agents.evaluation.records import Key
-from agents.suite.worlds import SuiteSize, suite_evaluation
+from agents.suite.worlds import Suite
 from tests.agents.evaluation import timeless
 
 NEW, RESUMED = (Execution(command="as typed", resume=resume, console=Console(quiet=True)) for resume in (False, True))
 SMALL = ExploreArguments("office-small", (("budget", 60),))
 
 
-@dataclass(frozen=True)
-class Counting:
-    """A task with one record for each name, which fails in episodes that it is not asked to get over with."""
+def count(fails, wanted):
+    if fails:
+        raise KeyboardInterrupt
+    return [key._asdict() | {"value": 0.1 + 0.2 * key.episode, "curve": [1, 2]} for key in wanted]
 
-    episode: int
-    names: tuple[str, ...] = ("a", "b")
-    fails: bool = False
 
-    @property
-    def keys(self):
-        return tuple(Key(name, "only", self.episode) for name in self.names)
-
-    def run(self, wanted):
-        if self.fails:
-            raise KeyboardInterrupt
-        return [key._asdict() | {"value": 0.1 + 0.2 * self.episode, "curve": [1, 2]} for key in wanted]
+def task(episode, names=("a", "b"), fails=False) -> Task:
+    """With one record for each name; in some episodes it fails, for it is not asked to get over with them."""
+    return Task(tuple(Key(name, "only", episode) for name in names), partial(count, fails))
 
 
 def counting(tasks, **conditions) -> Evaluation:
@@ -46,7 +39,7 @@ def counting(tasks, **conditions) -> Evaluation:
     [
         lambda: driver_evaluation([Driver("random"), Driver("nearest_frontier")], SMALL, range(2)),
         lambda: associator_evaluation(["nearest_neighbour", "true_association"], [SMALL], "random", range(2), [None]),
-        lambda: suite_evaluation(["jcbb", "singles"], [], ["closure"], SuiteSize(worlds=1, problems=3, quick=True)),
+        lambda: Suite(True, ["closure"], worlds=1, problems=3).evaluation(["jcbb", "singles"], "test"),
     ],
 )
 def test_resumed_is_the_same_as_uninterrupted(tmp_path, evaluation):
@@ -61,22 +54,22 @@ def test_resumed_is_the_same_as_uninterrupted(tmp_path, evaluation):
 
 def test_an_interruption_keeps_what_is_finished(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        carry_out(counting([Counting(0), Counting(1, fails=True)]), tmp_path, NEW)
+        carry_out(counting([task(0), task(1, fails=True)]), tmp_path, NEW)
     found = read_results(tmp_path)
     assert list(found.frame["episode"]) == [0, 0] and not found.metadata["complete"]
-    again = carry_out(counting([Counting(0, fails=True), Counting(1)]), tmp_path, RESUMED)
+    again = carry_out(counting([task(0, fails=True), task(1)]), tmp_path, RESUMED)
     assert list(again.frame["episode"]) == [0, 1, 0, 1] and again.metadata["complete"]
 
 
 def test_results_are_those_that_were_asked_for_last_in_that_order(tmp_path):
-    carry_out(counting([Counting(k, ("b", "a")) for k in range(3)]), tmp_path, NEW)
-    fewer = carry_out(counting([Counting(1, ("a", "b"))]), tmp_path, RESUMED)
+    carry_out(counting([task(k, ("b", "a")) for k in range(3)]), tmp_path, NEW)
+    fewer = carry_out(counting([task(1, ("a", "b"))]), tmp_path, RESUMED)
     assert list(zip(fewer.frame["name"], fewer.frame["episode"])) == [("a", 1), ("b", 1)] and fewer.names == ["a", "b"]
     assert len(pd.read_csv(tmp_path / "results.csv")) == 6  # nothing that was run is thrown away
 
 
 def test_csv_and_json_say_what_was_run(tmp_path):
-    results = carry_out(counting([Counting(0)], split="test"), tmp_path, NEW)
+    results = carry_out(counting([task(0)], split="test"), tmp_path, NEW)
     frame = pd.read_csv(tmp_path / "results.csv")
     assert list(frame.columns) == ["name", "setting", "episode", "model", "value", "curve"]
     assert list(frame["value"]) == [0.1, 0.1] and json.loads(frame["curve"][0]) == [1, 2]
@@ -86,7 +79,7 @@ def test_csv_and_json_say_what_was_run(tmp_path):
 
 
 def test_a_folder_belongs_to_one_evaluation(tmp_path):
-    carry_out(counting([Counting(0)], split="test"), tmp_path / "own", NEW)
+    carry_out(counting([task(0)], split="test"), tmp_path / "own", NEW)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").write_text("mine")
     for folder, changed, how, said in (
@@ -96,7 +89,7 @@ def test_a_folder_belongs_to_one_evaluation(tmp_path):
         ("new", {"split": "test"}, RESUMED, "no evaluation to resume"),
     ):
         with pytest.raises(ValueError, match=said):
-            carry_out(counting([Counting(1)], **changed), tmp_path / folder, how)
+            carry_out(counting([task(1)], **changed), tmp_path / folder, how)
     assert not (tmp_path / "new").exists() and len(list((tmp_path / "other").iterdir())) == 1
 
 
@@ -118,22 +111,22 @@ WRONG = {
 
 @pytest.mark.parametrize(("file", "content"), [(file, content) for file in WRONG for content in WRONG[file]])
 def test_damaged_results_are_refused_by_the_name_of_their_file(tmp_path, file, content):
-    told = carry_out(counting([Counting(0)]), tmp_path, NEW).metadata
+    told = carry_out(counting([task(0)]), tmp_path, NEW).metadata
     content = json.dumps(told | content) if isinstance(content, dict) else content
     (tmp_path / file).write_bytes(content.encode("latin-1"))
     with pytest.raises(ValueError, match=file):
         read_results(tmp_path)
     if content != json.dumps(told | {"evaluated": {"names": ["a"]}}):  # which is written anew
         with pytest.raises(ValueError, match=file):
-            carry_out(counting([Counting(0)]), tmp_path, RESUMED)
+            carry_out(counting([task(0)]), tmp_path, RESUMED)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a disk that is full")
 @pytest.mark.parametrize("file", WRONG)
 def test_a_full_disk_is_told_with_the_file_and_leaves_the_old_one_whole(tmp_path, file):
-    carry_out(counting([Counting(0)]), tmp_path, NEW)
+    carry_out(counting([task(0)]), tmp_path, NEW)
     before = (tmp_path / file).read_bytes()
     (tmp_path / f"{file}.partial").symlink_to("/dev/full")
     with pytest.raises(OSError, match=rf"No space left on device: .*{file}'"):
-        carry_out(counting([Counting(0), Counting(1)]), tmp_path, RESUMED)
+        carry_out(counting([task(0), task(1)]), tmp_path, RESUMED)
     assert (tmp_path / file).read_bytes() == before

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from agents.evaluation.records import Key
 from agents.leaderboard import MARKS, app, with_tables
 from agents.ranking.board import BASELINES, Ranked, markdown, ranked, read_entries, rows, write_entry
-from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, EntryTask, Protocol
+from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, Protocol, lose
 from slam_gym.scenarios import get_scenario, world_generator
 from tests.agents import typed
 
@@ -51,7 +52,7 @@ def test_what_ships_can_be_read_and_is_of_this_protocol():
     [("associator", "true_association", "closure/0"), ("relocator", "gcbb", "kidnapped/0")],
 )
 def test_losses_lie_between_none_and_all(role, entry, setting):
-    (record,) = EntryTask(entry, role, setting, FIRST).run(())
+    (record,) = lose(entry, role, [Key(entry, setting, FIRST)])
     assert 0.0 <= record["loss"] <= 1.0 and (entry != "true_association" or record["loss"] == 0.0)
 
 
@@ -108,7 +109,7 @@ GOOD = vars(an_entry("good", 0.0))
 NO_ENTRIES = [
     "", "[]", "null", "[" * 100_000, "\xff", '{"name": 3}', GOOD | {"name": 3}, GOOD | {"losses": {"a": ["b"]}},
     GOOD | {"more": 1}, GOOD | {"protocol": None}, GOOD | {"protocol": GOOD["protocol"] | {"role": "judge"}},
-    GOOD | {"protocol": GOOD["protocol"] | {"hash": "` | `"}}, GOOD | {"losses": {"office-small": [0.1]}},
+    GOOD | {"protocol": GOOD["protocol"] | {"hash": "` | `"}},
     *(GOOD | {"losses": GOOD["losses"] | {"hall": [loss] * 8}}
       for loss in (-0.1, math.nan, math.inf, "0.1", None, 10**400, [0.1])),
     json.dumps(GOOD).replace('"hall": [', '"hall": [1e999, '),

@@ -7,9 +7,10 @@ import pytest
 
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
+from agents.evaluation.records import Key
 from agents.ranking import protocol
 from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
-from agents.ranking.protocol import FIRST, LOST, EntryTask
+from agents.ranking.protocol import FIRST, LOST, lose
 from slam_gym.association import gcbb, marginal
 from slam_gym.association.prediction import predict
 from slam_gym.slam.slam import Slam
@@ -77,7 +78,7 @@ def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, 
     monkeypatch.setattr(protocol, "process", lambda role, name: process)
     protocol._loop.cache_clear()
     for world in (FIRST, FIRST + 1):
-        (record,) = EntryTask(name, "agent", "office-small", world).run(())
+        (record,) = lose(name, "agent", [Key(name, "office-small", world)])
         assert record["loss"] == LOST and said in record["failed"] and name in record["failed"]
 
 

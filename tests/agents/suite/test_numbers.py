@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from agents.evaluation.records import Key
 from agents.suite.numbers import by_role, by_world, leads, ranked, relocation_rows, scores
 from agents.suite.problems import OUTCOMES
 from agents.suite.reliability import EDGES, binned, promise_tables, promised, reliability, reliability_tables
-from agents.suite.worlds import WorldTask
+from agents.suite.worlds import ask_all
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 
 
@@ -98,8 +99,8 @@ def test_the_best_hypothesis_is_held_to_its_promise():
 
 
 def test_the_suite_counts_all_decisions_of_those_who_say_how_probable_they_are():
-    task = WorldTask("clutter/1", 0, ("jcbb", "map_hypothesis", "marginal"), 4, "train")
-    frame = pd.DataFrame(task.run(task.keys))
+    names = ("jcbb", "map_hypothesis", "marginal")
+    frame = pd.DataFrame(ask_all(4, "train", [Key(name, "clutter/1", 0) for name in names]))
     found = reliability(frame.assign(reliability=frame["reliability"].map(json.dumps)))
     assert list(found) == ["map_hypothesis", "marginal"]
     for bins in found.values():  # most of what is all but sure is right

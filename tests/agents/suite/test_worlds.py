@@ -6,15 +6,17 @@ import math
 import numpy as np
 import pytest
 
-from agents.suite.worlds import SuiteSize, WorldTask, suite_evaluation
+from agents.evaluation.records import Key
+from agents.suite.worlds import Suite, ask_all
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Relocation
 
 ASSOCIATION = [name for name in EXPERIMENTS if name != RELOCATION]
 
 
-def run(task):
-    return task.run(task.keys)
+def run(level, world, names, count):
+    """The records of some names in a world of the train split."""
+    return ask_all(count, "train", [Key(name, level, world) for name in names])
 
 
 @pytest.mark.parametrize("name", ASSOCIATION)
@@ -22,7 +24,7 @@ def run(task):
 def test_true_association_is_the_ceiling(name, end):
     level = EXPERIMENTS[name].levels[end]
     names = ("true_association", "jcbb", "nearest_neighbour", "singles")
-    for record in run(WorldTask(level.id, 0, names, 5, "train")):
+    for record in run(level.id, 0, names, 5):
         assert record["problems"] == 5 and 0.0 <= record["score"] <= 1.0
         if record["name"] == "true_association":
             assert (record["score"], record["exact"], record["spoiled"], record["refused"]) == (1.0, 1.0, 0.0, 0.0)
@@ -31,7 +33,7 @@ def test_true_association_is_the_ceiling(name, end):
 @pytest.mark.parametrize("name", ["closure", "clutter", "density", "dynamics"])
 def test_nearest_neighbour_falls_from_one_end_of_the_sweep_to_the_other(name):
     first, last = (
-        np.mean([run(WorldTask(level.id, k, ("nearest_neighbour",), 8, "train"))[0]["precision"] for k in range(3)])
+        np.mean([run(level.id, k, ("nearest_neighbour",), 8)[0]["precision"] for k in range(3)])
         for level in (EXPERIMENTS[name].levels[0], EXPERIMENTS[name].levels[-1])
     )
     assert first - last > 0.05
@@ -42,22 +44,22 @@ def refuse(scan, prediction):
 
 
 def test_refusing_everything_earns_nothing():
-    record = run(WorldTask("density/1", 0, (f"{__name__}:refuse",), 4, "train"))[0]
+    record = run("density/1", 0, (f"{__name__}:refuse",), 4)[0]
     assert record["score"] == 0.0 and record["refused"] == 1.0 and record["spoiled"] == 0.0
     assert math.isnan(record["precision"]) and record["recall"] == 0.0
 
 
 def test_answers_do_not_depend_on_who_else_is_asked():
     names = ("nearest_neighbour", "jcbb", "true_association")
-    together = run(WorldTask("dynamics/3", 1, names, 4, "train"))
+    together = run("dynamics/3", 1, names, 4)
     for name, record in zip(names, together):
-        alone = run(WorldTask("dynamics/3", 1, (name,), 4, "train"))[0]
+        alone = run("dynamics/3", 1, (name,), 4)[0]
         drop = {"microseconds": 0.0}
         assert json.dumps(alone | drop) == json.dumps(record | drop)
 
 
 def test_only_those_who_are_wanted_are_asked():
-    task = WorldTask("closure/0", 2, ("jcbb", "singles"), 2)
+    (task, *_) = Suite(True, ["closure"], worlds=1, problems=2).evaluation(["jcbb", "singles"], "test").tasks
     assert [record["name"] for record in task.run(task.keys[1:])] == ["singles"]
 
 
@@ -74,7 +76,7 @@ def eager(scan, landmarks, locality):
 
 def test_neither_silence_nor_eagerness_pays():
     names = (f"{__name__}:silent", f"{__name__}:eager")
-    quiet, loud = run(WorldTask("kidnapped/0", 0, names, 8, "train"))
+    quiet, loud = run("kidnapped/0", 0, names, 8)
     assert (quiet["score"], quiet["silent"], quiet["refused"]) == (0.0, 4, 4)
     assert (loud["score"], loud["correct"], loud["invented"]) == (0.0, 0, 4)
 
@@ -88,6 +90,8 @@ def test_neither_silence_nor_eagerness_pays():
     ],
 )
 def test_names_that_nobody_knows_are_refused_with_those_that_are(changes, said):
-    given = {"associators": ["jcbb"], "relocators": [], "experiments": ["closure"]} | changes
+    given = {"associators": ["jcbb"], "experiments": ["closure"]} | changes
     with pytest.raises(ValueError, match=said):
-        suite_evaluation(**given, size=SuiteSize(worlds=1, problems=1))
+        Suite(experiments=given["experiments"], relocators=given.get("relocators"), worlds=1).evaluation(
+            given["associators"], "test"
+        )
