@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from agents.drivers.information_gain import GainSpec, InformationGain, rates
@@ -113,10 +112,11 @@ def _around(summed: Array, places: Array) -> Array:
 
 # -- the network -------------------------------------------------------------------------------------------------------
 
-Arrays = Mapping[str, NDArray[Any]]
+Arrays = Mapping[str, Any]
+"""The weights by name: of all members, (members, …) each, or of one that learns, then as tensors."""
 
 GAP = 5.0  # [m] the unit of distances between goals
-_EPSILON = 1e-5  # of the layer norms, as torch has it
+_EPSILON = 1e-5  # of the layer norms
 
 
 class Size(NamedTuple):
@@ -161,51 +161,63 @@ def gaps_between(places: Array) -> Array:
     return out
 
 
-def scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Array:
-    """(k,) a score for each goal: by how many hundredths of E it beats the others; −inf where it is not legal."""
-    members = ({name: array[i] for name, array in arrays.items()} for i in range(size.members))
-    found: Array = np.mean([_scores(member, size, tokens, legal) for member in members], axis=0)
-    return np.where(legal, found, -np.inf)
+class Seen(NamedTuple):
+    """What the network sees of k goals, of one state or of many."""
+
+    fields: Any  # (…, k, f) of the tokens
+    gaps: Any  # (…, k, k) between goals
+    greedy: Any  # (…, k) scores of the greedy driver
+    legal: Any  # (…, k)
+
+    @classmethod
+    def of(cls, tokens: Tokens, legal: BoolArray) -> Seen:
+        """As it sees goals and which of them are legal (k,)."""
+        return cls(tokens.fields, gaps_between(tokens.places), greedy_score(tokens.rates), legal)
 
 
-def choose(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> int:
-    """The goal of the highest score among the most promising of those that are legal."""
+def scores(arrays: Arrays, seen: Seen, xp: Any = np) -> Any:
+    """A score for each goal: by how many hundredths of E it beats the others.
+
+    (members, k) by the arrays of all members, of one state; or (…, k) by those of one. `xp` is the library that they
+    are of: numpy, or torch where they learn. Scores of goals that are not legal mean nothing.
+    """
+    x = _linear(arrays, "embed", (seen.fields - arrays["shift"][..., None, :]) * arrays["scale"][..., None, :])
+    for i in range(sum(name.endswith("nearness") for name in arrays)):
+        x = _block(arrays, f"blocks.{i}", x, seen, xp)
+    residual = _linear(arrays, "score", _normed(arrays, "last", x))[..., 0]
+    return arrays["greed"][..., None] * seen.greedy + residual
+
+
+def choose(arrays: Arrays, tokens: Tokens, legal: BoolArray) -> int:
+    """The goal of the highest mean score among the most promising of those that are legal."""
     rows, weighed = most_promising(tokens, legal)
-    return int(rows[np.argmax(scores(arrays, size, weighed, legal[rows]))])
+    found = scores(arrays, Seen.of(weighed, legal[rows])).mean(axis=0)
+    return int(rows[np.argmax(np.where(legal[rows], found, -np.inf))])
 
 
-def _scores(arrays: Arrays, size: Size, tokens: Tokens, legal: BoolArray) -> Array:
-    """(k,) those of one member."""
-    x = _linear(arrays, "embed", (tokens.fields - arrays["shift"]) * arrays["scale"])
-    gaps = gaps_between(tokens.places)
-    for i in range(size.layers):
-        x = _block(arrays, f"blocks.{i}", x, gaps, legal, size.heads)
-    residual = _linear(arrays, "score", _normed(arrays, "last", x))[:, 0]
-    return float(arrays["greed"]) * greedy_score(tokens.rates) + residual
-
-
-def _block(arrays: Arrays, name: str, x: Array, gaps: Array, legal: BoolArray, heads: int) -> Array:
-    goals, width = x.shape
+def _block(arrays: Arrays, name: str, x: Any, seen: Seen, xp: Any) -> Any:
+    """Every goal looks at all legal ones, nearer ones more or less so, and then thinks for itself."""
+    nearness = arrays[f"{name}.nearness"][..., :, None, None]
     qkv = _linear(arrays, f"{name}.attend", _normed(arrays, f"{name}.before", x))
-    q, k, v = qkv.reshape(goals, 3, heads, -1).transpose(1, 2, 0, 3)  # each (heads, goals, width / heads)
-    match = q @ k.transpose(0, 2, 1) / math.sqrt(width / heads) - arrays[f"{name}.nearness"][:, None, None] * gaps
-    match = np.where(legal, match, -np.inf)
-    share = np.exp(match - match.max(axis=2, keepdims=True))
-    share /= share.sum(axis=2, keepdims=True)
-    x = x + _linear(arrays, f"{name}.mix", (share @ v).transpose(1, 0, 2).reshape(goals, width))
-    thought = np.maximum(_linear(arrays, f"{name}.wide", _normed(arrays, f"{name}.between", x)), 0.0)
+    qkv = qkv.reshape(*x.shape[:-1], 3, nearness.shape[-3], -1)
+    q, k, v = (qkv[..., part, :, :] for part in range(3))  # each (…, goals, heads, width / heads)
+    match = xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(q.shape[-1]) - nearness * seen.gaps[..., None, :, :]
+    match = xp.where(seen.legal[..., None, None, :], match, -1e9)
+    share = xp.exp(match - xp.amax(match, axis=-1, keepdims=True))
+    share = share / share.sum(axis=-1, keepdims=True)
+    x = x + _linear(arrays, f"{name}.mix", xp.einsum("...hij,...jhd->...ihd", share, v).reshape(x.shape))
+    thought = _linear(arrays, f"{name}.wide", _normed(arrays, f"{name}.between", x)).clip(0.0)
     return x + _linear(arrays, f"{name}.narrow", thought)
 
 
-def _linear(arrays: Arrays, name: str, x: Array) -> Array:
-    out: Array = x @ arrays[f"{name}.weight"].T + arrays[f"{name}.bias"]
-    return out
+def _linear(arrays: Arrays, name: str, x: Any) -> Any:
+    return x @ arrays[f"{name}.weight"].swapaxes(-1, -2) + arrays[f"{name}.bias"][..., None, :]
 
 
-def _normed(arrays: Arrays, name: str, x: Array) -> Array:
+def _normed(arrays: Arrays, name: str, x: Any) -> Any:
     centred = x - x.mean(axis=-1, keepdims=True)
-    out: Array = centred / np.sqrt((centred**2).mean(axis=-1, keepdims=True) + _EPSILON)
-    return out * arrays[f"{name}.weight"] + arrays[f"{name}.bias"]
+    scaled = centred / ((centred**2).mean(axis=-1, keepdims=True) + _EPSILON) ** 0.5
+    return scaled * arrays[f"{name}.weight"][..., None, :] + arrays[f"{name}.bias"][..., None, :]
 
 
 # -- the driver --------------------------------------------------------------------------------------------------------
@@ -239,7 +251,7 @@ class LearnedDriver:
         tokens = tokens_of(observation, self._ticks)
         place = transform(np.asarray(info["pose"], float), tokens.places[:1])
         legal[LOOK_AROUND] = self._looked.times(place)[0] == 0
-        chosen = choose(self._arrays, SIZE, tokens, legal)
+        chosen = choose(self._arrays, tokens, legal)
         if chosen == LOOK_AROUND:
             self._looked.add(place[0])
         return chosen

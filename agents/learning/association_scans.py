@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -44,9 +44,8 @@ LOOPS = (
 )  # fmt: skip
 LOGS = ("victoria_park/5", "victoria_park/10", "mrclam/1", "mrclam/2")  # every so many scans; robot
 
-HIDDEN = ("nothing", "sizes, but for kinds", "sizes", "all but places")
-VIEWS, VIEWS_AND_SIZES = "views", "views and sizes"  # as in recordings
-"""What may be hidden, so that the network knows how much a pairing is worth of which less is known."""
+HIDDEN = ((), ("sizes", "not kinds"), ("sizes",), ("sizes", "views", "past"))
+"""What is hidden in some worlds, so that the network knows how much a pairing is worth of which less is known."""
 
 
 class Decisions(NamedTuple):
@@ -102,20 +101,19 @@ def _labels(
     return right, unpaired, (unpaired | offered) & (sources != UNLABELLED)
 
 
-def without(hidden: str, scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:
-    """The two as somebody would have them who does not measure what is `hidden`."""
-    if hidden in (VIEWS, VIEWS_AND_SIZES, HIDDEN[3]):
+def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tuple[Scan, Prediction]:
+    """The two as somebody has them who is not told `sizes`, what should be in view (`views`), or what was seen before
+    and how often (`past`)."""
+    if "views" in hidden:
         prediction = prediction.with_visibility(None)
-    if hidden in (HIDDEN[0], VIEWS):
-        return scan, prediction
     counted, sized, *others = prediction.rows
-    sized = np.full_like(sized, math.nan)
-    if hidden == HIDDEN[3]:
+    if "past" in hidden:
         prediction, counted = replace(prediction, experience=None), counted.copy()
         counted[SIGHTINGS] = 0
-    nan = np.full(len(scan), math.nan)
-    prediction = replace(prediction, rows=(counted, sized, *others))
-    return replace(scan, sizes=nan, size_variances=nan), prediction
+    if "sizes" in hidden:
+        unknown, sized = np.full(len(scan), math.nan), np.full_like(sized, math.nan)
+        scan = replace(scan, sizes=unknown, size_variances=unknown)
+    return scan, replace(prediction, rows=(counted, sized, *others))
 
 
 # -- where scans come from ---------------------------------------------------------------------------------------------
@@ -129,7 +127,12 @@ class Source:
     name: str
     world: int
     associator: str = "marginal"  # who maps, in the loop
-    hidden: str = HIDDEN[0]
+    hidden: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """What a card calls it."""
+        return f"recording:{self.name}" if self.kind == "log" else self.name
 
     def scans(self, count: int = 12) -> Iterator[Decisions]:
         """The decisions of its scans; of a level, of `count` of them."""
@@ -145,7 +148,7 @@ class Source:
 
     def _problems(self, count: int) -> Iterator[Decisions]:
         level = get_level(self.name)
-        sensor = replace(level.scenario.sensor, kinds=self.hidden == HIDDEN[1])
+        sensor = replace(level.scenario.sensor, kinds="not kinds" in self.hidden)
         level = replace(level, scenario=replace(level.scenario, sensor=sensor))
         for problem in problems(TwoLaps(level, self.world, "train"), count):
             found = decisions_of(*without(self.hidden, problem.scan, problem.prediction), problem.truth)

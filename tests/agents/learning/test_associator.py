@@ -7,27 +7,19 @@ import pytest
 import torch
 
 from agents.evaluation.episodes import AssociateArguments
-from agents.learning.association_scans import (
-    HIDDEN,
-    VIEWS,
-    VIEWS_AND_SIZES,
-    SeenAs,
-    Source,
-    decisions_of,
-    labelled_decisions,
-    without,
-)
+from agents.learning.association_scans import HIDDEN, SeenAs, Source, decisions_of, labelled_decisions, without
 from agents.learning.associator import (
     SHARES,
     Batch,
-    Odds,
     Plan,
-    fit,
-    loss_of,
+    batches_of,
     mean_loss,
+    odds_of,
     probabilities,
-    scale_of,
     sources,
+    tensors,
+    trained,
+    untrained,
     weighed,
 )
 from slam_gym.association.tracking.marginal import marginals
@@ -101,9 +93,9 @@ def test_no_world_is_both_trained_on_and_held_out():
     assert len(set(train)) == len(train)
     assert not {(s.name, s.world) for s in train} & {(s.name, s.world) for s in held_out}
     assert {s.hidden for s in held_out} == set(HIDDEN)
-    assert {s.hidden for s in train} == {*HIDDEN, VIEWS, VIEWS_AND_SIZES}
+    assert {s.hidden for s in train} == {*HIDDEN, ("views",), ("views", "sizes")}
     assert {s.kind for s in train} == set(SHARES) and {s.kind for s in held_out} == {"level"}
-    assert len(Plan().levels) == 35 and {get_scenario(name).name for name in Plan().loops} == set(Plan().loops)
+    assert len(Plan().levels) == 35 and all(get_scenario(s.name).name == s.name for s in train if s.kind == "loop")
 
 
 def test_kinds_of_sources_have_their_shares():
@@ -121,18 +113,18 @@ def test_what_is_hidden_is_not_there():
     prediction = dataclasses.replace(prediction, rows=(counted, np.full_like(sized, 0.3), *rest))
     prediction = prediction.with_visibility(np.full(8, 0.9))
     scan = dataclasses.replace(scan, sizes=np.full(6, 0.3), size_variances=np.full(6, 0.01))
-    assert without("nothing", scan, prediction) == (scan, prediction)
-    for hidden in (*HIDDEN[1:], VIEWS, VIEWS_AND_SIZES):
+    assert without((), scan, prediction)[0] == scan
+    for hidden in (*HIDDEN, ("views",)):
         bare_scan, bare = without(hidden, scan, prediction)
-        assert np.isnan(bare_scan.sizes).all() == np.isnan(bare.sizes).all() == (hidden != VIEWS)
-        assert bare.has_view == (hidden not in (VIEWS, VIEWS_AND_SIZES, "all but places"))
-        assert (bare.sightings == 0).all() == (hidden == "all but places")
+        assert np.isnan(bare_scan.sizes).all() == np.isnan(bare.sizes).all() == ("sizes" in hidden)
+        assert bare.has_view == ("views" not in hidden)
+        assert (bare.sightings == 0).all() == ("past" in hidden)
         np.testing.assert_array_equal(bare.positions, prediction.positions)
 
 
 def test_a_level_gives_scans_of_train_worlds_with_kinds_where_they_are_told():
     plain = list(Source("level", "closure/2", 0).scans(count=3))
-    kinds = list(Source("level", "closure/2", 0, hidden="sizes, but for kinds").scans(count=3))
+    kinds = list(Source("level", "closure/2", 0, hidden=("sizes", "not kinds")).scans(count=3))
     assert len(plain) == len(kinds) == 3
     same, known = INPUTS.index("kind: the same"), INPUTS.index("size: whether both are known")
     assert plain[0].inputs[:, known].all() and not plain[0].inputs[:, same].any()
@@ -168,29 +160,26 @@ def test_scans_in_a_batch_do_not_mix():
 
 def test_the_network_is_that_of_the_package():
     scans = [answered(seed)[3] for seed in range(4)]
-    torch.manual_seed(0)
-    network, batch = Odds(*scale_of(scans), hidden=6), Batch.of(scans)
-    for parameter in network.parameters():
-        torch.nn.init.normal_(parameter)
-    assert network(batch).abs().max() <= 16.0  # in training
-    expected = network.eval()(batch).detach()
-    assert expected.abs().max() > 16.0
-    shipped = network_of(network.arrays())
+    network, batch = untrained(scans, hidden=6), Batch.of(scans)
+    rng = np.random.default_rng(0)
+    network = network._replace(**{name: rng.normal(size=part.shape) for name, part in network._asdict().items()
+                                  if name not in ("centre", "scale")})  # fmt: skip
+    expected = odds_of(tensors(network), batch).numpy()
+    limited = odds_of(tensors(network), batch, most=16.0).numpy()
+    assert np.abs(expected).max() > 16.0 >= np.abs(limited).max()
+    shipped = network_of(network._asdict())
     slots = batch.slots.numpy().astype(np.int64)
     found = log_odds(shipped, batch.inputs.numpy().astype(np.float64), batch.measured.numpy().astype(np.int64), slots)
-    np.testing.assert_allclose(found, expected.numpy(), rtol=1e-4, atol=1e-3)
-    assert torch.equal(Odds.of(shipped)(batch), expected)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
 
 
 def test_training_starts_at_the_model_gets_better_and_is_the_same_for_one_seed():
     scans = [answered(seed)[3] for seed in range(30)]
-    untrained, batch = Odds(*scale_of(scans), hidden=4), Batch.of(scans)
-    assert torch.equal(untrained(batch), torch.zeros(len(batch.inputs)))
+    held_out, model = batches_of(scans[:10]), tensors(untrained(scans, 4))
+    assert torch.equal(odds_of(model, held_out[0]), torch.zeros(len(held_out[0].inputs)))
     plan = Plan(hidden_numbers=4, epochs=60)
-    network, losses = fit(plan, scans, scans[:10], seed=0)
-    assert losses.train < loss_of(torch.zeros(len(batch.inputs)), batch) - 0.02
-    assert losses.held_out < losses.curve[0] < losses.model
-    assert losses.held_out == mean_loss(network, [Batch.of(scans[:10])])
-    again, other = (fit(plan, scans, scans[:10], seed=seed)[0].arrays() for seed in (0, 1))
-    assert all(np.array_equal(network.arrays()[name], again[name]) for name in again)
-    assert not np.array_equal(again["first"], other["first"])
+    network, curve = trained(plan, scans, held_out, seed=0)
+    assert mean_loss(network, batches_of(scans)) < mean_loss(model, batches_of(scans)) - 0.02
+    assert mean_loss(network, held_out) == curve[-1] < curve[0] <= mean_loss(model, held_out)
+    again, other = (trained(plan, scans, held_out, seed=seed)[0] for seed in (0, 1))
+    assert all(map(torch.equal, network, again)) and not torch.equal(again.first, other.first)

@@ -13,8 +13,8 @@ from agents.drivers.learned import (
     TOKEN_FIELDS,
     VERSION,
     LearnedDriver,
+    Seen,
     Size,
-    gaps_between,
     greedy_score,
     most_promising,
     scores,
@@ -22,22 +22,12 @@ from agents.drivers.learned import (
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.learning.driver import Drive, Examples, GoalNetwork, Plan, fit, greedy, regret, regret_of, reproduce
-from agents.learning.sketch import (
-    FREE_TURN,
-    QUARTER,
-    SPEED,
-    STRETCH,
-    TURN,
-    Sketch,
-    Surroundings,
-    drive_along,
-    look,
-    missed_by,
-)
+from agents.learning.driver import Drive, Examples, Plan, greedy, regret_of, reproduce, trained, untrained
+from agents.learning.sketch import FREE_TURN, QUARTER, SPEED, STRETCH, TURN, Sketch, missed_by
+from slam_gym.geometry import observe
 from slam_gym.simulation.goals import FRONTIERS
 from slam_gym.weights import load, write
-from slam_gym.world.ray_casting import WallIndex
+from slam_gym.world.ray_casting import pull_back
 from tests.agents.drivers.test_learned import some_tokens
 
 SMALL = Size(width=8, heads=2, layers=1, members=2)
@@ -93,34 +83,26 @@ def test_trying_a_goal_leaves_the_drive_alone_and_nobody_looks_around_twice(env)
     assert sketch.ticks == ticks + 4 * QUARTER and not sketch.legal[LOOK_AROUND]
 
 
-WALLS = np.array([[-5.0, -5.0, 15.0, -5.0], [15.0, -5.0, 15.0, 5.0], [15.0, 5.0, -5.0, 5.0], [-5.0, 5.0, -5.0, -5.0],
-                  [4.0, 0.5, 4.0, 5.0]])  # fmt: skip
-FEATURES = np.array([[3.0, 0.0], [5.0, 3.0], [-3.0, 0.0], [12.0, 0.0]])  # ahead, behind a wall, behind, far away
+def test_a_look_sees_what_is_near_ahead_and_not_hidden(env):
+    sketch = begun(env, 3)
+    episode, before = env.unwrapped.episode, sketch._sightings.copy()
+    sensor, pose = episode.scenario.sensor, episode.poses[0]
+    true = episode.site.plan.features
+    ahead = observe(pose, true.positions)
+    near = np.hypot(*ahead.T) <= sensor.range
+    near &= np.abs(np.arctan2(*ahead.T[::-1])) <= 0.5 * sensor.field_of_view
+    free = episode.site.index.visible(pose[:2], true.positions, pull_back(true))
+    assert np.array_equal(before > 0, near & free) and 0 < before.sum() < len(before)
 
 
-@pytest.fixture(scope="module")
-def around():
-    bearings = np.linspace(-math.pi, math.pi, 40, endpoint=False)
-    walls = WallIndex(WALLS).packed
-    return Surroundings(walls, FEATURES, np.full(4, 1e-3), np.zeros(3), 0.1, 6.0, 2.0, bearings, 6.0)
-
-
-def test_a_look_sees_what_is_near_ahead_and_not_hidden(around):
-    sighted = np.zeros(4, np.int64)
-    ranges = look(around, np.zeros(3), sighted)
-    assert list(sighted) == [1, 0, 0, 0]
-    assert np.array_equal(ranges, WallIndex(WALLS).cast(np.zeros(2), around.bearings, 6.0))
-    look(around, np.array([0.0, 0.0, math.pi]), sighted)
-    assert list(sighted) == [1, 0, 1, 0]
-
-
-def test_stretches_are_of_one_length_and_turns_take_time(around):
-    path, sighted = np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 2.0]]), np.zeros(4, np.int64)
-    found = drive_along(around, np.zeros(3), path, 100, 0.0, 1000, sighted)
-    assert np.allclose(found.poses[-1], [0.5, 2.0, 0.5 * math.pi]) and found.passed == 3
-    assert found.ticks - STRETCH * len(found.poses) == round(TURN * (0.5 * math.pi - FREE_TURN))
-    assert math.isclose(len(found.poses) * STRETCH * SPEED, 2.5, abs_tol=STRETCH * SPEED)
-    assert len(drive_along(around, np.zeros(3), path, 2, 0.0, 1000, sighted).poses) == 2
+def test_stretches_are_of_one_length_and_turns_take_time(env):
+    sketch, path = begun(env, 3), np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 2.0]])
+    count = math.ceil(2.5 / (STRETCH * SPEED))
+    for k in range(count):
+        assert len(path) > 1 and np.isclose(np.hypot(*np.diff(path, axis=0).T).sum(), 2.5 - k * STRETCH * SPEED)
+        path = sketch._stretch(path)
+    assert np.allclose(path, [[0.5, 2.0]]) and np.isclose(sketch._here[2], 0.5 * math.pi)
+    assert sketch.ticks == STRETCH * count + round(TURN * (0.5 * math.pi - FREE_TURN))
 
 
 # -- what is learned from them -----------------------------------------------------------------------------------------
@@ -130,34 +112,23 @@ def test_a_drive_gives_the_same_states_each_time_and_what_is_mapped_in_the_end(e
     (world, one), (_, two) = (Drive("office-small", 7)() for _ in range(2))
     assert world == 7 and all(np.array_equal(a, b) for a, b in zip(one, two))
     assert (one.values[~one.legal] == 0.0).all() and (one.values[one.legal] > 0.0).all() and one.values.max() <= 100.0
-    assert (one.legal.sum(axis=1) > 1).all() and len(one) == len(one.tokens) > 1
+    assert (one.legal.sum(axis=1) > 1).all() and len(one) == len(one.fields) > 1
     sketch = begun(env, 7, int(300 * np.random.default_rng(7).uniform(0.45, 1.1)))
     rows, tokens = most_promising(tokens_of(sketch.observation(), sketch.ticks), sketch.legal)
-    assert np.array_equal(one.tokens[0], tokens.fields) and rows[0] == greedy(sketch)
+    assert np.array_equal(one.fields[0], tokens.fields) and rows[0] == greedy(sketch)
     for k in np.flatnonzero(one.legal[0]):
         assert one.values[0, k] == 100.0 * (1.0 - missed_by(sketch, greedy, int(rows[k])))
 
 
-def of_torch(network, tokens, legal):
-    parts = (tokens.fields, gaps_between(tokens.places), greedy_score(tokens.rates))
-    with torch.no_grad():
-        inputs = [torch.as_tensor(part, dtype=torch.float32)[None] for part in parts]
-        return network(*inputs, torch.as_tensor(legal)[None])[0].numpy()
-
-
-def test_plain_arrays_give_the_scores_that_torch_gives_and_an_untrained_network_is_greedy():
-    torch.manual_seed(0)
-    tokens, legal = some_tokens()
-    members = [GoalNetwork(SMALL) for _ in range(SMALL.members)]
-    untrained = of_torch(members[0], tokens, legal)
-    assert np.allclose(untrained[legal], 3.0 * greedy_score(tokens.rates)[legal], atol=1e-5)
-    for network in members:
-        for parameter in network.parameters():
-            torch.nn.init.normal_(parameter, 0.0, 0.3)
-    arrays = {name: np.stack([network.arrays()[name] for network in members]) for name in members[0].arrays()}
-    assert {name: array.shape for name, array in arrays.items()} == shapes(SMALL)
-    expected = np.mean([of_torch(network, tokens, legal) for network in members], axis=0)
-    assert np.allclose(scores(arrays, SMALL, tokens, legal)[legal], expected[legal], atol=1e-4)
+def test_torch_gives_the_same_scores_and_an_untrained_network_is_greedy():
+    rng, (tokens, legal) = np.random.default_rng(0), some_tokens()
+    start, seen = untrained(SMALL, rng), Seen.of(tokens, legal)
+    assert {name: (SMALL.members, *array.shape) for name, array in start.items()} == shapes(SMALL)
+    assert np.allclose(scores(start, seen), 3.0 * greedy_score(tokens.rates))
+    drawn = {name: rng.normal(0.0, 0.3, array.shape) for name, array in start.items()}
+    many = {name: torch.as_tensor(array) for name, array in drawn.items()}
+    batch = Seen(*(torch.as_tensor(np.stack([part, part])) for part in seen))
+    assert np.allclose(scores(many, batch, torch), scores(drawn, seen))
 
 
 def states(n, seed, goals=6):
@@ -174,9 +145,10 @@ def states(n, seed, goals=6):
 
 def test_it_learns_to_choose_what_the_teacher_values_and_the_same_each_time():
     train, held_out = states(400, 0), states(200, 1)
-    network, again = (fit(SHORT, train, 0).arrays() for _ in range(2))
+    (network, curve), (again, _) = (trained(SHORT, train, held_out, 0) for _ in range(2))
     assert all(np.array_equal(network[name], again[name]) for name in network)
-    assert regret([fit(SHORT, train, 1)], held_out).mean() < 0.3 * regret_of(held_out.greedy, held_out).mean()
+    assert curve[-1] == regret_of(scores(network, held_out.seen), held_out).mean()
+    assert curve[-1] < 0.3 * regret_of(held_out.greedy, held_out).mean()
 
 
 def test_regret_is_what_the_choice_is_worse_than_the_best():
