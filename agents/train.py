@@ -14,7 +14,7 @@ from typer import Option
 
 from agents.cli import World, command, command_line
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
-from agents.learning.ppo import HYPERPARAMETERS, Decision, load_hyperparameters
+from agents.learning.policies import HYPERPARAMETERS, Decision, load_hyperparameters
 from agents.learning.training import TrainingPlan, train
 
 

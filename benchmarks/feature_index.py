@@ -3,8 +3,7 @@
 Maps of point features at 1/16 per m² with independent errors of 0.05 m; the robot sees the k features nearest to it, or
 a random half of the 2k nearest, each with an error of 0.05 m, and spurious measurements over the same disc. Sizes are
 not used. Times are of the processor, medians over scans of the least of three calls; right and wrong count accepted
-answers only, within 0.3 m and 3°. In small maps igraph's maximum clique of the graph of pairings consistent in their
-distances (.99) sees the same scans; the building of that graph is not timed.
+answers only, within 0.3 m and 3°.
 
     python benchmarks/feature_index.py       # four minutes
 """
@@ -67,7 +66,7 @@ def relocations(index: FeatureIndex, asked: list[tuple[Scan, Array]]) -> Record:
     """Times [ms] and outcomes of the index."""
     rows = []
     for scan, pose in asked:
-        answer, right = index.relocate(scan), False
+        answer = index.relocate(scan)
         right = NEAR.holds(answer.pose, pose)
         verdict = {"right": answer.accepted and right, "wrong": answer.accepted and not right}
         verdict |= {"limit hit": answer.effort.limit_hit, "ambiguous": answer.ambiguous}

@@ -46,6 +46,7 @@ REACH = 15.0  # [m] of the sensor, over the half plane ahead
 LANE, STATION = 12.0, 20.0  # [m] between lanes, at most; between nodes of the network that carries the drift
 ALONG, ACROSS, OWN = 0.15, 0.10, 0.05  # [m] σ from station to station, to the lane before, of a feature itself
 RANGE_SIGMA, BEARING_SIGMA = 0.05, math.radians(0.25)  # of the sensor
+LARGEST = 3_200  # features of a map that is searched without a locality
 LOCAL_MAP = 50  # features after which a new local map begins
 
 
@@ -217,19 +218,13 @@ def relocate(search: Relocator, area: SurveyedField, drawn: FieldScan, locality:
 
 
 def sweep(
-    searched: Mapping[str, Relocator],
-    names: Sequence[str],
-    sizes: Sequence[int],
-    m: int,
-    scans: int,
-    seed: int,
-    max_tests: float = math.inf,
+    searched: Mapping[str, Relocator], names: Sequence[str], sizes: Sequence[int], m: int, scans: int, seed: int
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """All searches under the named localities in maps of each size, a row per scan; and a row per locality and size.
 
-    A series ends where the next size might take more than `max_tests` pairing tests.
+    Without a locality, which takes time with n², the search ends at `LARGEST` features.
     """
-    attempts, localities, ended = [], [], set()
+    attempts, localities = [], []
     for n in sizes:
         for number in range(maps := min(max(3200 // n, 1), 5, scans)):
             rng = np.random.default_rng([seed, n, m, number])
@@ -238,15 +233,13 @@ def sweep(
             for name in LOCALITIES:
                 locality, key = area.locality(name), {"locality": name, "n": n, "m": m}
                 localities.append(key | figures(n, m, locality, [one.truth for one in drawn]))
-                for search in searched if name in names else ():
-                    if (search, name) not in ended:
-                        tried = (relocate(searched[search], area, one, locality) for one in drawn)
-                        attempts += [{"search": search, **key, **record} for record in tried]
-        at = pd.DataFrame(attempts).query("n == @n").groupby(["search", "locality"])["pairing tests"].sum()
-        ended |= {series for series, tests in at.items() if 4.0 * tests > max_tests}
-    return pd.DataFrame(attempts), pd.DataFrame(localities).groupby(
-        ["locality", "n", "m"], sort=False
-    ).mean().reset_index()
+                if name in names and (locality is not None or n <= LARGEST):
+                    attempts += [
+                        {"search": search, **key, **relocate(searched[search], area, one, locality)}
+                        for search in searched for one in drawn
+                    ]  # fmt: skip
+    means = pd.DataFrame(localities).groupby(["locality", "n", "m"], sort=False).mean().reset_index()
+    return pd.DataFrame(attempts), means
 
 
 def figures(n: int, m: int, locality: Locality | None, truths: Sequence[IntArray]) -> Record:
@@ -314,7 +307,7 @@ def main() -> None:
     scans, judged, largest = (2, 4, 100) if a.quick else (a.scans, a.judged, a.largest)
     sizes = [n for n in (50, 100, 200, 400, 800, 1600, 3200, 6400, 12_800) if n <= largest]
     names = [name for name in LOCALITIES if name != "joined maps"]  # its loss is shown; nobody would search it
-    attempts, localities = sweep(searches(), names, sizes, 8, scans, a.seed, 1.1e9)
+    attempts, localities = sweep(searches(), names, sizes, 8, scans, a.seed)
     table("Localities; hypotheses of the unpruned tree (m = 8), fractions of the truth that are lost", localities)
     means = attempts.groupby(["search", "locality", "n"], sort=False).mean(numeric_only=True).reset_index()
     shown = ["nodes", "pairing tests", "ms", "pairings found", "all found", "right", "limit hit"]

@@ -25,52 +25,31 @@ from scipy.linalg.blas import dsyrk
 
 import slam_gym  # noqa: F401 (registers the environments)
 from benchmarks.common import Record, options, table, timed
-from slam_gym.navigation.planner import distance_field
-from slam_gym.navigation.pursuit import follow
-from slam_gym.types import Array
+from slam_gym.simulation.association_runs import nearest_frontier
+from slam_gym.simulation.driver import Command, commands
+from slam_gym.simulation.goals import Places, propose
 
 SMALL = 100  # features: the headline is of steps in maps of up to so many
 EDGES = (0, 25, 50, 75, 100, 125, 150, 200, 300, 500, 1000)  # of the classes of map size
-REPLAN = 20  # [steps]
 BURST = 40  # steps, and calls of each peer, in turns
 
 
-class Pilot:
-    """Drives to the nearest frontier, and to a random free place when there is none."""
-
-    def __init__(self, seed: int) -> None:
-        self._rng = np.random.default_rng(seed)
-        self._path = np.empty((0, 2))
-
-    def action(self, episode: Any, step: int) -> Array:
-        """The twist (2,) that follows the path, planned anew every so often."""
-        pose = episode.slam.map.pose
-        if step % REPLAN == 0:
-            self._path = self._plan(episode, pose)
-        return np.clip(np.array(follow(pose, self._path), np.float32), -1.0, 1.0)
-
-    def _plan(self, episode: Any, pose: Array) -> Array:
-        field = distance_field(episode.grid, pose[:2], episode.scenario.robot.radius + 0.05)
-        ends = episode.grid.frontiers(field.reachable).centres
-        lengths = field.lengths_to(ends)
-        if len(ends) and np.isfinite(lengths).any():
-            return field.path(ends[int(np.argmin(lengths))])
-        return field.path(field.nearest(pose[:2] + self._rng.normal(0.0, 5.0, 2)))
+def commands_of(episode: Any) -> Iterator[Command]:
+    """What drives to one nearest frontier after the other."""
+    rng, places = np.random.default_rng(0), Places()
+    while True:
+        goals = propose(episode.scenario, episode.slam.map, episode.grid, places, episode.tried)
+        slot = nearest_frontier(goals, rng)
+        yield from commands(episode, slot, goals.positions[slot])
 
 
-def explorer(scenario: Any, **arguments: Any) -> Any:
-    """Explore-v0 without its wrappers, driven by twists in test worlds."""
-    return gym.make("slam_gym/Explore-v0", scenario=scenario, action="twist", split="test", **arguments).unwrapped
-
-
-def explore(env: Any, world: int) -> Iterator[tuple[float, dict[str, Any]]]:
-    """An episode in a test world: the time [µs] and the info of each step."""
+def explore(env: Any, world: int) -> Iterator[float]:
+    """An episode in a test world: the time [µs] of each step."""
     env.reset(seed=world, options={"world": world})
-    pilot, over, step = Pilot(world), False, 0
+    over, driven = False, commands_of(env.episode)
     while not over:
-        (_, _, over, _, info), taken = timed(env.step, pilot.action(env.episode, step))
-        yield taken, info
-        step += 1
+        (_, _, over, _, _), taken = timed(env.step, np.array(next(driven), np.float32))
+        yield taken
 
 
 def stepped(name: str) -> Callable[[], object]:
@@ -98,7 +77,7 @@ def drive(env: Any, worlds: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Time and map size of every step of explorations of test worlds; times [µs] of the peers, in turns with them."""
     beside, steps, others = peers(), [], []
     for world in range(worlds):
-        for k, (taken, _) in enumerate(explore(env, world)):
+        for k, taken in enumerate(explore(env, world)):
             steps.append({"µs": taken, "features": env.episode.slam.map.n})
             if k % BURST == 0:
                 others.append({name: timed(lambda call=call: [call() for _ in range(BURST)])[1] / BURST
@@ -115,7 +94,8 @@ def row(name: str, steps: pd.DataFrame) -> Record:
 def main() -> None:
     a = options(__doc__, episodes=5, scenario="office", associator="jcbb")
     overrides = {"budget": 60} if a.quick else {}
-    env = explorer(a.scenario, associator=a.associator, overrides=overrides)
+    arguments = {"associator": a.associator, "overrides": overrides, "action": "twist", "split": "test"}
+    env = gym.make("slam_gym/Explore-v0", scenario=a.scenario, **arguments).unwrapped
     list(explore(env, 0))  # compiles
     steps, others = drive(env, 1 if a.quick else a.episodes)
     small = steps[steps["features"] <= SMALL]

@@ -68,7 +68,7 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
     counts = [len(part.inputs) for part in parts]
     measured, rows = (np.concatenate([getattr(part, name) for part in parts]) for name in ("measured", "rows"))
     right, unpaired, known = _labels(truth, prediction, measured, rows)
-    if not known.any():
+    if not known.any() or not len(measured):
         return None
     hypotheses, first = [], 0
     for part, count in zip(parts, counts):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,13 @@ from stable_baselines3.common.save_util import load_from_zip_file
 
 from agents.drivers.base import ActionKind, Info, legal_goals
 from agents.drivers.base import Observation as ExploreObservation
-from agents.learning.ppo import CHOICES, LARGEST_LAYER, Decision, Hyperparameters, policy_of
+from agents.learning.policies import CHOICES, Decision, Hyperparameters, policy_of
 from slam_gym.association.prediction import Associator
 from slam_gym.association.tracking.policy import from_policy
 from slam_gym.association.walks import Observation
 from slam_gym.types import BoolArray
 
-FORMAT = "slam_gym policy 2"
+FORMAT = "slam_gym policy 3"
 _MAX_BYTES = 1 << 28  # of a file, and of what it unpacks to
 _MAX_VALUES, _MAX_ACTIONS = 1 << 17, 4_096  # of an observation; of a choice
 
@@ -45,21 +45,18 @@ class About:
     action: Decision
     observation: dict[str, list[int]]  # shape of each part of the observation; `image` is uint8, the rest float32
     actions: int  # number of goals or branches, or length of the twist
-    width: int
-    hidden: int
-    deterministic: bool
+    hyperparameters: Hyperparameters
     training: dict[str, Any]  # scenario, seed, versions …
     timesteps: int = 0  # decisions that it was trained for
     format: str = FORMAT
 
     def __post_init__(self) -> None:
-        numbers = [self.width, self.hidden, *(side for shape in self.observation.values() for side in shape)]
+        sides = [self.actions, *(side for shape in self.observation.values() for side in shape)]
         if self.format != FORMAT or self.action not in (*CHOICES, "twist") or not isinstance(self.training, dict):
             raise ValueError(f"not a {FORMAT!r} file")
-        if not all(type(n) is int and n >= 1 for n in (*numbers, self.actions)) or self.actions > _MAX_ACTIONS:
+        if not all(type(n) is int and n >= 1 for n in sides):
             raise ValueError("its sizes are no positive numbers")
-        values = sum(math.prod(shape) for shape in self.observation.values())
-        if values > _MAX_VALUES or max(self.width, self.hidden) > LARGEST_LAYER:
+        if sum(map(math.prod, self.observation.values())) > _MAX_VALUES or self.actions > _MAX_ACTIONS:
             raise ValueError("it describes a network larger than any that is trained here")
 
     @classmethod
@@ -67,8 +64,12 @@ class About:
         """Of a policy that is to be trained on an environment."""
         assert isinstance(env.observation_space, spaces.Dict)
         shapes = {key: list(space.shape or ()) for key, space in env.observation_space.spaces.items()}
-        actions = spaces.flatdim(env.action_space)
-        return cls(action, shapes, actions, hyper.width, hyper.hidden, hyper.deterministic, training)
+        return cls(action, shapes, spaces.flatdim(env.action_space), hyper, training)
+
+    @property
+    def network(self) -> tuple[Any, ...]:
+        """What its weights depend on."""
+        return self.action, self.observation, self.actions, self.hyperparameters.width, self.hyperparameters.hidden
 
     def policy(self) -> Any:
         """The network, with fresh weights."""
@@ -77,7 +78,7 @@ class About:
             for key, shape in self.observation.items()
         })  # fmt: skip
         choice, twist = spaces.Discrete(self.actions), spaces.Box(-1.0, 1.0, (self.actions,), np.float32)
-        policy, arguments = policy_of(self.action, self.width, self.hidden)
+        policy, arguments = policy_of(self.action, self.actions, self.hyperparameters)
         return policy(observation, choice if self.action in CHOICES else twist, lambda _: 0.0, **arguments)
 
 
@@ -88,7 +89,8 @@ def read_about(path: Path) -> About:
             if sum(member.file_size for member in archive.infolist()) > _MAX_BYTES:
                 raise ValueError(f"is larger than {_MAX_BYTES >> 20} MB")
             data = json.loads(archive.read("data"))
-        return replace(About(**data["about"]), timesteps=int(data["num_timesteps"]))
+        hyper = Hyperparameters(**data["about"].pop("hyperparameters"))
+        return About(**data["about"] | {"timesteps": int(data["num_timesteps"])}, hyperparameters=hyper)
     except OSError:
         raise ValueError(f"model {path}: no such file") from None
     except Exception as error:  # zipfile and json raise whatever the damage leads to
@@ -136,7 +138,7 @@ class PolicyAgent:
             return cls._trusted(path)
         if about.action == "branch":
             raise ValueError(f"model {path}: an associator, not a driver")
-        return cls(policy, about.action, deterministic=about.deterministic)
+        return cls(policy, about.action, deterministic=about.hyperparameters.deterministic)
 
     @classmethod
     def _trusted(cls, path: Path) -> PolicyAgent:

@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import plain, versions
 from agents.learning.models import About, read_about
-from agents.learning.ppo import CHOICES, Decision, Hyperparameters, make_algorithm
+from agents.learning.policies import CHOICES, Decision, Hyperparameters, make_algorithm
 
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
@@ -160,7 +160,7 @@ def _resume(model: Any, path: Path, about: About) -> None:
         was, now = before.training.get(name), about.training[name]
         if was != now:
             raise ValueError(f"{path} was trained with {name} {was!r}, not {now!r}")
-    if replace(before, training={}, timesteps=0) != replace(about, training={}):
+    if before.network != about.network:
         raise ValueError(f"{path} was trained on action {before.action!r} with other hyperparameters")
     model.set_parameters(path, device="cpu")  # weights only: nothing is unpickled
     model.num_timesteps = before.timesteps

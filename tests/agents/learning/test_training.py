@@ -18,7 +18,7 @@ from agents import train_associate
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
 from agents.learning.models import load_associator, load_policy, read_about
-from agents.learning.ppo import HYPERPARAMETERS, load_hyperparameters
+from agents.learning.policies import HYPERPARAMETERS, load_hyperparameters
 from agents.learning.training import HELD_OUT, TrainingPlan, train
 from slam_gym.envs.observation import GOAL_FIELDS
 from slam_gym.scenarios import SPLITS
@@ -150,7 +150,7 @@ def test_somebody_elses_zip_is_read_only_where_it_is_trusted(tmp_path, action):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"width": 10**9}, "larger than any"), ({"actions": -1}, "no positive numbers"), ({"format": "x"}, "not a"),
+        ({"width": 10**9}, "width is 1000000000"), ({"actions": -1}, "no positive numbers"), ({"format": "x"}, "not a"),
         ({"observation": {"image": [3, 4000, 4000]}}, "larger than any"), ({"width": 32}, "state_dict"),
     ],
 )  # fmt: skip
@@ -160,7 +160,9 @@ def test_a_description_that_does_not_fit_is_refused_by_name(driver, tmp_path, ch
             content = whole.read(name)
             if name == "data":
                 table = json.loads(content)
-                content = json.dumps(table | {"about": table["about"] | change})
+                about = table["about"] | {name: value for name, value in change.items() if name != "width"}
+                about["hyperparameters"] |= {name: value for name, value in change.items() if name == "width"}
+                content = json.dumps(table | {"about": about})
             other.writestr(name, content)
     with pytest.raises(ValueError, match=f"other.zip: refused.*{message}"):
         load_policy(tmp_path / "other.zip")

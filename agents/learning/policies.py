@@ -1,0 +1,159 @@
+"""Policies and learners of Stable-Baselines3: MaskablePPO scores choices one by one (goals of Explore-v0, branches of
+Associate-v0), PPO drives by twists.
+
+Every choice passes through the same weights, together with the situation and a summary of all legal choices (Deep Sets,
+Zaheer et al. 2017). So a permutation of the choices permutes their scores.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from gymnasium import spaces
+from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.policies import MaskableMultiInputActorCriticPolicy
+from stable_baselines3 import PPO
+from stable_baselines3.common.policies import ActorCriticPolicy, MultiInputActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, CombinedExtractor
+from torch import Tensor, nn
+
+from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
+from slam_gym.envs.observation import GOAL_FIELDS
+
+Decision = Literal["goal", "twist", "branch"]
+"""What a policy decides: goals or twists in Explore-v0, branches of the interpretation tree in Associate-v0."""
+
+CHOICES = {"goal": ("goals", GOAL_FIELDS), "branch": ("candidates", CANDIDATE_FIELDS)}
+"""The decisions that are choices: the part of the observation that lists them, and what stands in a row of it."""
+
+# -- hyperparameters ---------------------------------------------------------------------------------------------------
+
+HYPERPARAMETERS = Path(__file__).with_name("hyperparameters.toml")
+_WHOLE_NUMBERS = ("n_steps", "batch_size", "n_epochs")
+_PPO = (*_WHOLE_NUMBERS, "learning_rate", "gamma", "gae_lambda", "clip_range", "ent_coef", "vf_coef")
+_LARGEST_LAYER = 1_024
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """Of one training run; the file beside this module has the defaults and says what they mean.
+
+    Raises ValueError that names what is missing, unknown, or out of its range.
+    """
+
+    envs: int  # stepped in parallel
+    reward_scale: float  # the factor of the rewards that are learned from
+    width: int  # of the encoded situation
+    hidden: int  # of the layers behind it
+    deterministic: bool  # evaluated with the most probable action, or with one drawn from the policy
+    ppo: dict[str, Any]  # as Stable-Baselines3 names them
+
+    def __post_init__(self) -> None:
+        for name in ("envs", "width", "hidden"):
+            value = getattr(self, name)
+            if type(value) is not int or not 1 <= value <= _LARGEST_LAYER:
+                raise ValueError(f"{name} is {value!r}, expected a whole number in 1 … {_LARGEST_LAYER}")
+        if not isinstance(self.ppo, dict) or set(self.ppo) != set(_PPO):
+            raise ValueError(f"ppo must have exactly {', '.join(_PPO)}")
+        for name, value in {"reward_scale": self.reward_scale, **self.ppo}.items():
+            kinds = (int,) if name in _WHOLE_NUMBERS else (int, float)
+            if type(value) not in kinds or not 0 <= value <= 1e6:
+                raise ValueError(f"{name} is {value!r}, expected a {'whole ' if len(kinds) == 1 else ''}number ≥ 0")
+
+
+def load_hyperparameters(action: Decision, path: Path = HYPERPARAMETERS) -> Hyperparameters:
+    """The table `[goal]`, `[twist]` or `[branch]` of a TOML file. ValueError names the file and what is wrong in it."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8")).get(action)
+        if not isinstance(table, dict):
+            raise ValueError(f"it has no table [{action}]")
+        return Hyperparameters(**table)
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+# -- policies ----------------------------------------------------------------------------------------------------------
+
+
+class ChoiceScorer(BaseFeaturesExtractor):
+    """Observation → (B, actions + hidden): a score for each action, and what the critic judges by.
+
+    Actions beyond the K choices, such as `*` of the interpretation tree, are rows that are legal and 0 otherwise.
+    """
+
+    def __init__(self, observation_space: spaces.Dict, decision: Decision, actions: int, width: int, hidden: int):
+        super().__init__(observation_space, actions + hidden)
+        self.choices, fields = CHOICES[decision]
+        others = {name: space for name, space in observation_space.spaces.items() if name != self.choices}
+        combined = CombinedExtractor(spaces.Dict(others), cnn_output_dim=width)
+        self.situation = nn.Sequential(combined, nn.Linear(combined.features_dim, width), nn.Tanh())
+        self.legal = fields.index("legal")
+        further = torch.zeros(actions - spaces.flatdim(observation_space[self.choices]) // len(fields), len(fields))
+        further[:, self.legal] = 1.0
+        self.register_buffer("further", further)
+        self.embed = nn.Sequential(nn.Linear(len(fields), hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh())
+        self.score = nn.Sequential(nn.Linear(2 * hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
+        self.value = nn.Sequential(nn.Linear(hidden + width, hidden), nn.Tanh())
+
+    def forward(self, observations: dict[str, Tensor]) -> Tensor:
+        rows = observations[self.choices].unflatten(1, (-1, self.further.shape[1]))
+        rows = torch.cat([rows, self.further.expand(len(rows), -1, -1)], dim=1)
+        embedded, legal = self.embed(rows), rows[:, :, self.legal, None]
+        summary = (embedded * legal).sum(1) / legal.sum(1).clamp(min=1.0)
+        shared = torch.cat([self.situation(observations), summary], dim=1)
+        each = shared.unsqueeze(1).expand(-1, rows.shape[1], -1)
+        scores = self.score(torch.cat([embedded, each], dim=2)).squeeze(2)
+        return torch.cat([scores, self.value(shared)], dim=1)
+
+
+class ActorAndCritic(nn.Module):
+    """What the actor and what the critic takes of the scorer's vector."""
+
+    def __init__(self, actions: int, hidden: int) -> None:
+        super().__init__()
+        self.latent_dim_pi, self.latent_dim_vf = actions, hidden
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        return self.forward_actor(features), self.forward_critic(features)
+
+    def forward_actor(self, features: Tensor) -> Tensor:
+        return features[:, : self.latent_dim_pi]
+
+    def forward_critic(self, features: Tensor) -> Tensor:
+        return features[:, self.latent_dim_pi :]
+
+
+class ChoicePolicy(MaskableMultiInputActorCriticPolicy):
+    """Actor-critic for MaskablePPO whose logits are the scores of a `ChoiceScorer`, its features extractor."""
+
+    def _build_mlp_extractor(self) -> None:
+        actions = spaces.flatdim(self.action_space)
+        self.mlp_extractor = ActorAndCritic(actions, self.features_dim - actions)
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        self.action_net = nn.Identity()  # a score already is the logit of its action
+        nn.init.orthogonal_(self.features_extractor.score[-1].weight, 0.01)  # close to uniform over what is legal
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+
+def policy_of(action: Decision, actions: int, hyper: Hyperparameters) -> tuple[type[ActorCriticPolicy], dict[str, Any]]:
+    """Class and further arguments of a policy; both the trainer and the loader build it from these."""
+    if action == "twist":
+        extractor = {"cnn_output_dim": hyper.width}
+        return MultiInputActorCriticPolicy, {
+            "features_extractor_kwargs": extractor, "net_arch": [hyper.hidden, hyper.hidden],
+        }  # fmt: skip
+    scorer = {"decision": action, "actions": actions, "width": hyper.width, "hidden": hyper.hidden}
+    return ChoicePolicy, {"features_extractor_class": ChoiceScorer, "features_extractor_kwargs": scorer}
+
+
+def make_algorithm(action: Decision, env: Any, hyper: Hyperparameters, seed: int) -> PPO | MaskablePPO:
+    """A fresh learner on a vectorised environment."""
+    policy, arguments = policy_of(action, spaces.flatdim(env.action_space), hyper)
+    learner = MaskablePPO if action in CHOICES else PPO
+    return learner(policy, env, seed=seed, device="cpu", policy_kwargs=arguments, **hyper.ppo)
