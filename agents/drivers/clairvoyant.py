@@ -5,7 +5,7 @@ It is shown the plan, where it truly is, and which features its map holds. What 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 
@@ -18,18 +18,13 @@ from slam_gym.geometry import compose, observe, transform
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import Array
 
-
-@dataclass(frozen=True)
-class TourSpec:
-    """How long ways take, and how hard tours are looked for."""
-
-    speed: float = 0.09  # [m/tick] along a path
-    overhead: float = 6.0  # [ticks] of a leg: to turn, to set off and to stop
-    look: float = 32.0  # [ticks] to turn round once
-    tours: int = 32  # tried from each goal
-    noise: float = 0.4  # σ of the logarithm of a factor on what each viewpoint promises, drawn for each tour
-    early: float = 0.2  # a feature that is mapped at once counts so much more than one at the end: plans may fail
-    enough: float = 0.5  # [features] a plan that promises less is none
+SPEED = 0.09  # [m/tick] along a path
+OVERHEAD = 6.0  # [ticks] of a leg: to turn, to set off and to stop
+LOOK = 32.0  # [ticks] to turn round once
+TOURS = 32  # tried from each goal
+NOISE = 0.4  # σ of the logarithm of a factor on what each viewpoint promises, drawn for each tour
+EARLY = 0.2  # a feature that is mapped at once counts so much more than one at the end: plans may fail
+ENOUGH = 0.5  # [features] a plan that promises less is none
 
 
 class Clairvoyant:
@@ -41,8 +36,7 @@ class Clairvoyant:
     name = "clairvoyant"
     action: ActionKind = "goal"
 
-    def __init__(self, spec: TourSpec | None = None) -> None:
-        self._spec = spec or TourSpec()
+    def __init__(self) -> None:
         self._without_plan = InformationGain()
         self._episode: Episode | None = None
 
@@ -51,16 +45,15 @@ class Clairvoyant:
 
     def behold(self, episode: Episode) -> None:
         """Be shown the truth behind an episode that has just begun."""
-        spec, rng = self._spec, np.random.default_rng(0)
-        self._episode = episode
+        self._episode, rng = episode, np.random.default_rng(0)
         self._views = views = TrueViews(episode.site, episode.scenario.sensor.range)
-        ticks = spec.overhead + views.ways.lengths[:, views.viewpoints] / spec.speed
+        ticks = OVERHEAD + views.ways.lengths[:, views.viewpoints] / SPEED
         self._between = ticks, np.ascontiguousarray(views.ways.seen[:, views.viewpoints])
-        self._chance = np.exp(spec.noise * rng.standard_normal((spec.tours, len(views.viewpoints))))
+        self._chance = np.exp(NOISE * rng.standard_normal((TOURS, len(views.viewpoints))))
 
     def act(self, observation: Observation, info: Info) -> int:
         values, otherwise = self.values(observation, info), self._without_plan.act(observation, info)
-        return int(np.argmax(values)) if values.max() > self._spec.enough else otherwise
+        return int(np.argmax(values)) if values.max() > ENOUGH else otherwise
 
     def values(self, observation: Observation, info: Info) -> Array:
         """(SLOTS,) by how many features the map should be better in the end, by each goal; −inf where not legal.
@@ -72,8 +65,8 @@ class Clairvoyant:
         goals, legal, here = unsquash_goals(observation["goals"]), legal_goals(info), self._episode.poses[-1]
         places = transform(here, np.column_stack([goals["x"], goals["y"]]))
         there, ways = self._views.nearest(places), self._views.ways_from(self._views.nearest(here[None, :2]))
-        ticks = self._spec.overhead + np.maximum(ways.lengths[0, there], goals["path"]) / self._spec.speed
-        ticks[LOOK_AROUND] = self._spec.look
+        ticks = OVERHEAD + np.maximum(ways.lengths[0, there], goals["path"]) / SPEED
+        ticks[LOOK_AROUND] = LOOK
         known, worth = self._known(), self._worth()
         values = np.full(len(legal), -np.inf)
         for k in np.flatnonzero(legal):
@@ -83,13 +76,13 @@ class Clairvoyant:
     def _value(self, cell: int, ticks: float, way: Ways, known: Bits, worth: Array) -> float:
         """What the way to a cell brings, and the best tour from there."""
         assert self._episode is not None
-        spec, ways = self._spec, self._views.ways
+        ways = self._views.ways
         left = float(self._episode.scenario.budget - self._episode.ticks)
         found = gained(known, way.seen[0, cell], worth)
         if ticks >= left:
             return found * left / ticks
-        early = spec.early * (left - ticks) / left
-        start = spec.overhead + ways.lengths[:, cell] / spec.speed, np.ascontiguousarray(ways.seen[:, cell])
+        early = EARLY * (left - ticks) / left
+        start = OVERHEAD + ways.lengths[:, cell] / SPEED, np.ascontiguousarray(ways.seen[:, cell])
         more = best_tour(start, self._between, left - ticks, known | way.seen[0, cell], worth, self._chance, early)
         return found * (1.0 + early) + more
 
@@ -116,15 +109,6 @@ class Clairvoyant:
 
 
 @compiled
-def popcount(word: np.uint64) -> int:
-    """How many bits of a word are set."""
-    v = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    v = (v & np.uint64(0x3333333333333333)) + ((v >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    v = (v + (v >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return int((v * np.uint64(0x0101010101010101)) >> np.uint64(56))
-
-
-@compiled
 def gained(seen: Bits, more: Bits, worth: Array) -> float:
     """What the features of `more` (w,) that are not among those `seen` (w,) are `worth` (n,) together."""
     total, one = 0.0, np.uint64(1)
@@ -132,7 +116,7 @@ def gained(seen: Bits, more: Bits, worth: Array) -> float:
         word = more[w] & ~seen[w]
         while word:
             lowest = word & (~word + one)
-            total += worth[64 * w + popcount(lowest - one)]
+            total += worth[64 * w + math.frexp(float(lowest))[1] - 1]
             word ^= lowest
     return total
 

@@ -6,8 +6,6 @@ seen counts with its prior σ₀² per coordinate, so new area and revisits are 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
@@ -16,21 +14,18 @@ from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
 from slam_gym.types import Array
 
-
-@dataclass(frozen=True)
-class GainSpec:
-    prior_sigma: float = 0.5  # [m] σ₀ of a feature that has not been seen
-    density: float = 0.3  # [1/m²] features expected per area of new floor
-    speed: float = 0.08  # [m/tick] along a path, turns included
-    overhead: float = 5.0  # [ticks] to set off and to stop
-    look: float = 32.0  # [ticks] to turn round once
+PRIOR_SIGMA = 0.5  # [m] σ₀ of a feature that has not been seen
+DENSITY = 0.3  # [1/m²] features expected per area of new floor
+SPEED = 0.08  # [m/tick] along a path, turns included
+OVERHEAD = 5.0  # [ticks] to set off and to stop
+LOOK = 32.0  # [ticks] to turn round once
 
 
-def rates(goals: dict[str, Array], spec: GainSpec) -> Array:
+def rates(goals: dict[str, Array]) -> Array:
     """(k,) [m² per tick] that each of the goals, as `unsquash_goals` gives them, takes out of the map."""
-    ticks = np.maximum(spec.overhead + goals["path"] / spec.speed, 1.0)
-    ticks[LOOK_AROUND] = spec.look
-    out: Array = (2.0 * spec.prior_sigma**2 * spec.density * goals["area"] + goals["reduction"]) / ticks
+    ticks = OVERHEAD + goals["path"] / SPEED
+    ticks[LOOK_AROUND] = LOOK
+    out: Array = (2.0 * PRIOR_SIGMA**2 * DENSITY * goals["area"] + goals["reduction"]) / ticks
     return out
 
 
@@ -43,8 +38,7 @@ class InformationGain:
     name = "information_gain"
     action: ActionKind = "goal"
 
-    def __init__(self, spec: GainSpec | None = None) -> None:
-        self._spec = spec or GainSpec()
+    def __init__(self) -> None:
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -52,7 +46,7 @@ class InformationGain:
 
     def act(self, observation: Observation, info: Info) -> int:
         goals = unsquash_goals(observation["goals"])
-        rate = rates(goals, self._spec)
+        rate = rates(goals)
         places = transform(np.asarray(info["pose"], float), np.column_stack([goals["x"], goals["y"]]).astype(float))
         rate /= 1.0 + np.where(goals["revisit"] > 0.5, self._revisited.times(places), 0)
         rate[LOOK_AROUND] *= self._looked.times(places[:1])[0] == 0

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
-from agents.drivers.information_gain import GainSpec, InformationGain, rates
+from agents.drivers.information_gain import InformationGain, rates
 from slam_gym.envs.observation import METRES, PIXELS, unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
@@ -66,7 +66,7 @@ def tokens_of(observation: Observation, used: float) -> Tokens:
     goals |= {"area": np.where(goals["revisit"] > 0.5, 0.0, goals["area"]), "reduction": np.zeros(len(goals["x"]))}
     places = np.column_stack([goals["x"], goals["y"]])
     budget = float(observation["budget"][0])
-    left, rate = ticks_left(budget, used), rates(goals, GainSpec())
+    left, rate = ticks_left(budget, used), rates(goals)
     own = np.zeros((len(places), len(OWN)))
     own[LOOK_AROUND, 0], own[:, 1] = 1.0, goals["frontier"]
     distances = np.hypot(*places.T)

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 from slam_gym._jit import compiled
 from slam_gym.simulation.episode import Site
 from slam_gym.types import Array, BoolArray, IntArray
-from slam_gym.world.ray_casting import Grid, Packed, pull_back, sees
+from slam_gym.world.ray_casting import pull_back
 
 Bits = NDArray[np.uint64]
 """(…, w) sets of features, one bit each, 64 to a word."""
@@ -39,11 +39,7 @@ class TrueViews:
 
     def __init__(self, site: Site, sensor_range: float) -> None:
         self.cells = site.cells
-        plan = site.plan
-        features = plan.features.positions
-        self.seen = _seen_from(
-            site.index.packed, features, pull_back(plan.features), self.cells, _SURE * sensor_range, site.observable
-        )
+        self.seen = _seen_from(site, _SURE * sensor_range)
         self._graph = _graph(self.cells)
         most = int(np.clip(_WORDS // self.seen.size, *_VIEWPOINTS))
         self.viewpoints = _spread(self.cells, most)
@@ -61,11 +57,10 @@ class TrueViews:
 
 
 def bits_of(chosen: BoolArray) -> Bits:
-    """The set (w,) of the features that are `chosen` (n,)."""
-    words = np.zeros(max(1, -(-len(chosen) // 64)), np.uint64)
-    for i in np.flatnonzero(chosen):
-        words[i >> 6] |= np.uint64(1) << np.uint64(i & 63)
-    return words
+    """The sets (…, w) of the features that are `chosen` (…, n)."""
+    words = np.zeros((*chosen.shape[:-1], 64 * max(1, -(-chosen.shape[-1] // 64))), np.bool_)
+    words[..., : chosen.shape[-1]] = chosen
+    return np.packbits(words, axis=-1, bitorder="little").view("<u8").astype(np.uint64)
 
 
 def _spread(cells: Array, most: int) -> IntArray:
@@ -96,22 +91,14 @@ def _graph(cells: Array) -> sparse.csr_matrix:
     return half + half.T
 
 
-@compiled
-def _seen_from(
-    packed: Packed, features: Array, pull_backs: Array, cells: Array, reach: float, counted: BoolArray
-) -> Bits:
-    """(c, w) the features that count and that no wall hides from each cell."""
-    grid = Grid(*packed)
-    out = np.zeros((cells.shape[0], max(1, (features.shape[0] + 63) // 64)), np.uint64)
-    for i in range(features.shape[0]):
-        if not counted[i]:
-            continue
-        bit = np.uint64(1) << np.uint64(i & 63)
-        for c in range(cells.shape[0]):
-            x, y, dx, dy = cells[c, 0], cells[c, 1], features[i, 0] - cells[c, 0], features[i, 1] - cells[c, 1]
-            if dx * dx + dy * dy <= reach * reach and sees(grid, x, y, dx, dy, pull_backs[i]):
-                out[c, i >> 6] |= bit
-    return out
+def _seen_from(site: Site, reach: float) -> Bits:
+    """(c, w) the features that count, within `reach` [m] and that no wall hides, from each cell of the site."""
+    features, short = site.plan.features.positions, pull_back(site.plan.features)
+    seen = np.zeros((len(site.cells), len(features)), np.bool_)
+    for cell, row in zip(site.cells, seen):
+        near = np.flatnonzero(site.observable & (np.hypot(*(features - cell).T) <= reach))
+        row[near] = site.index.visible(cell, features[near], short[near])
+    return bits_of(seen)
 
 
 @compiled

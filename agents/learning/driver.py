@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.drivers.information_gain import GainSpec, rates
+from agents.drivers.information_gain import rates
 from agents.drivers.learned import (
     SIZE,
     TOKEN_FIELDS,
@@ -161,7 +161,7 @@ def _env(scenario: str) -> gym.Env[Any, Any]:
 def greedy(sketch: Sketch) -> int:
     """The goal that information gain takes."""
     goals = {"path": sketch.goals.lengths, "area": sketch.goals.areas, "reduction": sketch.goals.reductions}
-    return int(np.argmax(np.where(sketch.legal, rates(goals, GainSpec()), -np.inf)))
+    return int(np.argmax(np.where(sketch.legal, rates(goals), -np.inf)))
 
 
 # -- what is learned from them -----------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 
 from agents.drivers.base import AGENTS, BASELINES, find_agent, is_learned, make_agent, visible
 from agents.drivers.baselines import Lawnmower, NearestFrontier, RandomAgent
-from agents.drivers.information_gain import GainSpec, InformationGain, InformationGainNoRevisits
+from agents.drivers.information_gain import InformationGain, InformationGainNoRevisits
 from slam_gym.simulation.goals import FRONTIERS, SLOTS
 from tests.agents.drivers import offered
 from tests.rollouts import explore
@@ -119,23 +119,22 @@ def test_lawnmower_goes_over_the_revisits_once_no_frontier_is_left():
     assert agent.act(*offered([], [(3, 0, 3, 0, 0.1)])) == 1 + FRONTIERS
 
 
-SPEC = GainSpec(prior_sigma=0.5, density=0.4, speed=0.1, overhead=0.0, look=1e9)
-NEAR, FAR = (1, 0, 2.0, 4.0, 0.0), (9, 0, 10.0, 10.0, 0.0)  # .04 and .02 m² a tick
+NEAR, FAR = (1, 0, 2.0, 4.0, 0.0), (9, 0, 10.0, 10.0, 0.0)  # 0.020 and 0.012 m² a tick
 
 
 def test_information_gain_weighs_new_area_and_reduction_per_tick():
-    agent = InformationGain(SPEC)
+    agent = InformationGain()
     assert agent.act(*offered([FAR, NEAR])) == 2
-    assert agent.act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 1.59)])) == 2  # just below .04 m² a tick
-    assert agent.act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 1.61)])) == 1 + FRONTIERS
+    assert agent.act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 1.09)])) == 2  # just below 0.020 m² a tick
+    assert agent.act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 1.11)])) == 1 + FRONTIERS
 
 
 def test_without_revisits_it_takes_the_best_frontier():
-    assert InformationGainNoRevisits(SPEC).act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 9.0)])) == 2
+    assert InformationGainNoRevisits().act(*offered([FAR, NEAR], [(2, 0, 4.0, 0.0, 9.0)])) == 2
 
 
 def test_what_has_been_looked_at_promises_less_the_next_time():
-    agent, spots = InformationGain(SPEC), [(2, 0, 4.0, 0.0, 4.0), (5, 0, 8.0, 0.0, 6.0)]  # .1 and .075 m² a tick
+    agent, spots = InformationGain(), [(2, 0, 4.0, 0.0, 4.0), (5, 0, 8.0, 0.0, 6.0)]  # 0.073 and 0.057 m² a tick
     chosen = [agent.act(*offered([], spots)) - FRONTIERS for _ in range(4)]
     assert chosen == [1, 2, 1, 2]
     agent.reset(0)
