@@ -72,6 +72,10 @@ def test_what_nobody_knows_or_is_not_on_offer_teaches_nothing():
     sources = np.array([far, UNLABELLED, SPURIOUS, SPURIOUS, SPURIOUS, SPURIOUS])
     found = decisions_of(scan, prediction, RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8)))
     assert found.known.tolist() == [False, False, True, True, True, True] and not found.right.any()
+    elsewhere = dataclasses.replace(
+        scan, points=scan.points + 1e3
+    )  # compatible with nothing: there is nothing to learn
+    assert decisions_of(elsewhere, prediction, RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8))) is None
     nobody = RightAnswers.of(Truth(np.zeros(3), np.full(6, UNLABELLED)), np.arange(8))
     assert decisions_of(scan, prediction, nobody) is None
 
