@@ -9,6 +9,7 @@ the legal ones; a goal takes many ticks, hence ticks are counted.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -27,20 +28,16 @@ def actions(envs: Any, infos: dict[str, Any], rng: np.random.Generator) -> Any:
     return np.clip(rng.normal([0.5, 0.0], [0.6, 0.5], (envs.num_envs, 2)), -1.0, 1.0).astype(np.float32)
 
 
-class Run:
-    """Worlds that are stepped block by block."""
-
-    def __init__(self, envs: Any, seed: int) -> None:
-        self.envs, self.rng = envs, np.random.default_rng(seed)
-        _, self.infos = envs.reset(seed=seed)
-
-    def block(self, ticks: int) -> float:
-        """Ticks per second of all worlds together, over so many ticks at least."""
+def blocks_of(envs: Any, ticks: int, seed: int) -> Iterator[float]:
+    """Ticks per second of all worlds together, block by block of so many ticks at least."""
+    rng = np.random.default_rng(seed)
+    _, infos = envs.reset(seed=seed)
+    while True:
         done, start = 0, time.perf_counter()
         while done < ticks:
-            *_, self.infos = self.envs.step(actions(self.envs, self.infos, self.rng))
-            done += int(np.asarray(self.infos["ticks"]).sum())
-        return done / (time.perf_counter() - start)
+            *_, infos = envs.step(actions(envs, infos, rng))
+            done += int(np.asarray(infos["ticks"]).sum())
+        yield done / (time.perf_counter() - start)
 
 
 def throughput(
@@ -56,12 +53,9 @@ def throughput(
         f"{worlds} worlds, Gymnasium's sync": gym.make_vec(ID, worlds, vectorization_mode="sync", **arguments),
         f"{worlds} worlds, Gymnasium's async": gym.make_vec(ID, worlds, vectorization_mode="async", **arguments),
     }
-    runs = {name: Run(envs, seed) for name, envs in kinds.items()}
-    rates = {name: [] for name in kinds}
-    for _ in range(blocks + 1):
-        for name, run in runs.items():
-            rates[name].append(run.block(ticks * run.envs.num_envs))
-    medians = {name: float(np.median(found[1:])) for name, found in rates.items()}
+    runs = [blocks_of(envs, ticks * envs.num_envs, seed) for envs in kinds.values()]
+    rates = np.array([[next(run) for run in runs] for _ in range(blocks + 1)])
+    medians = dict(zip(kinds, np.median(rates[1:], axis=0).tolist()))
     for envs in kinds.values():
         envs.close()
     return [

@@ -60,7 +60,7 @@ class Plan:
     seeds: Sequence[int] = (0, 1)  # the one that is best on what is held out ships
     hidden_numbers: int = 24
     epochs: int = 14
-    rate: float = 4e-3  # at first
+    rate: float = 4e-3  # at its highest
 
 
 QUICK = Plan(("clutter/2", "detection/2", "closure/3"), worlds=2, held_out=1, further=(), epochs=30)

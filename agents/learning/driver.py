@@ -57,7 +57,7 @@ class Plan:
     size: Size = SIZE  # each member has a seed of its own
     epochs: int = 15
     batch: int = 128
-    rate: float = 1e-3  # at first
+    rate: float = 1e-3  # at its highest
     jobs: int = field(default_factory=joblib.cpu_count)
 
 

@@ -50,15 +50,15 @@ class Hyperparameters:
     width: int  # of the encoded situation
     hidden: int  # of the layers behind it
     deterministic: bool  # evaluated with the most probable action, or with one drawn from the policy
-    ppo: dict[str, Any]  # as Stable-Baselines3 names them
+    ppo: dict[str, Any]  # arguments of Stable-Baselines3's PPO
 
     def __post_init__(self) -> None:
         for name in ("envs", "width", "hidden"):
             value = getattr(self, name)
             if type(value) is not int or not 1 <= value <= _LARGEST_LAYER:
                 raise ValueError(f"{name} is {value!r}, expected a whole number in 1 … {_LARGEST_LAYER}")
-        if not isinstance(self.ppo, dict) or set(self.ppo) != set(_PPO):
-            raise ValueError(f"ppo must have exactly {', '.join(_PPO)}")
+        if not isinstance(self.ppo, dict) or not set(self.ppo) <= set(_PPO):
+            raise ValueError(f"ppo must be a table of {', '.join(_PPO)}")
         for name, value in {"reward_scale": self.reward_scale, **self.ppo}.items():
             kinds = (int,) if name in _WHOLE_NUMBERS else (int, float)
             if type(value) not in kinds or not 0 <= value <= 1e6:
