@@ -119,34 +119,27 @@ GAP = 5.0  # [m] the unit of distances between goals
 _EPSILON = 1e-5  # of the layer norms
 
 
-class Size(NamedTuple):
-    """Of the network; its number of goals is that of the observation."""
+WIDTH, HEADS, LAYERS = 32, 4, 2
+MEMBERS = 3  # networks that were trained alike, whose mean counts
 
-    width: int = 32
-    heads: int = 4
-    layers: int = 2
-    members: int = 3  # networks that were trained alike, whose mean counts
+_BLOCK = {
+    "nearness": (HEADS,), "before.weight": (WIDTH,), "before.bias": (WIDTH,), "between.weight": (WIDTH,),
+    "between.bias": (WIDTH,), "attend.weight": (3 * WIDTH, WIDTH), "attend.bias": (3 * WIDTH,),
+    "mix.weight": (WIDTH, WIDTH), "mix.bias": (WIDTH,), "wide.weight": (2 * WIDTH, WIDTH), "wide.bias": (2 * WIDTH,),
+    "narrow.weight": (WIDTH, 2 * WIDTH), "narrow.bias": (WIDTH,),
+}  # fmt: skip
+SHAPES: dict[str, tuple[int, ...]] = {
+    "greed": (), "shift": (len(TOKEN_FIELDS),), "scale": (len(TOKEN_FIELDS),),
+    "embed.weight": (WIDTH, len(TOKEN_FIELDS)), "embed.bias": (WIDTH,),
+    **{f"blocks.{i}.{name}": shape for i in range(LAYERS) for name, shape in _BLOCK.items()},
+    "last.weight": (WIDTH,), "last.bias": (WIDTH,), "score.weight": (1, WIDTH), "score.bias": (1,),
+}  # fmt: skip
+"""The arrays of one member."""
 
 
-SIZE = Size()
-
-
-def shapes(size: Size) -> dict[str, tuple[int, ...]]:
-    """The arrays of a network of some size, of all members together."""
-    w, fields = size.width, len(TOKEN_FIELDS)
-    out: dict[str, tuple[int, ...]] = {
-        "greed": (), "shift": (fields,), "scale": (fields,), "embed.weight": (w, fields), "embed.bias": (w,),
-    }  # fmt: skip
-    for i in range(size.layers):
-        parts = {
-            "nearness": (size.heads,), "before.weight": (w,), "before.bias": (w,), "between.weight": (w,),
-            "between.bias": (w,), "attend.weight": (3 * w, w), "attend.bias": (3 * w,), "mix.weight": (w, w),
-            "mix.bias": (w,), "wide.weight": (2 * w, w), "wide.bias": (2 * w,), "narrow.weight": (w, 2 * w),
-            "narrow.bias": (w,),
-        }  # fmt: skip
-        out |= {f"blocks.{i}.{name}": shape for name, shape in parts.items()}
-    out |= {"last.weight": (w,), "last.bias": (w,), "score.weight": (1, w), "score.bias": (1,)}
-    return {name: (size.members, *shape) for name, shape in out.items()}
+def load_driver(weights: str | Path) -> Weights:
+    """Weights of all members, by a name in `slam_gym.weights` or the path of a file. Raises ValueError as `load`."""
+    return load(weights, VERSION, TOKEN_FIELDS, {name: (MEMBERS, *shape) for name, shape in SHAPES.items()})
 
 
 def greedy_score(rates: Array) -> Array:
@@ -182,7 +175,7 @@ def scores(arrays: Arrays, seen: Seen, xp: Any = np) -> Any:
     are of: numpy, or torch where they learn. Scores of goals that are not legal mean nothing.
     """
     x = _linear(arrays, "embed", (seen.fields - arrays["shift"][..., None, :]) * arrays["scale"][..., None, :])
-    for i in range(sum(name.endswith("nearness") for name in arrays)):
+    for i in range(LAYERS):
         x = _block(arrays, f"blocks.{i}", x, seen, xp)
     residual = _linear(arrays, "score", _normed(arrays, "last", x))[..., 0]
     return arrays["greed"][..., None] * seen.greedy + residual
@@ -199,9 +192,9 @@ def _block(arrays: Arrays, name: str, x: Any, seen: Seen, xp: Any) -> Any:
     """Every goal looks at all legal ones, nearer ones more or less so, and then thinks for itself."""
     nearness = arrays[f"{name}.nearness"][..., :, None, None]
     qkv = _linear(arrays, f"{name}.attend", _normed(arrays, f"{name}.before", x))
-    qkv = qkv.reshape(*x.shape[:-1], 3, nearness.shape[-3], -1)
+    qkv = qkv.reshape(*x.shape[:-1], 3, HEADS, WIDTH // HEADS)
     q, k, v = (qkv[..., part, :, :] for part in range(3))  # each (…, goals, heads, width / heads)
-    match = xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(q.shape[-1]) - nearness * seen.gaps[..., None, :, :]
+    match = xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(WIDTH / HEADS) - nearness * seen.gaps[..., None, :, :]
     match = xp.where(seen.legal[..., None, None, :], match, -1e9)
     share = xp.exp(match - xp.amax(match, axis=-1, keepdims=True))
     share = share / share.sum(axis=-1, keepdims=True)
@@ -233,8 +226,8 @@ class LearnedDriver:
     action: ActionKind = "goal"
 
     def __init__(self, weights: str | Path | Weights = "driver") -> None:
-        """`weights`: a name in `slam_gym.weights`, the path of a file, or themselves. Raises ValueError as `load`."""
-        given = weights if isinstance(weights, Weights) else load(weights, VERSION, TOKEN_FIELDS, shapes(SIZE))
+        """`weights`: as `load_driver` takes them, or themselves."""
+        given = weights if isinstance(weights, Weights) else load_driver(weights)
         self._arrays = given.arrays
         self._without_frontiers = InformationGain()
         self.reset(0)

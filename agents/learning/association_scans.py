@@ -52,14 +52,14 @@ class Decisions(NamedTuple):
     """One scan: c pairings, b hypotheses, m measurements."""
 
     inputs: NDArray[np.float32]  # (c, inputs)
-    measured: NDArray[np.int32]  # (c,)
-    slots: NDArray[np.int32]  # (c,) feature, one number for each in each narrow heading
+    measured: IntArray  # (c,)
+    slots: IntArray  # (c,) feature, one number for each in each narrow heading
     right: BoolArray  # (c,) the pairing is right
-    hypotheses: NDArray[np.int32]  # (b, m) pairing of each measurement, or UNPAIRED
+    hypotheses: IntArray  # (b, m) pairing of each measurement, or UNPAIRED
     scores: NDArray[np.float32]  # (b,) log densities of the model alone
     unpaired: BoolArray  # (m,) that is right
     known: BoolArray  # (m,) somebody knows what is right, and it is on offer
-    weight: float  # what the scan counts
+    weight: float = 1.0  # what the scan counts
 
 
 def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Decisions | None:
@@ -80,11 +80,17 @@ def decisions_of(scan: Scan, prediction: Prediction, truth: RightAnswers) -> Dec
     best = np.argsort(-scores, kind="stable")[:_MOST]
     best = best[scores[best] > scores[best[0]] - MARGIN]
     offset = np.repeat(np.arange(len(parts)), counts) * (len(prediction) + 1)
+    inputs, kept = np.concatenate([part.inputs for part in parts]), np.concatenate(hypotheses)[best]
     return Decisions(
-        np.concatenate([part.inputs for part in parts]).astype(np.float32), measured.astype(np.int32),
-        (rows + offset).astype(np.int32), right, np.concatenate(hypotheses)[best].astype(np.int32),
-        scores[best].astype(np.float32), unpaired, known, 1.0,
-    )  # fmt: skip
+        inputs.astype(np.float32),
+        measured,
+        rows + offset,
+        right,
+        kept,
+        scores[best].astype(np.float32),
+        unpaired,
+        known,
+    )
 
 
 def _labels(
@@ -92,9 +98,8 @@ def _labels(
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Which pairings (c,) are right, duplicates included; which measurements (m,) are of nothing in the map; and of
     which of them that is known, and on offer."""
-    identities = np.append(truth.identities, UNLABELLED - 1)
     sources = truth.sources
-    right = (identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
+    right = (truth.identities[prediction.features[rows]] == sources[measured]) & (sources[measured] >= 0)
     unpaired = (sources != UNLABELLED) & (truth.right == UNPAIRED)
     offered = np.zeros(len(sources), np.bool_)
     offered[measured[right]] = True

@@ -217,7 +217,7 @@ def batches_of(scans: Sequence[Decisions], size: int = _BATCH) -> list[Batch]:
 def _most(values: Tensor, group: Tensor) -> Tensor:
     """The greatest of each column (c, h) among those of the same group (c,); values are not negative."""
     out = torch.zeros(int(group.max()) + 1, values.shape[1])
-    index = group.long()[:, None].expand_as(values)
+    index = group[:, None].expand_as(values)
     return out.scatter_reduce(0, index, values, "amax").gather(0, index)
 
 

@@ -22,15 +22,15 @@ from torch import Tensor, nn
 
 from agents.drivers.information_gain import rates
 from agents.drivers.learned import (
-    SIZE,
+    HEADS,
+    MEMBERS,
+    SHAPES,
     TOKEN_FIELDS,
     VERSION,
     Arrays,
     Seen,
-    Size,
     most_promising,
     scores,
-    shapes,
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
@@ -54,7 +54,6 @@ class Plan:
 
     scenarios: Sequence[str] = SCENARIOS
     episodes: int = 2_000
-    size: Size = SIZE  # each member has a seed of its own
     epochs: int = 15
     batch: int = 128
     rate: float = 1e-3  # at its highest
@@ -73,7 +72,7 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
     held_out = Examples.joined([found[k] for k in worlds if not k % HELD_OUT])
     say(f"{plan.episodes} drives, {len(train) + len(held_out)} states, {time.perf_counter() - began:.0f} s")
     members = []
-    for seed in range(plan.size.members):
+    for seed in range(MEMBERS):
         network, curve = trained(plan, train, held_out, seed)
         members.append(network)
         say(f"seed {seed}: regret held out [.01 E], by epoch: {' '.join(f'{loss:.3f}' for loss in curve)}")
@@ -86,7 +85,7 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
         "states": figure([float(len(train) + len(held_out))]),
     }
     scenarios = tuple(dict.fromkeys(plan.scenarios))
-    card = Card(VERSION, TOKEN_FIELDS, {}, scenarios, tuple(range(len(members))), command, metrics)
+    card = Card(VERSION, TOKEN_FIELDS, {}, scenarios, tuple(range(MEMBERS)), command, metrics)
     return Weights(card, {name: np.stack([own[name] for own in members]) for name in members[0]})
 
 
@@ -167,13 +166,13 @@ def greedy(sketch: Sketch) -> int:
 # -- what is learned from them -----------------------------------------------------------------------------------------
 
 
-def untrained(size: Size, rng: np.random.Generator) -> dict[str, Array]:
+def untrained(rng: np.random.Generator) -> dict[str, Array]:
     """Weights of one member, by which it drives as the greedy driver."""
-    out = {name: np.zeros(shape) for name, (_, *shape) in shapes(size).items()}
+    out = {name: np.zeros(shape) for name, shape in SHAPES.items()}
     for name, array in out.items():
         layer, _, part = name.rpartition(".")
         if part == "nearness":
-            array[:] = np.linspace(0.0, 1.0, size.heads)
+            array[:] = np.linspace(0.0, 1.0, HEADS)
         elif layer.endswith(("before", "between", "last")):
             array[:] = part == "weight"
         elif part == "weight" and layer != "score":
@@ -185,7 +184,7 @@ def trained(plan: Plan, train: Examples, held_out: Examples, seed: int) -> tuple
     """Weights that predict the values of goals, up to what they have in common; regret held out after each epoch."""
     rng, own = np.random.default_rng(seed), train.fields[train.legal]
     scaled = {"shift": own.mean(axis=0), "scale": 1.0 / (own.std(axis=0) + 0.05)}
-    network = {name: torch.tensor(x, dtype=torch.float32) for name, x in (untrained(plan.size, rng) | scaled).items()}
+    network = {name: torch.tensor(x, dtype=torch.float32) for name, x in (untrained(rng) | scaled).items()}
     learned = [tensor.requires_grad_() for name, tensor in network.items() if name not in scaled]
     arrays = {name: tensor.detach().numpy() for name, tensor in network.items()}  # the same memory
     batches = np.array_split(rng.permutation(len(train)), -(-len(train) // plan.batch))

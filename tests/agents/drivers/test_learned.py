@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
+from agents.drivers import learned
 from agents.drivers.base import make_agent
 from agents.drivers.learned import (
     CHOICES,
-    SIZE,
+    MEMBERS,
+    SHAPES,
     TOKEN_FIELDS,
-    VERSION,
     LearnedDriver,
     Seen,
-    Size,
     Tokens,
     choose,
     greedy_score,
+    load_driver,
     most_promising,
     scores,
-    shapes,
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
@@ -27,7 +27,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.simulation.goals import Goals
 from slam_gym.types import Beams, Scan
-from slam_gym.weights import Weights, card_of, load
+from slam_gym.weights import Weights
 from tests.agents.drivers import offered
 
 COVARIANCE = np.diag([0.01, 0.04, 0.0025])  # of the pose
@@ -68,11 +68,11 @@ def test_the_environment_shows_what_the_weights_were_trained_on():
     assert free[1] < free[0] and unknown[1] > unknown[0]
 
 
-def test_weights_that_ship_fit_the_tokens_of_now_and_no_others():
-    assert card_of("driver").inputs == TOKEN_FIELDS
-    load("driver", VERSION, TOKEN_FIELDS, shapes(SIZE))
+def test_weights_that_ship_fit_the_tokens_of_now_and_no_others(monkeypatch):
+    assert load_driver("driver").card.inputs == TOKEN_FIELDS
+    monkeypatch.setattr(learned, "TOKEN_FIELDS", (*TOKEN_FIELDS, "one more"))
     with pytest.raises(ValueError, match="other inputs"):
-        load("driver", VERSION, (*TOKEN_FIELDS, "one more"), shapes(SIZE))
+        load_driver("driver")
 
 
 def test_it_drives_by_its_weights_and_the_same_way_each_time():
@@ -82,7 +82,7 @@ def test_it_drives_by_its_weights_and_the_same_way_each_time():
         agent.reset(0)
         chosen.append(agent.act(observation, info))
     assert chosen[0] == chosen[1] and info["action_mask"][chosen[0]]
-    shipped = load("driver", VERSION, TOKEN_FIELDS, shapes(SIZE))
+    shipped = load_driver("driver")
     for sign in (1.0, -1.0):  # whatever they prefer
         turned = {name: sign * shipped.arrays[name] for name in ("greed", "score.weight", "score.bias")}
         other = LearnedDriver(Weights(shipped.card, shipped.arrays | turned))
@@ -106,9 +106,8 @@ def test_only_looking_around_on_offer():
 
 # -- the network: what its scores may depend on, and what they may not -------------------------------------------------
 
-SMALL = Size(width=8, heads=2, layers=2, members=2)
 RNG = np.random.default_rng(0)
-ARRAYS = {name: RNG.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes(SMALL).items()}
+ARRAYS = {name: RNG.normal(0.0, 0.2, (MEMBERS, *shape)).astype(np.float32) for name, shape in SHAPES.items()}
 
 
 def some_tokens(goals=7):
@@ -143,7 +142,8 @@ def test_goals_that_are_not_legal_have_no_say():
 
 def test_without_a_residual_it_is_the_greedy_driver():
     tokens, legal = some_tokens()
-    silent = ARRAYS | {"score.weight": np.zeros((2, 1, 8)), "score.bias": np.zeros((2, 1)), "greed": np.full(2, 3.0)}
+    silent = ARRAYS | {name: np.zeros_like(ARRAYS[name]) for name in ("score.weight", "score.bias")}
+    silent |= {"greed": np.full(MEMBERS, 3.0)}
     assert np.allclose(mean_scores(silent, tokens, legal)[legal], 3.0 * greedy_score(tokens.rates)[legal])
 
 

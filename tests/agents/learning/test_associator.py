@@ -172,8 +172,7 @@ def test_the_network_is_that_of_the_package():
     limited = odds_of(tensors(network), batch, most=16.0).numpy()
     assert np.abs(expected).max() > 16.0 >= np.abs(limited).max()
     shipped = network_of(network._asdict())
-    slots = batch.slots.numpy().astype(np.int64)
-    found = log_odds(shipped, batch.inputs.numpy().astype(np.float64), batch.measured.numpy().astype(np.int64), slots)
+    found = log_odds(shipped, batch.inputs.numpy().astype(np.float64), batch.measured.numpy(), batch.slots.numpy())
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
 
 

@@ -9,16 +9,14 @@ import torch
 from agents.drivers.base import LOOK_AROUND
 from agents.drivers.information_gain import InformationGain
 from agents.drivers.learned import (
-    SIZE,
+    SHAPES,
     TOKEN_FIELDS,
-    VERSION,
     LearnedDriver,
     Seen,
-    Size,
     greedy_score,
+    load_driver,
     most_promising,
     scores,
-    shapes,
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, run_episode
@@ -26,12 +24,11 @@ from agents.learning.driver import Drive, Examples, Plan, greedy, regret_of, rep
 from agents.learning.sketch import FREE_TURN, QUARTER, SPEED, STRETCH, TURN, Sketch, missed_by
 from slam_gym.geometry import observe
 from slam_gym.simulation.goals import FRONTIERS
-from slam_gym.weights import load, write
+from slam_gym.weights import write
 from slam_gym.world.ray_casting import pull_back
 from tests.agents.drivers.test_learned import some_tokens
 
-SMALL = Size(width=8, heads=2, layers=1, members=2)
-SHORT = Plan(size=SMALL, epochs=12, batch=32, rate=1e-2)
+SHORT = Plan(epochs=12, batch=32, rate=3e-3)
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +119,8 @@ def test_a_drive_gives_the_same_states_each_time_and_what_is_mapped_in_the_end(e
 
 def test_torch_gives_the_same_scores_and_an_untrained_network_is_greedy():
     rng, (tokens, legal) = np.random.default_rng(0), some_tokens()
-    start, seen = untrained(SMALL, rng), Seen.of(tokens, legal)
-    assert {name: (SMALL.members, *array.shape) for name, array in start.items()} == shapes(SMALL)
+    start, seen = untrained(rng), Seen.of(tokens, legal)
+    assert {name: array.shape for name, array in start.items()} == SHAPES
     assert np.allclose(scores(start, seen), 3.0 * greedy_score(tokens.rates))
     drawn = {name: rng.normal(0.0, 0.3, array.shape) for name, array in start.items()}
     many = {name: torch.as_tensor(array) for name, array in drawn.items()}
@@ -168,7 +165,7 @@ def test_from_worlds_to_weights_that_drive(tmp_path):
     learned = metrics["regret held out [.01 E]"]
     assert 0.0 <= learned["low"] <= learned["estimate"] <= learned["high"]
     write(tmp_path / "driver.npz", found)
-    loaded = load(tmp_path / "driver.npz", VERSION, TOKEN_FIELDS, shapes(SIZE))
-    assert all(np.array_equal(loaded.arrays[name], found.arrays[name]) for name in shapes(SIZE))
+    loaded = load_driver(tmp_path / "driver.npz")
+    assert all(np.array_equal(loaded.arrays[name], found.arrays[name]) for name in SHAPES)
     arguments = ExploreArguments("office-small", (("budget", 60),), split="train")
     assert run_episode(arguments.make("goal"), LearnedDriver(tmp_path / "driver.npz"), 0)["ticks"] == 60
