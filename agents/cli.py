@@ -1,24 +1,19 @@
-"""What the commands share: typer commands whose groups of options are dataclasses, and folders of results."""
+"""What the commands share: typer commands whose groups of options are dataclasses, and how an evaluation is run."""
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from datetime import datetime
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
-import joblib
 import typer
 from rich.console import Console
 from typer import Option
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Execution, Results, carry_out
-from agents.evaluation.records import stem
 from agents.evaluation.tables import Table, print_table
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
@@ -71,13 +66,6 @@ class _SeveralValues(typer.core.TyperCommand):
                 values += 1
             spread.append(word)
         return super().parse_args(ctx, spread)
-
-
-def command_line() -> str:
-    """The command that runs, as it was typed: `slam-gym train …`, or `python -m agents.train …`."""
-    program = Path(sys.argv[0])
-    name = "slam-gym" if program.stem in ("slam-gym", "__main__") else f"python -m agents.{program.stem}"
-    return f"{name} {shlex.join(sys.argv[1:])}"
 
 
 Overrides = Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help="Change the scenario. Repeatable.")]
@@ -133,47 +121,6 @@ class Episodes:
 
 
 @dataclass(frozen=True)
-class Execute:
-    """How an evaluation is carried out, and where its files go."""
-
-    jobs: Annotated[int, Option(min=1, metavar="J", help="Processes.")] = joblib.cpu_count()
-    backend: Annotated[Literal["loky", "ray", "dask"], Option(help="Of joblib.")] = "loky"
-    out: Annotated[Path | None, Option(metavar="DIR", help="By default a new folder in results/.")] = None
-    resume: Annotated[bool, Option("--resume", help="Go on where an evaluation was interrupted.")] = False
-
-    def folder(self, name: str) -> Path:
-        """Where the files go. ValueError where there is nothing to resume."""
-        return self.out or results_folder(name, self.resume)
-
-    def execution(self) -> Execution:
-        """As the pipeline takes it."""
-        return Execution(self.jobs, self.backend, command_line(), self.resume, Console(markup=False))
-
-    def evaluate(
-        self,
-        evaluation: Evaluation,
-        out: Path,
-        tables: Callable[[Results], list[Table]],
-        films: Callable[[Execution], None] | None = None,
-    ) -> None:
-        """Carry it out, make its films, print its tables, and write its report. Where it is interrupted, say how to go
-        on."""
-        how = self.execution()
-        try:
-            results = carry_out(evaluation, out, how)
-            if films:
-                films(how)
-        except KeyboardInterrupt:
-            print(f"interrupted; go on with the same command and --resume --out {out}")
-            raise
-        for table in tables(results):
-            print_table(table, how.console)
-        from agents.reports.page import write_report  # matplotlib takes a second to import
-
-        how.console.print(f"report: {write_report(out)}", soft_wrap=True)
-
-
-@dataclass(frozen=True)
 class AssociateWorld:
     """What chooses an episode of Associate-v0."""
 
@@ -210,12 +157,26 @@ def search_or_none(text: str) -> str | None:
     return None if text == "none" else text
 
 
-def results_folder(name: str, resume: bool) -> Path:
-    """A new folder under results/ of the current directory, or the latest one of that name."""
-    results, name = Path("results"), stem(name)
-    if not resume:
-        return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-    folders = sorted(results.glob(f"{name}-[0-9]*"))
-    if not folders:
-        raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its --out")
-    return folders[-1]
+def evaluate(
+    evaluation: Evaluation,
+    execution: Execution,
+    out: Path,
+    tables: Callable[[Results], list[Table]],
+    films: Callable[[], None] | None = None,
+) -> None:
+    """Carry it out, make its films, print its tables, and write its report.
+
+    Where it is interrupted, say how to go on.
+    """
+    try:
+        results = carry_out(evaluation, out, execution)
+        if films:
+            films()
+    except KeyboardInterrupt:
+        print(f"interrupted; go on with the same command and --resume --out {out}")
+        raise
+    for table in tables(results):
+        print_table(table, Console())
+    from agents.reports.page import write_report  # matplotlib takes a second to import
+
+    print(f"report: {write_report(out)}")

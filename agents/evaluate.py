@@ -10,7 +10,7 @@ from typing import Annotated
 
 from typer import Option
 
-from agents.cli import Episodes, Execute, RerunFile, World, command, require_rerun
+from agents.cli import Episodes, RerunFile, World, command, evaluate, require_rerun
 from agents.drivers.base import AGENTS, SHOWN
 from agents.evaluation.drive_tables import driver_tables
 from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
@@ -22,7 +22,7 @@ EPISODES = 40
 def main(
     world: World,
     episodes: Episodes,
-    execute: Execute,
+    execution: Execution,
     agents: Annotated[list[str] | None, Option(help=f"Of {', '.join(AGENTS)}, or module:Class.")] = None,
     model: Annotated[list[Path] | None, Option(help="Of a learned agent; several are seeds of it, pooled.")] = None,
     trust: Annotated[bool, Option("--trust", help="Allow model files that can run code when read.")] = False,
@@ -32,16 +32,16 @@ def main(
     """Evaluate agents on the same test worlds."""
     require_rerun(rerun)
     arguments, numbers = world.arguments("office", split="test"), episodes.range(EPISODES)
-    out = execute.folder(world_of(arguments.plain).split(".")[0])
+    out = execution.folder(world_of(arguments.plain).split(".")[0])
     drivers = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust)
 
-    def make_films(how: Execution) -> None:
+    def make_films() -> None:
         from agents.reports import film  # ffmpeg and pygame are needed for films only
 
-        film.make_films(drivers, arguments, episodes.first, out, how)
+        film.make_films(drivers, arguments, episodes.first, out, execution)
 
     evaluation = driver_evaluation(drivers, arguments, numbers)
-    execute.evaluate(evaluation, out, driver_tables, make_films if films else None)
+    evaluate(evaluation, execution, out, driver_tables, make_films if films else None)
     if rerun:
         from agents.reports.rerun_log import Drive, log_drives
 

@@ -15,11 +15,11 @@ from typer import Option
 from agents.cli import (
     ON_A_FLOOR,
     Episodes,
-    Execute,
     Floor,
     Overrides,
     RerunFile,
     command,
+    evaluate,
     parsed_overrides,
     require_rerun,
     search_or_none,
@@ -30,7 +30,7 @@ from agents.evaluation.associators import metered, shipped
 from agents.evaluation.drive_tables import associator_tables
 from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Evaluation
+from agents.evaluation.pipeline import Evaluation, Execution
 from agents.evaluation.recordings import Recorded, recording_evaluation
 from agents.suite import numbers
 from agents.suite.worlds import Names, Suite
@@ -81,7 +81,7 @@ class Candidates:
 
 def main(
     candidates: Candidates,
-    execute: Execute,
+    execution: Execution,
     loop: Loop,
     suite_options: Suite,
     recorded: Recorded,
@@ -94,18 +94,18 @@ def main(
     require_rerun(loop.rerun)
     kind = "suite" if suite else "recording" if recording else "association"
     _refuse_what_does_not_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
-    out = execute.folder(kind)
+    out = execution.folder(kind)
     if suite:
         if candidates.relocation:
             raise ValueError("--relocation is not for --suite, whose searches --relocators names")
-        execute.evaluate(suite_options.evaluation(candidates.names, candidates.split), out, numbers.tables)
+        evaluate(suite_options.evaluation(candidates.names, candidates.split), execution, out, numbers.tables)
     elif recording:
-        execute.evaluate(_on_logs(candidates, recorded, recording, out), out, recordings.tables)
+        evaluate(_on_logs(candidates, recorded, recording, out), execution, out, recordings.tables)
     else:
         arguments, searches = loop.arguments(candidates.split), candidates.searches(["none", SEARCH])
         episodes = loop.range(EPISODES)
         evaluation = associator_evaluation(candidates.names, arguments, loop.driver, episodes, searches)
-        execute.evaluate(evaluation, out, associator_tables)
+        evaluate(evaluation, execution, out, associator_tables)
         if loop.rerun:
             _log_first_episodes(candidates.names, replace(arguments[0], relocation=searches[-1]), loop, loop.rerun)
 

@@ -9,16 +9,17 @@ command is given again.
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from typer import Option
 
-from agents.cli import Execute, command, command_line
+from agents.cli import command
 from agents.drivers.base import AGENTS
-from agents.evaluation.pipeline import carry_out
-from agents.evaluation.records import write_whole
+from agents.evaluation.pipeline import METADATA, Execution, carry_out
+from agents.evaluation.records import command_line, write_whole
 from agents.ranking.board import BASELINES, markdown, ranked, read_entries, write_entry
 from agents.ranking.entry_process import EntryError
 from agents.ranking.protocol import Protocol, Role, leaderboard_evaluation, process
@@ -30,7 +31,7 @@ MARKS = "<!-- the tables: python -m agents.leaderboard --page FILE -->", "<!-- e
 
 
 def main(
-    execute: Execute,
+    execution: Execution,
     entry: Annotated[
         str | None, Option(metavar="NAME", help="Name, module:Class, module:function, model file.")
     ] = None,
@@ -44,7 +45,7 @@ def main(
 ) -> None:
     """Rank an entry by the frozen protocol, or rank all once more."""
     if entry:
-        _evaluate(entry, role, quick, board, execute)
+        _evaluate(entry, role or _role_of(entry), quick, board, execution)
     entries, refused = read_entries([*([BASELINES] if baselines else []), board])
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
@@ -58,34 +59,35 @@ def main(
     print(f"leaderboard: {board / 'leaderboard.md'}")
 
 
-def _evaluate(entry: str, role: Role | None, quick: bool, board: Path, execute: Execute) -> None:
+def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> None:
     """Put the entry through the protocol, or through what is left of it, and write its file."""
-    found = role or _role_of(entry)
     if entry != CEILING:  # which no process is told of
         try:
-            found = process(found, entry).about["role"]  # refuses what is none before anything is written
+            process(role, entry)  # refuses what is none before anything is written
         except EntryError as error:
             raise ValueError(str(error)) from None
-    chosen = Protocol(found, quick)
-    stem = f"{found}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
-    out = execute.out or board / "runs" / stem
-    how = replace(execute.execution(), resume=execute.resume or (out / "results.json").exists())
-    results = carry_out(leaderboard_evaluation(entry, chosen), out, how)
-    records = results.frame.to_dict("records")
+    chosen = Protocol(role, quick)
+    stem = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
+    out = execution.out or board / "runs" / stem
+    resumed = replace(execution, resume=execution.resume or (out / METADATA).exists())
+    records = carry_out(leaderboard_evaluation(entry, chosen), out, resumed).frame.to_dict("records")
     failed = [record["failed"] for record in records if isinstance(record.get("failed"), str)]
     if failed:
-        how.console.print(f"{len(failed)} of {len(records)} episodes are lost: {failed[0]}", soft_wrap=True)
-    path = write_entry(board, ranked(entry, chosen, records, command_line()))
-    how.console.print(f"entry: {path}", soft_wrap=True)
+        print(f"{len(failed)} of {len(records)} episodes are lost: {failed[0]}")
+    print(f"entry: {write_entry(board, ranked(entry, chosen, records, command_line()))}")
 
 
-def _role_of(entry: str) -> str:
-    """By the tables of names; nothing is imported. `auto` where the entry's own process has to tell."""
-    tables = {"agent": AGENTS, "associator": ASSOCIATORS, "relocator": RELOCATORS}
+def _role_of(entry: str) -> Role:
+    """By the tables of names, and by what a model file says; a `module:Class` is an agent."""
+    if Path(entry).suffix == ".zip":
+        from agents.learning.models import read_about  # torch is imported for learned entries only
+
+        return "associator" if read_about(Path(entry)).action == "branch" else "agent"
+    tables: dict[Role, Collection[str]] = {"agent": AGENTS, "associator": ASSOCIATORS, "relocator": RELOCATORS}
     roles = [role for role, table in tables.items() if entry in table]
     if len(roles) > 1:
         raise ValueError(f"entry {entry!r}: give --role, for it is the name of {' and '.join(roles)}")
-    return roles[0] if roles else "auto"
+    return roles[0] if roles else "agent"
 
 
 def with_tables(page: str, tables: str) -> str:

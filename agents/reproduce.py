@@ -13,7 +13,8 @@ from typing import Annotated, Any, Literal
 
 from typer import Argument, Option
 
-from agents.cli import command, results_folder
+from agents.cli import command
+from agents.evaluation.pipeline import results_folder
 from slam_gym import weights
 from slam_gym.weights import Weights
 

@@ -12,8 +12,9 @@ from typing import Annotated, Literal
 
 from typer import Option
 
-from agents.cli import World, command, command_line
+from agents.cli import World, command
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.records import command_line
 from agents.learning.policies import HYPERPARAMETERS, Decision, load_hyperparameters
 from agents.learning.training import TrainingPlan, train
 

@@ -19,6 +19,7 @@ from agents.evaluation.tables import (
     Table,
     by_name,
     by_setting,
+    columns,
     counted,
     difference,
     estimate_of,
@@ -27,36 +28,15 @@ from agents.evaluation.tables import (
 from slam_gym.metrics.statistics import mean
 from slam_gym.simulation.judged import CEILING
 
-LOST = Column("map_lost", "lost", 3, "lower", rare=True)
-DRIVER_COLUMNS = (
-    Column("map_error", "map error", 3, "lower"),
-    Column("local_error", "local error", 3, "lower"),
-    Column("coverage", "coverage", 3, "higher"),
-    Column("precision", "precision", 3, "higher"),
-    Column("recall", "recall", 3, "higher"),
-    Column("anees", "ANEES", 2),
-    LOST,
-    Column("ticks", "ticks", 0),
-    Column("ticks_per_second", "ticks/s", 0),
+(LOST,) = columns("map_lost")
+DRIVER_COLUMNS = columns(
+    "map_error", "local_error", "coverage", "precision", "recall", "anees", "map_lost", "ticks", "ticks_per_second"
 )
-ASSOCIATOR_COLUMNS = (
-    Column("precision", "precision", 3, "higher"),
-    Column("recall", "recall", 3, "higher"),
-    Column("f1", "F1", 3, "higher"),
-    Column("exact", "exact", 3, "higher"),
-    Column("duplicates", "dupl.", 1, "lower"),
-    Column("nodes", "nodes", 0),
-    Column("microseconds", "µs/scan", 0, "lower"),
-    Column("limits", "limit met", 1, "lower", rare=True),
-    Column("map_error", "map error", 3, "lower"),
-    Column("local_error", "local error", 3, "lower"),
-    Column("anees", "ANEES", 2),
-)
-RELOCATION_COLUMNS = (
-    Column("recovered", "recovered", 2, "higher"),
-    Column("relocations_wrong", "wrong reloc.", 1, "lower"),
-    Column("ticks_astray", "ticks astray", 0, "lower"),
-)
+ASSOCIATOR_COLUMNS = columns(
+    "precision", "recall", "f1", "exact", "duplicates", "nodes", "microseconds", "limits", "map_error", "local_error",
+    "anees",
+)  # fmt: skip
+RELOCATION_COLUMNS = columns("recovered", "relocations_wrong", "ticks_astray")
 
 
 def driver_tables(results: Results) -> list[Table]:
@@ -84,10 +64,10 @@ def scenario_tables(results: Results) -> list[Table]:
     return found
 
 
-def drive_table(frame: pd.DataFrame, corner: str, columns: Sequence[Column], title: str) -> Table:
+def drive_table(frame: pd.DataFrame, corner: str, shown: Sequence[Column], title: str) -> Table:
     """Estimates over the episodes of each name; where a robot was carried away, of relocation as well."""
-    columns = (*columns, *RELOCATION_COLUMNS) if frame["kidnapped"].any() else columns
-    return Table(title, corner, columns, {name: estimates(own, columns) for name, own in by_name(frame).items()})
+    shown = [*shown, *(RELOCATION_COLUMNS if frame["kidnapped"].any() else [])]
+    return Table(title, corner, shown, {name: estimates(own, shown) for name, own in by_name(frame).items()})
 
 
 # -- whose map survives ----------------------------------------------------------------------------------------------
@@ -95,10 +75,7 @@ def drive_table(frame: pd.DataFrame, corner: str, columns: Sequence[Column], tit
 
 def headline(frame: pd.DataFrame) -> list[Table]:
     """Two tables: mean map errors and lost maps, and paired differences to the truth with the same relocation."""
-    columns = [
-        *(Column(setting, setting, 3, "lower") for setting in by_setting(frame)),
-        Column("mean", "mean", 3, "lower"),
-    ]
+    means = [Column(setting, setting, 3, "lower") for setting in (*by_setting(frame), "mean")]
     groups = by_name(frame)
     errors: Rows = {}
     gaps: Rows = {}
@@ -114,11 +91,10 @@ def headline(frame: pd.DataFrame) -> list[Table]:
                 setting: difference(some, of_truth[setting], "map_error", mean) for setting, some in settings.items()
             }
     caption = f"mean map error, 95 % bootstrap interval; {LOST_MEANS}"
-    found = [
-        Table("Map error", "associator", [*columns, Column("median", "median", 3, "lower"), LOST], errors, caption)
-    ]
+    shown = [*means, Column("median", "median", 3, "lower"), LOST]
+    found = [Table("Map error", "associator", shown, errors, caption)]
     if gaps:
         caption = "mean over the same episodes, 95 % bootstrap interval"
         title = "Map error above that of true association with the same relocation"
-        found.append(Table(title, "associator", columns, gaps, caption, differences=True))
+        found.append(Table(title, "associator", means, gaps, caption, differences=True))
     return found

@@ -13,15 +13,26 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+import joblib
 import pandas as pd
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from typer import Option
 
 import slam_gym
 from agents.evaluation.parallel import connect, run_all
-from agents.evaluation.records import Key, Record, plain, undamaged, versions, write_json, written_whole
+from agents.evaluation.records import (
+    Key,
+    Record,
+    command_line,
+    plain,
+    stem,
+    undamaged,
+    versions,
+    write_json,
+    written_whole,
+)
 from slam_gym._files import content_of, json_of
 
 KINDS = ("drivers", "associators", "suite", "recordings", "leaderboard")
@@ -50,13 +61,27 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Execution:
-    """How it is done."""
+    """How it is done, and where its files go."""
 
-    jobs: int = 1
-    backend: str = "loky"
-    command: str = ""  # as it was typed
-    resume: bool = False
-    console: Console = field(default_factory=Console)
+    jobs: Annotated[int, Option(min=1, metavar="J", help="Processes.")] = joblib.cpu_count()
+    backend: Annotated[Literal["loky", "ray", "dask"], Option(help="Of joblib.")] = "loky"
+    out: Annotated[Path | None, Option(metavar="DIR", help="By default a new folder in results/.")] = None
+    resume: Annotated[bool, Option("--resume", help="Go on where an evaluation was interrupted.")] = False
+
+    def folder(self, name: str) -> Path:
+        """Where the files go. ValueError where there is nothing to resume."""
+        return self.out or results_folder(name, self.resume)
+
+
+def results_folder(name: str, resume: bool) -> Path:
+    """A new folder under results/ of the current directory, or the latest one of that name."""
+    results, name = Path("results"), stem(name)
+    if not resume:
+        return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+    folders = sorted(results.glob(f"{name}-[0-9]*"))
+    if not folders:
+        raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its --out")
+    return folders[-1]
 
 
 class Results(NamedTuple):
@@ -89,7 +114,7 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
     """
     commands, records = _to_go_on_from(out, evaluation, execution.resume)
     done = {_key(record) for record in records}
-    commands = [*commands, {"command": execution.command, "started": datetime.now().isoformat("T", "seconds")}]
+    commands = [*commands, {"command": command_line(), "started": datetime.now().isoformat("T", "seconds")}]
     connect(execution.backend, execution.jobs)
     out.mkdir(parents=True, exist_ok=True)
     _write_metadata(out, evaluation, commands, done)
@@ -165,9 +190,8 @@ def _left(tasks: Sequence[Task], done: set[Key]) -> Iterator[Callable[[], list[R
 def _progress(calls: Sequence[Callable[[], list[Record]]], execution: Execution) -> Iterator[list[Record]]:
     """Run the calls under a progress bar."""
     clocks = (TimeElapsedColumn(), TimeRemainingColumn())
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *clocks)
-    with Progress(*columns, console=execution.console) as progress:
-        bar = progress.add_task("tasks", total=len(calls))
+    with Progress(TextColumn("tasks"), BarColumn(), MofNCompleteColumn(), *clocks) as progress:
+        bar = progress.add_task("", total=len(calls))
         for records in run_all(calls, execution.jobs, execution.backend):
             yield records
             progress.advance(bar)

@@ -15,36 +15,19 @@ from agents.evaluation.associators import contenders
 from agents.evaluation.mapped_log import map_log, measure, write_mapped_log
 from agents.evaluation.pipeline import Evaluation, Results, Task
 from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Table, by_setting
+from agents.evaluation.tables import Column, Table, by_setting, columns
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.registry import slam_for
 
-COLUMNS = (
-    Column("precision", "prec.", 3, "higher"),
-    Column("recall", "recall", 3, "higher"),
-    Column("f1", "F1", 3, "higher"),
-    Column("features", "feat.", 0),
-    Column("duplicates", "dupl.", 0, "lower"),
-    Column("clutter_features", "clut.", 0, "lower"),
-    Column("ate", "ATE", 2, "lower"),
-    Column("ate_unaligned", "ATE₀", 2, "lower"),
-    Column("landmark_rmse", "lm.", 2, "lower"),
-    Column("anees", "ANEES", 1),
-    Column("seconds", "s", 1, "lower"),
-)
-FURTHER_COLUMNS = (
-    Column("ate_median", "median error", 2, "lower"),
-    Column("landmark_rmse_unaligned", "landmarks₀", 2, "lower"),
-    Column("wrong", "wrong", 0, "lower"),
-    Column("clutter_share", "clutter accepted", 3, "lower"),
-    Column("clutter_on_landmarks", "onto landmarks", 0, "lower"),
-    Column("found", "found", 0, "higher"),
-    Column("nodes", "nodes", 0),
-    Column("microseconds", "µs/scan", 0, "lower"),
-    Column("step_microseconds", "µs/step", 0, "lower"),
-    Column("limits", "limit met", 0, "lower"),
-)
+COLUMNS = columns(
+    "precision", "recall", "f1", "features", "duplicates", "clutter_features", "ate", "ate_unaligned", "landmark_rmse",
+    "anees", "seconds",
+)  # fmt: skip
+FURTHER_COLUMNS = columns(
+    "ate_median", "landmark_rmse_unaligned", "wrong", "clutter_share", "clutter_on_landmarks", "found", "nodes",
+    "microseconds", "step_microseconds", "limits",
+)  # fmt: skip
 CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; ATE₀: not aligned.
 feat.: confirmed features; dupl.: of a landmark that has one; clut.: of none.
 s: time of the whole log."""
@@ -116,9 +99,9 @@ def means(frame: pd.DataFrame) -> pd.DataFrame:
     return found[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
 
 
-def table(frame: pd.DataFrame, columns: Sequence[Column], title: str = "", caption: str = "") -> Table:
+def table(frame: pd.DataFrame, shown: Sequence[Column], title: str = "", caption: str = "") -> Table:
     """Of one log, or of the means, with the columns in which there is anything."""
-    kept = [column for column in columns if frame[column.key].notna().any()]
+    kept = [column for column in shown if frame[column.key].notna().any()]
     rows = frame.set_index("name")[[column.key for column in kept]].astype(float).to_dict("index")
     return Table(title, "associator", kept, rows, caption)
 

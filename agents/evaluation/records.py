@@ -7,7 +7,9 @@ import math
 import os
 import platform
 import re
+import shlex
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
@@ -83,6 +85,13 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def command_line() -> str:
+    """The command that runs, as it was typed: `slam-gym train …`, or `python -m agents.train …`."""
+    program = Path(sys.argv[0])
+    name = "slam-gym" if program.stem in ("slam-gym", "__main__") else f"python -m agents.{program.stem}"
+    return f"{name} {shlex.join(sys.argv[1:])}"
 
 
 def versions() -> dict[str, str]:

@@ -40,6 +40,37 @@ class Column:
     rare: bool = False  # happens so seldom that it takes the mean: an interquartile mean does not see it
 
 
+_ALL = (
+    # of a drive
+    Column("map_error", "map error", 3, "lower"), Column("local_error", "local error", 3, "lower"),
+    Column("coverage", "coverage", 3, "higher"), Column("anees", "ANEES", 2),
+    Column("map_lost", "lost", 3, "lower", rare=True), Column("duplicates", "dupl.", 1, "lower"),
+    Column("ticks", "ticks", 0), Column("ticks_per_second", "ticks/s", 0),
+    Column("recovered", "recovered", 2, "higher"), Column("relocations_wrong", "wrong reloc.", 1, "lower"),
+    Column("ticks_astray", "ticks astray", 0, "lower"),
+    # of associations and searches
+    Column("precision", "precision", 3, "higher"), Column("recall", "recall", 3, "higher"),
+    Column("f1", "F1", 3, "higher"), Column("exact", "exact", 3, "higher"), Column("nodes", "nodes", 0),
+    Column("microseconds", "µs/scan", 0, "lower"), Column("limits", "limit met", 1, "lower", rare=True),
+    # of the suite
+    Column("spoiled", "spoiled", 3, "lower"), Column("refused", "refused", 3, "lower"),
+    Column("promised", "promised", 3), Column("kept", "kept", 3),
+    # of a log
+    Column("features", "feat.", 0), Column("found", "found", 0, "higher"), Column("wrong", "wrong", 0, "lower"),
+    Column("clutter_features", "clut.", 0, "lower"), Column("clutter_share", "clutter accepted", 3, "lower"),
+    Column("clutter_on_landmarks", "onto landmarks", 0, "lower"), Column("ate", "ATE", 2, "lower"),
+    Column("ate_unaligned", "ATE₀", 2, "lower"), Column("ate_median", "median error", 2, "lower"),
+    Column("landmark_rmse", "lm.", 2, "lower"), Column("landmark_rmse_unaligned", "landmarks₀", 2, "lower"),
+    Column("seconds", "s", 1, "lower"), Column("step_microseconds", "µs/step", 0, "lower"),
+)  # fmt: skip
+
+
+def columns(*keys: str) -> list[Column]:
+    """The columns of some numbers, as every table titles them."""
+    known = {column.key: column for column in _ALL}
+    return [known[key] for key in keys]
+
+
 @dataclass(frozen=True)
 class Table:
     """What is shown on the terminal and in the report."""
@@ -54,10 +85,10 @@ class Table:
     @property
     def bold(self) -> dict[str, set[str]]:
         """Column key → the names with the best values, or whose differences can be told from 0."""
-        columns = {c.key: {name: row[c.key] for name, row in self.rows.items() if c.key in row} for c in self.columns}
+        values = {c.key: {name: row[c.key] for name, row in self.rows.items() if c.key in row} for c in self.columns}
         if self.differences:
-            return {key: {name for name, v in own.items() if _excludes_zero(v)} for key, own in columns.items()}
-        return {c.key: best_names(columns[c.key], c) for c in self.columns}
+            return {key: {name for name, v in own.items() if _excludes_zero(v)} for key, own in values.items()}
+        return {c.key: best_names(values[c.key], c) for c in self.columns}
 
 
 # -- estimates -----------------------------------------------------------------------------------------------------

@@ -41,8 +41,9 @@ class Ranked:
 
     def __post_init__(self) -> None:
         role, code = self.protocol["role"], self.protocol["hash"]
-        if role not in PARTS or not isinstance(self.name, str) or not code.isalnum():
-            raise ValueError("its protocol has no such role, or no such hash")
+        numbered = isinstance(self.protocol["version"], int) and isinstance(self.protocol["quick"], bool)
+        if role not in PARTS or not numbered or not code.isalnum() or not isinstance(self.name, str):
+            raise ValueError("its protocol or its name is none")
         for setting, losses in self.losses.items():
             for loss in losses:
                 if loss is not None and not (isinstance(loss, int | float) and 0.0 <= loss < math.inf):

@@ -26,28 +26,21 @@ Answers = tuple[dict[str, Any], Callable[..., Any]]
 
 
 def load(role: str, name: str) -> Answers:
-    """An entry by name, `module:function`, `module:Class` or model file. Raises ValueError where the name does not tell
-    its `role`, or there is none such."""
-    if role == "auto":
-        role = _role_of(name)
+    """An entry of that role by name, `module:function`, `module:Class` or model file.
+
+    Raises ValueError where there is none.
+    """
     if role != "agent":
-        return {"role": role}, (find_associator if role == "associator" else resolve_relocator)(name)
-    agent = make_agent("ppo", name) if Path(name).suffix == ".zip" else make_agent(name)
+        return {}, (find_associator if role == "associator" else resolve_relocator)(name)
+    model = Path(name).suffix == ".zip"
+    if not model and not hasattr(find_agent(name), "act"):
+        raise ValueError("it cannot act: give --role where it is no agent")
+    agent = make_agent("ppo", name) if model else make_agent(name)
 
     def drive(what: str, *request: Any) -> Any:
         return agent.reset(*request) if what == "reset" else agent.act(*request)
 
-    return {"role": role, "name": agent.name, "action": agent.action}, drive
-
-
-def _role_of(name: str) -> str:
-    if Path(name).suffix == ".zip":
-        from agents.learning.models import read_about
-
-        return "associator" if read_about(Path(name)).action == "branch" else "agent"
-    if ":" in name and hasattr(find_agent(name), "act"):
-        return "agent"
-    raise ValueError("give --role, since its name does not tell")
+    return {"name": agent.name, "action": agent.action}, drive
 
 
 def plain(value: Any) -> Any:

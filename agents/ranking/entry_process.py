@@ -36,7 +36,7 @@ class EntryError(RuntimeError):
 class EntryProcess:
     """An entry in a process of its own, which is started again for the next episode after it has failed.
 
-    Raises EntryError where there is no such entry, or its `role` is "auto" and its name does not tell.
+    Raises EntryError where there is no such entry of that `role`.
     """
 
     def __init__(self, role: str, name: str, limit: float = LIMIT) -> None:
@@ -73,7 +73,7 @@ class EntryProcess:
         )
         self._process, self._patience = self._loop.run_until_complete(child), START
         about = self._answer(b"", START)
-        if not isinstance(about, dict) or about.get("role") not in ("agent", "associator", "relocator"):
+        if not isinstance(about, dict):
             raise self.refuse("what it says of itself is nonsense")
         return about
 

@@ -101,7 +101,7 @@ def lose(entry: str, role: Role, wanted: Sequence[Key]) -> list[Record]:
 
 
 @functools.lru_cache(maxsize=4)
-def process(role: str, name: str) -> EntryProcess:
+def process(role: Role, name: str) -> EntryProcess:
     """The process of an entry, one for each process of the evaluation."""
     return EntryProcess(role, name)
 

@@ -14,7 +14,7 @@ from agents.evaluation.drive_tables import driver_tables, headline, scenario_tab
 from agents.evaluation.drives import world_of
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
-from agents.evaluation.records import stem, written_whole
+from agents.evaluation.records import stem
 from agents.evaluation.tables import (
     Column,
     Rows,
@@ -22,6 +22,7 @@ from agents.evaluation.tables import (
     Value,
     by_name,
     by_setting,
+    columns,
     counted,
     difference,
     display_name,
@@ -47,7 +48,7 @@ def of_drivers(results: Results, folder: Path) -> Content:
     panels = (Panel("map_error", "map error (lower is better)"), Panel("coverage", "coverage", "percent"))
     associator = conditions["associator"] or "of the scenario"
     count = counted(results.frame["episode"].nunique(), "episode")
-    columns = [Column(name, display_name(name), 3) for name in groups]
+    others = [Column(name, display_name(name), 3) for name in groups]
     rows: Rows = {
         name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
         for name, own in groups.items()
@@ -60,7 +61,7 @@ def of_drivers(results: Results, folder: Path) -> Content:
         "lost_means": LOST_MEANS,
         "dots": figures.dot_chart(groups, panels, colours(results.names)),
         "curves": figures.curve_chart(groups, panels, colours(results.names)),
-        "comparison": Table("", "map error of … minus that of", columns, rows, differences=True),
+        "comparison": Table("", "map error of … minus that of", others, rows, differences=True),
         "films": _films(groups, folder),
     }
 
@@ -92,9 +93,9 @@ def of_associators(results: Results, folder: Path) -> Content:
     searches = " and ".join(name or "none" for name in conditions["relocation"])
     count = counted(results.frame["episode"].nunique(), "episode")
     reference = "jcbb" if "jcbb" in groups else next(iter(groups))
-    columns = (Column("f1", "F1", 3), Column("exact", "exact", 3), Column("map_error", "map error", 3))
+    compared = columns("f1", "exact", "map_error")
     rows: Rows = {
-        name: {column.key: difference(own, groups[reference], column.key) for column in columns}
+        name: {column.key: difference(own, groups[reference], column.key) for column in compared}
         for name, own in groups.items()
         if name != reference
     }
@@ -106,21 +107,19 @@ def of_associators(results: Results, folder: Path) -> Content:
         "scenarios": scenarios,
         "carried": bool(results.frame["kidnapped"].any()),
         "reference": reference,
-        "comparison": Table("", f"… minus {display_name(reference)}", columns, rows, differences=True),
+        "comparison": Table("", f"… minus {display_name(reference)}", compared, rows, differences=True),
     }
 
 
 # -- the suite ---------------------------------------------------------------------------------------------------------
 
-_EFFORT = (Column("nodes", "nodes", 0), Column("microseconds", "µs", 0), Column("limits", "limit met", 0))
-_MISTAKES = (Column("spoiled", "spoiled", 3), Column("refused", "refused", 3))
-_DETAILS = (
-    Column("exact", "exact scans", 3), Column("precision", "precision", 3), Column("recall", "recall", 3), *_MISTAKES,
-)  # fmt: skip
+_EFFORT = columns("nodes", "microseconds", "limits")
+_MISTAKES = columns("spoiled", "refused")
+_DETAILS = columns("exact", "precision", "recall", "spoiled", "refused", "promised", "kept")
 
 
 def of_suite(results: Results, folder: Path) -> Content:
-    """The numbers, who is ahead of whom, and a plot per capability; suite.png is written into `folder`."""
+    """The numbers, who is ahead of whom, and a plot per capability."""
     size, frame, colour = results.conditions, results.frame, colours(results.names)
     association, relocation = suite.by_role(frame)
     bins = reliability(association)
@@ -128,7 +127,7 @@ def of_suite(results: Results, folder: Path) -> Content:
         "title": "The association suite",
         "subtitle": f"{size['worlds']} {size['split']} worlds a level, up to {size['problems']} scans in each, the "
         "same for all: single scans against real SLAM maps",
-        "capabilities": _capabilities(association, folder, colour) if len(association) else None,
+        "capabilities": _capabilities(association, colour) if len(association) else None,
         "reliability": figures.reliability_chart(bins, colour) if bins else None,
         "reliability_tables": reliability_tables(association),
         "experiments": [_experiment(association, name, colour) for name in suite.experiments(association)],
@@ -136,18 +135,15 @@ def of_suite(results: Results, folder: Path) -> Content:
     }
 
 
-def _capabilities(frame: pd.DataFrame, folder: Path, colour: Colours) -> Content:
+def _capabilities(frame: pd.DataFrame, colour: Colours) -> Content:
     """The numbers of all associators, as a table and as a picture, their mistakes, and how far each is ahead."""
-    scores, columns = suite.scores(frame), suite.score_columns(frame)
+    scores, capabilities = suite.scores(frame), suite.score_columns(frame)
     mistakes = {c.key: suite.scores(frame, c.key) for c in _MISTAKES}
     rows = {name: own | {key: found[name]["all"] for key, found in mistakes.items()} for name, own in scores.items()}
-    bars = figures.capability_bars(scores, colour)
-    with written_whole(folder / "suite.png") as partial:
-        bars.savefig(partial, format="png")
     return {
-        "table": Table("", "associator", [*columns, *_MISTAKES], rows),
-        "bars": bars,
-        "leads": Table("", "ahead of the next by", columns, suite.leads(frame), differences=True),
+        "table": Table("", "associator", [*capabilities, *_MISTAKES], rows),
+        "bars": figures.capability_bars(scores, colour),
+        "leads": Table("", "ahead of the next by", capabilities, suite.leads(frame), differences=True),
     }
 
 
@@ -198,7 +194,7 @@ def of_recordings(results: Results, folder: Path) -> Content:
 
 
 def _log_tables(frame: pd.DataFrame) -> list[Table]:
-    return [recordings.table(frame, columns) for columns in (recordings.COLUMNS, recordings.FURTHER_COLUMNS)]
+    return [recordings.table(frame, shown) for shown in (recordings.COLUMNS, recordings.FURTHER_COLUMNS)]
 
 
 def _log(name: str, frame: pd.DataFrame, folder: Path, colour: Colours) -> Content:

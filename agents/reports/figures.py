@@ -199,12 +199,17 @@ def maps(
     the true places, if known.
     """
     names = list(errors)
-    drawn = [own[["x", "y"]] for own in errors.values()] + [
-        own[["aligned_x", "aligned_y"]] for own in features.values()
-    ]
+    drawn = [own[["x", "y"]] for own in errors.values()]
     drawn += [own[["reference_x", "reference_y"]] for own in errors.values()]
+    drawn += [own[["aligned_x", "aligned_y"]] for own in features.values()]
     low, high = _bounds(np.concatenate(drawn), landmarks)
-    axes = _panels(names, float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.8)))
+    shape = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.8))  # height / width of a panel
+    across = min(len(names), 3)
+    down = math.ceil(len(names) / across)
+    figure = _figure(0.9 + down * (0.3 + (WIDTH / across - 0.35) * shape))
+    axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
     handles: dict[str, Any] = {}
     for axis, name in zip(axes, names):
         error = errors[name]
@@ -217,20 +222,8 @@ def maps(
         axis.set_ylim(low[1], high[1])
         for handle, label in zip(*axis.get_legend_handles_labels()):
             handles.setdefault(label, handle)
-    figure = axes[0].get_figure(root=True)
     figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=6, frameon=False)
     return figure
-
-
-def _panels(names: Sequence[str], shape: float) -> list[Axes]:
-    """One of height / width `shape` a name, in rows."""
-    across = min(len(names), 2 if len(names) <= 4 and shape < 1.2 else 3 if shape < 1.2 else 4)
-    down = math.ceil(len(names) / across)
-    figure = _figure(0.9 + down * (0.3 + (WIDTH / across - 0.35) * shape))
-    axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
-    for axis in axes[len(names) :]:
-        axis.set_visible(False)
-    return list(axes[: len(names)])
 
 
 def _bounds(points: Array, landmarks: Array) -> tuple[Array, Array]:

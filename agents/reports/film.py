@@ -36,8 +36,8 @@ def make_films(
     paths = {agent: film_path(out, agent) for agent in first}
     missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
     calls = [partial(_film_by, first[agent], arguments, episode, paths[agent]) for agent in missing]
-    with execution.console.status(f"filming {', '.join(missing)}"):
-        list(run_all(calls, execution.jobs, execution.backend))
+    for picture in run_all(calls, execution.jobs, execution.backend):
+        print(f"film: {picture.with_suffix('.mp4')}")
 
 
 def _film_by(driver: Driver, arguments: ExploreArguments, episode: int, path: Path) -> Path:

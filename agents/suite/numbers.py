@@ -9,7 +9,7 @@ import pandas as pd
 from agents.evaluation.pipeline import Results
 from agents.evaluation.tables import Column, Rows, Table, Value, estimate
 from agents.suite.problems import OUTCOMES
-from agents.suite.reliability import promise_tables, reliability_tables
+from agents.suite.reliability import reliability_tables
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 
 RELOCATION_COLUMNS = (
@@ -85,7 +85,7 @@ def tables(results: Results) -> list[Table]:
     if len(association):
         columns = score_columns(association)
         found.append(Table(f"association suite, {about}", "associator", columns, scores(association)))
-        found += promise_tables(association) + reliability_tables(association)
+        found += reliability_tables(association)
     if len(relocation):
         title = f"kidnapped: searches without a prior, {about}"
         found.append(Table(title, "search", RELOCATION_COLUMNS, relocation_rows(relocation)))

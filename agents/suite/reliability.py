@@ -10,8 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.tables import Column, Rows, Table, by_name, by_setting, estimate
-from slam_gym.metrics.statistics import mean
+from agents.evaluation.tables import Column, Table, by_name
 from slam_gym.types import Array, Hypothesis, IntArray
 
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 0.99, 0.999, 1.0)
@@ -20,8 +19,6 @@ EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 0.99, 0.999, 1.0)
 COLUMNS = (
     Column("decisions", "decisions", 0), Column("predicted", "mean probability", 3), Column("right", "rate right", 3),
 )  # fmt: skip
-PROMISE_COLUMNS = (Column("promised", "probability", 3), Column("kept", "right", 3))
-_PROMISE = "mean probability of the best hypothesis of a scan, and how often it is right"
 
 
 def binned(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> dict[str, list[float]]:
@@ -51,19 +48,6 @@ def promised(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> dict[s
     return (
         {"promised": float(np.mean(p)), "kept": float(np.mean(hit))} if p else {"promised": math.nan, "kept": math.nan}
     )
-
-
-def promise_tables(frame: pd.DataFrame) -> list[Table]:
-    """One an associator that says how probable its hypotheses are: a row an experiment, and each level of drift."""
-    found = []
-    for name, own in by_name(frame[frame["promised"].notna()]).items():
-        groups = dict(iter(own.groupby("experiment", sort=False))) | by_setting(own[own["experiment"] == "drift"])
-        rows: Rows = {
-            group: {c.key: estimate(some[c.key], statistic=mean) for c in PROMISE_COLUMNS}
-            for group, some in groups.items()
-        }
-        found.append(Table(f"ceiling by the word of {name}", "scans", PROMISE_COLUMNS, rows, _PROMISE))
-    return found
 
 
 def reliability(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:

@@ -8,8 +8,9 @@ from typing import Annotated
 import pytest
 import typer
 
-from agents.cli import AssociateWorld, Episodes, Execute, World, command, results_folder
+from agents.cli import AssociateWorld, Episodes, World, command
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
+from agents.evaluation.pipeline import Execution, results_folder
 from tests.agents import typed
 
 
@@ -56,7 +57,7 @@ def test_an_option_takes_several_values_in_a_row():
     ],
 )
 def test_what_ends_a_command_is_told_in_one_line(raised, code, said):
-    def main(execute: Execute) -> None:
+    def main(execution: Execution) -> None:
         raise raised
 
     result = typed(command(main))

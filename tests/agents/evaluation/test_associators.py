@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from agents.drivers.base import make_agent
 from agents.evaluation.associators import Metered, find_associator, metered, shipped
@@ -25,7 +24,7 @@ SMALL = ExploreArguments("office-small")
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     evaluation = associator_evaluation(NAMES, [SMALL], "nearest_frontier", range(2), [None])
-    return carry_out(evaluation, tmp_path_factory.mktemp("associators"), Execution(console=Console(quiet=True)))
+    return carry_out(evaluation, tmp_path_factory.mktemp("associators"), Execution(jobs=1))
 
 
 def test_every_associator_meets_the_same_episodes_and_the_truth_makes_no_mistake(finished):

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from rich.console import Console
 
 from agents.evaluation.drive_tables import driver_tables
 from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
@@ -16,7 +15,7 @@ from slam_gym.metrics.statistics import interquartile_mean
 def finished(tmp_path_factory):
     drivers = drivers_of(["random", "nearest_frontier"], [], False)
     evaluation = driver_evaluation(drivers, ExploreArguments("office-small", (("budget", 80),)), range(3))
-    return carry_out(evaluation, tmp_path_factory.mktemp("drivers"), Execution(console=Console(quiet=True)))
+    return carry_out(evaluation, tmp_path_factory.mktemp("drivers"), Execution(jobs=1))
 
 
 def test_every_agent_drives_the_same_episodes(finished):

@@ -156,7 +156,9 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (["--entry", "nobody"], "give --role"),
+        (["--entry", "nobody"], "unknown agent"),
+        (["--entry", MINE], "give --role"),
+        (["--entry", "nowhere.zip"], "no such file"),
         (["--entry", "learned"], "agent and associator"),
         (["--entry", "nobody", "--role", "agent"], "unknown agent"),
         (["--no-baselines"], "there is no entry in"),

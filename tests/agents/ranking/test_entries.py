@@ -61,7 +61,7 @@ def test_a_relocator_finds_what_it_finds_in_this_process(started):
 
 
 def test_an_entry_finds_no_simulator_and_replaces_no_score(started):
-    own, other = (EntryAgent(started("auto", f"{STRANGERS}:{name}")) for name in ("Driver", "Snooping"))
+    own, other = (EntryAgent(started("agent", f"{STRANGERS}:{name}")) for name in ("Driver", "Snooping"))
     expected, found = (run_episode(WORLD.make("goal"), agent, 0) for agent in (own, other))
     assert timeless(found) == timeless(expected) and found["decisions"] > 1
 
@@ -96,8 +96,8 @@ def test_an_associator_that_answers_nonsense_is_refused(started, name, said):
 
 @pytest.mark.parametrize(
     ("role", "name", "said"),
-    [("agent", "nobody", "unknown agent 'nobody'"), ("auto", f"{STRANGERS}:mine", "give --role"),
-     ("auto", "nowhere.zip", "no such file"), ("associator", "nowhere:f", "nowhere")],
+    [("agent", "nobody", "unknown agent 'nobody'"), ("agent", f"{STRANGERS}:mine", "give --role"),
+     ("agent", "nowhere.zip", "no such file"), ("associator", "nowhere:f", "nowhere")],
 )  # fmt: skip
 def test_what_does_not_exist_is_refused_at_the_start(role, name, said):
     with pytest.raises(EntryError, match=said):

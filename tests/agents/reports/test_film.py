@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from agents.drivers.base import make_agent
 from agents.evaluation.drives import Driver
@@ -36,6 +35,6 @@ def test_films_that_are_there_stay(tmp_path):
     path.parent.mkdir()
     path.with_suffix(".png").write_bytes(b"before")
     drivers = [Driver("agents.drivers.baselines:RandomAgent"), Driver("nearest_frontier")]
-    filming.make_films(drivers, SMALL, 0, tmp_path, Execution(console=Console(quiet=True)))
+    filming.make_films(drivers, SMALL, 0, tmp_path, Execution(jobs=1))
     assert path.with_suffix(".png").read_bytes() == b"before" and not path.exists()
     assert filming.film_path(tmp_path, "nearest_frontier").exists()

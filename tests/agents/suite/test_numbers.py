@@ -10,7 +10,7 @@ import pytest
 from agents.evaluation.records import Key
 from agents.suite.numbers import by_role, by_world, leads, ranked, relocation_rows, scores
 from agents.suite.problems import OUTCOMES
-from agents.suite.reliability import EDGES, binned, promise_tables, promised, reliability, reliability_tables
+from agents.suite.reliability import EDGES, binned, promised, reliability, reliability_tables
 from agents.suite.worlds import ask_all
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 
@@ -93,9 +93,6 @@ def test_the_best_hypothesis_is_held_to_its_promise():
     assert promised([sure, refusing], [np.array([4, UNPAIRED]), right[1]])["kept"] == 0.5
     silent = promised([SILENT], [np.array([1])])
     assert all(math.isnan(value) for value in silent.values())
-    own = results({"own": {"drift": [[0.5], [0.5]]}}, **promised([sure], [right[0]]))
-    (table,) = promise_tables(pd.concat([own, results({"jcbb": {"drift": [[0.5]]}}, **silent)]))
-    assert list(table.rows) == ["drift", "drift/0", "drift/1"] and "own" in table.title
 
 
 def test_the_suite_counts_all_decisions_of_those_who_say_how_probable_they_are():
