@@ -12,17 +12,18 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from agents.learning.association_scans import HIDDEN, LEVELS, LOGS, LOOPS, Decisions, Source
 from agents.learning.fitting import fit
 from slam_gym.association.tracking.learned import WEIGHTS
 from slam_gym.association.tracking.network import FARTHEST, INPUTS, VERSION, Network, load_network
-from slam_gym.types import UNPAIRED, Array
+from slam_gym.types import UNPAIRED
 from slam_gym.weights import Card, Weights, figure
 
 SHARES = {"level": 0.5, "loop": 0.45, "log": 0.05}
@@ -76,24 +77,24 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
         raise ValueError("SLAM_GYM_DATA is not set: the training looks at Victoria Park and MR.CLAM as well")
     looked_at, others = sources(plan)
     train, held_out = (look(found, say) for found in (looked_at, others))
-    judged, fits = batches_of(held_out), []
+    fits = []
     for seed in plan.seeds:
-        network, curve = trained(plan, train, judged, seed)
+        network, curve = trained(plan, train, held_out, seed)
         say(f"seed {seed}: cross-entropy held out, by epoch: {' '.join(f'{loss:.4f}' for loss in curve)}")
-        fits.append((curve[-1], mean_loss(network, batches_of(train)), network))
+        fits.append((curve[-1], mean_loss(network, train), network))
     metrics = {
         "cross-entropy held out": figure([loss for loss, *_ in fits]),
         "cross-entropy trained on": figure([loss for _, loss, _ in fits]),
-        "cross-entropy held out, the model alone": figure([mean_loss(tensors(untrained(train, 1)), judged)]),
+        "cross-entropy held out, the model alone": figure([mean_loss(tensors(untrained(train, 1)), held_out)]),
         "scans": figure([float(len(train))]),
-    } | _of_shipped(judged)
+    } | _of_shipped(held_out)
     names = tuple(dict.fromkeys(source.title for source in looked_at))
     card = Card(VERSION, INPUTS, {}, names, tuple(plan.seeds), command, metrics)
     best = min(fits, key=lambda one: one[0])[-1]
     return Weights(card, {name: tensor.detach().numpy() for name, tensor in best._asdict().items()})
 
 
-def _of_shipped(held_out: Sequence[Batch]) -> dict[str, dict[str, float]]:
+def _of_shipped(held_out: Sequence[Decisions]) -> dict[str, dict[str, float]]:
     """What the weights that ship come to on the same scans; nothing where they were made for other inputs."""
     try:
         network = load_network(WEIGHTS, VERSION, INPUTS)
@@ -173,45 +174,41 @@ def odds_of(network: Network, batch: Batch, most: float = math.inf) -> Tensor:
 
 
 class Batch(NamedTuple):
-    """Many scans, flat: every number of a pairing, hypothesis or measurement counts through all of them."""
+    """B scans: their C pairings in one row, and up to H hypotheses on up to M measurements of each."""
 
     inputs: Tensor  # (C, inputs)
-    measured: Tensor  # (C,)
+    measured: Tensor  # (C,) measurement of each pairing, and its feature, numbered through all scans
     slots: Tensor  # (C,)
-    scores: Tensor  # (H,)
-    scan_of: Tensor  # (H,) scan of each hypothesis
-    made: Tensor  # (p, 2) hypothesis and pairing: it makes it
-    agreed: Tensor  # (r, 2) hypothesis and measurement: it decides it rightly
-    known: Tensor  # (k,) measurements of which it is known
-    weights: Tensor  # (k,) what each counts
-    measurements: int
+    hypotheses: Tensor  # (B, H, M) pairing of each measurement, C for none
+    scores: Tensor  # (B, H) log densities of the model alone, −∞ where there is no hypothesis
+    agreed: Tensor  # (B, H, M) decides the measurement rightly
+    weights: Tensor  # (B, M) what each measurement counts, 0 where nobody knows what is right
 
     @classmethod
     def of(cls, scans: Sequence[Decisions]) -> Batch:
         """Some scans as one batch."""
-        parts: list[tuple[Array, ...]] = []
-        pairings = hypotheses = measurements = slots = 0
-        for number, d in enumerate(scans):
-            b, m = d.hypotheses.shape
-            at, who = np.nonzero(d.hypotheses != UNPAIRED)
-            made = np.column_stack([at + hypotheses, d.hypotheses[at, who] + pairings])
-            agreed = np.where(d.hypotheses == UNPAIRED, d.unpaired, np.append(d.right, False)[d.hypotheses])
-            rightly = np.argwhere(agreed & d.known) + np.array([hypotheses, measurements])
-            known = np.flatnonzero(d.known)
-            weights = np.full(len(known), d.weight / max(len(known), 1), np.float32)
-            parts.append((
-                d.inputs, d.measured + measurements, d.slots + slots, d.scores - d.scores.max(), np.full(b, number),
-                made, rightly, known + measurements, weights,
-            ))  # fmt: skip
-            pairings, hypotheses = pairings + len(d.measured), hypotheses + b
-            measurements, slots = measurements + m, slots + int(d.slots.max()) + 1
-        columns = [torch.from_numpy(np.ascontiguousarray(np.concatenate(column))) for column in zip(*parts)]
-        return cls(*columns, measurements)  # type: ignore[arg-type]  # mypy cannot count them
+        sizes = np.array([(len(d.measured), len(d.known), d.slots.max() + 1) for d in scans])
+        ends = sizes.cumsum(axis=0)
+        pairings, measurements, slots = (ends - sizes).T
+        return cls(
+            torch.from_numpy(np.concatenate([d.inputs for d in scans])),
+            torch.from_numpy(np.concatenate([d.measured + first for d, first in zip(scans, measurements)])),
+            torch.from_numpy(np.concatenate([d.slots + first for d, first in zip(scans, slots)])),
+            _padded([np.where(d.hypotheses == UNPAIRED, ends[-1, 0], d.hypotheses + first)
+                     for d, first in zip(scans, pairings)], ends[-1, 0]),
+            _padded([d.scores for d in scans], -math.inf),
+            _padded([np.where(d.hypotheses == UNPAIRED, d.unpaired, np.append(d.right, False)[d.hypotheses])
+                     for d in scans], False),
+            _padded([np.float32(d.weight) * d.known / d.known.sum(dtype=np.float32) for d in scans], 0.0),
+        )  # fmt: skip
 
 
-def batches_of(scans: Sequence[Decisions], size: int = _BATCH) -> list[Batch]:
-    """Of so many scans each, in their order."""
-    return [Batch.of(scans[at : at + size]) for at in range(0, len(scans), size)]
+def _padded(parts: Sequence[NDArray[Any]], value: float) -> Tensor:
+    """Arrays of as many dimensions as one, `value` where there is nothing."""
+    out = np.full((len(parts), *np.max([part.shape for part in parts], axis=0)), value, parts[0].dtype)
+    for row, part in zip(out, parts):
+        row[tuple(map(slice, part.shape))] = part
+    return torch.from_numpy(out)
 
 
 def _most(values: Tensor, group: Tensor) -> Tensor:
@@ -225,7 +222,7 @@ def _most(values: Tensor, group: Tensor) -> Tensor:
 
 
 def trained(
-    plan: Plan, train: Sequence[Decisions], held_out: Sequence[Batch], seed: int
+    plan: Plan, train: Sequence[Decisions], held_out: Sequence[Decisions], seed: int
 ) -> tuple[Network, list[float]]:
     """A network of tensors, trained on some scans; its mean loss on others after each epoch.
 
@@ -234,28 +231,25 @@ def trained(
     """
     network, rng = tensors(untrained(train, plan.hidden_numbers, seed)), np.random.default_rng((seed, 1))
     learned: list[Tensor] = [tensor.requires_grad_() for tensor in network[2:]]  # type: ignore[attr-defined]
-    batches = batches_of([train[k] for k in rng.permutation(len(train)).tolist()])
-    curve = fit(
-        learned,
-        batches,
-        lambda batch: loss_of(odds_of(network, batch, _ENOUGH), batch),
-        lambda: mean_loss(network, held_out),
-        plan.epochs,
-        plan.rate,
-        rng,
-    )
-    return network, curve
+
+    def loss(scans: Sequence[Decisions]) -> Tensor:
+        batch = Batch.of(scans)
+        return loss_of(odds_of(network, batch, _ENOUGH), batch)
+
+    shuffled = split([train[k] for k in rng.permutation(len(train)).tolist()])
+    return network, fit(learned, shuffled, loss, lambda: mean_loss(network, held_out), plan.epochs, plan.rate, rng)
+
+
+def split(scans: Sequence[Decisions]) -> list[Sequence[Decisions]]:
+    """Scans in their order, so many at a time as are a batch."""
+    return [scans[at : at + _BATCH] for at in range(0, len(scans), _BATCH)]
 
 
 def probabilities(odds: Tensor, batch: Batch) -> Tensor:
-    """(k,) of the right decision on each measurement of which it is known."""
-    scores = batch.scores.index_add(0, batch.made[:, 0], odds[batch.made[:, 1]])
-    most = torch.full((int(batch.scan_of.max()) + 1,), -torch.inf)
-    most = most.scatter_reduce(0, batch.scan_of, scores.detach(), "amax")
-    weights = torch.exp(scores - most[batch.scan_of])
-    weights = weights / torch.zeros(len(most)).index_add(0, batch.scan_of, weights)[batch.scan_of]
-    right = torch.zeros(batch.measurements).index_add(0, batch.agreed[:, 1], weights[batch.agreed[:, 0]])
-    return right[batch.known]
+    """(B, M) of the right decision on each measurement, by the odds of each pairing (C,)."""
+    each = torch.cat([odds, odds.new_zeros(1)])[batch.hypotheses]
+    weights = (batch.scores + each.sum(dim=2)).softmax(dim=1)
+    return torch.einsum("bh,bhm->bm", weights, batch.agreed.float())
 
 
 def loss_of(odds: Tensor, batch: Batch) -> Tensor:
@@ -264,11 +258,11 @@ def loss_of(odds: Tensor, batch: Batch) -> Tensor:
     return -(batch.weights * torch.log(p.clamp(_LEAST, 1.0))).sum() / batch.weights.sum()
 
 
-def mean_loss(network: Network, batches: Sequence[Batch]) -> float:
-    """Over batches, by a network of tensors."""
+def mean_loss(network: Network, scans: Sequence[Decisions]) -> float:
+    """Over scans, by a network of tensors."""
     total, found = 0.0, 0.0
     with torch.no_grad():
-        for batch in batches:
+        for batch in map(Batch.of, split(scans)):
             weight = float(batch.weights.sum())
             total, found = total + weight, found + weight * float(loss_of(odds_of(network, batch), batch))
     return found / total if total else math.nan
