@@ -1,11 +1,10 @@
-"""Searches with a prior at loop closure, scipy's linear assignment among them: what they get right, and their time.
+"""Searches with a prior at loop closure: what they get right, and their time.
 
 A robot maps a square field of point features (0.6 per m²) in lanes, with known association. It is then carried
 elsewhere with a wide odometry (σ 0.45 m, 0.45 m, 2°), so that each measurement has four to five candidates, and looks
 once: 20 measurements, 30 % of them spurious, against all features of the map. `tracking` is a scan with a good pose.
 
-Searches are timed from the call in Python to the answer: gating, joint covariance of the candidates, search. Linear
-assignment has to gate and to fill its matrix, too; it answers an easier question: each pairing is weighed alone.
+Searches are timed from the call in Python to the answer: gating, joint covariance of the candidates, search.
 
 They are compared once more in sparser fields (0.25 per m²), with a pose known to σ 0.6 m, 0.6 m, 4° and a view of
 180°, in three difficulties; scans are pooled over n = 20, 100, 300, 1 000 and m = 5, 10, 20. A scan is `exact` if every
@@ -18,17 +17,16 @@ measurement is decided as its source says; `recall` counts measurements of mappe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from benchmarks.common import Record, clutter, fastest, features_in_view, lanes, options, table
 from slam_gym import ASSOCIATORS, UNPAIRED, MapSpec, Odometry, Prediction, Scan, StochasticMap, jcbb
-from slam_gym.association.compatibility import chi2_gate, individual
+from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import predict
 from slam_gym.geometry import compose, observe, relative
+from slam_gym.simulation.judged import CEILING
 from slam_gym.types import Array, IntArray
 
 DENSITY = 0.6  # [1/m²]
@@ -38,7 +36,6 @@ DETECTION = 0.9  # fraction of the features in range that is reported
 STEP = np.diag([0.02, 0.02, math.radians(0.3)]) ** 2  # covariance of the odometry of the mapping drive
 PAIRED = 15  # mapped features, at most, that a scan of the mapping drive updates
 SPARSE = 0.25  # [1/m²] where all searches are compared
-FORBIDDEN = 1e6  # price of an incompatible pairing
 
 
 @dataclass(frozen=True)
@@ -130,29 +127,14 @@ def noisy(points: Array, sigma: float, rng: np.random.Generator) -> Scan:
     return Scan.from_points(points + sigma * rng.standard_normal(points.shape), sigma=sigma)
 
 
-def linear_assignment(scan: Scan, prediction: Prediction) -> IntArray:
-    """Decisions (m,) by gating and scipy's linear assignment of D²_ij, the gate being the price of pairing nothing."""
-    gated, m, n = individual(scan, prediction), len(scan), len(prediction)
-    matrix = np.full((m, n + m), FORBIDDEN)
-    matrix[gated.measured, gated.rows[gated.slots]] = gated.distances
-    matrix[np.arange(m), n + np.arange(m)] = chi2_gate(2, prediction.confidence)
-    columns = linear_sum_assignment(matrix)[1]
-    return np.append(prediction.features, np.full(m, UNPAIRED))[columns]
-
-
-def searches() -> dict[str, Callable[[Scan, Prediction], IntArray]]:
-    """From a scan and a prediction to decisions (m,), by the name of the search."""
-    known = {name: search for name, search in ASSOCIATORS.items() if name != "true_association"}
-    by_name = {name: lambda *given, search=search: search(*given).features for name, search in known.items()}
-    return {**by_name, "linear assignment": linear_assignment}
-
-
 def compare(scans: list[ClosureScan]) -> list[Record]:
     """Every search on the same scans: what it gets right, and its time [µs]."""
     rows, of_jcbb = [], np.array([fastest(jcbb, one.scan, one.prediction) for one in scans])
     truth = np.concatenate([one.truth for one in scans])
-    for name, search in searches().items():
-        answers = [search(one.scan, one.prediction) for one in scans]
+    for name, search in ASSOCIATORS.items():
+        if name == CEILING:
+            continue
+        answers = [search(one.scan, one.prediction).features for one in scans]
         found = np.concatenate(answers)
         right = int(((found == truth) & (truth != UNPAIRED)).sum())
         times = np.array([fastest(search, one.scan, one.prediction) for one in scans])

@@ -229,29 +229,27 @@ def _doubtful(d: Decisions) -> bool:
 
 
 def labelled_decisions(
-    arguments: AssociateArguments, worlds: Iterable[int], mistakes: float = 0.2
+    arguments: AssociateArguments, worlds: Iterable[int], mistakes: float = 0.1
 ) -> dict[str, NDArray[Any]]:
     """Observations of Associate-v0 (D, …) by name, for supervised learning; beside them `mask` (D, K + 1), the `right`
     action (D,), NOT_OFFERED where it is not on offer or nobody knows, the one `taken` (D,), and `episode` and `look`.
 
-    The right actions are taken, except that a fraction of the scans is walked at random after a random level: otherwise
-    no state would be met in which something has gone wrong before. Raises ValueError where there is nothing to decide.
+    The right actions are taken, but for a fraction of `mistakes` at random: otherwise no state would be met in which
+    something has gone wrong before. Raises ValueError where there is nothing to decide.
     """
     env: Any = arguments.make().unwrapped
     found: list[dict[str, Any]] = []
     for episode in worlds:
-        rng = np.random.default_rng((episode, 3))
+        rng, over = np.random.default_rng((episode, 3)), False
         observation, info = env.reset(**reset_arguments(episode))
-        look, astray, over = -1, False, False
         while not over:
-            if info["look"] != look:
-                look, astray = info["look"], bool(rng.random() < mistakes)
             mask, right = info["action_mask"], info["truth"]["action"]
-            legal = np.flatnonzero(mask)
-            wanders = astray and rng.random() < 0.5
-            taken = int(rng.choice(legal)) if wanders else env.K if right == NOT_OFFERED else right
-            if len(legal) > 1:  # an episode without any choice has nothing to tell
-                found.append(observation | dict(mask=mask, right=right, taken=taken, episode=episode, look=look))
+            taken = env.K if right == NOT_OFFERED else right
+            if rng.random() < mistakes:
+                taken = int(rng.choice(np.flatnonzero(mask)))
+            if mask.sum() > 1:  # an episode without any choice has nothing to tell
+                known = {"mask": mask, "right": right, "taken": taken, "episode": episode, "look": info["look"]}
+                found.append(observation | known)
             observation, _, over, _, info = env.step(taken)
     if not found:
         raise ValueError(f"there was nothing to decide in the episodes of {arguments.scenario!r}")
