@@ -6,41 +6,12 @@ of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 from typer import Option
 
 from agents.cli import World, command
-from agents.evaluation.episodes import AssociateArguments, ExploreArguments
-from agents.evaluation.records import command_line
-from agents.learning.policies import HYPERPARAMETERS, Decision, load_hyperparameters
-from agents.learning.training import TrainingPlan, train
-
-
-@dataclass(frozen=True)
-class Training:
-    """What every training takes."""
-
-    timesteps: Annotated[int, Option(min=1, metavar="N", help="Decisions, rounded up to whole rollouts.")] = 100_000
-    seed: Annotated[int, Option(min=0)] = 0
-    out: Annotated[Path | None, Option(metavar="DIR", help="By default a folder in runs/.")] = None
-    resume: Annotated[bool, Option("--resume", help="Go on in DIR, up to --timesteps.")] = False
-    hyperparameters: Annotated[Path, Option(metavar="FILE", help="TOML.")] = HYPERPARAMETERS
-    envs: Annotated[int | None, Option(min=1, metavar="N", help="Environments; by default as in FILE.")] = None
-    processes: Annotated[bool, Option("--processes", help="Give each environment a process of its own.")] = False
-    eval_every: Annotated[int, Option(min=1, metavar="N", help="Decisions between evaluations.")] = 10_000
-    eval_episodes: Annotated[int, Option(min=1, metavar="N", help="Held-out worlds.")] = 10
-
-    def run(self, decision: Decision, arguments: ExploreArguments | AssociateArguments, folder: str) -> Path:
-        """Train; the path of the model. ValueError where the options do not make sense."""
-        hyper = load_hyperparameters(decision, self.hyperparameters)
-        plan = TrainingPlan(
-            decision, arguments, replace(hyper, envs=self.envs or hyper.envs), self.seed, self.timesteps,
-            self.eval_every, self.eval_episodes, command_line(), self.processes,
-        )  # fmt: skip
-        return train(self.out or Path(folder), plan, self.resume)
+from agents.learning.training import Training, train
 
 
 def main(
@@ -52,7 +23,7 @@ def main(
 ) -> None:
     """Train an agent to drive, by reinforcement learning."""
     arguments = world.arguments("office-small", "train", reward)
-    model = training.run(action, arguments, f"runs/{agent}")
+    model = train(action, arguments, training, f"runs/{agent}")
     print(f"wrote {model}; evaluate it beside the baselines with\n"
           f"  python -m agents.evaluate --model {model} --scenario {arguments.scenario}")  # fmt: skip
 

@@ -8,13 +8,13 @@ and in Python through `agents.learning.models.load_associator`.
 from __future__ import annotations
 
 from agents.cli import AssociateWorld, command
-from agents.train import Training
+from agents.learning.training import Training, train
 from slam_gym.simulation.association_runs import LOGS
 
 
 def main(training: Training, world: AssociateWorld) -> None:
     """Train an agent to associate, by reinforcement learning."""
-    model = training.run("branch", world.arguments("train"), "runs/assoc")
+    model = train("branch", world.arguments("train"), training, "runs/assoc")
     where = f" --scenarios {world.scenario}" if world.scenario not in LOGS else ""  # nobody can drive in a log
     print(f"wrote {model}; compare it with the classical associators by\n"
           f"  python -m agents.evaluate_association --associators singles jcbb {model}{where}")  # fmt: skip

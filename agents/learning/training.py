@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import warnings
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,11 +23,12 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback,
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from typer import Option
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
-from agents.evaluation.records import plain, versions
+from agents.evaluation.records import command_line, plain, versions
 from agents.learning.models import About, read_about
-from agents.learning.policies import CHOICES, Decision, Hyperparameters, make_algorithm
+from agents.learning.policies import CHOICES, HYPERPARAMETERS, Decision, load_hyperparameters, make_algorithm
 
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
@@ -38,30 +41,18 @@ _MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resume
 
 
 @dataclass(frozen=True)
-class TrainingPlan:
-    """What is trained, on what, and for how long."""
+class Training:
+    """How long, from which seed and with what a policy is trained: what every training command takes."""
 
-    decision: Decision
-    arguments: ExploreArguments | AssociateArguments
-    hyperparameters: Hyperparameters
-    seed: int = 0
-    timesteps: int = 100_000  # decisions in all, rounded up to whole rollouts
-    eval_every: int = 10_000  # decisions
-    eval_episodes: int = 20
-    command: str = ""  # as it was typed
-    processes: bool = False  # each environment has one of its own
-
-    def make(self, split: str) -> gym.Env[Any, Any]:
-        """The environment; a policy of branches does not see the budget, which it would not as an associator."""
-        env = replace(self.arguments, split=split).make(self.decision)
-        if self.decision == "branch":
-            env = FilterObservation(env, [name for name in env.observation_space if name != "budget"])
-        return Monitor(env, info_keywords=LOGGED[self.decision])
-
-    def make_scaled(self) -> gym.Env[Any, Any]:
-        """The environment that is learned from."""
-        scale = self.hyperparameters.reward_scale
-        return TransformReward(self.make("train"), lambda reward: scale * float(reward))
+    timesteps: Annotated[int, Option(min=1, metavar="N", help="Decisions, rounded up to whole rollouts.")] = 100_000
+    seed: Annotated[int, Option(min=0)] = 0
+    out: Annotated[Path | None, Option(metavar="DIR", help="By default a folder in runs/.")] = None
+    resume: Annotated[bool, Option("--resume", help="Go on in DIR, up to --timesteps.")] = False
+    hyperparameters: Annotated[Path, Option(metavar="FILE", help="TOML.")] = HYPERPARAMETERS
+    envs: Annotated[int | None, Option(min=1, metavar="N", help="Environments; by default as in FILE.")] = None
+    processes: Annotated[bool, Option("--processes", help="Give each environment a process of its own.")] = False
+    eval_every: Annotated[int, Option(min=1, metavar="N", help="Decisions between evaluations.")] = 10_000
+    eval_episodes: Annotated[int, Option(min=1, metavar="N", help="Held-out worlds.")] = 10
 
 
 class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
@@ -77,35 +68,51 @@ class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=world, options={"world": world})
 
 
-def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
-    """Train up to `plan.timesteps` decisions in all and return the path of the model file. Ctrl-C keeps what was
-    learned.
+def make(decision: Decision, arguments: ExploreArguments | AssociateArguments, scale: float = 1.0) -> gym.Env[Any, Any]:
+    """The environment, its rewards scaled; a policy of branches does not see the budget, which it would not as an
+    associator."""
+    env = arguments.make(decision)
+    if decision == "branch":
+        env = FilterObservation(env, [name for name in env.observation_space if name != "budget"])
+    return TransformReward(Monitor(env, info_keywords=LOGGED[decision]), lambda reward: scale * float(reward))
 
-    Raises ValueError where `out` holds a training and is not to be resumed, or one of something else.
+
+def train(
+    decision: Decision, arguments: ExploreArguments | AssociateArguments, training: Training, folder: str
+) -> Path:
+    """Train up to `training.timesteps` decisions in all, in its folder or in `folder`; the path of the model file.
+    Ctrl-C keeps what was learned.
+
+    Raises ValueError where the folder holds a training and is not to be resumed, or one of something else, and as
+    `load_hyperparameters`.
     """
+    out, hyper = training.out or Path(folder), load_hyperparameters(decision, training.hyperparameters)
+    hyper = replace(hyper, envs=training.envs or hyper.envs)
     last = _last_model(out)
-    if last is not None and not resumed:
+    if last is not None and not training.resume:
         raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --out")
-    if last is None and resumed:
+    if last is None and training.resume:
         raise ValueError(f"{out} holds no training to resume")
     torch.set_num_threads(1)  # the networks are small, and the environments need the other cores
-    hyper, watched = plan.hyperparameters, plan.make("test")
-    training = plan.arguments.plain | {"seed": plan.seed, "command": plan.command, "versions": versions()}
-    about = About.of(watched, plan.decision, hyper, plain(training))
-    vectorised = SubprocVecEnv if plan.processes and hyper.envs > 1 else DummyVecEnv
-    envs: VecEnv = vectorised([plan.make_scaled] * hyper.envs)
-    model: Any = make_algorithm(plan.decision, envs, hyper, plan.seed)
+    watched = make(decision, replace(arguments, split="test"))
+    known = arguments.plain | {"split": "train", "seed": training.seed, "command": command_line()}
+    about = About.of(watched, decision, hyper, plain(known | {"versions": versions()}))
+    vectorised = SubprocVecEnv if training.processes and hyper.envs > 1 else DummyVecEnv
+    learned_from = partial(make, decision, replace(arguments, split="train"), hyper.reward_scale)
+    envs: VecEnv = vectorised([learned_from] * hyper.envs)
+    model: Any = make_algorithm(decision, envs, hyper, training.seed)
     model.about = asdict(about)  # Stable-Baselines3 writes it into its files as JSON
     if last is not None:
         _resume(model, last, about)
     out.mkdir(parents=True, exist_ok=True)
     model.set_logger(_logs(out, model.num_timesteps))
-    watch = _watch(out, plan, model.num_timesteps, DummyVecEnv([lambda: HeldOutWorlds(watched, plan.eval_episodes)]))
+    watch = _watch(out, about, training, HeldOutWorlds(watched, training.eval_episodes), model.num_timesteps)
     keep = CheckpointCallback(watch.eval_freq, str(out / CHECKPOINTS), "model")
     try:
-        if model.num_timesteps < plan.timesteps:
-            left = plan.timesteps - model.num_timesteps
-            model.learn(left, [EpisodeEnds(plan.decision), keep, watch], reset_num_timesteps=False, progress_bar=True)
+        if (left := training.timesteps - model.num_timesteps) > 0:
+            model.learn(
+                left, [EpisodeEnds(LOGGED[decision]), keep, watch], reset_num_timesteps=False, progress_bar=True
+            )
     finally:
         model.save(out / MODEL)
         with contextlib.suppress(OSError, EOFError):  # Ctrl-C has ended its processes
@@ -114,17 +121,17 @@ def train(out: Path, plan: TrainingPlan, resumed: bool = False) -> Path:
     return out / MODEL
 
 
-def _watch(out: Path, plan: TrainingPlan, start: int, held_out: VecEnv) -> EvalCallback:
+def _watch(out: Path, about: About, training: Training, held_out: gym.Env[Any, Any], start: int) -> EvalCallback:
     """What tries the present weights on held-out worlds, and keeps the best; of a resumed training, the best of all."""
     warnings.filterwarnings("ignore", "Training and eval env", UserWarning)  # one has processes, the other needs none
     results = [np.load(path)["results"] for path in out.glob("held_out_from_*/evaluations.npz")]
-    watch = (MaskableEvalCallback if plan.decision in CHOICES else EvalCallback)(
-        held_out,
-        n_eval_episodes=plan.eval_episodes,
-        eval_freq=max(plan.eval_every // plan.hyperparameters.envs, 1),
+    watch = (MaskableEvalCallback if about.action in CHOICES else EvalCallback)(
+        DummyVecEnv([lambda: held_out]),
+        n_eval_episodes=training.eval_episodes,
+        eval_freq=max(training.eval_every // about.hyperparameters.envs, 1),
         log_path=str(out / f"held_out_from_{start}"),
         best_model_save_path=str(out),
-        deterministic=plan.hyperparameters.deterministic,
+        deterministic=about.hyperparameters.deterministic,
     )
     watch.best_mean_reward = max((float(rewards.mean(axis=1).max()) for rewards in results), default=-np.inf)
     return watch
@@ -133,9 +140,9 @@ def _watch(out: Path, plan: TrainingPlan, start: int, held_out: VecEnv) -> EvalC
 class EpisodeEnds(BaseCallback):
     """Logs what the last episodes came to."""
 
-    def __init__(self, decision: Decision) -> None:
+    def __init__(self, names: Sequence[str]) -> None:
         super().__init__()
-        self._names = LOGGED[decision]
+        self._names = names
 
     def _on_step(self) -> bool:
         return True

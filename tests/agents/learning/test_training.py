@@ -1,9 +1,9 @@
 """Reinforcement learning end to end, as short as it can be: files, resumption, refusals, and who decides by them."""
 
 import csv
-import dataclasses
 import json
 import pickle
+import re
 import zipfile
 
 import numpy as np
@@ -19,7 +19,7 @@ from agents.drivers.base import make_agent
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
 from agents.learning.models import load_associator, load_policy, read_about
 from agents.learning.policies import HYPERPARAMETERS, load_hyperparameters
-from agents.learning.training import HELD_OUT, TrainingPlan, train
+from agents.learning.training import HELD_OUT, Training, train
 from slam_gym.envs.observation import GOAL_FIELDS
 from slam_gym.scenarios import SPLITS
 
@@ -27,12 +27,12 @@ DRIVE = ExploreArguments("office-small", split="train", overrides=(("budget", 60
 BRANCHES = AssociateArguments("corridor", candidates=3, order="fewest_candidates")
 
 
-def run(out, action="goal", timesteps=32, seed=3, resumed=False, arguments=DRIVE, envs=1):
-    hyper = load_hyperparameters(action)
-    ppo = hyper.ppo | {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
-    hyper = dataclasses.replace(hyper, envs=envs, ppo=ppo)
-    plan = TrainingPlan(action, arguments, hyper, seed, timesteps, eval_every=16, eval_episodes=1)
-    return train(out, plan, resumed)
+def run(out, action="goal", timesteps=32, seed=3, resumed=False, arguments=DRIVE):
+    quick = out.parent / "quick.toml"
+    text = re.sub(r"(n_steps|batch_size) = \d+", r"\1 = 16", HYPERPARAMETERS.read_text())
+    quick.write_text(re.sub(r"n_epochs = \d+", "n_epochs = 1", text))
+    how = Training(timesteps, seed, out, resumed, quick, envs=1, eval_every=16, eval_episodes=1)
+    return train(action, arguments, how, "nowhere")
 
 
 @pytest.fixture(scope="module")
