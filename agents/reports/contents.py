@@ -19,7 +19,6 @@ from agents.evaluation.tables import (
     Column,
     Rows,
     Table,
-    Value,
     by_name,
     by_setting,
     columns,
@@ -113,9 +112,7 @@ def of_associators(results: Results, folder: Path) -> Content:
 
 # -- the suite ---------------------------------------------------------------------------------------------------------
 
-_EFFORT = columns("nodes", "microseconds", "limits")
-_MISTAKES = columns("spoiled", "refused")
-_DETAILS = columns("exact", "precision", "recall", "spoiled", "refused", "promised", "kept")
+_DETAILS = [*columns("exact", "precision", "recall", "spoiled", "refused", "promised", "kept"), *suite.EFFORT]
 
 
 def of_suite(results: Results, folder: Path) -> Content:
@@ -123,6 +120,9 @@ def of_suite(results: Results, folder: Path) -> Content:
     size, frame, colour = results.conditions, results.frame, colours(results.names)
     association, relocation = suite.by_role(frame)
     bins = reliability(association)
+    sweeps = []
+    for name, own in association.groupby("experiment", sort=False):
+        sweeps.append(_sweep(own, name, Table("", "associator", _DETAILS, suite.details(own, _DETAILS)), colour))
     return {
         "title": "The association suite",
         "subtitle": f"{size['worlds']} {size['split']} worlds a level, up to {size['problems']} scans in each, the "
@@ -130,52 +130,28 @@ def of_suite(results: Results, folder: Path) -> Content:
         "capabilities": _capabilities(association, colour) if len(association) else None,
         "reliability": figures.reliability_chart(bins, colour) if bins else None,
         "reliability_tables": reliability_tables(association),
-        "experiments": [_experiment(association, name, colour) for name in suite.experiments(association)],
-        "relocation": _relocation(relocation, colour) if len(relocation) else None,
+        "experiments": sweeps,
+        "relocation": _sweep(relocation, RELOCATION, suite.relocations(relocation), colour)
+        if len(relocation)
+        else None,
     }
 
 
 def _capabilities(frame: pd.DataFrame, colour: Colours) -> Content:
-    """The numbers of all associators, as a table and as a picture, their mistakes, and how far each is ahead."""
-    scores, capabilities = suite.scores(frame), suite.score_columns(frame)
-    mistakes = {c.key: suite.scores(frame, c.key) for c in _MISTAKES}
-    rows = {name: own | {key: found[name]["all"] for key, found in mistakes.items()} for name, own in scores.items()}
+    """The numbers of all associators, as a table and as a picture, and how far each is ahead."""
     return {
-        "table": Table("", "associator", [*capabilities, *_MISTAKES], rows),
-        "bars": figures.capability_bars(scores, colour),
-        "leads": Table("", "ahead of the next by", capabilities, suite.leads(frame), differences=True),
+        "table": suite.capabilities(frame),
+        "bars": figures.capability_bars(suite.scores(frame), colour),
+        "leads": Table("", "ahead of the next by", suite.score_columns(frame), suite.leads(frame), differences=True),
     }
-
-
-def _experiment(frame: pd.DataFrame, name: str, colour: Colours) -> Content:
-    """One capability: the question, the score level by level, and what is behind it."""
-    own = frame[frame["experiment"] == name]
-    details = {c.key: suite.scores(own, c.key) for c in _DETAILS}
-    rows = {
-        who: {c.key: details[c.key][who]["all"] for c in _DETAILS} | _effort(own, who) for who in suite.ranked(frame)
-    }
-    return _sweep(own, name, Table("", "associator", (*_DETAILS, *_EFFORT), rows), colour)
-
-
-def _relocation(frame: pd.DataFrame, colour: Colours) -> Content:
-    """Searches without a prior: their numbers, level by level, and what their answers were."""
-    rows = {name: row | _effort(frame, name) for name, row in suite.relocation_rows(frame).items()}
-    return _sweep(frame, RELOCATION, Table("", "search", (*suite.RELOCATION_COLUMNS, *_EFFORT), rows), colour)
 
 
 def _sweep(frame: pd.DataFrame, name: str, table: Table, colour: Colours) -> Content:
-    """An experiment, its table, and the score of each name of the table at each level."""
+    """An experiment: the question, its table, and the score of each name of the table level by level."""
     groups = {who: frame[frame["name"] == who].groupby("knob", sort=False)["score"] for who in table.rows}
     curves = {who: {float(knob): estimate(own) for knob, own in group} for who, group in groups.items()}
     experiment = EXPERIMENTS[name]
     return {"experiment": experiment, "table": table, "chart": figures.level_chart(curves, experiment.axis, colour)}
-
-
-def _effort(frame: pd.DataFrame, name: str) -> dict[str, Value]:
-    """Means over worlds, and the number of searches that met their limit."""
-    own = frame[frame["name"] == name]
-    means = {key: estimate(suite.by_world(own, key)["all"]).estimate for key in ("nodes", "microseconds")}
-    return means | {"limits": float(own["limits"].sum())}
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
 
-from agents.drivers.base import Agent
 from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.parallel import run_all
@@ -35,21 +34,18 @@ def make_films(
     first = {driver.agent: driver for driver in reversed(drivers)}
     paths = {agent: film_path(out, agent) for agent in first}
     missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
-    calls = [partial(_film_by, first[agent], arguments, episode, paths[agent]) for agent in missing]
+    calls = [partial(film, arguments, first[agent], episode, paths[agent]) for agent in missing]
     for picture in run_all(calls, execution.jobs, execution.backend):
         print(f"film: {picture.with_suffix('.mp4')}")
 
 
-def _film_by(driver: Driver, arguments: ExploreArguments, episode: int, path: Path) -> Path:
-    return film(arguments, driver.make(), episode, path)
-
-
-def film(arguments: ExploreArguments, agent: Agent, episode: int, path: Path) -> Path:
+def film(arguments: ExploreArguments, driver: Driver, episode: int, path: Path) -> Path:
     """Film one episode into `path` (.mp4); its last picture is kept beside it as .png, which is returned.
 
     At most about `FRAMES` frames, however long the episode is.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    agent = driver.make()
     env = arguments.make(agent.action, render_mode="rgb_array")
     stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
     mp4 = {"codec": "libx264", "quality": 6, "macro_block_size": 2, "ffmpeg_log_level": "error"}

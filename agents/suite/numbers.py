@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import pandas as pd
 
 from agents.evaluation.pipeline import Results
-from agents.evaluation.tables import Column, Rows, Table, Value, estimate
+from agents.evaluation.tables import Column, Rows, Table, Value, columns, estimate
 from agents.suite.problems import OUTCOMES
 from agents.suite.reliability import reliability_tables
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 
-RELOCATION_COLUMNS = (
-    Column(RELOCATION, "score", 3, "higher"), *(Column(outcome, outcome, 0) for outcome in OUTCOMES),
-)  # fmt: skip
+SCORE = Column("score", "score", 3, "higher")
+MISTAKES = columns("spoiled", "refused")
+EFFORT = columns("nodes", "microseconds", "limits")
 
 
 def by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -47,9 +48,9 @@ def ranked(frame: pd.DataFrame) -> list[str]:
     return sorted(means, key=lambda name: (pd.isna(means[name]), -means[name]))
 
 
-def scores(frame: pd.DataFrame, key: str = "score") -> Rows:
+def scores(frame: pd.DataFrame) -> Rows:
     """Name → experiment → interquartile mean over worlds; `all` is that of their means. The best name first."""
-    worlds = by_world(frame, key)
+    worlds = by_world(frame)
     return {name: _estimates(worlds.loc[name]) for name in ranked(frame)}
 
 
@@ -63,18 +64,30 @@ def _estimates(worlds: pd.DataFrame) -> dict[str, Value]:
     return {str(column): estimate(worlds[column]) for column in worlds}
 
 
-def relocation_rows(frame: pd.DataFrame) -> Rows:
-    """Search → `kidnapped`, its score, and the number of each outcome; the best score first."""
-    found: Rows = {}
-    for name, score in scores(frame).items():
-        counts = frame[frame["name"] == name][list(OUTCOMES)].sum()
-        found[name] = {RELOCATION: score["all"], **{outcome: int(counts[outcome]) for outcome in OUTCOMES}}
-    return found
+def details(frame: pd.DataFrame, shown: Sequence[Column]) -> Rows:
+    """Name → key of a column → interquartile mean over worlds of the mean over all levels. The best name first."""
+    worlds = pd.DataFrame({column.key: by_world(frame, column.key)["all"] for column in shown})
+    return {name: _estimates(worlds.loc[name]) for name in ranked(frame)}
 
 
 def score_columns(frame: pd.DataFrame) -> list[Column]:
     """One an experiment, and their mean."""
     return [Column(name, name, 3, "higher") for name in (*experiments(frame), "all")]
+
+
+def capabilities(frame: pd.DataFrame, title: str = "") -> Table:
+    """The scores of associators in every experiment, and their mistakes, the best first."""
+    mistakes = details(frame, MISTAKES)
+    rows = {name: own | mistakes[name] for name, own in scores(frame).items()}
+    return Table(title, "associator", [*score_columns(frame), *MISTAKES], rows)
+
+
+def relocations(frame: pd.DataFrame, title: str = "") -> Table:
+    """The scores of searches without a prior, the number of each outcome, and their effort, the best first."""
+    counts = frame.groupby("name")[list(OUTCOMES)].sum()
+    rows = {name: own | counts.loc[name].to_dict() for name, own in details(frame, [SCORE, *EFFORT]).items()}
+    outcomes = [Column(outcome, outcome, 0) for outcome in OUTCOMES]
+    return Table(title, "search", [SCORE, *outcomes, *EFFORT], rows)
 
 
 def tables(results: Results) -> list[Table]:
@@ -83,10 +96,8 @@ def tables(results: Results) -> list[Table]:
     size, found = results.conditions, []
     about = f"{size['worlds']} worlds a level, up to {size['problems']} scans in each"
     if len(association):
-        columns = score_columns(association)
-        found.append(Table(f"association suite, {about}", "associator", columns, scores(association)))
+        found.append(capabilities(association, f"association suite, {about}"))
         found += reliability_tables(association)
     if len(relocation):
-        title = f"kidnapped: searches without a prior, {about}"
-        found.append(Table(title, "search", RELOCATION_COLUMNS, relocation_rows(relocation)))
+        found.append(relocations(relocation, f"kidnapped: searches without a prior, {about}"))
     return found

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +34,6 @@ from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
 MIN_MAPPED = 4  # measurements of mapped features in a problem: fewer decide nothing
-WRONG_COST = 10.0  # of a wrong pairing, in right ones: as the reward of Associate-v0
 
 OUTCOMES = ("correct", "silent", "wrong", "refused", "invented")
 MAX_DISTANCE = 0.3  # [m] a found pose is right within this distance …
@@ -147,24 +147,13 @@ def ask(name: str, associate: Associator, problem: Problem) -> Hypothesis:
     return associate(problem.scan, problem.prediction)
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(NamedTuple):
     """What an answer to one problem comes to, in measurements."""
 
     right: int
     wrong: int
     refused: int  # of a mapped feature, and left unpaired
     mapped: int  # of a mapped feature
-
-    @property
-    def exact(self) -> bool:
-        """All that is mapped is paired rightly, and nothing else is paired."""
-        return self.wrong == 0 and self.refused == 0
-
-    @property
-    def score(self) -> float:
-        """(right − 10 · wrong) / mapped, but not below −1: 1 without a mistake, 0 for refusing everything."""
-        return max(-1.0, (self.right - WRONG_COST * self.wrong) / self.mapped)
 
 
 def judge(features: IntArray, right: IntArray) -> Judgement:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
-import numpy as np
+import pandas as pd
 from typer import Option
 
 from agents.evaluation.associators import Metered, find_associator
@@ -34,6 +34,7 @@ from slam_gym.validation import one_of
 
 WORLDS, PROBLEMS = 24, 12  # of a level; of a world, at most
 QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
+WRONG_COST = 10.0  # of a wrong pairing, in right ones: as the reward of Associate-v0
 Names = list[str] | None
 
 
@@ -111,31 +112,33 @@ def relocate(
 
 
 def association_record(judged: Sequence[Judgement]) -> Record:
-    """Fractions over the problems of a world; NaN where it had none. The score is that of the scans, but not below
-    0."""
-    mapped, paired = sum(j.mapped for j in judged), sum(j.right + j.wrong for j in judged)
-    right = sum(j.right for j in judged)
-    per_scan = {
-        "score": [j.score for j in judged],
-        "spoiled": [j.wrong > 0 for j in judged],
-        "refused": [j.refused / j.mapped for j in judged],
-        "exact": [j.exact for j in judged],
-    }
-    means = {key: float(np.mean(values)) if values else math.nan for key, values in per_scan.items()}
+    """Fractions over the problems of a world; NaN where it had none.
+
+    A scan earns (right − 10 · wrong) / mapped, but not less than −1: 1 without a mistake, 0 for refusing everything.
+    The score is the mean over scans, but not below 0. `spoiled` are scans with a wrong pairing; in `exact` ones, all
+    that is mapped is paired rightly and nothing else is paired.
+    """
+    scans = pd.DataFrame(judged, columns=Judgement._fields, dtype=float)
+    right, wrong, refused, mapped = (scans[name] for name in Judgement._fields)
+    earned = ((right - WRONG_COST * wrong) / mapped).clip(lower=-1.0)
     return {
-        "problems": len(judged),
-        **means,
-        "score": max(means["score"], 0.0),  # NaN stays
-        "precision": right / paired if paired else math.nan,
-        "recall": right / mapped if mapped else math.nan,
+        "problems": len(scans),
+        "score": float(max(earned.mean(), 0.0)),  # NaN stays
+        "spoiled": float((wrong > 0.0).mean()),
+        "refused": float((refused / mapped).mean()),
+        "exact": float((wrong + refused == 0.0).mean()),
+        "precision": _ratio(right.sum(), right.sum() + wrong.sum()),
+        "recall": _ratio(right.sum(), mapped.sum()),
     }
+
+
+def _ratio(part: float, whole: float) -> float:
+    return float(part / whole) if whole else math.nan
 
 
 def relocation_record(counts: Counter[str]) -> Record:
     """Outcomes, and their score: (correct − wrong, of those inside, not below 0) · (refused, of those outside)."""
     inside = counts["correct"] + counts["silent"] + counts["wrong"]
     outside = counts["refused"] + counts["invented"]
-    known = inside > 0 and outside > 0
-    gain = max(0, counts["correct"] - counts["wrong"]) / inside if known else math.nan
-    score = gain * counts["refused"] / outside if known else math.nan
+    score = _ratio(max(0, counts["correct"] - counts["wrong"]), inside) * _ratio(counts["refused"], outside)
     return {"problems": inside + outside, "score": score, **{name: counts[name] for name in OUTCOMES}}

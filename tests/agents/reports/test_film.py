@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from agents.drivers.base import make_agent
 from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Execution
@@ -20,7 +19,7 @@ def few_frames(monkeypatch):
 
 def test_a_film_shows_the_episode_that_was_evaluated(tmp_path):
     imageio = pytest.importorskip("imageio.v2")
-    picture = filming.film(SMALL, make_agent("random"), 0, tmp_path / "random.mp4")
+    picture = filming.film(SMALL, Driver("random"), 0, tmp_path / "random.mp4")
     frames = [frame for frame in imageio.get_reader(tmp_path / "random.mp4")]
     assert 30 <= len(frames) - filming.RATE <= 31
     shown = imageio.imread(picture)

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.records import Key
-from agents.suite.numbers import by_role, by_world, leads, ranked, relocation_rows, scores
+from agents.suite.numbers import by_role, by_world, leads, ranked, relocations, scores
 from agents.suite.problems import OUTCOMES
 from agents.suite.reliability import EDGES, binned, promised, reliability, reliability_tables
 from agents.suite.worlds import ask_all
@@ -49,12 +49,12 @@ def test_a_world_that_has_not_been_through_all_levels_does_not_count():
 
 def test_relocators_have_numbers_of_their_own():
     found = {"jcbb": {"closure": [[0.7]]}, "worse": {"kidnapped": [[0.2]]}, "gcbb": {"kidnapped": [[0.4]]}}
-    frame = results(found, **dict.fromkeys(OUTCOMES, 2))
+    frame = results(found, **dict.fromkeys((*OUTCOMES, "nodes", "microseconds", "limits"), 2))
     association, relocation = by_role(frame)
     assert list(association["name"]) == ["jcbb"]
-    rows = relocation_rows(relocation)
+    rows = relocations(relocation).rows
     assert list(rows) == ["gcbb", "worse"] and rows["gcbb"]["correct"] == 2
-    assert rows["gcbb"]["kidnapped"].estimate == 0.4
+    assert rows["gcbb"]["score"].estimate == 0.4
 
 
 # -- reliability -------------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from agents.suite.problems import (
     problems,
     relocation_problems,
 )
+from agents.suite.worlds import association_record
 from slam_gym.association import ASSOCIATORS
 from slam_gym.association.compatibility import individual
 from slam_gym.geometry import transform
@@ -99,15 +100,20 @@ def test_a_detector_that_misses_shows_less():
 
 def test_an_answer_is_judged_by_hand():
     right = np.array([3, 5, UNPAIRED, 7, UNPAIRED])
-    perfect = judge(right, right)
-    assert perfect == Judgement(3, 0, 0, 3) and perfect.exact and perfect.score == 1.0
-    assert judge(np.full(5, UNPAIRED), right).score == 0.0
-    partly = judge(np.array([3, UNPAIRED, UNPAIRED, 7, UNPAIRED]), right)
-    assert partly == Judgement(2, 0, 1, 3) and partly.score == pytest.approx(2 / 3) and not partly.exact
-    swapped = judge(np.array([5, 3, UNPAIRED, 7, UNPAIRED]), right)
-    assert swapped == Judgement(1, 2, 0, 3) and swapped.score == -1.0
-    spurious = judge(np.array([3, 5, 9, 7, UNPAIRED]), right)
-    assert spurious == Judgement(3, 1, 0, 3) and spurious.score == -1.0
+
+    def earned(*features) -> tuple[Judgement, float, float]:
+        found = judge(np.array(features), right)
+        record = association_record([found])
+        return found, record["score"], record["exact"]
+
+    assert earned(*right) == (Judgement(3, 0, 0, 3), 1.0, 1.0)
+    assert earned(*[UNPAIRED] * 5) == (Judgement(0, 0, 3, 3), 0.0, 0.0)
+    assert earned(3, UNPAIRED, UNPAIRED, 7, UNPAIRED) == (Judgement(2, 0, 1, 3), pytest.approx(2 / 3), 0.0)
+    assert earned(5, 3, UNPAIRED, 7, UNPAIRED) == (Judgement(1, 2, 0, 3), 0.0, 0.0)
+    assert earned(3, 5, 9, 7, UNPAIRED) == (Judgement(3, 1, 0, 3), 0.0, 0.0)
+    both = association_record([judge(right, right), judge(np.array([5, 3, UNPAIRED, 7, UNPAIRED]), right)])
+    assert (both["score"], both["spoiled"], both["precision"]) == (0.0, 0.5, 4 / 6)  # a spoiled scan earns −1
+    assert math.isnan(association_record([])["score"])
     with pytest.raises(ValueError, match="4 decisions for 5 measurements"):
         judge(np.full(4, UNPAIRED), right)
 
