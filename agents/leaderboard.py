@@ -41,16 +41,13 @@ def main(
     board: Annotated[Path, Option(metavar="DIR", help="Where entries and the page go.")] = Path("leaderboard"),
     quick: Annotated[bool, Option("--quick", help="A few worlds, to try an entry; ranked apart.")] = False,
     page: Annotated[Path | None, Option(metavar="FILE", help="Put the tables between the marks of this page.")] = None,
-    baselines: Annotated[bool, Option("--baselines/--no-baselines", help="Rank the entries that ship as well.")] = True,
 ) -> None:
     """Rank an entry by the frozen protocol, or rank all once more."""
     if entry:
         _evaluate(entry, role or _role_of(entry), quick, board, execution)
-    entries, refused = read_entries([*([BASELINES] if baselines else []), board])
+    entries, refused = read_entries([BASELINES, board])
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
-    if not entries:
-        raise ValueError(f"there is no entry in {board}: give one with --entry")
     tables = markdown(entries)
     board.mkdir(parents=True, exist_ok=True)
     write_whole(board / "leaderboard.md", f"# Leaderboard\n\n{tables}\n")

@@ -38,7 +38,7 @@ from slam_gym._files import content_of, json_of
 KINDS = ("drivers", "associators", "suite", "recordings", "leaderboard")
 METADATA = "results.json"
 _TYPES = {
-    "kind": str, "commands": list, "complete": bool, "conditions": dict, "evaluated": dict, "versions": dict,
+    "kind": str, "commands": list, "complete": bool, "conditions": dict, "versions": dict,
 }  # fmt: skip
 
 
@@ -87,13 +87,8 @@ def results_folder(name: str, resume: bool) -> Path:
 class Results(NamedTuple):
     """What the folder of an evaluation holds."""
 
-    metadata: dict[str, Any]  # results.json
-    frame: pd.DataFrame  # of the episodes that were asked for last, in the order in which they were asked for
-
-    @property
-    def kind(self) -> str:
-        """One of KINDS."""
-        return str(self.metadata["kind"])
+    metadata: dict[str, Any]  # results.json: kind, commands, conditions, whether it is complete, versions …
+    frame: pd.DataFrame  # results.csv: what was asked for last comes first, in the order in which it was asked for
 
     @property
     def conditions(self) -> dict[str, Any]:
@@ -113,19 +108,22 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
     holds anything but an evaluation to resume with the same conditions.
     """
     commands, records = _to_go_on_from(out, evaluation, execution.resume)
+    order = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
     done = {_key(record) for record in records}
-    commands = [*commands, {"command": command_line(), "started": datetime.now().isoformat("T", "seconds")}]
+    left = [(task, [key for key in task.keys if key not in done]) for task in evaluation.tasks]
+    calls = [partial(task.run, keys) for task, keys in left if keys]
+    commands.append({"command": command_line(), "started": datetime.now().isoformat("T", "seconds")})
     connect(execution.backend, execution.jobs)
     out.mkdir(parents=True, exist_ok=True)
-    _write_metadata(out, evaluation, commands, done)
+    _write_metadata(out, evaluation, commands, complete=not calls)
     start = time.perf_counter()
     try:
-        for finished in _progress(list(_left(evaluation.tasks, done)), execution):
-            records += finished
+        for finished in _progress(calls, execution):
+            records = sorted([*records, *finished], key=lambda record: order.get(_key(record), len(order)))
             _write_records(out, records)
     finally:
         commands[-1]["seconds"] = round(time.perf_counter() - start, 1)
-        _write_metadata(out, evaluation, commands, {_key(record) for record in records})
+        _write_metadata(out, evaluation, commands, complete=order.keys() <= {_key(record) for record in records})
     return read_results(out)
 
 
@@ -135,15 +133,8 @@ def read_results(folder: Path) -> Results:
     if metadata is None:
         raise ValueError(f"{folder} holds no results.json of an evaluation")
     frame = _read_records(folder)
-    with undamaged(folder / METADATA):
-        evaluated = metadata["evaluated"]
-        orders = {column: {value: k for k, value in enumerate(evaluated[f"{column}s"])} for column in Key._fields}
-    for column, order in orders.items():
-        frame = frame[frame[column].isin(list(order))]
     if frame.empty:
         raise ValueError(f"{folder} holds no finished episode yet")
-    columns = ["name", "setting", "model", "episode"]
-    frame = frame.sort_values(columns, key=lambda own: own.map(orders[str(own.name)]), ignore_index=True)
     return Results(metadata, frame)
 
 
@@ -159,6 +150,11 @@ def _read_metadata(folder: Path) -> dict[str, Any] | None:
     return metadata
 
 
+def _write_metadata(out: Path, evaluation: Evaluation, commands: Sequence[dict[str, Any]], *, complete: bool) -> None:
+    head = {"kind": evaluation.kind, "commands": commands, "complete": complete}
+    write_json(out / METADATA, head | {"conditions": evaluation.conditions, **evaluation.about, "versions": versions()})
+
+
 def _read_records(folder: Path) -> pd.DataFrame:
     """What results.csv holds: nothing where there is none. ValueError names one that is damaged."""
     path = folder / "results.csv"
@@ -171,20 +167,12 @@ def _read_records(folder: Path) -> pd.DataFrame:
 
 def _write_records(out: Path, records: Sequence[Record]) -> None:
     cells = [{key: json.dumps(v) if isinstance(v, list | dict) else v for key, v in r.items()} for r in records]
-    columns = dict.fromkeys([*Key._fields, *(key for record in records for key in record)])
     with written_whole(out / "results.csv") as partial:
-        pd.DataFrame(cells, columns=list(columns)).to_csv(partial, index=False)
+        pd.DataFrame(cells).set_index(list(Key._fields)).to_csv(partial)
 
 
 def _key(record: Record) -> Key:
-    return Key(record["name"], record["setting"], record["episode"], record.get("model", ""))
-
-
-def _left(tasks: Sequence[Task], done: set[Key]) -> Iterator[Callable[[], list[Record]]]:
-    """What is left of each task."""
-    for task in tasks:
-        if wanted := [key for key in task.keys if key not in done]:
-            yield partial(task.run, wanted)
+    return Key(*(record[field] for field in Key._fields))
 
 
 def _progress(calls: Sequence[Callable[[], list[Record]]], execution: Execution) -> Iterator[list[Record]]:
@@ -195,18 +183,6 @@ def _progress(calls: Sequence[Callable[[], list[Record]]], execution: Execution)
         for records in run_all(calls, execution.jobs, execution.backend):
             yield records
             progress.advance(bar)
-
-
-def _write_metadata(out: Path, evaluation: Evaluation, commands: Sequence[dict[str, Any]], done: set[Key]) -> None:
-    keys = [key for task in evaluation.tasks for key in task.keys]
-    evaluated = {f"{column}s": list(dict.fromkeys(getattr(key, column) for key in keys)) for column in Key._fields}
-    head = {"kind": evaluation.kind, "commands": commands, "complete": done.issuperset(keys)}
-    about = {"conditions": _conditions(evaluation), "evaluated": evaluated, **evaluation.about, "versions": versions()}
-    write_json(out / METADATA, head | about)
-
-
-def _conditions(evaluation: Evaluation) -> dict[str, Any]:
-    return evaluation.conditions | {"slam_gym": slam_gym.__version__}
 
 
 def _to_go_on_from(
@@ -221,11 +197,9 @@ def _to_go_on_from(
         if out.is_dir() and any(out.iterdir()):
             raise ValueError(f"{out} is not empty: give another --out")
         return [], []
-    was, now = before["conditions"], plain(_conditions(evaluation))
-    other = [f"{name} {was.get(name)!r}, not {now[name]!r}" for name in now if was.get(name) != now[name]]
-    if before["kind"] != evaluation.kind:
-        other = [f"an evaluation of {before['kind']}, not of {evaluation.kind}"]
-    if other:
+    was = before["conditions"] | {"evaluation": before["kind"], "slam_gym": before["versions"].get("slam_gym")}
+    now = plain(evaluation.conditions) | {"evaluation": evaluation.kind, "slam_gym": slam_gym.__version__}
+    if other := [f"{name} {was.get(name)!r}, not {now[name]!r}" for name in now if was.get(name) != now[name]]:
         raise ValueError(f"{out} holds the results of another command ({'; '.join(other)}): give another --out")
     if not resume:
         raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --out")

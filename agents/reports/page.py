@@ -34,11 +34,12 @@ def write_report(folder: Path) -> Path:
     Raises ValueError where it holds none, or nothing finished yet.
     """
     results = read_results(folder)
-    if results.kind not in CONTENTS:
-        raise ValueError(f"{folder} belongs to the {results.kind}, which makes its own page")
+    kind = results.metadata["kind"]
+    if kind not in CONTENTS:
+        raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
     with undamaged(f"results.csv or results.json of {folder}"):
-        page = _PAGES.get_template(f"{results.kind}.html").render(
-            CONTENTS[results.kind](results, folder),
+        page = _PAGES.get_template(f"{kind}.html").render(
+            CONTENTS[kind](results, folder),
             colours=colours(results.names),
             complete=results.metadata["complete"],
             split=results.conditions.get("split"),

@@ -29,7 +29,7 @@ def finished(tmp_path_factory):
 
 def test_every_associator_meets_the_same_episodes_and_the_truth_makes_no_mistake(finished):
     frame = finished.frame
-    assert list(zip(frame["name"], frame["episode"])) == [(name, k) for name in NAMES for k in range(2)]
+    assert list(zip(frame["name"], frame["episode"])) == [(name, k) for k in range(2) for name in NAMES]
     assert set(frame["setting"]) == {"office-small"} and set(frame["ticks"]) == {300}
     for row in frame.to_dict("records"):
         truth = row["name"] == "true_association"

@@ -20,8 +20,8 @@ def finished(tmp_path_factory):
 
 def test_every_agent_drives_the_same_episodes(finished):
     frame = finished.frame
-    assert list(frame["name"]) == 3 * ["random"] + 3 * ["nearest_frontier"]
-    assert list(frame["episode"]) == [0, 1, 2, 0, 1, 2] and set(frame["ticks"]) == {80}
+    assert list(frame["name"]) == 3 * ["random", "nearest_frontier"]
+    assert list(frame["episode"]) == [0, 0, 1, 1, 2, 2] and set(frame["ticks"]) == {80}
     starts = {(k, json.loads(curve)["coverage"][0]) for k, curve in zip(frame["episode"], frame["curve"])}
     assert len(starts) == 3  # coverage before the first step is a fingerprint of world and start
 

@@ -121,8 +121,8 @@ def test_what_is_no_entry_is_named_and_the_rest_of_the_board_is_drawn(tmp_path, 
     write_entry(tmp_path, Ranked(**GOOD))
     damaged = tmp_path / "agent-damaged.json"
     damaged.write_text(json.dumps(content) if isinstance(content, dict) else content, encoding="latin-1")
-    done = typed(app, "--board", tmp_path, "--no-baselines")
-    assert done.exit_code == 0 and "| 1 | good |" in (tmp_path / "leaderboard.md").read_text()
+    done = typed(app, "--board", tmp_path)
+    assert done.exit_code == 0 and "| good |" in (tmp_path / "leaderboard.md").read_text()
     assert done.stderr.startswith(f"left out: {damaged}") and done.stderr.count("\n") == 1
 
 
@@ -140,7 +140,7 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
     page.write_text(f"before\n{MARKS[0]}\nold\n{MARKS[1]}\nafter\n")
 
     def leaderboard(*line):
-        done = CliRunner().invoke(app, [*line, "--quick", "--jobs", "1", "--board", str(board), "--no-baselines"])
+        done = CliRunner().invoke(app, [*line, "--quick", "--jobs", "1", "--board", str(board)])
         assert done.exit_code == 0, done.output
 
     leaderboard("--entry", "true_association")
@@ -161,7 +161,6 @@ def test_an_entry_is_ranked_among_those_that_were_there_and_goes_on_where_it_was
         (["--entry", "nowhere.zip"], "no such file"),
         (["--entry", "learned"], "agent and associator"),
         (["--entry", "nobody", "--role", "agent"], "unknown agent"),
-        (["--no-baselines"], "there is no entry in"),
     ],
 )
 def test_bad_input_is_told_and_nothing_is_written(tmp_path, monkeypatch, line, said):
