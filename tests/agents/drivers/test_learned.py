@@ -14,7 +14,6 @@ from agents.drivers.learned import (
     Seen,
     Tokens,
     choose,
-    greedy_score,
     load_driver,
     most_promising,
     scores,
@@ -138,13 +137,6 @@ def test_goals_that_are_not_legal_have_no_say():
     assert np.allclose(mean_scores(ARRAYS, other, legal)[legal], found[legal])
     other = tokens._replace(fields=np.where(np.arange(len(legal))[:, None] == legal.argmax(), 3.0, tokens.fields))
     assert not np.allclose(mean_scores(ARRAYS, other, legal)[legal][1:], found[legal][1:])
-
-
-def test_without_a_residual_it_is_the_greedy_driver():
-    tokens, legal = some_tokens()
-    silent = ARRAYS | {name: np.zeros_like(ARRAYS[name]) for name in ("score.weight", "score.bias")}
-    silent |= {"greed": np.full(MEMBERS, 3.0)}
-    assert np.allclose(mean_scores(silent, tokens, legal)[legal], 3.0 * greedy_score(tokens.rates)[legal])
 
 
 def test_it_chooses_among_the_most_promising_goals_that_are_legal():
