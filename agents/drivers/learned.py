@@ -17,7 +17,6 @@ import numpy as np
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
 from agents.drivers.information_gain import InformationGain, rates
 from slam_gym.envs.observation import METRES, PIXELS, unsquash_goals
-from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.weights import Weights, load
@@ -37,16 +36,18 @@ COMMON = (
 TOKEN_FIELDS = (*OWN, *COMMON)
 """Columns of a token: a goal's own, and what all goals of an observation share."""
 
+GAP = 5.0  # [m] the unit of distances between goals
 CHOICES = 4  # goals that are weighed at a decision, those of the highest rates: further down hardly any is better
 _MOST_TICKS = 5_000.0  # [ticks] that are taken to be left while the budget is not known
 
 
 class Tokens(NamedTuple):
-    """One row a goal."""
+    """What the network sees of k goals, of one state or of many."""
 
-    fields: Array  # (k, len(TOKEN_FIELDS))
-    places: Array  # (k, 2) [m] in the robot frame
-    rates: Array  # (k,) [m² per tick] of information gain by new area, the greedy score
+    fields: Any  # (…, k, len(TOKEN_FIELDS))
+    gaps: Any  # (…, k, k) distances between goals, in units of `GAP` and below 4
+    greedy: Any  # (…, k) what information gain by new area orders goals by, on the scale of the network's scores
+    legal: Any  # (…, k)
 
 
 def ticks_left(budget: float, used: float) -> float:
@@ -54,30 +55,27 @@ def ticks_left(budget: float, used: float) -> float:
     return min(_MOST_TICKS, used * budget / (1.0 - budget)) if budget < 1.0 and used > 0.0 else _MOST_TICKS
 
 
-def most_promising(tokens: Tokens, legal: BoolArray) -> tuple[IntArray, Tokens]:
-    """(CHOICES,) the goals of the highest rates, best first, and their tokens; goals that are not legal come last."""
-    rows = np.argsort(-np.where(legal, tokens.rates, -np.inf), kind="stable")[:CHOICES]
-    return rows, Tokens(*(part[rows] for part in tokens))
-
-
-def tokens_of(observation: Observation, used: float) -> Tokens:
-    """The tokens of all goals of an observation, those that are not legal among them, after `used` ticks."""
+def tokens_of(observation: Observation, used: float, legal: BoolArray) -> tuple[IntArray, Tokens]:
+    """(CHOICES,) the goals of the highest rates of those that are `legal`, best first, and their tokens, after `used`
+    ticks. Goals that are not legal come last."""
     goals = unsquash_goals(observation["goals"])
     goals |= {"area": np.where(goals["revisit"] > 0.5, 0.0, goals["area"]), "reduction": np.zeros(len(goals["x"]))}
     places = np.column_stack([goals["x"], goals["y"]])
     budget = float(observation["budget"][0])
-    left, rate = ticks_left(budget, used), rates(goals)
+    left, greedy = ticks_left(budget, used), np.log10(rates(goals) + 1e-3)
     own = np.zeros((len(places), len(OWN)))
     own[LOOK_AROUND, 0], own[:, 1] = 1.0, goals["frontier"]
     distances = np.hypot(*places.T)
     own[:, 2], own[:, 3] = distances / 10.0, places[:, 0] / np.maximum(distances, 0.1)
     own[:, 4], own[:, 5] = goals["path"] / 10.0, goals["area"] / 50.0
-    own[:, 6] = np.log10(rate + 1e-3)
+    own[:, 6] = greedy
     own[:, 7] = np.abs(places).max(axis=1) > 0.5 * METRES
     own[:, 8] = np.minimum(2.0, (5.0 + 12.0 * goals["path"]) / max(left, 1.0))
     own[:, 9:] = _around(_summed(observation["image"]), places)
     fields = np.concatenate([own, np.tile(_common(observation, goals, left, used), (len(own), 1))], axis=1)
-    return Tokens(np.clip(fields, -4.0, 4.0), places, rate)
+    rows = np.argsort(-np.where(legal, greedy, -np.inf), kind="stable")[:CHOICES]
+    gaps = np.minimum(np.hypot(*(places[rows, None] - places[rows]).transpose(2, 0, 1)) / GAP, 4.0)
+    return rows, Tokens(np.clip(fields[rows], -4.0, 4.0), gaps, greedy[rows], legal[rows])
 
 
 def _common(observation: Observation, goals: dict[str, Array], left: float, used: float) -> Array:
@@ -115,10 +113,7 @@ def _around(summed: Array, places: Array) -> Array:
 Arrays = Mapping[str, Any]
 """The weights by name: of all members, (members, …) each, or of one that learns, then as tensors."""
 
-GAP = 5.0  # [m] the unit of distances between goals
 _EPSILON = 1e-5  # of the layer norms
-
-
 WIDTH, HEADS, LAYERS = 32, 4, 2
 MEMBERS = 3  # networks that were trained alike, whose mean counts
 
@@ -142,60 +137,29 @@ def load_driver(weights: str | Path) -> Weights:
     return load(weights, VERSION, TOKEN_FIELDS, {name: (MEMBERS, *shape) for name, shape in SHAPES.items()})
 
 
-def greedy_score(rates: Array) -> Array:
-    """(k,) what the greedy driver orders goals by, on the scale of the network's scores."""
-    out: Array = np.log10(rates + 1e-3)
-    return out
-
-
-def gaps_between(places: Array) -> Array:
-    """(k, k) distances between goals, squashed below 4 and in units of `GAP`."""
-    out: Array = np.minimum(np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) / GAP, 4.0)
-    return out
-
-
-class Seen(NamedTuple):
-    """What the network sees of k goals, of one state or of many."""
-
-    fields: Any  # (…, k, f) of the tokens
-    gaps: Any  # (…, k, k) between goals
-    greedy: Any  # (…, k) scores of the greedy driver
-    legal: Any  # (…, k)
-
-    @classmethod
-    def of(cls, tokens: Tokens, legal: BoolArray) -> Seen:
-        """As it sees goals and which of them are legal (k,)."""
-        return cls(tokens.fields, gaps_between(tokens.places), greedy_score(tokens.rates), legal)
-
-
-def scores(arrays: Arrays, seen: Seen, xp: Any = np) -> Any:
+def scores(arrays: Arrays, tokens: Tokens, xp: Any = np) -> Any:
     """A score for each goal: by how many hundredths of E it beats the others.
 
     (members, k) by the arrays of all members, of one state; or (…, k) by those of one. `xp` is the library that they
     are of: numpy, or torch where they learn. Scores of goals that are not legal mean nothing.
     """
-    x = _linear(arrays, "embed", (seen.fields - arrays["shift"][..., None, :]) * arrays["scale"][..., None, :])
+    x = _linear(arrays, "embed", (tokens.fields - arrays["shift"][..., None, :]) * arrays["scale"][..., None, :])
     for i in range(LAYERS):
-        x = _block(arrays, f"blocks.{i}", x, seen, xp)
+        x = _block(arrays, f"blocks.{i}", x, tokens, xp)
     residual = _linear(arrays, "score", _normed(arrays, "last", x))[..., 0]
-    return arrays["greed"][..., None] * seen.greedy + residual
+    return arrays["greed"][..., None] * tokens.greedy + residual
 
 
-def choose(arrays: Arrays, tokens: Tokens, legal: BoolArray) -> int:
-    """The goal of the highest mean score among the most promising of those that are legal."""
-    rows, weighed = most_promising(tokens, legal)
-    found = scores(arrays, Seen.of(weighed, legal[rows])).mean(axis=0)
-    return int(rows[np.argmax(np.where(legal[rows], found, -np.inf))])
-
-
-def _block(arrays: Arrays, name: str, x: Any, seen: Seen, xp: Any) -> Any:
+def _block(arrays: Arrays, name: str, x: Any, tokens: Tokens, xp: Any) -> Any:
     """Every goal looks at all legal ones, nearer ones more or less so, and then thinks for itself."""
     nearness = arrays[f"{name}.nearness"][..., :, None, None]
     qkv = _linear(arrays, f"{name}.attend", _normed(arrays, f"{name}.before", x))
     qkv = qkv.reshape(*x.shape[:-1], 3, HEADS, WIDTH // HEADS)
     q, k, v = (qkv[..., part, :, :] for part in range(3))  # each (…, goals, heads, width / heads)
-    match = xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(WIDTH / HEADS) - nearness * seen.gaps[..., None, :, :]
-    match = xp.where(seen.legal[..., None, None, :], match, -1e9)
+    match = (
+        xp.einsum("...ihd,...jhd->...hij", q, k) / math.sqrt(WIDTH / HEADS) - nearness * tokens.gaps[..., None, :, :]
+    )
+    match = xp.where(tokens.legal[..., None, None, :], match, -1e9)
     share = xp.exp(match - xp.amax(match, axis=-1, keepdims=True))
     share = share / share.sum(axis=-1, keepdims=True)
     x = x + _linear(arrays, f"{name}.mix", xp.einsum("...hij,...jhd->...ihd", share, v).reshape(x.shape))
@@ -241,10 +205,11 @@ class LearnedDriver:
         legal = legal_goals(info) & (unsquash_goals(observation["goals"])["frontier"] > 0.5)
         if not legal.any():
             return self._without_frontiers.act(observation, info)
-        tokens = tokens_of(observation, self._ticks)
-        place = transform(np.asarray(info["pose"], float), tokens.places[:1])
+        place = np.asarray(info["pose"], float)[None, :2]
         legal[LOOK_AROUND] = self._looked.times(place)[0] == 0
-        chosen = choose(self._arrays, tokens, legal)
+        rows, tokens = tokens_of(observation, self._ticks, legal)
+        found = scores(self._arrays, tokens).mean(axis=0)
+        chosen = int(rows[np.argmax(np.where(tokens.legal, found, -np.inf))])
         if chosen == LOOK_AROUND:
             self._looked.add(place[0])
         return chosen

@@ -28,8 +28,7 @@ from agents.drivers.learned import (
     TOKEN_FIELDS,
     VERSION,
     Arrays,
-    Seen,
-    most_promising,
+    Tokens,
     scores,
     tokens_of,
 )
@@ -103,7 +102,7 @@ def _figure(regrets: Sequence[Array]) -> dict[str, float]:
 class Examples(NamedTuple):
     """n states with k goals each, the most promising ones."""
 
-    fields: Array  # (n, k, f), and what follows, as `Seen` has it
+    fields: Array  # (n, k, f), and what follows, as `Tokens` has it
     gaps: Array  # (n, k, k)
     greedy: Array  # (n, k)
     legal: BoolArray  # (n, k)
@@ -113,9 +112,9 @@ class Examples(NamedTuple):
         return len(self.fields)
 
     @property
-    def seen(self) -> Seen:
+    def tokens(self) -> Tokens:
         """What the network sees."""
-        return Seen(*self[:4])
+        return Tokens(*self[:4])
 
     @classmethod
     def joined(cls, parts: Sequence[Examples]) -> Examples:
@@ -144,9 +143,9 @@ class Drive:
         while not sketch.over:
             legal, chosen = sketch.legal, greedy(sketch)
             if legal.sum() > 1 and (rng.random() < _TRIED or not states):
-                rows, tokens = most_promising(tokens_of(sketch.observation(), sketch.ticks), legal)
+                rows, tokens = tokens_of(sketch.observation(), sketch.ticks, legal)
                 values = [100.0 * (1.0 - missed_by(sketch, greedy, int(k))) if legal[k] else 0.0 for k in rows]
-                states.append((*Seen.of(tokens, legal[rows]), values))
+                states.append((*tokens, values))
             sketch.step(int(rng.choice(np.flatnonzero(legal))) if rng.random() < _RANDOM else chosen)
         return self.world, Examples(*(np.array(part) for part in zip(*states)))
 
@@ -191,8 +190,8 @@ def trained(plan: Plan, train: Examples, held_out: Examples, seed: int) -> tuple
     curve = fit(
         learned,
         [train.batch(rows) for rows in batches],
-        lambda batch: loss_of(scores(network, batch.seen, torch), batch),
-        lambda: float(regret_of(scores(arrays, held_out.seen), held_out).mean()),
+        lambda batch: loss_of(scores(network, batch.tokens, torch), batch),
+        lambda: float(regret_of(scores(arrays, held_out.tokens), held_out).mean()),
         plan.epochs,
         plan.rate,
         rng,
@@ -210,7 +209,7 @@ def loss_of(found: Tensor, batch: Examples) -> Tensor:
 
 def scores_of(members: Sequence[Arrays], examples: Examples) -> Array:
     """(members, n, k) of each network."""
-    return np.stack([scores(member, examples.seen) for member in members])
+    return np.stack([scores(member, examples.tokens) for member in members])
 
 
 def regret_of(found: Array, examples: Examples) -> Array:

@@ -11,11 +11,8 @@ from agents.drivers.learned import (
     SHAPES,
     TOKEN_FIELDS,
     LearnedDriver,
-    Seen,
     Tokens,
-    choose,
     load_driver,
-    most_promising,
     scores,
     tokens_of,
 )
@@ -59,7 +56,9 @@ PINNED = {
 
 
 def test_the_environment_shows_what_the_weights_were_trained_on():
-    fields = tokens_of(scene()[0], 200.0).fields[[0, 1]]
+    observation, info = scene()
+    rows, tokens = tokens_of(observation, 200.0, info["action_mask"])
+    fields = tokens.fields[[rows.tolist().index(0), rows.tolist().index(1)]]
     for name, values in PINNED.items():
         assert np.allclose(fields[:, TOKEN_FIELDS.index(name)], values, atol=2e-3), name
     free, wall, unknown = (fields[:, TOKEN_FIELDS.index(f"{name} within 6")] for name in ("free", "wall", "unknown"))
@@ -111,44 +110,41 @@ ARRAYS = {name: RNG.normal(0.0, 0.2, (MEMBERS, *shape)).astype(np.float32) for n
 
 def some_tokens(goals=7):
     rng = np.random.default_rng(1)
-    fields, places = rng.normal(size=(goals, len(TOKEN_FIELDS))), rng.uniform(-9.0, 9.0, (goals, 2))
-    return Tokens(fields, places, rng.uniform(0.0, 0.2, goals)), rng.random(goals) < 0.7
+    fields, places = rng.normal(size=(goals, len(TOKEN_FIELDS))), rng.uniform(-2.0, 2.0, (goals, 2))
+    gaps = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    return Tokens(fields, gaps, rng.uniform(-3.0, 0.0, goals), rng.random(goals) < 0.7)
 
 
-def mean_scores(arrays, tokens, legal):
-    return scores(arrays, Seen.of(tokens, legal)).mean(axis=0)
+def permuted(tokens, order):
+    fields, gaps, greedy, legal = (part[order] for part in tokens)
+    return Tokens(fields, gaps[:, order], greedy, legal)
 
 
 def test_the_order_of_goals_does_not_matter_and_their_number_may_change():
-    tokens, legal = some_tokens()
-    order = np.random.default_rng(2).permutation(len(legal))
-    turned = Tokens(*(part[order] for part in tokens))
-    assert np.allclose(mean_scores(ARRAYS, turned, legal[order]), mean_scores(ARRAYS, tokens, legal)[order])
-    legal = np.append(legal, False)
-    more = Tokens(*(np.concatenate([part, part[:1]]) for part in tokens))
-    assert np.allclose(mean_scores(ARRAYS, more, legal)[:-1], mean_scores(ARRAYS, tokens, legal[:-1]))
+    tokens, order = some_tokens(), np.random.default_rng(2).permutation(7)
+    assert np.allclose(scores(ARRAYS, permuted(tokens, order)), scores(ARRAYS, tokens)[:, order])
+    more = permuted(tokens, np.append(np.arange(7), 0))
+    more.legal[-1] = False
+    assert np.allclose(scores(ARRAYS, more)[:, :-1], scores(ARRAYS, tokens))
 
 
 def test_goals_that_are_not_legal_have_no_say():
-    tokens, legal = some_tokens()
-    found = mean_scores(ARRAYS, tokens, legal)
-    assert np.isfinite(found[legal]).all()
+    tokens = some_tokens()
+    legal, found = tokens.legal, scores(ARRAYS, tokens)
     other = tokens._replace(fields=np.where(legal[:, None], tokens.fields, 3.0))
-    assert np.allclose(mean_scores(ARRAYS, other, legal)[legal], found[legal])
+    assert np.allclose(scores(ARRAYS, other)[:, legal], found[:, legal])
     other = tokens._replace(fields=np.where(np.arange(len(legal))[:, None] == legal.argmax(), 3.0, tokens.fields))
-    assert not np.allclose(mean_scores(ARRAYS, other, legal)[legal][1:], found[legal][1:])
+    assert not np.allclose(scores(ARRAYS, other)[:, legal][:, 1:], found[:, legal][:, 1:])
 
 
-def test_it_chooses_among_the_most_promising_goals_that_are_legal():
-    tokens, legal = some_tokens(goals=12)
-    rows, weighed = most_promising(tokens, legal)
-    best = np.flatnonzero(legal)[np.argsort(-tokens.rates[legal])][:CHOICES]
-    assert np.array_equal(rows, best) and np.array_equal(weighed.fields, tokens.fields[best])
-    for scale in (1.0, -1.0):
-        turned = ARRAYS | {name: scale * ARRAYS[name] for name in ("score.weight", "score.bias", "greed")}
-        expected = best[mean_scores(turned, weighed, np.ones(CHOICES, bool)).argmax()]
-        assert choose(turned, tokens, legal) == expected
-    assert choose(ARRAYS, tokens, np.arange(12) == 5) == 5
+def test_only_the_most_promising_goals_that_are_legal_are_weighed():
+    frontiers = [(0.5 * k, 1.0, 1.0 + k, area, 0.0) for k, area in enumerate((9.0, 40.0, 5.0, 70.0, 20.0, 60.0))]
+    shown, info = offered(frontiers)
+    shown = scene()[0] | {"goals": shown["goals"]}
+    legal = info["action_mask"] & (np.arange(16) > 0)
+    assert tokens_of(shown, 100.0, legal)[0].tolist() == [2, 4, 6, 1]  # area per tick
+    rows, tokens = tokens_of(shown, 100.0, np.arange(16) == 5)
+    assert rows[0] == 5 and tokens.legal.tolist() == [True] + [False] * (CHOICES - 1)
 
 
 def test_tokens_of_an_episode_are_finite_and_know_the_ticks_that_are_left():
@@ -160,7 +156,7 @@ def test_tokens_of_an_episode_are_finite_and_know_the_ticks_that_are_left():
     )
     observation, info = env.reset(**reset_arguments(0))
     while not over:
-        tokens = tokens_of(observation, used)
+        _, tokens = tokens_of(observation, used, info["action_mask"])
         assert np.isfinite(tokens.fields).all() and np.abs(tokens.fields).max() <= 4.0
         if used:
             left = tokens.fields[0, TOKEN_FIELDS.index("log ticks left")]

@@ -12,10 +12,8 @@ from agents.drivers.learned import (
     SHAPES,
     TOKEN_FIELDS,
     LearnedDriver,
-    Seen,
-    greedy_score,
+    Tokens,
     load_driver,
-    most_promising,
     scores,
     tokens_of,
 )
@@ -111,21 +109,21 @@ def test_a_drive_gives_the_same_states_each_time_and_what_is_mapped_in_the_end(e
     assert (one.values[~one.legal] == 0.0).all() and (one.values[one.legal] > 0.0).all() and one.values.max() <= 100.0
     assert (one.legal.sum(axis=1) > 1).all() and len(one) == len(one.fields) > 1
     sketch = begun(env, 7, int(300 * np.random.default_rng(7).uniform(0.45, 1.1)))
-    rows, tokens = most_promising(tokens_of(sketch.observation(), sketch.ticks), sketch.legal)
-    assert np.array_equal(one.fields[0], tokens.fields) and rows[0] == greedy(sketch)
+    rows, tokens = tokens_of(sketch.observation(), sketch.ticks, sketch.legal)
+    assert all(np.array_equal(part[0], own) for part, own in zip(one, tokens)) and rows[0] == greedy(sketch)
     for k in np.flatnonzero(one.legal[0]):
         assert one.values[0, k] == 100.0 * (1.0 - missed_by(sketch, greedy, int(rows[k])))
 
 
 def test_torch_gives_the_same_scores_and_an_untrained_network_is_greedy():
-    rng, (tokens, legal) = np.random.default_rng(0), some_tokens()
-    start, seen = untrained(rng), Seen.of(tokens, legal)
+    rng, tokens = np.random.default_rng(0), some_tokens()
+    start = untrained(rng)
     assert {name: array.shape for name, array in start.items()} == SHAPES
-    assert np.allclose(scores(start, seen), 3.0 * greedy_score(tokens.rates))
+    assert np.allclose(scores(start, tokens), 3.0 * tokens.greedy)
     drawn = {name: rng.normal(0.0, 0.3, array.shape) for name, array in start.items()}
     many = {name: torch.as_tensor(array) for name, array in drawn.items()}
-    batch = Seen(*(torch.as_tensor(np.stack([part, part])) for part in seen))
-    assert np.allclose(scores(many, batch, torch), scores(drawn, seen))
+    batch = Tokens(*(torch.as_tensor(np.stack([part, part])) for part in tokens))
+    assert np.allclose(scores(many, batch, torch), scores(drawn, tokens))
 
 
 def states(n, seed, goals=6):
@@ -144,7 +142,7 @@ def test_it_learns_to_choose_what_the_teacher_values_and_the_same_each_time():
     train, held_out = states(400, 0), states(200, 1)
     (network, curve), (again, _) = (trained(SHORT, train, held_out, 0) for _ in range(2))
     assert all(np.array_equal(network[name], again[name]) for name in network)
-    assert curve[-1] == regret_of(scores(network, held_out.seen), held_out).mean()
+    assert curve[-1] == regret_of(scores(network, held_out.tokens), held_out).mean()
     assert curve[-1] < 0.3 * regret_of(held_out.greedy, held_out).mean()
 
 
