@@ -1,7 +1,7 @@
 """What associators learn from: the hypotheses that the search keeps of a scan and what in them is right, from train
 worlds of the suite and of the scenarios, and from the training parts of recordings.
 
-Maps in the loop are made by associators, so that their mistakes are in them.
+The maps of drives and logs are made by associators, so that their mistakes are in them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MOST_TICKS = 500
 SIGHTINGS = 3  # row of the first of a prediction's arrays
 
 LEVELS = tuple(level.id for e in EXPERIMENTS.values() if e.name != RELOCATION for level in e.levels)
-LOOPS = (
+DRIVES = (
     "office", "aliased", "hall", "crowd", "drift-1", "drift-2", "drift-3", "aliased-drift", "hall-drift", "crowd-drift",
     "sparse", "loop",
 )  # fmt: skip
@@ -128,10 +128,10 @@ def without(hidden: Collection[str], scan: Scan, prediction: Prediction) -> tupl
 class Source:
     """One run that is looked at: of a level of the suite, a scenario, or a log."""
 
-    kind: str  # level, loop or log
+    kind: str  # level, drive or log
     name: str
     world: int
-    associator: str = "marginal"  # who maps, in the loop
+    associator: str = "marginal"  # who maps, in a drive or a log
     hidden: tuple[str, ...] = ()
 
     @property

@@ -19,14 +19,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from agents.learning.association_scans import HIDDEN, LEVELS, LOGS, LOOPS, Decisions, Source
+from agents.learning.association_scans import DRIVES, HIDDEN, LEVELS, LOGS, Decisions, Source
 from agents.learning.fitting import fit
 from slam_gym.association.tracking.learned import WEIGHTS
 from slam_gym.association.tracking.network import FARTHEST, INPUTS, VERSION, Network, load_network
 from slam_gym.types import UNPAIRED
 from slam_gym.weights import Card, Weights, figure
 
-SHARES = {"level": 0.5, "loop": 0.45, "log": 0.05}
+SHARES = {"level": 0.5, "drive": 0.45, "log": 0.05}
 """What each kind of source counts in all, however many scans it has."""
 
 _WHOLE = 12  # worlds of each level in which nothing is hidden; then sizes and more are, in turn
@@ -44,8 +44,8 @@ def drives_and_logs() -> list[Source]:
         (("views",), 8, ("office", "crowd", "drift-1", "drift-2", "aliased", "hall-drift", "sparse")),
         (("views", "sizes"), 9, ("office", "drift-1", "drift-3", "hall", "sparse", "loop")),
     )  # what is, in which world, of which scenarios
-    found = [Source("loop", name, k) for k in range(6) for name in LOOPS]
-    found += [Source("loop", name, k, hidden=what) for what, k, names in hidden for name in names]
+    found = [Source("drive", name, k) for k in range(6) for name in DRIVES]
+    found += [Source("drive", name, k, hidden=what) for what, k, names in hidden for name in names]
     makers = ("map_hypothesis", "marginal")  # whose maps go wrong in other ways
     return found + [Source("log", name, k, maker) for k, maker in enumerate(makers) for name in LOGS]
 

@@ -98,14 +98,14 @@ def test_no_world_is_both_trained_on_and_held_out():
     assert {s.hidden for s in held_out} == set(HIDDEN)
     assert {s.hidden for s in train} == {*HIDDEN, ("views",), ("views", "sizes")}
     assert {s.kind for s in train} == set(SHARES) and {s.kind for s in held_out} == {"level"}
-    assert len(Plan().levels) == 35 and all(get_scenario(s.name).name == s.name for s in train if s.kind == "loop")
+    assert len(Plan().levels) == 35 and all(get_scenario(s.name).name == s.name for s in train if s.kind == "drive")
 
 
 def test_kinds_of_sources_have_their_shares():
     scans = [answered(seed)[3] for seed in range(6)]
-    found = weighed({"level": scans[:1], "loop": scans[1:]})
-    level, loop = found[0].weight, sum(d.weight for d in found[1:])
-    assert level / loop == pytest.approx(SHARES["level"] / SHARES["loop"]) and level + loop == pytest.approx(6.0)
+    found = weighed({"level": scans[:1], "drive": scans[1:]})
+    level, drive = found[0].weight, sum(d.weight for d in found[1:])
+    assert level / drive == pytest.approx(SHARES["level"] / SHARES["drive"]) and level + drive == pytest.approx(6.0)
 
 
 def test_what_is_hidden_is_not_there():
