@@ -80,13 +80,13 @@ def load_hyperparameters(action: Decision, path: Path = HYPERPARAMETERS) -> Hype
 
 
 class ChoiceScorer(BaseFeaturesExtractor):
-    """Observation → (B, actions + hidden): a score for each action, and what the critic judges by.
+    """Observation → (B, actions + 1): a score for each action, and the critic's value.
 
     Actions beyond the K choices, such as `*` of the interpretation tree, are rows that are legal and 0 otherwise.
     """
 
     def __init__(self, observation_space: spaces.Dict, decision: Decision, actions: int, width: int, hidden: int):
-        super().__init__(observation_space, actions + hidden)
+        super().__init__(observation_space, actions + 1)
         self.choices, fields = CHOICES[decision]
         others = {name: space for name, space in observation_space.spaces.items() if name != self.choices}
         combined = CombinedExtractor(spaces.Dict(others), cnn_output_dim=width)
@@ -97,7 +97,7 @@ class ChoiceScorer(BaseFeaturesExtractor):
         self.register_buffer("further", further)
         self.embed = nn.Sequential(nn.Linear(len(fields), hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh())
         self.score = nn.Sequential(nn.Linear(2 * hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
-        self.value = nn.Sequential(nn.Linear(hidden + width, hidden), nn.Tanh())
+        self.value = nn.Sequential(nn.Linear(hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         rows = observations[self.choices].unflatten(1, (-1, self.further.shape[1]))
@@ -110,34 +110,26 @@ class ChoiceScorer(BaseFeaturesExtractor):
         return torch.cat([scores, self.value(shared)], dim=1)
 
 
-class ActorAndCritic(nn.Module):
-    """What the actor and what the critic takes of the scorer's vector."""
+class Columns(nn.Module):
+    """Some columns of what the scorer says."""
 
-    def __init__(self, actions: int, hidden: int) -> None:
+    def __init__(self, columns: slice) -> None:
         super().__init__()
-        self.latent_dim_pi, self.latent_dim_vf = actions, hidden
+        self.columns = columns
 
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        return self.forward_actor(features), self.forward_critic(features)
-
-    def forward_actor(self, features: Tensor) -> Tensor:
-        return features[:, : self.latent_dim_pi]
-
-    def forward_critic(self, features: Tensor) -> Tensor:
-        return features[:, self.latent_dim_pi :]
+    def forward(self, scored: Tensor) -> Tensor:
+        return scored[:, self.columns]
 
 
 class ChoicePolicy(MaskableMultiInputActorCriticPolicy):
-    """Actor-critic for MaskablePPO whose logits are the scores of a `ChoiceScorer`, its features extractor."""
-
-    def _build_mlp_extractor(self) -> None:
-        actions = spaces.flatdim(self.action_space)
-        self.mlp_extractor = ActorAndCritic(actions, self.features_dim - actions)
+    """Actor-critic for MaskablePPO whose logits and value are those of a `ChoiceScorer`, its features extractor."""
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        self.action_net = nn.Identity()  # a score already is the logit of its action
-        nn.init.orthogonal_(self.features_extractor.score[-1].weight, 0.01)  # close to uniform over what is legal
+        actions, scorer = spaces.flatdim(self.action_space), self.features_extractor
+        self.action_net, self.value_net = Columns(slice(actions)), Columns(slice(actions, None))
+        nn.init.orthogonal_(scorer.score[-1].weight, 0.01)  # close to uniform over what is legal
+        nn.init.orthogonal_(scorer.value[-1].weight)
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
@@ -149,7 +141,9 @@ def policy_of(action: Decision, actions: int, hyper: Hyperparameters) -> tuple[t
             "features_extractor_kwargs": extractor, "net_arch": [hyper.hidden, hyper.hidden],
         }  # fmt: skip
     scorer = {"decision": action, "actions": actions, "width": hyper.width, "hidden": hyper.hidden}
-    return ChoicePolicy, {"features_extractor_class": ChoiceScorer, "features_extractor_kwargs": scorer}
+    return ChoicePolicy, {
+        "features_extractor_class": ChoiceScorer, "features_extractor_kwargs": scorer, "net_arch": [],
+    }  # fmt: skip
 
 
 def make_algorithm(action: Decision, env: Any, hyper: Hyperparameters, seed: int) -> PPO | MaskablePPO:

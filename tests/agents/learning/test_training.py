@@ -74,7 +74,7 @@ def test_scores_follow_the_goals_wherever_they_are_listed_and_illegal_ones_are_n
     def logits(rows):
         parts = {name: torch.zeros(1, *part.shape) for name, part in space.spaces.items()}
         features = policy.extract_features(parts | {"goals": torch.as_tensor(rows.ravel())[None]})
-        return policy.mlp_extractor.forward_actor(features)[0].detach()
+        return policy.action_net(features)[0].detach()
 
     torch.testing.assert_close(logits(goals)[torch.as_tensor(order)], logits(goals[order]))
     shown = {name: part.sample() for name, part in space.spaces.items()} | {"goals": goals.ravel()}
