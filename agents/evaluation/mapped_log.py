@@ -189,7 +189,6 @@ def _confirmed(mapped: MappedLog) -> Record:
         "found": found,
         "duplicates": int((identity >= 0).sum()) - found,
         "clutter_features": int((identity == SPURIOUS).sum()),
-        "unlabelled_features": int((identity < SPURIOUS).sum()),
     }
 
 

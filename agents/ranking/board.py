@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from agents.evaluation.records import Record, undamaged, versions, write_json
 from agents.evaluation.tables import display_name, number
@@ -19,7 +20,6 @@ from agents.ranking.protocol import FIRST, PARTS, Protocol, column_of
 from slam_gym._files import content_of, json_of
 from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
-from slam_gym.types import Array
 
 BASELINES = Path(__file__).with_name("baselines")
 """The entries that ship."""
@@ -48,9 +48,9 @@ class Ranked:
             for loss in losses:
                 if loss is not None and not (isinstance(loss, int | float) and 0.0 <= loss < math.inf):
                     raise ValueError(f"the loss {loss!r} in {setting}, expected a number from 0 on")
-        for column, found in self.columns.items():
-            if not np.isfinite(found).any():
-                raise ValueError(f"no loss in {column}")
+        known = self.by_column().groupby(level=0).count()
+        if known.empty or (known == 0).any():
+            raise ValueError("there is a column without a loss, or no column")
 
     @property
     def shape(self) -> str:
@@ -63,13 +63,10 @@ class Ranked:
         stem = re.sub(r"[^\w.-]+", "_", Path(self.name).stem if Path(self.name).is_file() else self.name)
         return f"{self.protocol['role']}-{stem}{'-quick' if self.protocol['quick'] else ''}.json"
 
-    @property
-    def columns(self) -> dict[str, Array]:
-        """Column → losses in its episodes, NaN where nothing was to be decided."""
-        found: dict[str, list[Any]] = {}
-        for setting, losses in self.losses.items():
-            found.setdefault(column_of(setting), []).extend(losses)
-        return {name: np.array(losses, np.float64) for name, losses in found.items()}
+    def by_column(self) -> pd.Series:
+        """Losses, by column, setting and world; NaN where nothing was to be decided."""
+        found = {(column_of(setting), setting): pd.Series(own, dtype=float) for setting, own in self.losses.items()}
+        return pd.concat(found)
 
 
 def ranked(name: str, chosen: Protocol, records: Sequence[Record], command: str) -> Ranked:
@@ -117,25 +114,23 @@ def rows(entries: Sequence[Ranked]) -> list[Row]:
 
     The ceiling, which is told the truth, has place 0 and takes none from others.
     """
-    columns = {entry.name: entry.columns for entry in entries}
-    losses = {name: _mean_of_means(own) for name, own in columns.items()}
-    rivals = [name for name in columns if name != CEILING]
-    first = min(rivals or columns, key=lambda name: losses[name].estimate)
-
-    def behind(name: str, other: str) -> Interval:
-        return _mean_of_means({column: own - columns[other][column] for column, own in columns[name].items()})
-
+    losses = pd.DataFrame({entry.name: entry.by_column() for entry in entries})
+    means = losses.groupby(level=0, sort=False).mean()
+    rivals = [name for name in losses if name != CEILING]
+    first = means.mean()[rivals or list(losses)].idxmin()
     found = []
-    for name, own in columns.items():
-        better = sum(behind(name, other).low > 0.0 for other in rivals if other != name)
-        means = {column: float(np.nanmean(values)) for column, values in own.items()}
-        found.append(Row(0 if name == CEILING else 1 + better, name, losses[name], behind(name, first), means))
+    for name, own in losses.items():
+        better = sum(_mean_of_means(own - losses[other]).low > 0.0 for other in rivals if other != name)
+        place = 0 if name == CEILING else 1 + better
+        behind = _mean_of_means(own - losses[first])
+        found.append(Row(place, str(name), _mean_of_means(own), behind, means[name].to_dict()))
     return sorted(found, key=lambda row: (row.place, row.loss.estimate))
 
 
-def _mean_of_means(columns: dict[str, Array]) -> Interval:
+def _mean_of_means(losses: pd.Series) -> Interval:
     """Mean over columns of their means, and its 95 % bootstrap interval: worlds are drawn within each column."""
-    rng, known = np.random.default_rng(0), [values[np.isfinite(values)] for values in columns.values()]
+    rng = np.random.default_rng(0)
+    known = [own.to_numpy() for _, own in losses.dropna().groupby(level=0, sort=False)]
     drawn = [values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(axis=1) for values in known]
     low, high = np.percentile(np.mean(drawn, axis=0), [2.5, 97.5])
     return Interval(float(np.mean([values.mean() for values in known])), float(low), float(high))

@@ -122,53 +122,43 @@ class EntryAgent:
             raise self._process.refuse(error) from None
 
 
-class EntryAssociator:
-    """An associator in a process of its own."""
-
-    def __init__(self, process: EntryProcess) -> None:
-        self._process = process
-
-    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        answer = self._process.ask(scan, prediction)
-        try:
-            new, known = answer["new"], answer["experience"]
-            found = Hypothesis(
-                np.array(answer["features"]),
-                float(_numbers(answer["joint_distance"], ())),
-                int(answer["dof"]),
-                new=None if new is None else np.array(new),
-                exclusive=bool(answer["exclusive"]),
-                experience=None if known is None else Experience(
-                    float(_numbers(known["unpaired"], ())), float(_numbers(known["area"], ())),
-                    _numbers(known["detections"], (-1,)),
-                ),
-            )  # fmt: skip
-            return check_hypothesis(found, len(scan), int(prediction.features.max(initial=-1)) + 1)
-        except _NONSENSE as error:
-            raise self._process.refuse(f"no hypothesis, {error}") from None
+def associate_in(process: EntryProcess, scan: Scan, prediction: Prediction) -> Hypothesis:
+    """What an associator in a process of its own answers."""
+    answer = process.ask(scan, prediction)
+    try:
+        new, known = answer["new"], answer["experience"]
+        found = Hypothesis(
+            np.array(answer["features"]),
+            float(_numbers(answer["joint_distance"], ())),
+            int(answer["dof"]),
+            new=None if new is None else np.array(new),
+            exclusive=bool(answer["exclusive"]),
+            experience=None if known is None else Experience(
+                float(_numbers(known["unpaired"], ())), float(_numbers(known["area"], ())),
+                _numbers(known["detections"], (-1,)),
+            ),
+        )  # fmt: skip
+        return check_hypothesis(found, len(scan), int(prediction.features.max(initial=-1)) + 1)
+    except _NONSENSE as error:
+        raise process.refuse(f"no hypothesis, {error}") from None
 
 
-class EntryRelocator:
-    """A relocator in a process of its own."""
-
-    def __init__(self, process: EntryProcess) -> None:
-        self._process = process
-
-    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
-        answer = self._process.ask(scan, landmarks, locality)
-        try:
-            features, pose, covariance = np.array(answer["features"]), np.full(3, np.nan), np.full((3, 3), np.nan)
-            distance, located = 0.0, (features != UNPAIRED).sum() >= 2
-            check_hypothesis(Hypothesis(features, 0.0, 0), len(scan), len(landmarks))
-            if located:
-                distance = float(_numbers(answer["joint_distance"], ()))
-                pose, covariance = _numbers(answer["pose"], (3,)), _numbers(answer["covariance"], (3, 3))
-                np.linalg.cholesky(covariance + 1e-9 * np.eye(3))  # refuses what is no covariance
-            counts = [int(answer[name]) for name in ("dof", "min_pairings", "ambiguous", "ties")]
-            dof, least, ambiguous, ties = counts
-            return Relocation(features, pose, covariance, distance, dof, least, bool(ambiguous), ties, Effort())
-        except _NONSENSE as error:
-            raise self._process.refuse(f"no relocation, {error}") from None
+def relocate_in(process: EntryProcess, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
+    """What a relocator in a process of its own answers."""
+    answer = process.ask(scan, landmarks, locality)
+    try:
+        features, pose, covariance = np.array(answer["features"]), np.full(3, np.nan), np.full((3, 3), np.nan)
+        distance, located = 0.0, (features != UNPAIRED).sum() >= 2
+        check_hypothesis(Hypothesis(features, 0.0, 0), len(scan), len(landmarks))
+        if located:
+            distance = float(_numbers(answer["joint_distance"], ()))
+            pose, covariance = _numbers(answer["pose"], (3,)), _numbers(answer["covariance"], (3, 3))
+            np.linalg.cholesky(covariance + 1e-9 * np.eye(3))  # refuses what is no covariance
+        counts = [int(answer[name]) for name in ("dof", "min_pairings", "ambiguous", "ties")]
+        dof, least, ambiguous, ties = counts
+        return Relocation(features, pose, covariance, distance, dof, least, bool(ambiguous), ties, Effort())
+    except _NONSENSE as error:
+        raise process.refuse(f"no relocation, {error}") from None
 
 
 def _numbers(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:

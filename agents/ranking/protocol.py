@@ -18,10 +18,8 @@ from agents.drivers.base import Agent, make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Task
 from agents.evaluation.records import Key, Record
-from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
+from agents.ranking.entry_process import EntryAgent, EntryError, EntryProcess, associate_in, relocate_in
 from agents.suite.worlds import associate, relocate
-from slam_gym.association import ASSOCIATORS
-from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.simulation.judged import CEILING
 
@@ -88,13 +86,10 @@ def lose(entry: str, role: Role, wanted: Sequence[Key]) -> list[Record]:
         if "/" not in key.setting:
             agent, env = _loop(entry, role, key.setting)
             loss = float(run_episode(env, agent, key.episode)["map_error"])
-        elif role == "relocator":
-            search = {entry: EntryRelocator(process(role, entry))}
-            loss = 1.0 - relocate(key.setting, key.episode, search, PROBLEMS, SPLIT)[entry]["score"]
         else:
-            loss = (
-                1.0 - associate(key.setting, key.episode, {entry: _associator(entry)}, PROBLEMS, SPLIT)[entry]["score"]
-            )
+            ask = relocate if role == "relocator" else associate
+            asked = {entry: _searcher(entry, role)}
+            loss = 1.0 - ask(key.setting, key.episode, asked, PROBLEMS, SPLIT)[entry]["score"]
     except EntryError as error:
         return [key._asdict() | {"loss": LOST, "failed": str(error)}]
     return [key._asdict() | {"loss": loss}]
@@ -106,21 +101,20 @@ def process(role: Role, name: str) -> EntryProcess:
     return EntryProcess(role, name)
 
 
-def _associator(name: str) -> Associator:
-    """An associator in its own process; `true_association` is told the truth, which no process gets."""
-    return ASSOCIATORS[CEILING] if name == CEILING else EntryAssociator(process("associator", name))
+def _searcher(name: str, role: Role) -> Any:
+    """An associator or relocator in its own process; `true_association` is told the truth, which no process gets."""
+    if name == CEILING:
+        return CEILING
+    return functools.partial(associate_in if role == "associator" else relocate_in, process(role, name))
 
 
 @functools.lru_cache(maxsize=2)
 def _loop(name: str, role: Role, scenario: str) -> tuple[Agent, gym.Env[Any, Any]]:
     """Who drives, and the environment; what the entry does not do is done by the baselines."""
     agent: Agent = EntryAgent(process("agent", name)) if role == "agent" else make_agent(DRIVER)
-    others: dict[str, Any] = {}
-    if role == "associator":
-        others["associator"] = name if name == CEILING else _associator(name)
-    if role == "relocator":
-        others["relocation"] = EntryRelocator(process("relocator", name))
-    return agent, ExploreArguments(scenario, split=SPLIT).make(agent.action, **others)
+    others = {"associator": "associator", "relocator": "relocation"}
+    own = {others[role]: _searcher(name, role)} if role in others else {}
+    return agent, ExploreArguments(scenario, split=SPLIT).make(agent.action, **own)
 
 
 def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:

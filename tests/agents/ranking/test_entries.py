@@ -1,6 +1,7 @@
 """Entries in processes of their own decide as they would here, and whatever they do, the evaluation goes on."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from agents.drivers.base import make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.records import Key
 from agents.ranking import protocol
-from agents.ranking.entry_process import EntryAgent, EntryAssociator, EntryError, EntryProcess, EntryRelocator
+from agents.ranking.entry_process import EntryAgent, EntryError, EntryProcess, associate_in, relocate_in
 from agents.ranking.protocol import FIRST, LOST, lose
 from slam_gym.association import gcbb, marginal
 from slam_gym.association.prediction import predict
@@ -45,13 +46,13 @@ def test_an_agent_drives_as_it_does_in_this_process(started):
 
 
 def test_an_associator_that_looks_everything_up_decides_as_it_does_in_this_process(started):
-    served, driver = EntryAssociator(started("associator", "marginal")), make_agent("nearest_frontier")
+    served, driver = partial(associate_in, started("associator", "marginal")), make_agent("nearest_frontier")
     here = run_episode(WORLD.make("goal", associator=marginal), driver, 1)
     assert timeless(run_episode(WORLD.make("goal", associator=served), driver, 1)) == timeless(here)
 
 
 def test_a_relocator_finds_what_it_finds_in_this_process(started):
-    served, env = EntryRelocator(started("relocator", "gcbb")), relocate()
+    served, env = partial(relocate_in, started("relocator", "gcbb")), relocate()
     for seed in range(2):
         env.reset(seed=seed)
         problem = env.kidnapped.scan, env.mapped.landmarks, env.mapped.locality("covisibility")
@@ -86,7 +87,7 @@ def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, 
     ("name", "said"), [("pairing_all_with_one", r"features\[0\]: 1000000"), ("answering_a_list", "no hypothesis")]
 )
 def test_an_associator_that_answers_nonsense_is_refused(started, name, said):
-    served, slam, env = EntryAssociator(started("associator", f"{STRANGERS}:{name}")), Slam(), WORLD.make("twist")
+    served, slam, env = partial(associate_in, started("associator", f"{STRANGERS}:{name}")), Slam(), WORLD.make("twist")
     env.reset(seed=0)
     episode = env.unwrapped.episode
     slam.step(episode.odometry, episode.scan, "jcbb")
