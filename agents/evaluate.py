@@ -12,7 +12,7 @@ from typer import Option
 
 from agents.cli import Episodes, RerunFile, World, command, evaluate, require_rerun
 from agents.drivers.base import AGENTS, SHOWN
-from agents.evaluation.drive_tables import driver_tables
+from agents.evaluation.drive_tables import drive_tables
 from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
 from agents.evaluation.pipeline import Execution
 
@@ -41,7 +41,7 @@ def main(
         film.make_films(drivers, arguments, episodes.first, out, execution)
 
     evaluation = driver_evaluation(drivers, arguments, numbers)
-    evaluate(evaluation, execution, out, driver_tables, make_films if films else None)
+    evaluate(evaluation, execution, out, drive_tables, make_films if films else None)
     if rerun:
         from agents.reports.rerun_log import Drive, log_drives
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.associators import JOIN
-from agents.evaluation.drives import world_of
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.tables import (
@@ -39,35 +36,28 @@ ASSOCIATOR_COLUMNS = columns(
 RELOCATION_COLUMNS = columns("recovered", "relocations_wrong", "ticks_astray")
 
 
-def driver_tables(results: Results) -> list[Table]:
-    """The table, of the agents in the order in which they were asked for; models of one agent are pooled."""
-    title = f"{world_of(results.conditions)}, {counted(results.frame['episode'].nunique(), 'episode')}"
-    table = drive_table(results.frame, "agent", DRIVER_COLUMNS, title)
-    if Clairvoyant.name not in table.rows:
-        return [table]
-    return [replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")]
+def drive_tables(results: Results) -> list[Table]:
+    """One table a scenario, of those who were evaluated in the order in which they were asked for.
 
-
-def associator_tables(results: Results) -> list[Table]:
-    """One table a scenario, with the associators in the order in which they were asked for; then the headline."""
-    return [*scenario_tables(results), *headline(results.frame)]
-
-
-def scenario_tables(results: Results) -> list[Table]:
-    """One table a scenario."""
-    conditions = results.conditions
-    floor = f" on {Path(conditions['floor_plan']).name}" if conditions.get("floor_plan") else ""
-    found = []
+    Models of one agent are pooled. Where a robot was carried away, there are columns about relocation.
+    """
+    drivers, found = results.metadata["kind"] == "drivers", []
     for setting, own in by_setting(results.frame).items():
-        title = f"{setting}{floor}, {counted(own['episode'].nunique(), 'episode')}, driven by {conditions['driver']}"
-        found.append(drive_table(own, "associator", ASSOCIATOR_COLUMNS, title))
+        shown = [*(DRIVER_COLUMNS if drivers else ASSOCIATOR_COLUMNS)]
+        shown += RELOCATION_COLUMNS if own["kidnapped"].any() else []
+        title = f"{setting}, {counted(own['episode'].nunique(), 'episode')}"
+        title += "" if drivers else f", driven by {results.conditions['driver']}"
+        rows = {name: estimates(episodes, shown) for name, episodes in by_name(own).items()}
+        table = Table(title, "agent" if drivers else "associator", shown, rows)
+        if Clairvoyant.name in rows:
+            table = replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")
+        found.append(table)
     return found
 
 
-def drive_table(frame: pd.DataFrame, corner: str, shown: Sequence[Column], title: str) -> Table:
-    """Estimates over the episodes of each name; where a robot was carried away, of relocation as well."""
-    shown = [*shown, *(RELOCATION_COLUMNS if frame["kidnapped"].any() else [])]
-    return Table(title, corner, shown, {name: estimates(own, shown) for name, own in by_name(frame).items()})
+def associator_tables(results: Results) -> list[Table]:
+    """One table a scenario; then the headline."""
+    return [*drive_tables(results), *headline(results.frame)]
 
 
 # -- whose map survives ----------------------------------------------------------------------------------------------

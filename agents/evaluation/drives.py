@@ -118,8 +118,9 @@ def associator_evaluation(
     who, by, tasks = contenders(associators, relocations), Driver(driver), []
     for loop in loops:
         _loop(loop, _agent(by).action, associators[0])
+        setting = world_of(loop.plain)
         tasks += [
-            Task((Key(name, loop.scenario, k),), partial(drive, by, replace(loop, relocation=relocation), associator))
+            Task((Key(name, setting, k),), partial(drive, by, replace(loop, relocation=relocation), associator))
             for k in episodes for name, (associator, relocation) in who.items()
         ]  # fmt: skip
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}

@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 
 from agents.evaluation import recordings
-from agents.evaluation.drive_tables import driver_tables, headline, scenario_tables
-from agents.evaluation.drives import world_of
+from agents.evaluation.drive_tables import drive_tables, headline
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.records import stem
@@ -41,26 +40,44 @@ Content = dict[str, Any]
 # -- drives ------------------------------------------------------------------------------------------------------------
 
 
-def of_drivers(results: Results, folder: Path) -> Content:
-    """The table, the episodes behind it, their course over time, films; `folder` may hold films."""
-    conditions, groups = results.conditions, by_name(results.frame)
-    panels = (Panel("map_error", "map error (lower is better)"), Panel("coverage", "coverage", "percent"))
-    associator = conditions["associator"] or "of the scenario"
-    count = counted(results.frame["episode"].nunique(), "episode")
+_PANELS = {
+    "drivers": (Panel("map_error", "map error (lower is better)"), Panel("coverage", "coverage", "percent")),
+    "associators": (
+        Panel("precision", "precision"), Panel("recall", "recall"), Panel("map_error", "map error"),
+        Panel("microseconds", "µs/scan", "log"),
+    ),
+}  # fmt: skip
+
+
+def of_drives(results: Results, folder: Path) -> Content:
+    """Per scenario the table and the episodes behind it; all against all. Of drivers, their course over time, and the
+    films that `folder` may hold; of associators, whose map survives."""
+    conditions, groups, colour = results.conditions, by_name(results.frame), colours(results.names)
+    drivers, panels = results.metadata["kind"] == "drivers", _PANELS[results.metadata["kind"]]
+    scenarios = [
+        {"table": table, "dots": figures.dot_chart(by_name(own), panels, colour)}
+        for table, own in zip(drive_tables(results), by_setting(results.frame).values())
+    ]
     others = [Column(name, display_name(name), 3) for name in groups]
-    rows: Rows = {
+    gaps: Rows = {
         name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
         for name, own in groups.items()
     }
+    how = (
+        f"associator {conditions['associator'] or 'of the scenario'}"
+        if drivers
+        else f"driven by {conditions['driver']}"
+    )
+    searches = [conditions["relocation"]] if drivers else conditions["relocation"]
+    how += f", relocation {' and '.join(search or 'none' for search in searches)}"
     return {
-        "title": f"Exploring {world_of(conditions)}",
-        "subtitle": f"slam_gym/Explore-v0, associator {associator}, {count} per agent on the same "
-        f"{conditions['split']} worlds and seeds",
-        "tables": driver_tables(results),
+        "title": "Drivers" if drivers else "Associators in the loop",
+        "subtitle": f"slam_gym/Explore-v0, {how}: the same {conditions['split']} worlds and seeds for all",
+        "headline": [] if drivers else headline(results.frame),
+        "scenarios": scenarios,
         "lost_means": LOST_MEANS,
-        "dots": figures.dot_chart(groups, panels, colours(results.names)),
-        "curves": figures.curve_chart(groups, panels, colours(results.names)),
-        "comparison": Table("", "map error of … minus that of", others, rows, differences=True),
+        "curves": figures.curve_chart(groups, panels, colour) if drivers else None,
+        "comparison": Table("", "map error of … minus that of", others, gaps, differences=True),
         "films": _films(groups, folder),
     }
 
@@ -74,40 +91,6 @@ def _films(groups: Mapping[str, pd.DataFrame], folder: Path) -> list[Content]:
             error = own.loc[own["episode"].idxmin(), "map_error"]
             found.append({"agent": agent, "picture": picture, "file": film.name, "error": error})
     return found
-
-
-def of_associators(results: Results, folder: Path) -> Content:
-    """Per scenario the table and the episodes behind it, then all against one."""
-    conditions, groups, colour = results.conditions, by_name(results.frame), colours(results.names)
-    panels = (
-        Panel("precision", "precision"),
-        Panel("recall", "recall"),
-        Panel("map_error", "map error"),
-        Panel("microseconds", "µs/scan", "log"),
-    )
-    scenarios = [
-        {"name": name, "table": table, "dots": figures.dot_chart(by_name(own), panels, colour)}
-        for (name, own), table in zip(by_setting(results.frame).items(), scenario_tables(results))
-    ]
-    searches = " and ".join(name or "none" for name in conditions["relocation"])
-    count = counted(results.frame["episode"].nunique(), "episode")
-    reference = "jcbb" if "jcbb" in groups else next(iter(groups))
-    compared = columns("f1", "exact", "map_error")
-    rows: Rows = {
-        name: {column.key: difference(own, groups[reference], column.key) for column in compared}
-        for name, own in groups.items()
-        if name != reference
-    }
-    return {
-        "title": "Associators in the loop",
-        "subtitle": f"slam_gym/Explore-v0, driven by {conditions['driver']}, relocation {searches}: {count} a "
-        f"scenario, the same {conditions['split']} worlds and seeds for every associator",
-        "headline": headline(results.frame),
-        "scenarios": scenarios,
-        "carried": bool(results.frame["kidnapped"].any()),
-        "reference": reference,
-        "comparison": Table("", f"… minus {display_name(reference)}", compared, rows, differences=True),
-    }
 
 
 # -- the suite ---------------------------------------------------------------------------------------------------------
@@ -191,10 +174,10 @@ def _log(name: str, frame: pd.DataFrame, folder: Path, colour: Colours) -> Conte
     }
 
 
-CONTENTS: dict[str, Callable[[Results, Path], Content]] = {
-    "drivers": of_drivers,
-    "associators": of_associators,
-    "suite": of_suite,
-    "recordings": of_recordings,
+CONTENTS: dict[str, tuple[str, Callable[[Results, Path], Content]]] = {
+    "drivers": ("drives.html", of_drives),
+    "associators": ("drives.html", of_drives),
+    "suite": ("suite.html", of_suite),
+    "recordings": ("recordings.html", of_recordings),
 }
-"""By the kind of evaluation."""
+"""By the kind of evaluation: the template, and what fills it."""

@@ -37,9 +37,10 @@ def write_report(folder: Path) -> Path:
     kind = results.metadata["kind"]
     if kind not in CONTENTS:
         raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
+    template, content_of = CONTENTS[kind]
     with undamaged(f"results.csv or results.json of {folder}"):
-        page = _PAGES.get_template(f"{kind}.html").render(
-            CONTENTS[kind](results, folder),
+        page = _PAGES.get_template(template).render(
+            content_of(results, folder),
             colours=colours(results.names),
             complete=results.metadata["complete"],
             split=results.conditions.get("split"),

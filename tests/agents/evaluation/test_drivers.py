@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from agents.evaluation.drive_tables import driver_tables
+from agents.evaluation.drive_tables import drive_tables
 from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Execution, carry_out
@@ -27,7 +27,7 @@ def test_every_agent_drives_the_same_episodes(finished):
 
 
 def test_the_table_is_that_of_the_results(finished):
-    (table,), frame = driver_tables(finished), finished.frame
+    (table,), frame = drive_tables(finished), finished.frame
     assert list(table.rows) == ["random", "nearest_frontier"] and table.title == "office-small, 3 episodes"
     values = frame.loc[frame["name"] == "random", "map_error"].to_numpy()
     assert table.rows["random"]["map_error"].estimate == interquartile_mean(values)
@@ -39,8 +39,8 @@ def test_a_model_alone_adds_the_learned_agent():
 
 
 def test_what_became_of_robots_that_were_carried_away(finished):
-    (table,) = driver_tables(finished)
+    (table,) = drive_tables(finished)
     carried = finished.frame.assign(kidnapped=1.0, recovered=1.0, ticks_astray=30.0)
-    (further,) = driver_tables(finished._replace(frame=carried))
+    (further,) = drive_tables(finished._replace(frame=carried))
     assert [c.title for c in further.columns[len(table.columns) :]] == ["recovered", "wrong reloc.", "ticks astray"]
     assert further.rows["random"]["ticks_astray"].estimate == 30.0
