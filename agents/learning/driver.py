@@ -59,7 +59,7 @@ class Plan:
     jobs: int = field(default_factory=joblib.cpu_count)
 
 
-QUICK = Plan(scenarios=("office-small", "hall"), episodes=6, epochs=4, jobs=1)
+QUICK = Plan(scenarios=("office-small", "hall"), episodes=6, epochs=60, jobs=1)
 
 
 def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
