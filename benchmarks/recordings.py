@@ -25,11 +25,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from agents.evaluation.mapped_log import map_log
 from benchmarks.common import Tolerance, attempt, count_answers, data_folder, features_in_view, options, table
 from slam_gym import Landmarks, Locality, Scan, Slam, gcbb, indexed, random_sampling
 from slam_gym.geometry import compose, transform
@@ -40,7 +41,7 @@ from slam_gym.recordings.mrclam import stationary
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
-from slam_gym.simulation.judged import JudgedSlam
+from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.types import Array, IntArray, Truth
 
 KNOWN = 3  # trunks in the map that a scan from inside has
@@ -66,13 +67,11 @@ class Place:
     near: Tolerance  # within which an answer is right
 
 
-@dataclass(frozen=True, eq=False)
-class MappedLog:
-    """SLAM on a log, and what the labels say of it."""
+class HalfMap(NamedTuple):
+    """What SLAM has made of the first half of a log, and what the labels say of it."""
 
-    slam: Slam
-    sources: IntArray  # (n,) identity of each feature of the map: that of the measurement it was made of
-    poses: Array  # (T, 3) estimates, step by step
+    positions: Array  # (n, 2) [m]
+    sources: IntArray  # (n,) identity of each feature: that of the measurement it was made of
 
 
 def spread(items: Sequence[Any], count: int) -> list[Any]:
@@ -80,29 +79,21 @@ def spread(items: Sequence[Any], count: int) -> list[Any]:
     return [items[i] for i in np.linspace(0, len(items) - 1, min(count, len(items))).astype(int).tolist()]
 
 
-def map_log(log: Recording, associator: str) -> MappedLog:
-    """SLAM over a whole log."""
-    slam, poses = Slam(slam_for(log)), []
-    judged = JudgedSlam(slam, associator)
-    for odometry, scan, sources in log.steps():
-        judged.step(odometry, scan, Truth(np.zeros(3), sources))
-        poses.append(slam.map.pose)
-    return MappedLog(slam, judged.identities.source_of(slam.map.ids), np.array(poses))
-
-
 def reference(log: Recording) -> Optimum:
     """The least-squares optimum of a labelled log, started from the filter with the true association."""
-    return least_squares(log, map_log(log, "true_association").poses)
+    return least_squares(log, map_log(log, CEILING, slam_for(log)).poses)
 
 
 def park(folder: Path, scans: int, steps: int | None) -> Place:
     """Victoria Park mapped in the first half of its (first so many) steps; so many scans inside, as many outside."""
     log = victoria_park(folder).part(0, steps)
-    optimum, half = reference(log), len(log) // 2
-    mapped = map_log(log.part(0, half), "jcbb")
+    optimum, half, slam = reference(log), len(log) // 2, Slam(slam_for(log))
+    judged = JudgedSlam(slam, "jcbb")
+    for odometry, scan, sources in log.part(0, half).steps():
+        judged.step(odometry, scan, Truth(np.zeros(3), sources))
+    mapped = HalfMap(slam.map.positions, judged.identities.source_of(slam.map.ids))
     placed = [one for k in range(half, len(log)) if (one := placed_scan(log, k, optimum, mapped)) is not None]
     chosen = [one for side in (True, False) for one in spread([scan for scan in placed if scan[2] is side], scans)]
-    slam = mapped.slam
     localities: dict[str, Locality | None] = {
         "covisibility": covisible(slam.covisibility),
         "two hops": covisible(slam.covisibility, hops=2),
@@ -112,24 +103,24 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
     return Place("park", slam.map.landmarks(), localities, chosen, PARK_NEAR)
 
 
-def placed_scan(log: Recording, k: int, optimum: Optimum, mapped: MappedLog) -> PlacedScan | None:
+def placed_scan(log: Recording, k: int, optimum: Optimum, mapped: HalfMap) -> PlacedScan | None:
     """Step k of the log with its place, or None where that is neither inside nor outside."""
     scan, sources = log.scan(k), log.sources_of(k)
     known = int(np.isin(sources[sources >= 0], mapped.sources).sum())
     if len(scan) < KNOWN or 0 < known < KNOWN or not (sources >= 0).any():
         return None
     pose = compose(into_map(optimum, mapped, optimum.poses[k], log.range), optimum.poses[k])
-    if known == 0 and len(features_in_view(mapped.slam.map.positions, pose, log.range, math.pi)):
+    if known == 0 and len(features_in_view(mapped.positions, pose, log.range, math.pi)):
         return None
     return scan, pose, known > 0
 
 
-def into_map(optimum: Optimum, mapped: MappedLog, pose: Array, reach: float) -> Array:
+def into_map(optimum: Optimum, mapped: HalfMap, pose: Array, reach: float) -> Array:
     """Pose (3,) of the reference frame in that of the map, as the trunks around `pose` have it."""
     place = dict(zip(optimum.ids.tolist(), optimum.landmarks))
     known = np.array([row for row, source in enumerate(mapped.sources.tolist()) if source in place])
     there = np.array([place[source] for source in mapped.sources[known].tolist()])
-    here, kept = mapped.slam.map.positions[known], np.ones(len(known), bool)
+    here, kept = mapped.positions[known], np.ones(len(known), bool)
     for _ in range(5):
         away = np.hypot(*(transform(align_se2(there[kept], here[kept]), there) - here).T)
         kept = away < max(MISLABELLED, 2.0 * float(np.median(away)))
