@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from agents.drivers.information_gain import InformationGain
+from agents.drivers.baselines import InformationGain
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from benchmarks.common import Record, options, table
 from slam_gym.metrics.statistics import mean, paired_difference

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
-from agents.drivers.information_gain import InformationGain, rates
+from agents.drivers.baselines import InformationGain, rates
 from slam_gym.envs.observation import METRES, PIXELS, unsquash_goals
 from slam_gym.simulation.goals import Tried
 from slam_gym.types import Array, BoolArray, IntArray

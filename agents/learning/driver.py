@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.drivers.information_gain import rates
+from agents.drivers.baselines import rates
 from agents.drivers.learned import (
     HEADS,
     MEMBERS,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from agents.evaluation.episodes import ExploreArguments
-from agents.play import Game, app, play
-from agents.player import WISHES, Controls, Screen
+from agents.play import WISHES, Controls, Game, Screen, app, play
 from slam_gym.association import jcbb, nearest_neighbour
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Odometry, Scan

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from agents.drivers.base import AGENTS, BASELINES, find_agent, is_learned, make_agent, visible
-from agents.drivers.baselines import Lawnmower, NearestFrontier, RandomAgent
-from agents.drivers.information_gain import InformationGain, InformationGainNoRevisits
+from agents.drivers.baselines import InformationGain, InformationGainNoRevisits, Lawnmower, NearestFrontier, RandomAgent
 from slam_gym.simulation.goals import FRONTIERS, SLOTS
 from tests.agents.drivers import offered
 from tests.rollouts import explore

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.drivers.base import LOOK_AROUND
-from agents.drivers.information_gain import InformationGain
+from agents.drivers.baselines import InformationGain
 from agents.drivers.learned import (
     SHAPES,
     TOKEN_FIELDS,
