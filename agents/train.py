@@ -17,13 +17,12 @@ from agents.learning.training import Training, train
 def main(
     training: Training,
     world: World,
-    agent: Annotated[Literal["ppo"], Option(help="What to train.")] = "ppo",
     action: Annotated[Literal["goal", "twist"], Option(help="What it decides.")] = "goal",
     reward: Annotated[str, Option(help="map_error, a_opt, d_opt or entropy.")] = "map_error",
 ) -> None:
     """Train an agent to drive, by reinforcement learning."""
     arguments = world.arguments("office-small", "train", reward)
-    model = train(action, arguments, training, f"runs/{agent}")
+    model = train(action, arguments, training, "runs/ppo")
     print(f"wrote {model}; evaluate it beside the baselines with\n"
           f"  python -m agents.evaluate --model {model} --scenario {arguments.scenario}")  # fmt: skip
 
