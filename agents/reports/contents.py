@@ -27,7 +27,7 @@ from agents.evaluation.tables import (
     estimate,
 )
 from agents.reports import figures
-from agents.reports.figures import Colours, Panel, colours
+from agents.reports.figures import Colours, colours
 from agents.reports.film import film_path
 from agents.suite import numbers as suite
 from agents.suite.reliability import reliability, reliability_tables
@@ -41,12 +41,9 @@ Content = dict[str, Any]
 
 
 _PANELS = {
-    "drivers": (Panel("map_error", "map error (lower is better)"), Panel("coverage", "coverage", "percent")),
-    "associators": (
-        Panel("precision", "precision"), Panel("recall", "recall"), Panel("map_error", "map error"),
-        Panel("microseconds", "µs/scan", "log"),
-    ),
-}  # fmt: skip
+    "drivers": columns("map_error", "coverage"),
+    "associators": columns("precision", "recall", "map_error", "microseconds"),
+}
 
 
 def of_drives(results: Results, folder: Path) -> Content:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullFormatter, PercentFormatter
+from matplotlib.ticker import NullFormatter
 
-from agents.evaluation.tables import Rows, display_name, estimate, estimate_of
+from agents.evaluation.tables import Column, Rows, display_name, estimate, estimate_of
 from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import SPURIOUS, Array
@@ -47,12 +47,6 @@ def _figure(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
-def _name_rows(axis: Axes, names: Sequence[str]) -> None:
-    """One row a name, the first on top."""
-    axis.set_yticks(range(len(names)), [display_name(name) for name in names])
-    axis.set_ylim(len(names) - 0.5, -0.5)
-
-
 def _line(axis: Axes, x: Array, found: Iterable[Interval], name: str, colour: str, marker: str = "") -> None:
     """Estimates with the band of their intervals; the ceiling is dashed."""
     middle, low, high = np.array([(value.estimate, value.low, value.high) for value in found]).T
@@ -64,62 +58,44 @@ def _line(axis: Axes, x: Array, found: Iterable[Interval], name: str, colour: st
 # -- episodes ----------------------------------------------------------------------------------------------------------
 
 
-class Panel(NamedTuple):
-    """A number over episodes, and how its axis is scaled."""
-
-    key: str  # in the results
-    label: str
-    scale: str = "linear"  # or "percent" or "log"
-
-
-def dot_chart(groups: Mapping[str, pd.DataFrame], panels: Sequence[Panel], colour: Colours) -> Figure:
+def dot_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colour: Colours) -> Figure:
     """Every episode as a dot, with mean and interval of each name; `groups` are the episodes of each."""
     figure = _figure(1.3 + 0.42 * len(groups))
-    axes = figure.subplots(1, len(panels), sharey=True)
+    axes = figure.subplots(1, len(shown), sharey=True)
     rng = np.random.default_rng(0)
-    for axis, panel in zip(axes, panels):
+    for axis, column in zip(axes, shown):
         for row, (name, own) in enumerate(groups.items()):
             jitter = rng.uniform(-0.17, 0.17, len(own))
-            axis.scatter(own[panel.key], row + jitter, s=16, color=colour[name], alpha=0.5, linewidths=0)
-            middle = estimate_of(own, panel.key)
+            axis.scatter(own[column.key], row + jitter, s=16, color=colour[name], alpha=0.5, linewidths=0)
+            middle = estimate_of(own, column.key)
             axis.plot([middle.low, middle.high], [row, row], color=colour[name], lw=3, solid_capstyle="round")
             axis.plot(middle.estimate, row, "o", color="white", markeredgecolor=colour[name], ms=4.5, zorder=4)
-        _scale(axis, panel, pd.concat(own[panel.key] for own in groups.values()))
-    _name_rows(axes[0], list(groups))
+        axis.set_xlabel(column.title)
+        axis.grid(visible=False, axis="y")
+        times = pd.concat(own[column.key].dropna() for own in groups.values())
+        if column.key == "microseconds" and len(times):  # whole decades
+            ends = np.floor(np.log10(times.min())), np.ceil(np.log10(times.max()) + 1e-9)
+            axis.set(xscale="log", xlim=np.power(10.0, ends))
+            axis.xaxis.set_minor_formatter(NullFormatter())
+    # one row a name, the first on top
+    axes[0].set_yticks(range(len(groups)), [display_name(name) for name in groups])
+    axes[0].set_ylim(len(groups) - 0.5, -0.5)
     return figure
 
 
-def _scale(axis: Axes, panel: Panel, values: pd.Series) -> None:
-    axis.set_xlabel(panel.label)
-    axis.grid(visible=False, axis="y")
-    axis.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-    if panel.scale == "percent":
-        axis.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        axis.set_xlim(right=min(axis.get_xlim()[1], 1.02))
-    elif panel.scale == "log" and values.notna().any():
-        axis.set_xscale("log")
-        axis.set_xlim(10.0 ** np.floor(np.log10(values.min())), 10.0 ** np.ceil(np.log10(values.max()) + 1e-9))
-        axis.xaxis.set_minor_formatter(NullFormatter())
-
-
-def curve_chart(groups: Mapping[str, pd.DataFrame], panels: Sequence[Panel], colour: Colours) -> Figure:
+def curve_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colour: Colours) -> Figure:
     """Numbers against ticks, from the curves of the episodes, with interval bands."""
     figure = _figure(3.9)
-    axes = figure.subplots(1, len(panels))
+    axes = figure.subplots(1, len(shown))
     end = max(own["ticks"].max() for own in groups.values())
     grid = np.linspace(0.0, end, CURVE_POINTS)
     curves = {name: [json.loads(cell) for cell in own["curve"]] for name, own in groups.items()}
-    for axis, panel in zip(axes, panels):
+    for axis, column in zip(axes, shown):
         for name, own in curves.items():
             # after the end of an episode its curve stays where it was
-            at_grid = np.array([np.interp(grid, curve["ticks"], curve[panel.key]) for curve in own])
-            _line(axis, grid, [estimate(column, resamples=1000) for column in at_grid.T], name, colour[name])
-        axis.set_xlabel("ticks")
-        axis.set_ylabel(panel.label)
-        axis.set_xlim(0.0, end)
-        axis.set_ylim(0.0, None)
-        if panel.scale == "percent":
-            axis.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+            at_grid = np.array([np.interp(grid, curve["ticks"], curve[column.key]) for curve in own])
+            _line(axis, grid, [estimate(values, resamples=1000) for values in at_grid.T], name, colour[name])
+        axis.set(xlabel="ticks", ylabel=column.title, xlim=(0.0, end), ylim=(0.0, None))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6), frameon=False)
     return figure
@@ -142,8 +118,7 @@ def capability_bars(scores: Rows, colour: Colours) -> Figure:
     axis.set_xticks(range(len(groups)), groups)
     axis.tick_params(axis="x", length=0)
     axis.grid(visible=False, axis="x")
-    axis.set_ylim(0.0, 1.02)
-    axis.set_ylabel("score (1 = no mistake)")
+    axis.set(ylim=(0.0, 1.02), ylabel="score (1 = no mistake)")
     figure.legend(loc="outside upper left", ncols=4, frameon=False)
     return figure
 
@@ -156,33 +131,22 @@ def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colo
         x = np.arange(len(curve))
         _line(axis, x, curve.values(), name, colour[name], MARKERS[i % len(MARKERS)])
         axis.set_xticks(x, [f"{knob:g}" for knob in curve])
-    axis.set_ylim(-0.02, 1.04)
-    axis.set_xlabel(label)
-    axis.set_ylabel("score")
+    axis.set(xlabel=label, ylabel="score", ylim=(-0.02, 1.04))
     figure.legend(loc="outside right upper", frameon=False)
     return figure
 
 
 def reliability_chart(found: Mapping[str, pd.DataFrame], colour: Colours) -> Figure:
     """The rate at which decisions are right against what was predicted, on a scale of log-odds, one line per name."""
-    figure = _figure(4.2, width=6.4)
+    figure, ends = _figure(4.2, width=6.4), (1e-3, 1.0 - 1e-3)
     axis = figure.subplots()
-    ticks = np.array([0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999])
-    axis.plot(_log_odds(ticks), _log_odds(ticks), "--", color=INK, linewidth=0.9)
+    axis.plot(ends, ends, "--", color=INK, linewidth=0.9)
     for i, (name, bins) in enumerate(found.items()):
-        x, y = _log_odds(bins["predicted"]), _log_odds(bins["right"])
+        x, y = bins["predicted"].clip(*ends), bins["right"].clip(*ends)
         axis.plot(x, y, marker=MARKERS[i % len(MARKERS)], color=colour[name], label=display_name(name))
-    for set_ticks in (axis.set_xticks, axis.set_yticks):
-        set_ticks(_log_odds(ticks), [f"{tick:g}" for tick in ticks])
-    axis.set_xlabel("mean probability of the decisions")
-    axis.set_ylabel("rate right")
+    axis.set(xscale="logit", yscale="logit", xlabel="mean probability of the decisions", ylabel="rate right")
     figure.legend(loc="outside right upper", frameon=False)
     return figure
-
-
-def _log_odds(p: Array) -> Array:
-    kept = np.clip(p, 1e-4, 1.0 - 1e-4)
-    return np.log(kept / (1.0 - kept))
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------
@@ -217,9 +181,7 @@ def maps(
         axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9)
         _draw_features(axis, features[name], landmarks)
         axis.set_title(display_name(name), fontsize=10, loc="left", color=colour[name])
-        axis.set_aspect("equal")
-        axis.set_xlim(low[0], high[0])
-        axis.set_ylim(low[1], high[1])
+        axis.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for handle, label in zip(*axis.get_legend_handles_labels()):
             handles.setdefault(label, handle)
     figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=6, frameon=False)
@@ -260,13 +222,8 @@ def errors_over_time(errors: Mapping[str, pd.DataFrame], colour: Colours) -> Fig
     for name, error in errors.items():
         axis.plot(error["time"], error["error"], color=colour[name], linewidth=1.1, label=display_name(name))
     every = np.concatenate([error["error"] for error in errors.values()])
-    if every.max() > 4.0 * np.quantile(every, 0.95):  # a reference that jumps, or an associator that got lost
-        axis.set_yscale("log")
-        axis.set_ylim(bottom=0.5 * np.quantile(every, 0.05) + 1e-9)
-        axis.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    else:
-        axis.set_ylim(0.0, None)
-    axis.set_xlabel("time [s]")
-    axis.set_ylabel("position error [m]")
+    far = every.max() > 4.0 * np.quantile(every, 0.95)  # a reference that jumps, or an associator that got lost
+    axis.set(yscale="log" if far else "linear", ylim=(0.5 * np.quantile(every, 0.05) + 1e-9 if far else 0.0, None))
+    axis.set(xlabel="time [s]", ylabel="position error [m]")
     figure.legend(loc="outside upper left", ncols=4, frameon=False)
     return figure
