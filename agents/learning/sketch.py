@@ -15,12 +15,12 @@ import numpy as np
 from agents.drivers.base import LOOK_AROUND, Observation
 from slam_gym.envs.observation import encode_goals
 from slam_gym.geometry import compose, observe, wrap_angle
+from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.planner import distance_field
 from slam_gym.navigation.pursuit import points_ahead
 from slam_gym.simulation.driver import APART, ARRIVED, is_free, way_to
 from slam_gym.simulation.episode import Episode
-from slam_gym.simulation.goals import SLOTS, WORTH_SEEING, Goals, Tried, clearances, frontiers_on_offer
+from slam_gym.simulation.goals import WORTH_SEEING, Places, Tried, propose
 from slam_gym.types import Array, Beams, BoolArray
 from slam_gym.world.ray_casting import WallIndex, pull_back
 
@@ -38,6 +38,7 @@ class Sketch:
     def __init__(self, episode: Episode, budget: int) -> None:
         self.budget, self.ticks = budget, 0
         self._begun, beams = episode, episode.scenario.beams
+        self._radius = episode.scenario.robot.radius
         self._bearings = beams.field_of_view / beams.count * (np.arange(beams.count) + 0.5 * (1 - beams.count))
         self._pull_backs = pull_back(episode.site.plan.features)
         self._walls = WallIndex(np.concatenate([episode.site.plan.walls, episode.world.furniture_segments]))
@@ -98,17 +99,10 @@ class Sketch:
             self._offer()
 
     def _offer(self) -> None:
-        scenario = self._begun.scenario
-        for clearance in clearances(scenario.robot.radius):
-            self._field = distance_field(self._grid, self._here[:2], clearance)
-            ends = frontiers_on_offer(self._grid, self._field, scenario.beams.range, self._tried)
-            if len(ends):
-                break
-        spots, lengths, legal = np.zeros((SLOTS, 2)), np.zeros(SLOTS), np.arange(SLOTS) <= len(ends)
-        spots[LOOK_AROUND], spots[1 : 1 + len(ends)] = self._here[:2], ends
-        lengths[1 : 1 + len(ends)] = self._field.lengths_to(ends)
-        areas = np.where(legal, self._grid.expected_area(spots, scenario.beams.range), 0.0)
-        self.goals = Goals(spots, lengths, areas, np.zeros(SLOTS), legal)
+        """What the environment would offer a robot that is sure of its pose and has nothing to go back for."""
+        robot = StochasticMap()
+        robot.place(self._here, np.zeros((3, 3)))
+        self.goals = propose(self._begun.scenario, robot, self._grid, Places(), self._tried)
 
     def _look(self, here: Array) -> None:
         """Be at a pose (3,) in B, and look."""
@@ -131,7 +125,7 @@ class Sketch:
                 self._look(self._here + np.array([0.0, 0.0, 0.5 * math.pi]))
 
     def _drive(self, goal: Array) -> None:
-        asked, path, seen = goal, self._field.path(goal), False
+        asked, path, seen = goal, way_to(self._grid, self._radius, self._here[:2], goal, self.goals.ways), False
         while len(path) > 1 and not self.over and math.dist(self._here[:2], goal) >= ARRIVED:
             for _ in range(REPLAN):
                 if len(path) > 1 and not self.over and math.dist(self._here[:2], path[-1]) >= ARRIVED:
@@ -165,7 +159,7 @@ class Sketch:
         """The path itself, or where a wall has been drawn across it another one, or as near as will do, or (0, 2)."""
         if is_free(self._grid, points_ahead(path, path[0], APART)):
             return path
-        return way_to(self._grid, self._begun.scenario.robot.radius, self._here[:2], goal)
+        return way_to(self._grid, self._radius, self._here[:2], goal)
 
 
 def missed_by(sketch: Sketch, policy: Policy, first: int) -> float:
