@@ -51,7 +51,7 @@ def drives_and_logs() -> list[Source]:
 
 
 @dataclass(frozen=True)
-class Plan:
+class AssociatorPlan:
     """What is looked at, in train worlds, and how the network is trained on it."""
 
     levels: Sequence[str] = LEVELS
@@ -64,7 +64,7 @@ class Plan:
     rate: float = 4e-3  # at its highest
 
 
-QUICK = Plan(("clutter/2", "detection/2", "closure/3"), worlds=2, held_out=1, further=(), epochs=30)
+QUICK = AssociatorPlan(("clutter/2", "detection/2", "closure/3"), worlds=2, held_out=1, further=(), epochs=30)
 
 
 def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
@@ -72,7 +72,7 @@ def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
 
     Raises ValueError where `SLAM_GYM_DATA` does not say where the recordings are, unless it is a quick one.
     """
-    plan = QUICK if quick else Plan()
+    plan = QUICK if quick else AssociatorPlan()
     if plan.further and not os.environ.get("SLAM_GYM_DATA"):
         raise ValueError("SLAM_GYM_DATA is not set: the training looks at Victoria Park and MR.CLAM as well")
     looked_at, others = sources(plan)
@@ -104,7 +104,7 @@ def _of_shipped(held_out: Sequence[Decisions]) -> dict[str, dict[str, float]]:
     return {"cross-entropy held out, the weights that ship": figure([loss])}
 
 
-def sources(plan: Plan) -> tuple[list[Source], list[Source]]:
+def sources(plan: AssociatorPlan) -> tuple[list[Source], list[Source]]:
     """What is trained on, and what is held out."""
     last = plan.worlds + plan.held_out
     hidden = [() if k < _WHOLE else HIDDEN[k % len(HIDDEN)] for k in range(last)]
@@ -222,7 +222,7 @@ def _most(values: Tensor, group: Tensor) -> Tensor:
 
 
 def trained(
-    plan: Plan, train: Sequence[Decisions], held_out: Sequence[Decisions], seed: int
+    plan: AssociatorPlan, train: Sequence[Decisions], held_out: Sequence[Decisions], seed: int
 ) -> tuple[Network, list[float]]:
     """A network of tensors, trained on some scans; its mean loss on others after each epoch.
 

@@ -48,7 +48,7 @@ _GREED = 3.0  # the scale of the greedy scores, at first
 
 
 @dataclass(frozen=True)
-class Plan:
+class DriverPlan:
     """How much is driven, and how often and for how long networks are trained on it."""
 
     scenarios: Sequence[str] = SCENARIOS
@@ -59,14 +59,14 @@ class Plan:
     jobs: int = field(default_factory=joblib.cpu_count)
 
 
-QUICK = Plan(scenarios=("office-small", "hall"), episodes=6, epochs=60, jobs=1)
+QUICK = DriverPlan(scenarios=("office-small", "hall"), episodes=6, epochs=60, jobs=1)
 
 
 def reproduce(quick: bool, command: str, say: Callable[[str], None]) -> Weights:
     """Drive, train the members, and judge them on worlds held out: their weights, and figures of each and of all."""
-    plan, began = QUICK if quick else Plan(), time.perf_counter()
+    plan, began = QUICK if quick else DriverPlan(), time.perf_counter()
     worlds = range(FIRST_WORLD, FIRST_WORLD + plan.episodes)
-    found = dict(run_all([Drive(plan.scenarios[k % len(plan.scenarios)], k) for k in worlds], plan.jobs))
+    found = dict(run_all([OutlinedDrive(plan.scenarios[k % len(plan.scenarios)], k) for k in worlds], plan.jobs))
     train = Examples.joined([found[k] for k in worlds if k % HELD_OUT])
     held_out = Examples.joined([found[k] for k in worlds if not k % HELD_OUT])
     say(f"{plan.episodes} drives, {len(train) + len(held_out)} states, {time.perf_counter() - began:.0f} s")
@@ -128,7 +128,7 @@ class Examples(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drive:
+class OutlinedDrive:
     """One drive in outline in a train world, by information gain."""
 
     scenario: str
@@ -179,7 +179,7 @@ def untrained(rng: np.random.Generator) -> dict[str, Array]:
     return out | {"greed": np.array(_GREED)}
 
 
-def trained(plan: Plan, train: Examples, held_out: Examples, seed: int) -> tuple[Arrays, list[float]]:
+def trained(plan: DriverPlan, train: Examples, held_out: Examples, seed: int) -> tuple[Arrays, list[float]]:
     """Weights that predict the values of goals, up to what they have in common; regret held out after each epoch."""
     rng, own = np.random.default_rng(seed), train.fields[train.legal]
     scaled = {"shift": own.mean(axis=0), "scale": 1.0 / (own.std(axis=0) + 0.05)}

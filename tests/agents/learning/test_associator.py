@@ -10,8 +10,8 @@ from agents.evaluation.episodes import AssociateArguments
 from agents.learning.association_scans import HIDDEN, SeenAs, Source, decisions_of, labelled_decisions, without
 from agents.learning.associator import (
     SHARES,
+    AssociatorPlan,
     Batch,
-    Plan,
     mean_loss,
     odds_of,
     probabilities,
@@ -92,13 +92,15 @@ def test_a_feature_is_what_it_has_mostly_been_seen_as():
 
 
 def test_no_world_is_both_trained_on_and_held_out():
-    train, held_out = sources(Plan())
+    train, held_out = sources(AssociatorPlan())
     assert len(set(train)) == len(train)
     assert not {(s.name, s.world) for s in train} & {(s.name, s.world) for s in held_out}
     assert {s.hidden for s in held_out} == set(HIDDEN)
     assert {s.hidden for s in train} == {*HIDDEN, ("views",), ("views", "sizes")}
     assert {s.kind for s in train} == set(SHARES) and {s.kind for s in held_out} == {"level"}
-    assert len(Plan().levels) == 35 and all(get_scenario(s.name).name == s.name for s in train if s.kind == "drive")
+    assert len(AssociatorPlan().levels) == 35 and all(
+        get_scenario(s.name).name == s.name for s in train if s.kind == "drive"
+    )
 
 
 def test_kinds_of_sources_have_their_shares():
@@ -179,7 +181,7 @@ def test_training_starts_at_the_model_gets_better_and_is_the_same_for_one_seed()
     scans = [answered(seed)[3] for seed in range(30)]
     held_out, model, batch = scans[:10], tensors(untrained(scans, 4)), Batch.of(scans)
     assert torch.equal(odds_of(model, batch), torch.zeros(len(batch.inputs)))
-    plan = Plan(hidden_numbers=4, epochs=60)
+    plan = AssociatorPlan(hidden_numbers=4, epochs=60)
     network, curve = trained(plan, scans, held_out, seed=0)
     assert mean_loss(network, scans) < mean_loss(model, scans) - 0.02
     assert mean_loss(network, held_out) == curve[-1] < curve[0] <= mean_loss(model, held_out)

@@ -18,7 +18,7 @@ from agents.drivers.learned import (
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.learning.driver import Drive, Examples, Plan, greedy, regret_of, reproduce, trained, untrained
+from agents.learning.driver import DriverPlan, Examples, OutlinedDrive, greedy, regret_of, reproduce, trained, untrained
 from agents.learning.sketch import FREE_TURN, QUARTER, SPEED, STRETCH, TURN, Sketch, missed_by
 from slam_gym.geometry import observe
 from slam_gym.simulation.goals import FRONTIERS
@@ -26,7 +26,7 @@ from slam_gym.weights import write
 from slam_gym.world.ray_casting import pull_back
 from tests.agents.drivers.test_learned import some_tokens
 
-SHORT = Plan(epochs=12, batch=32, rate=3e-3)
+SHORT = DriverPlan(epochs=12, batch=32, rate=3e-3)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_stretches_are_of_one_length_and_turns_take_time(env):
 
 
 def test_a_drive_gives_the_same_states_each_time_and_what_is_mapped_in_the_end(env):
-    (world, one), (_, two) = (Drive("office-small", 7)() for _ in range(2))
+    (world, one), (_, two) = (OutlinedDrive("office-small", 7)() for _ in range(2))
     assert world == 7 and all(np.array_equal(a, b) for a, b in zip(one, two))
     assert (one.values[~one.legal] == 0.0).all() and (one.values[one.legal] > 0.0).all() and one.values.max() <= 100.0
     assert (one.legal.sum(axis=1) > 1).all() and len(one) == len(one.fields) > 1
