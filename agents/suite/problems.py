@@ -34,6 +34,7 @@ from slam_gym.world.reachability import free_start
 from slam_gym.world.sensor import Sensor
 
 MIN_MAPPED = 4  # measurements of mapped features in a problem: fewer decide nothing
+WRONG_COST = 10.0  # of a wrong pairing, in right ones: as the reward of Associate-v0
 
 OUTCOMES = ("correct", "silent", "wrong", "refused", "invented")
 MAX_DISTANCE = 0.3  # [m] a found pose is right within this distance …
@@ -154,6 +155,11 @@ class Judgement(NamedTuple):
     wrong: int
     refused: int  # of a mapped feature, and left unpaired
     mapped: int  # of a mapped feature
+
+    @property
+    def score(self) -> float:
+        """(right − 10 · wrong) / mapped, but not below −1: 1 without a mistake, 0 for refusing everything."""
+        return max(-1.0, (self.right - WRONG_COST * self.wrong) / self.mapped)
 
 
 def judge(features: IntArray, right: IntArray) -> Judgement:

@@ -34,7 +34,6 @@ from slam_gym.validation import one_of
 
 WORLDS, PROBLEMS = 24, 12  # of a level; of a world, at most
 QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
-WRONG_COST = 10.0  # of a wrong pairing, in right ones: as the reward of Associate-v0
 Names = list[str] | None
 
 
@@ -114,16 +113,14 @@ def relocate(
 def association_record(judged: Sequence[Judgement]) -> Record:
     """Fractions over the problems of a world; NaN where it had none.
 
-    A scan earns (right − 10 · wrong) / mapped, but not less than −1: 1 without a mistake, 0 for refusing everything.
     The score is the mean over scans, but not below 0. `spoiled` are scans with a wrong pairing; in `exact` ones, all
     that is mapped is paired rightly and nothing else is paired.
     """
     scans = pd.DataFrame(judged, columns=Judgement._fields, dtype=float)
     right, wrong, refused, mapped = (scans[name] for name in Judgement._fields)
-    earned = ((right - WRONG_COST * wrong) / mapped).clip(lower=-1.0)
     return {
         "problems": len(scans),
-        "score": float(max(earned.mean(), 0.0)),  # NaN stays
+        "score": float(max(pd.Series([j.score for j in judged], dtype=float).mean(), 0.0)),  # NaN stays
         "spoiled": float((wrong > 0.0).mean()),
         "refused": float((refused / mapped).mean()),
         "exact": float((wrong + refused == 0.0).mean()),
