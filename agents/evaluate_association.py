@@ -26,7 +26,7 @@ from agents.cli import (
 )
 from agents.drivers.base import AGENTS, make_agent
 from agents.evaluation import recordings
-from agents.evaluation.associators import metered, shipped
+from agents.evaluation.associators import SHIPPED, metered
 from agents.evaluation.drive_tables import associator_tables
 from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments
@@ -65,14 +65,14 @@ class Loop(Floor, Episodes):
 class Candidates:
     """Who is evaluated: associators, and the searches that find a lost robot."""
 
-    associators: Annotated[Names, Option(help=f"Of {', '.join(shipped())}, module:function or a model file.")] = None
+    associators: Annotated[Names, Option(help=f"Of {', '.join(SHIPPED)}, module:function or a model file.")] = None
     relocation: Annotated[Names, Option(help=f"Of {', '.join(RELOCATORS)}, module:function or none.")] = None
     split: Annotated[Literal["train", "test"], Option(help="Of the worlds; tune on train.")] = "test"
 
     @property
     def names(self) -> list[str]:
         """Of the associators."""
-        return self.associators or shipped()
+        return self.associators or list(SHIPPED)
 
     def searches(self, default: list[str]) -> list[str | None]:
         """Each search once."""

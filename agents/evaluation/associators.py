@@ -20,14 +20,10 @@ SIMPLEST_FIRST = (
     "nearest_neighbour", "global_nearest_neighbour", "singles", "one_point_ransac", "jcbb", "ipjc", "map_hypothesis",
     "marginal", "learned",
 )  # fmt: skip
+SHIPPED = (*SIMPLEST_FIRST, CEILING)
+"""The associators that ship, in the order of tables: from the simplest to the truth."""
 JOIN = " + "
 """Between an associator and the search that finds a lost robot for it, in the name of what was evaluated."""
-
-
-def shipped() -> list[str]:
-    """The associators that ship, in the order of tables: from the simplest to the truth."""
-    known = [name for name in SIMPLEST_FIRST if name in ASSOCIATORS]
-    return [*known, *(name for name in ASSOCIATORS if name not in (*known, CEILING)), CEILING]
 
 
 @lru_cache

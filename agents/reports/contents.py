@@ -49,8 +49,8 @@ _PANELS = {
 def of_drives(results: Results, folder: Path) -> Content:
     """Per scenario the table and the episodes behind it; all against all. Of drivers, their course over time, and the
     films that `folder` may hold; of associators, whose map survives."""
-    conditions, groups, colour = results.conditions, by_name(results.frame), colours(results.names)
-    drivers, panels = results.metadata["kind"] == "drivers", _PANELS[results.metadata["kind"]]
+    groups, colour, kind = by_name(results.frame), colours(results.names), results.metadata["kind"]
+    drivers, panels = kind == "drivers", _PANELS[kind]
     scenarios = [
         {"table": table, "dots": figures.dot_chart(by_name(own), panels, colour)}
         for table, own in zip(drive_tables(results), by_setting(results.frame).values())
@@ -60,16 +60,9 @@ def of_drives(results: Results, folder: Path) -> Content:
         name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
         for name, own in groups.items()
     }
-    how = (
-        f"associator {conditions['associator'] or 'of the scenario'}"
-        if drivers
-        else f"driven by {conditions['driver']}"
-    )
-    searches = [conditions["relocation"]] if drivers else conditions["relocation"]
-    how += f", relocation {' and '.join(search or 'none' for search in searches)}"
     return {
         "title": "Drivers" if drivers else "Associators in the loop",
-        "subtitle": f"slam_gym/Explore-v0, {how}: the same {conditions['split']} worlds and seeds for all",
+        "subtitle": f"slam_gym/Explore-v0: the same {results.conditions['split']} worlds and seeds for all",
         "headline": [] if drivers else headline(results.frame),
         "scenarios": scenarios,
         "lost_means": LOST_MEANS,

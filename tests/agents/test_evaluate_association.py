@@ -28,7 +28,7 @@ def test_the_command_in_the_loop(tmp_path):
     assert result.exit_code == 0, result.output
     page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
     assert len(page.pictures) == 2
-    for expected in ("mine", "true association", "Against each other", "relocation none and gcbb"):
+    for expected in ("mine", "true association", "Against each other", '"gcbb"'):
         assert expected in page.text
     assert set(frame["setting"]) == {"office-small", "clutter/1"} and len(frame) == 16
     assert "mine" in result.output and "clutter/1, 2 episodes" in result.output and "Map error above" in result.output
