@@ -104,7 +104,8 @@ def individual(
     gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
     points, noise = plain(scan.points), plain(scan.covariances)
     positions, covariances = plain(prediction.positions), plain(prediction.covariances)
-    fault, candidates = gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate)
+    most = len(positions)  # all
+    fault, candidates = gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate, most)
     check_fault(fault)
     return candidates
 
@@ -125,8 +126,9 @@ def gate_pairings(
     measurements: IntArray,
     eligible: BoolArray,
     gate: float,
+    most: int,
 ) -> tuple[Fault, Candidates]:
-    """`individual`, of eligible rows, or of all where `eligible` is empty."""
+    """`individual`, of eligible rows, or of all where `eligible` is empty; of each measurement the `most` nearest."""
     offered, fault = _offered(points, noise, positions, covariances, measurements, eligible, gate)
     count, room = 0, len(measurements) * len(offered)
     starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(room, np.int64)
@@ -148,6 +150,10 @@ def gate_pairings(
             distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
             if not distance < gate:
                 continue
+            if count - starts[level] == most:  # the farthest gives way, which may be this one
+                if distances[count - 1] <= distance:
+                    continue
+                count -= 1
             place = count
             while place > starts[level] and distances[place - 1] > distance:
                 slots[place], distances[place] = slots[place - 1], distances[place - 1]

@@ -33,6 +33,7 @@ from slam_gym.types import Array, IntArray
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 _LOOKED_AT = 0  # the node that holds w of what is looked at; hypotheses have the others
 _NODES = 64  # room for nodes to begin with
+_MANY = 1024  # nodes from which those that no hypothesis needs any more are given up after every level
 
 
 class Prices(NamedTuple):
@@ -93,6 +94,8 @@ def search(pairings: Pairings, levels: IntArray, prices: Prices) -> tuple[Beam, 
             tests += more
         kept, full = _select(room, now, kept, levels[level], best - prices.margin, prices.width)
         now, nodes, cut = 1 - now, nodes + kept, cut or full
+        if used > _MANY:
+            used = _compact(room, joined, now, kept)
     beam = Beam(
         room.score[now, :kept], room.pairings[now, :kept], room.made[now, :kept], room.nodes[now, :kept], joined
     )
@@ -283,6 +286,24 @@ def _select(room: _Room, now: int, kept: int, level: IntArray, least: float, wid
                 count[then, found] = p + 1
             found += 1
     return found, full
+
+
+@compiled
+def _compact(room: _Room, joined: Path, now: int, kept: int) -> int:
+    """Move the nodes of the hypotheses kept to the front, in the same order; the number of nodes in use."""
+    number, used = np.zeros(len(joined.pairings), np.int64), _LOOKED_AT + 1
+    for b in range(kept):
+        for q in range(room.pairings[now, b]):
+            number[room.nodes[now, b, q]] = 1
+    for d in range(len(number)):
+        if number[d] == 1:
+            joined.pairings[used], joined.pivots[used] = joined.pairings[d], joined.pivots[d]
+            joined.w[used], number[d] = joined.w[d], used
+            used += 1
+    for b in range(kept):
+        for q in range(room.pairings[now, b]):
+            room.nodes[now, b, q] = number[room.nodes[now, b, q]]
+    return used
 
 
 @inlined

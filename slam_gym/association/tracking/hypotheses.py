@@ -11,6 +11,10 @@ paired and 1 for other features.
 
 Weighed against each other (`weighed`), hypotheses give the marginal probability of every pairing, as in joint
 probabilistic data association: the sum of the weights of those that make it.
+
+Where the robot is all but lost, everything is compatible with everything. What a scan may take is bounded: of each
+measurement the nearest candidates are kept, `MOST_CANDIDATES` in all, and the beam is as wide as `JOINT_TESTS` and
+`MEMORY` admit. `effort.limit_hit` says where that has cut anything, and what it has cut starts no feature.
 """
 
 from __future__ import annotations
@@ -29,10 +33,13 @@ from slam_gym.association.tracking.headings import Part, joint_in
 from slam_gym.association.tracking.near_first import Spent
 from slam_gym.association.tracking.path import path_of, support_of
 from slam_gym.association.tree import Pairings, write_rows
-from slam_gym.types import UNPAIRED, Array, IntArray
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 UNSEEN = 0.05  # least v_j that is believed of a paired feature: what is in view may be mistaken
 TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
+MOST_CANDIDATES = 1_000  # pairings of a scan that are looked at
+JOINT_TESTS = 300_000  # of a scan
+MEMORY = 1 << 27  # [bytes] of the pairings of all hypotheses, each conditioned on those before it
 _HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
 _MIN_AREA = 1.0  # [m²] of a scan
 
@@ -58,6 +65,9 @@ class ScanProblem(NamedTuple):
     part: Part
     pairings: Pairings
     starts: IntArray  # (l + 1,) where each measurement's pairings begin, after those given
+    levels: (
+        IntArray  # (l, 2) where the pairings of each measurement that has any begin and end, in the order of decision
+    )
     rows: IntArray  # (u,) row of the prediction of each slot
     visible: Array  # (k,) probability of being in view from the predicted pose; (0,): nobody can tell
     rates: Rates
@@ -109,12 +119,33 @@ def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float,
 
 
 @compiled
+def most_of_each(measurements: int) -> int:
+    """Candidates of each of so many measurements that are kept, the nearest."""
+    return max(MOST_CANDIDATES // max(measurements, 1), 1)
+
+
+@compiled
+def is_crowded(starts: IntArray, most: int) -> BoolArray:
+    """(l,) which measurements have so many candidates that some may have been left out."""
+    return np.diff(starts) >= most
+
+
+@compiled
+def affordable(width: int, problems: list[ScanProblem]) -> int:
+    """The width of a beam, or what `JOINT_TESTS` and `MEMORY` admit of it where all these problems are searched."""
+    tests, size = 1, 1
+    for problem in problems:
+        place = min(len(problem.levels), len(problem.rows)) + problem.pairings.given + 1
+        tests, size = tests + len(problem.pairings.slots), size + 32 * place * place  # bytes of the w of a hypothesis
+    return max(min(width, JOINT_TESTS // tests, MEMORY // size), 1)
+
+
+@compiled
 def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
     """The hypotheses of greatest density, by what is in view from the predicted pose, and by log odds (c,) of pairings
     that the model does not know of; (0,): none.
 
-    Measurements whose candidates find most support (the other measurements that still have a candidate once the pose is
-    updated with that one pairing) are decided first; those without a candidate are `*` in all hypotheses.
+    Measurements without a candidate are `*` in all hypotheses.
     """
     pairings, starts, rates = problem.pairings, problem.starts, problem.rates
     rows, visible = problem.rows, problem.visible
@@ -122,16 +153,15 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
     for c in range(len(gains) if len(visible) > 0 else 0):
         v = visible[rows[pairings.slots[c]]]
         gains[c] += math.log(max(v, UNSEEN)) - math.log1p(-rates.detection * v)
-    levels = _levels(pairings, starts, limits.gate)
     offered = gains + odds if len(odds) > 0 else gains
     prices = Prices(offered, math.log(rates.density), limits.width, limits.margin)
-    beam, nodes, tests, cut = beam_search(pairings, levels, prices)
+    beam, nodes, tests, cut = beam_search(pairings, problem.levels, prices)
     fit, unpaired = beam.score.copy(), np.empty(len(beam.score), np.int64)
     decided = np.full((len(fit), len(pairings.noise)), UNPAIRED)
     for b in range(len(fit)):
         made = beam.pairings[b] - pairings.given
         unpaired[b] = len(starts) - 1 - made
-        fit[b] -= (len(levels) - made) * prices.unpaired
+        fit[b] -= (len(problem.levels) - made) * prices.unpaired
         for q in range(pairings.given, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
         write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
@@ -139,8 +169,9 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
 
 
 @compiled
-def _levels(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
-    """(l, 2) where the pairings of each measurement that has any begin and end, in the order of decision."""
+def levels_of(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
+    """`ScanProblem.levels`: measurements are decided first whose candidates find most support, the other measurements
+    that still have a candidate within the gate once the pose is updated with that one pairing."""
     path, some, others = path_of(pairings, 2), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
     most, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
     for i in range(len(starts) - 1):

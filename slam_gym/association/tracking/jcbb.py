@@ -57,7 +57,7 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_l
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rows, distance, spent, fault = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False), NO_FAULT
     for search in range(2):
-        found = offer(scan, expected, rows, search == 0, gates[1])
+        found = offer(scan, expected, rows, search == 0, gates[1], len(expected.features))
         fault, best = found.fault, _Best(distance, 0, 0, False)
         if fault[0] == 0 and len(found.pairings.slots) > found.pairings.given:
             best = branch_and_bound(found.pairings, found.rows, gates, node_limit, rows)

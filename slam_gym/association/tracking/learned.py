@@ -96,7 +96,7 @@ def _example(
     m, area = len(scan[0]), scan_area(scan[0])
     looks, fault = looks_of(scan, expected, past, area, limits.gate, True)
     look = looks[number]
-    problem = problem_of(look, scan, expected)
+    problem = problem_of(look, scan, expected, limits.gate)
     inputs = inputs_of(scan, problem, expected, run_of(past))
     ready = Ready(problem, look.candidates.tests, np.empty(0), limits.margin)
     kept = gathered([ready], m, expected, past, limits, prices_of(past, area, m))

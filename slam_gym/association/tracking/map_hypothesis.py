@@ -22,7 +22,11 @@ from slam_gym.association.tracking.hypotheses import (
     Rates,
     ScanProblem,
     Searched,
+    affordable,
+    is_crowded,
+    levels_of,
     limits_of,
+    most_of_each,
     posterior_of,
     search_tree,
     weighed,
@@ -77,17 +81,20 @@ def _decide(
 ) -> tuple[Decided, PosteriorFields]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rates, limits, m = Rates(*rate_figures), Limits(*limit_figures), len(scan[0])
-    rows, spent, fault = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT
+    rows, spent, fault, most = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT, most_of_each(m)
     posterior, part = (0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
     visible = visibility(expected, part.positions, part.covariances)[0]
     for search in range(2):
-        found = offer(scan, expected, rows, search == 0, limits.gate)
+        found = offer(scan, expected, rows, search == 0, limits.gate, most)
         fault, tests = found.fault, spent.individual_tests + found.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
         if fault[0] == 0 and (search == 0 or len(found.pairings.slots) > found.pairings.given):
-            problem = ScanProblem(part, found.pairings, found.starts, found.rows, visible, rates)
-            kept = search_tree(problem, np.empty(0), limits)
-            spent = Spent(spent.nodes + kept.nodes, tests, spent.joint_tests + kept.tests, spent.limit_hit or kept.cut)
+            levels = levels_of(found.pairings, found.starts, limits.gate)
+            problem = ScanProblem(part, found.pairings, found.starts, levels, found.rows, visible, rates)
+            width = affordable(limits.width, [problem])
+            kept = search_tree(problem, np.empty(0), Limits(limits.gate, width, limits.margin))
+            limit_hit = spent.limit_hit or kept.cut or bool(is_crowded(found.starts, most).any())
+            spent = Spent(spent.nodes + kept.nodes, tests, spent.joint_tests + kept.tests, limit_hit)
             fit = kept.fit + math.log(rates.density) * kept.unpaired
             seen = _weighed_by_view(expected, problem, kept, fit, _COUNTS * limits.margin)
             sums = weighed(Kept(kept.rows, fit, seen, spent), np.zeros(1), len(expected.features))

@@ -44,7 +44,11 @@ from slam_gym.association.tracking.hypotheses import (
     Rates,
     ScanProblem,
     Searched,
+    affordable,
+    is_crowded,
+    levels_of,
     limits_of,
+    most_of_each,
     posterior_of,
     scan_area,
     search_tree,
@@ -209,13 +213,18 @@ def _decide(
         return refused, (np.empty((m, 0)), nothing, new, past.detections, area), (0.0, 0.0, rows, 0.0, nothing, nothing)
     chosen = _worth_searching(looks, scan, expected, past, limits, prices, network)
     kept = gathered(chosen, m, expected, past, limits, prices)
+    crowded, most = np.zeros(m, np.bool_), most_of_each(m)
+    for look in looks:
+        crowded |= is_crowded(look.candidates.starts, most)
     sums = weighed(kept, past.detections, len(expected.features))
     for i in range(m):
         for j in range(len(expected.features)):
             if sums.pairings[i, j] > (threshold if expected.sightings[j] >= confirmations else provisional):
                 rows[i] = j
-        new[i] = rows[i] == UNPAIRED and sums.unpaired[i] > threshold
-    answer = decided(expected, rows, joint_distance_of(scan, expected, rows), kept.spent, NO_FAULT)
+        new[i] = rows[i] == UNPAIRED and sums.unpaired[i] > threshold and not crowded[i]
+    nodes, individual_tests, joint_tests, cut = kept.spent
+    spent = Spent(nodes, individual_tests, joint_tests, cut or bool(crowded.any()))
+    answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent, NO_FAULT)
     told = sums.pairings, sums.unpaired, new, sums.by_value, area
     return answer, told, posterior_of(expected, kept.rows, sums, rows)
 
@@ -243,8 +252,9 @@ def looks_of(
     looks: list[Look] = []
     for part in parts_of(expected):
         bad, candidates = gate_pairings(
-            points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_), gate
-        )
+            points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_), gate,
+            most_of_each(len(points)),
+        )  # fmt: skip
         if bad[0] != 0:
             fault = bad
         strange = int(np.count_nonzero(candidates.starts[1:] == candidates.starts[:-1]))
@@ -267,13 +277,14 @@ def _greatest_score(noise: Array, starts: IntArray, rates: Rates) -> float:
 
 
 @compiled
-def problem_of(look: Look, scan: ScanArrays, expected: Expected) -> ScanProblem:
+def problem_of(look: Look, scan: ScanArrays, expected: Expected, gate: float) -> ScanProblem:
     """What a search in a narrow heading takes."""
     part, found = look.part, look.candidates
     visible = visibility(expected, part.positions, part.covariances)[0]
     joint = joint_in(expected, part, found.rows)
     pairings = Pairings(found.slots, found.measured, found.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0)
-    return ScanProblem(part, pairings, found.starts, found.rows, visible, look.rates)
+    levels = levels_of(pairings, found.starts, gate)
+    return ScanProblem(part, pairings, found.starts, levels, found.rows, visible, look.rates)
 
 
 @compiled
@@ -296,7 +307,7 @@ def _worth_searching(
         look, n = looks[k], len(found)
         if look.at_most <= best - margin:
             break
-        problem, odds = problem_of(look, scan, expected), np.empty(0)
+        problem, odds = problem_of(look, scan, expected, limits.gate), np.empty(0)
         if len(network.centre) > 0:
             inputs = inputs_of(scan, problem, expected, run_of(past))
             odds = log_odds(network, inputs, look.candidates.measured, look.candidates.slots)
@@ -335,8 +346,9 @@ def gathered(chosen: list[Ready], m: int, expected: Expected, past: Past, limits
     """The hypotheses of all headings that are searched."""
     nodes, tests, joint_tests, cut, count = 0, 0, 0, False, 0
     found: list[Searched] = []
+    width = affordable(limits.width, [ready.problem for ready in chosen])
     for ready in chosen:
-        kept = search_tree(ready.problem, ready.odds, Limits(limits.gate, limits.width, ready.margin))
+        kept = search_tree(ready.problem, ready.odds, Limits(limits.gate, width, ready.margin))
         found.append(kept)
         nodes, tests, joint_tests = nodes + kept.nodes, tests + ready.tests, joint_tests + kept.tests
         cut, count = cut or kept.cut, count + len(kept.fit)

@@ -56,14 +56,15 @@ class Decided(NamedTuple):
 
 
 @compiled
-def offer(scan: ScanArrays, expected: Expected, rows: IntArray, near: bool, gate: float) -> Offer:
-    """What may be paired with the measurements that `rows` (m,) leaves UNPAIRED: features that are `near`, or not."""
+def offer(scan: ScanArrays, expected: Expected, rows: IntArray, near: bool, gate: float, most: int) -> Offer:
+    """What may be paired with the measurements that `rows` (m,) leaves UNPAIRED: features that are `near`, or not, the
+    `most` nearest of each."""
     points, noise = scan[0], scan[1]
     eligible = expected.near if near else ~expected.near
     if len(expected.neighbours) == 0:
         eligible = eligible[:0]  # all of them
     fault, found = gate_pairings(
-        points, noise, expected.positions, expected.covariances, np.flatnonzero(rows == UNPAIRED), eligible, gate
+        points, noise, expected.positions, expected.covariances, np.flatnonzero(rows == UNPAIRED), eligible, gate, most
     )
     paired = np.flatnonzero(rows != UNPAIRED)
     kept = rows[paired]
@@ -137,7 +138,8 @@ def answer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, spent
 @compiled
 def _offer_to(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: bool, gate: float) -> Offer:
     """`offer`, as Python calls it."""
-    return offer(scan, expected_of(prediction[0], prediction[1], prediction[2]), rows, near, gate)
+    expected = expected_of(prediction[0], prediction[1], prediction[2])
+    return offer(scan, expected, rows, near, gate, len(expected.features))
 
 
 def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntArray], Effort]) -> Hypothesis:

@@ -76,8 +76,9 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual:
     m = len(scan[0])
     rows, everywhere = np.full(m, UNPAIRED), expected.near[:0]
     fault, found = gate_pairings(
-        scan[0], scan[1], expected.positions, expected.covariances, np.arange(m), everywhere, gate
-    )
+        scan[0], scan[1], expected.positions, expected.covariances, np.arange(m), everywhere, gate,
+        len(expected.features),
+    )  # fmt: skip
     starts, slots = found.starts, found.slots
     if fault[0] == 0:
         wanted = np.zeros(len(found.rows), np.int64)
