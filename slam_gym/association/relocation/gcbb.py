@@ -45,8 +45,8 @@ def gcbb(
     begin with a feature that was seen together with all of theirs, so that less is lost to a strict locality.
 
     `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `WORK_LIMIT` ends the search,
-    `effort.limit_hit` says so and the best hypothesis until then is returned. Raises ValueError for bad numbers in scan or map, and for a locality of
-    another map.
+    `effort.limit_hit` says so and the best hypothesis until then is returned. Raises ValueError for bad numbers in scan
+    or map, and for a locality of another map.
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
