@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph, among
-from slam_gym.mapping.foresight import Locality, RowArrays, foresee, keep_rows, rows_for
 from slam_gym.mapping.linear_algebra import padded
-from slam_gym.mapping.measurement import joint_covariance
+from slam_gym.mapping.measurement import Locality, RowArrays, foresee, joint_covariance, keep_rows, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
 from slam_gym.types import (

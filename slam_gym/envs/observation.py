@@ -14,8 +14,7 @@ from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe as seen_from
 from slam_gym.mapping.stochastic_map import StochasticMap
-from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.grid import Blocks, Cells, draw_egocentric
+from slam_gym.navigation.explored_grid import Blocks, Cells, ExploredGrid, draw_egocentric
 from slam_gym.simulation.goals import FRONTIERS, SLOTS, Goals
 from slam_gym.types import Array, Scan
 

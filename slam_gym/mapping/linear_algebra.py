@@ -133,18 +133,16 @@ def subtract_squares(P: Array, W: Array) -> None:
         length = (d - left) // _LANES * _LANES
         block = P[i, left:], P[i + 1, left:], P[i + 2, left:], P[i + 3, left:]
         for k in range(0, rows, 2):
-            _subtract_from(*block, W[k, left:], W[k + 1, left:], W[k, i : i + 4], W[k + 1, i : i + 4], length)
+            _subtract_from(*block, W[k, left:], W[k + 1, left:], W[k : k + 2, i : i + 4], length)
     for j in range(d):
         P[j, j] += ROUNDING * lost[j]
 
 
 @inlined
-def _subtract_from(
-    p: Array, q: Array, r: Array, s: Array, w: Array, v: Array, by_w: Array, by_v: Array, length: int
-) -> None:
-    """Rows p to s (`length`,) −= `by_w` (4,) times row w, plus `by_v` (4,) times row v."""
-    pw, qw, rw, sw = -by_w[0], -by_w[1], -by_w[2], -by_w[3]
-    pv, qv, rv, sv = -by_v[0], -by_v[1], -by_v[2], -by_v[3]
+def _subtract_from(p: Array, q: Array, r: Array, s: Array, w: Array, v: Array, by: Array, length: int) -> None:
+    """Rows p to s (`length`,) −= `by` (2, 4), its rows times rows w and v."""
+    pw, qw, rw, sw = -by[0, 0], -by[0, 1], -by[0, 2], -by[0, 3]
+    pv, qv, rv, sv = -by[1, 0], -by[1, 1], -by[1, 2], -by[1, 3]
     for j in range(length):
         p[j] = _fma(pw, w[j], _fma(pv, v[j], p[j]))
         q[j] = _fma(qw, w[j], _fma(qv, v[j], q[j]))

@@ -1,4 +1,4 @@
-"""What the map expects to measure: predicted positions in R, with their covariances. Compiled.
+"""What the map expects of a scan: the features in reach, their positions in R, and the covariances of these. Compiled.
 
 State x and P (upper triangle) are those of `ekf`; h_j(x) = Cᵀ(F_j − t) and H_j = Cᵀ[−I  −JΔ  0 … I … 0] are its
 measurement function and Jacobian.
@@ -24,8 +24,26 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.mapping.ekf import turned
-from slam_gym.types import Array, IntArray
+from slam_gym.mapping import ekf
+from slam_gym.mapping.covisibility import mark_local
+from slam_gym.mapping.ekf import MapArrays, turned
+from slam_gym.types import Array, BoolArray, IntArray
+
+RowArrays = tuple[IntArray, Array, BoolArray, Array, Array, Array]
+"""Rows of (4, n): features, kinds, ages, sightings; of (2, n): sizes, variances; near (n,), positions (n, 2),
+covariances (n, 2, 2) and those with the heading (n, 2). The first k of each are filled in."""
+
+Locality = tuple[IntArray, IntArray, IntArray]
+"""Neighbours and degrees of the covisibility graph, empty where all features are near; (r,) features that recent scans
+paired, or UNPAIRED."""
+
+
+def rows_for(n: int) -> RowArrays:
+    """Room for what is known of n features."""
+    return (
+        np.empty((4, n), np.int64), np.empty((2, n)), np.empty(n, np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)),
+        np.empty((n, 2)),
+    )  # fmt: skip
 
 
 @compiled
@@ -43,7 +61,7 @@ def _relative_covariance(x: Array, P: Array, f: int) -> tuple[float, float, floa
 
 
 @compiled
-def features_in_reach(
+def _features_in_reach(
     x: Array, P: Array, n: int, reach: float, second_order: bool, out: tuple[IntArray, Array, Array, Array]
 ) -> int:
     """How many features have ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ.
@@ -79,6 +97,57 @@ def features_in_reach(
         covariances[k, 1, 0], covariances[k, 1, 1] = xy, yy
         k += 1
     return k
+
+
+@compiled
+def foresee(
+    arrays: MapArrays,
+    counts: tuple[int, int],
+    odometry: tuple[bool, Array, Array],
+    reach: float,
+    second_order: bool,
+    locality: Locality,
+    pose: Array,
+    out: RowArrays,
+) -> int:
+    """`ekf.predict` where the robot moves, then the k features in reach with what is known of them; −1: refused.
+
+    Arguments:
+        arrays: of a map.
+        counts: its features n, and the steps that have ended in it.
+        odometry: whether the robot moves; by what (3,), and the covariance (3, 3) of that.
+        pose: (4,) receives the predicted pose and the variance of its heading.
+        out: receives the features.
+    """
+    (x, P, counted, sized), (n, step), (moves, motion, Q) = arrays, counts, odometry
+    (known, sizes, near, positions, covariances, across), (neighbours, degrees, recent) = out, locality
+    if moves and not ekf.predict(x, P, 3 + 2 * n, motion, Q):
+        return -1
+    pose[0], pose[1], pose[2], pose[3] = x[0], x[1], x[2], P[2, 2]
+    features, kinds, ages, sightings = known[0], known[1], known[2], known[3]
+    k = _features_in_reach(x, P, n, reach, second_order, (features, positions, covariances, across))
+    local = mark_local(neighbours, degrees, n, recent)
+    for row in range(k):
+        j = features[row]
+        kinds[row], ages[row] = counted[ekf.KINDS, j], step - counted[ekf.FIRST_SEEN, j]
+        sightings[row] = counted[ekf.SEEN, j]
+        sizes[0, row], sizes[1, row] = sized[ekf.SIZES, j], sized[ekf.VARIANCES, j]
+        near[row] = local[j]
+    return k
+
+
+@compiled
+def keep_rows(out: RowArrays, kept: IntArray) -> None:
+    """Move the rows `kept` (j,), ascending, to the front."""
+    known, sizes, near, positions, covariances, across = out
+    for row in range(len(kept)):
+        was = kept[row]  # entry by entry: slices take two seconds to compile
+        near[row] = near[was]
+        for k in range(2):
+            sizes[k, row], positions[row, k], across[row, k] = sizes[k, was], positions[was, k], across[was, k]
+            covariances[row, k, 0], covariances[row, k, 1] = covariances[was, k, 0], covariances[was, k, 1]
+        for k in range(4):
+            known[k, row] = known[k, was]
 
 
 @compiled

@@ -193,11 +193,6 @@ class StochasticMap:
         """(n,) seen in fewer steps than confirm a feature: by default, in one only."""
         return np.less(self._counted[ekf.SEEN, : self.n], self.spec.confirmations)
 
-    def established(self, features: IntArray) -> BoolArray:
-        """(k,) which of `features` (k,) are not provisional."""
-        often: BoolArray = self._counted[ekf.SEEN][features] >= self.spec.confirmations
-        return often
-
     # the filter
 
     def predict(self, odometry: Odometry) -> None:
@@ -266,13 +261,6 @@ class StochasticMap:
         ekf.keep(self.arrays, kept)
         self.learned(len(kept) - self.n)
         return kept
-
-    def unconfirmed(self) -> IntArray:
-        """Indices of the features that maintenance drops: provisional, first seen over `unconfirmed_age` steps ago."""
-        age = self.spec.unconfirmed_age
-        if age is None:
-            return np.empty(0, dtype=np.int64)
-        return np.flatnonzero(self.provisional & (self._counted[ekf.FIRST_SEEN, : self.n] < self.step - age))
 
     def end_of_step(self) -> None:
         """Advance the step number."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.mapping.linear_algebra import cholesky
-from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.grid import WALL, Cells, ExploredCells, border_crossings
+from slam_gym.navigation.explored_grid import Cells, ExploredCells, ExploredGrid
+from slam_gym.navigation.visibility import passage
 from slam_gym.types import Array, IntArray
 
 MAX_FEATURES = 12  # nearest features in view that the foreseen update uses
@@ -46,12 +46,7 @@ def _features_in_sight(x: Array, packed: tuple[Cells, Array, float], places: Arr
     """See `features_in_sight`."""
     explored, out = ExploredCells(*packed), np.zeros(places.shape[0], np.int64)
     for q in range(places.shape[0]):
-        for j in range((len(x) - 3) // 2):
-            dx, dy = x[3 + 2 * j] - places[q, 0], x[4 + 2 * j] - places[q, 1]
-            if abs(dx) > reach or abs(dy) > reach:  # most of them, and cheaper than the root
-                continue
-            if math.hypot(dx, dy) <= reach and _in_sight(explored, places[q], x[3 + 2 * j : 5 + 2 * j]):
-                out[q] += 1
+        out[q] = len(_in_view(x, explored, places[q], reach, len(x)))
     return out
 
 
@@ -62,15 +57,15 @@ def _expected_reduction(
     """See `expected_reduction`; `r` and `drift` are variances."""
     explored, out = ExploredCells(*packed), np.zeros(places.shape[0])
     for q in range(places.shape[0]):
-        features = _in_view(x, explored, places[q], reach)
+        features = _in_view(x, explored, places[q], reach, MAX_FEATURES)
         if len(features):
             out[q] = _reduction(x, P, places[q], features, r, drift[q])
     return out
 
 
 @compiled
-def _in_view(x: Array, explored: ExploredCells, place: Array, reach: float) -> IntArray:
-    """The nearest features within reach of the place and in line of sight."""
+def _in_view(x: Array, explored: ExploredCells, place: Array, reach: float, most: int) -> IntArray:
+    """The nearest features within reach of the place and in line of sight, at most so many."""
     n = (len(x) - 3) // 2
     near, distances, k = np.empty(n, np.int64), np.empty(n), 0
     for j in range(n):
@@ -81,36 +76,15 @@ def _in_view(x: Array, explored: ExploredCells, place: Array, reach: float) -> I
         if distance <= reach:
             near[k], distances[k] = j, distance
             k += 1
-    chosen, count = np.empty(MAX_FEATURES, np.int64), 0
-    for i in np.argsort(distances[:k], kind="mergesort"):
-        if count < MAX_FEATURES and _in_sight(explored, place, x[3 + 2 * near[i] : 5 + 2 * near[i]]):
-            chosen[count] = near[i]
+    side, count = explored.resolution, 0
+    from_x, from_y = (place[0] - explored.origin[0]) / side, (place[1] - explored.origin[1]) / side
+    nearest = near[np.argsort(distances[:k], kind="mergesort")]
+    for j in nearest:
+        dx, dy = (x[3 + 2 * j] - place[0]) / side, (x[4 + 2 * j] - place[1]) / side
+        if count < most and passage(explored.cells, from_x, from_y, dx, dy, 1.0) > 0.0:  # the unknown hides nothing
+            nearest[count] = j
             count += 1
-    return chosen[:count]
-
-
-@compiled
-def _in_sight(explored: ExploredCells, place: Array, target: Array) -> bool:
-    """No wall cell between the two, but for the last two cells: features stand at walls."""
-    dx, dy = target[0] - place[0], target[1] - place[1]
-    distance = math.hypot(dx, dy)
-    end = distance / explored.resolution - 2.0
-    if end <= 0.0:
-        return True
-    x, y = (place[0] - explored.origin[0]) / explored.resolution, (place[1] - explored.origin[1]) / explored.resolution
-    step_x, next_x, stride_x = border_crossings(x, dx / distance)
-    step_y, next_y, stride_y = border_crossings(y, dy / distance)
-    column, row = math.floor(x), math.floor(y)
-    while 0 <= row < explored.cells.shape[0] and 0 <= column < explored.cells.shape[1]:
-        if explored.cells[row, column] == WALL:
-            return False
-        if min(next_x, next_y) >= end:
-            return True
-        if next_x < next_y:
-            column, next_x = column + step_x, next_x + stride_x
-        else:
-            row, next_y = row + step_y, next_y + stride_y
-    return False
+    return nearest[:count]
 
 
 @compiled

@@ -1,16 +1,74 @@
-"""What has been explored: a grid of free, wall and unknown cells, built from beams and the *estimated* poses."""
+"""What has been explored: a grid of free, wall and unknown cells, built from beams and the *estimated* poses.
+
+Cells are addressed [row, column]; row 0 lies at the lowest y, column 0 at the lowest x, both at the grid's `origin`.
+The loops that walk the grid are compiled.
+"""
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
+from slam_gym._jit import compiled
 from slam_gym.mapping.linear_algebra import read_only
-from slam_gym.navigation import grid
-from slam_gym.navigation.frontiers import Frontiers, find_frontiers
-from slam_gym.navigation.grid import FREE, UNKNOWN, WALL, Cells, ExploredCells
-from slam_gym.types import Array, Beams, BoolArray
+from slam_gym.types import Array, Beams
 
-__all__ = ["FREE", "UNKNOWN", "WALL", "Cells", "ExploredCells", "ExploredGrid", "Frontiers"]
+UNKNOWN, FREE, WALL = 0, 1, 2
+
+Cells = NDArray[np.uint8]  # (h, w) class of each cell
+Evidence = NDArray[np.int8]  # (h, w) for a wall where > 0, for free space where < 0
+Sweeps = NDArray[np.int32]  # (h, w) the sweep that last touched each cell
+Counts = NDArray[np.uint32]  # (h, w) movable sweeps that had an echo in each cell, or that crossed it
+Indices = NDArray[np.int32]  # (h · w,) flat indices of cells
+Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
+
+HIT, MISS = np.int64(3), np.int64(-1)  # evidence of one sweep for the cell of an echo, and for one that a beam crossed
+SATURATION = 8  # |evidence| never exceeds it, so that nine crossings wash out a wall that has gone
+BLOCK = 2  # cells on a block's side
+SHADE = 85  # brightness that one feature adds to its pixel
+_MAX_CELLS = 20_000_000
+
+
+def shape_of(bounds: Array, cell: float) -> tuple[int, int]:
+    """Rows and columns of a grid over `bounds` (4,) [m] xmin, ymin, xmax, ymax, its cells of side `cell` [m].
+
+    Raises ValueError for bounds that are not finite or enclose nothing, a side that is not finite and positive, and
+    more than 20 million cells.
+    """
+    bounds = np.array(bounds, dtype=np.float64)
+    if bounds.shape != (4,) or not np.isfinite(bounds).all() or (bounds[2:] <= bounds[:2]).any():
+        raise ValueError(f"bounds: expected finite xmin < xmax and ymin < ymax [m], got {bounds.tolist()}")
+    if not 0.0 < cell < math.inf:
+        raise ValueError(f"side of a cell: expected a finite length > 0 [m], got {cell}")
+    width, height = np.ceil((bounds[2:] - bounds[:2]) / cell - 1e-9)
+    if width * height > _MAX_CELLS:
+        raise ValueError(f"bounds: {width:.0f} × {height:.0f} cells are more than {_MAX_CELLS}")
+    return int(height), int(width)
+
+
+class ExploredCells(NamedTuple):
+    """Free, wall and unknown cells, to be looked at."""
+
+    cells: Cells
+    origin: Array  # (2,) [m] in B of the lower left corner
+    resolution: float  # [m] side of a cell
+
+
+@compiled
+def border_crossings(position: float, direction: float) -> tuple[int, float, float]:
+    """Grid traversal along one axis (Amanatides and Woo 1987), lengths in cells.
+
+    The step of the cell index, the length of the ray up to the first border crossed, and from one border to the next.
+    Whoever walks a ray writes the loop out: a tuple that is replaced at every cell makes it four times as slow.
+    """
+    if direction > 0.0:
+        return 1, (math.floor(position) + 1.0 - position) / direction, 1.0 / direction
+    if direction < 0.0:
+        return -1, (math.floor(position) - position) / direction, -1.0 / direction
+    return 0, math.inf, math.inf
 
 
 class ExploredGrid:
@@ -20,21 +78,20 @@ class ExploredGrid:
     sweep. Its sign is the cell's class (a tie leaves the class as it was), and its saturation at ±8 lets new evidence
     overrule old after the pose estimate has been corrected, or a person has walked on.
 
-    `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `resolution` [m] side of a cell. Cells are addressed [row, column];
-    row 0 lies at ymin, column 0 at xmin. Raises ValueError for bounds that are not finite or enclose nothing, and for
-    more than 20 million cells.
+    `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `resolution` [m] side of a cell. Raises ValueError for bounds that
+    are not finite or enclose nothing, and for more than 20 million cells.
     """
 
     def __init__(self, bounds: Array, resolution: float = 0.2) -> None:
-        shape = grid.shape_of(bounds, resolution)
+        shape = shape_of(bounds, resolution)
         self.resolution = float(resolution)
         self.origin: Array = np.array(bounds[:2], dtype=np.float64)  # (2,) [m] in B
         self._cells = np.full(shape, UNKNOWN, dtype=np.uint8)
-        self._blocks = np.zeros([-(-side // grid.BLOCK) for side in shape], dtype=np.int16)
+        self._blocks = np.zeros([-(-side // BLOCK) for side in shape], dtype=np.int16)
         evidence, sweeps = np.zeros(shape, dtype=np.int8), np.zeros(shape, dtype=np.int32)
         hits, crossings = np.zeros(shape, dtype=np.uint32), np.zeros(shape, dtype=np.uint32)
         touched = np.empty(shape[0] * shape[1], dtype=np.int32)
-        self._layers: grid.PackedLayers = (self._cells, evidence, self._blocks, sweeps, hits, crossings, touched)
+        self._layers: PackedLayers = (self._cells, evidence, self._blocks, sweeps, hits, crossings, touched)
         self._sweep = 0  # number of the last one
 
     @property
@@ -48,8 +105,8 @@ class ExploredGrid:
         return ExploredCells(self.cells, read_only(self.origin), self.resolution)
 
     @property
-    def drawn(self) -> tuple[grid.Blocks, Array, float]:
-        """What `grid.draw_egocentric` draws: blocks of cells, themselves, their origin and the side of a cell."""
+    def drawn(self) -> tuple[Blocks, Array, float]:
+        """What `draw_egocentric` draws: blocks of cells, themselves, their origin and the side of a cell."""
         return self._blocks, self.origin, self.resolution
 
     def integrate(self, pose: Array, beams: Beams, movable: bool = False) -> None:
@@ -62,7 +119,7 @@ class ExploredGrid:
         if len(pose) != 3:
             raise ValueError(f"pose: expected (3,), got {pose}")
         self._sweep += 1
-        grid.integrate(
+        _integrate(
             self._layers, self._sweep, movable, self.origin, self.resolution, pose,
             (beams.bearings, beams.ranges, beams.max_range),
         )  # fmt: skip
@@ -74,23 +131,10 @@ class ExploredGrid:
         changes what a cell was seen to be, its class follows from all movable sweeps that it is in, in whatever order.
         """
         first, self._sweep = self._sweep + 1, self._sweep + 2 * len(before)
-        grid.redraw(
+        _redraw(
             self._layers, first, self.origin, self.resolution, (before, after, beams.ranges), beams.bearings,
             beams.max_range,
         )  # fmt: skip
-
-    def frontiers(self, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0) -> Frontiers:
-        """Frontiers at least `min_length` [m] long: connected free cells with an unknown cell beside them.
-
-        A frontier reaching further than `span` [m] from its first cell is split there, since one centre could not
-        stand for all of it. A centre is the `reachable` (h, w) cell nearest to the frontier's centroid; frontiers
-        without one are left out. By default every free cell counts as reachable.
-        """
-        if reachable is None:
-            reachable = self._cells == FREE
-        borders = min_length / self.resolution - 1e-9
-        found = find_frontiers(self._cells, reachable, borders, span / self.resolution).astype(np.float64)
-        return Frontiers(self.origin + (found[:, :2] + 0.5) * self.resolution, found[:, 2] * self.resolution)
 
     def expected_area(self, points: Array, reach: float, rays: int = 32) -> Array:
         """Unknown area [m²] (q,) within `reach` [m] of each of `points` (q, 2) in B, in view past the known walls.
@@ -98,7 +142,7 @@ class ExploredGrid:
         Integrates ∫∫ r dr dθ over the unknown stretches of `rays` evenly spaced rays.
         """
         points = (np.ascontiguousarray(points, dtype=np.float64) - self.origin) / self.resolution
-        return grid.unknown_areas(self._cells, points, reach / self.resolution, rays) * self.resolution**2
+        return _unknown_areas(self._cells, points, reach / self.resolution, rays) * self.resolution**2
 
     def egocentric(self, pose: Array, features: Array, pixels: int = 48, metres: float = 24.0) -> Cells:
         """The grid around the robot at `pose` (3,) in B, heading up, its left on the left: (3, pixels, pixels).
@@ -107,5 +151,237 @@ class ExploredGrid:
         density of `features` (n, 2) in B (85 each, at most 255). The image covers `metres` × `metres` [m].
         """
         image = np.empty((3, pixels, pixels), np.uint8)
-        grid.draw_egocentric(*self.drawn, pose, np.ascontiguousarray(features), metres, image)
+        draw_egocentric(*self.drawn, pose, np.ascontiguousarray(features), metres, image)
         return image
+
+
+class Layers(NamedTuple):
+    """What is kept of every cell."""
+
+    cells: Cells
+    evidence: Evidence
+    blocks: Blocks
+    sweeps: Sweeps
+    hits: Counts
+    crossings: Counts
+    touched: Indices  # to work in
+
+
+PackedLayers = tuple[Cells, Evidence, Blocks, Sweeps, Counts, Counts, Indices]
+"""`Layers` as compiled functions take them."""
+
+
+@compiled
+def _trace(
+    layers: Layers,
+    sweep: int,
+    origin: Array,
+    resolution: float,
+    pose: Array,
+    bearings: Array,
+    ranges: Array,
+    max_range: float,
+) -> tuple[int, int]:
+    """The cells of one sweep of beams, each once, as flat indices in `touched`; the number of echoes, and of all.
+
+    Echoes come first, so that no other beam grazing past them in the same sweep erases them. `sweep` is a number that
+    no earlier sweep had.
+    """
+    sweeps, touched = layers.sweeps, layers.touched
+    h, w = sweeps.shape
+    x, y = (pose[0] - origin[0]) / resolution, (pose[1] - origin[1]) / resolution
+    count, directions = 0, np.empty((bearings.shape[0], 2))
+    for b in range(bearings.shape[0]):
+        directions[b, 0], directions[b, 1] = math.cos(pose[2] + bearings[b]), math.sin(pose[2] + bearings[b])
+        if 0.0 <= ranges[b] < max_range:
+            column = math.floor(x + ranges[b] / resolution * directions[b, 0])
+            row = math.floor(y + ranges[b] / resolution * directions[b, 1])
+            if 0 <= row < h and 0 <= column < w and sweeps[row, column] != sweep:
+                sweeps[row, column] = sweep
+                touched[count] = row * w + column
+                count += 1
+    echoes = count
+    for b in range(bearings.shape[0]):
+        if not ranges[b] >= 0.0:
+            continue
+        reach = min(ranges[b], max_range) / resolution
+        step_x, next_x, stride_x = border_crossings(x, directions[b, 0])
+        step_y, next_y, stride_y = border_crossings(y, directions[b, 1])
+        column, row = math.floor(x), math.floor(y)
+        while 0 <= row < h and 0 <= column < w:
+            if sweeps[row, column] != sweep:
+                sweeps[row, column] = sweep
+                touched[count] = row * w + column
+                count += 1
+            if min(next_x, next_y) >= reach:
+                break
+            if next_x < next_y:
+                column, next_x = column + step_x, next_x + stride_x
+            else:
+                row, next_y = row + step_y, next_y + stride_y
+    return echoes, count
+
+
+@compiled
+def _reclassify(layers: Layers, cell: int, after: int) -> None:
+    """Give the cell of that flat index another class."""
+    w = layers.cells.shape[1]
+    row, column = cell // w, cell % w
+    before = layers.cells[row, column]
+    layers.cells[row, column] = after
+    freed = int(after == FREE) - int(before == FREE)
+    walled = int(after == WALL) - int(before == WALL)
+    layers.blocks[row // BLOCK, column // BLOCK] += freed + 256 * walled
+
+
+@compiled
+def _integrate(
+    packed: PackedLayers,
+    sweep: int,
+    counted: bool,
+    origin: Array,
+    resolution: float,
+    pose: Array,
+    beams: tuple[Array, Array, float],
+) -> None:
+    """Enter one sweep of beams (bearings, ranges, greatest range): see `ExploredGrid.integrate`.
+
+    A sweep that is `counted` can be moved later.
+    """
+    bearings, ranges, max_range = beams
+    if not math.isfinite(pose[0] + pose[1] + pose[2]):
+        raise ValueError("pose: expected finite numbers")
+    layers = Layers(*packed)
+    cells, evidence, touched = layers.cells.ravel(), layers.evidence.ravel(), layers.touched
+    hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
+    echoes, end = _trace(layers, sweep, origin, resolution, pose, bearings, ranges, max_range)
+    if counted:
+        for i in range(echoes):
+            hits[touched[i]] += 1
+        for i in range(echoes, end):
+            crossings[touched[i]] += 1
+    for i in range(end):
+        cell = touched[i]
+        if i >= echoes and evidence[cell] == -SATURATION:  # free beyond doubt
+            continue
+        weight = min(SATURATION, max(-SATURATION, evidence[cell] + (HIT if i < echoes else MISS)))
+        evidence[cell] = weight
+        after = FREE if weight < 0 else WALL
+        if weight != 0 and cells[cell] != after:
+            _reclassify(layers, cell, after)
+
+
+@compiled
+def _redraw(
+    packed: PackedLayers,
+    first_sweep: int,
+    origin: Array,
+    resolution: float,
+    moved: tuple[Array, Array, Array],
+    bearings: Array,
+    max_range: float,
+) -> None:
+    """Move counted sweeps: `moved` are their poses so far (k, 3), their new poses (k, 3), and their ranges (k, b).
+
+    A pose that is NaN stands for a sweep that is not in the grid. Evidence saturates and cannot be subtracted; the
+    counts can. Where these change, evidence and class follow from the counts alone, as if the sweeps had come in any
+    order. The numbers of sweeps from `first_sweep` to `first_sweep` + 2k − 1 are used up.
+    """
+    layers, (before, after, ranges) = Layers(*packed), moved
+    size, sweep, changed, touched = layers.cells.size, first_sweep, 0, layers.touched
+    hits, crossings = layers.hits.ravel(), layers.crossings.ravel()
+    marked, journal = np.zeros(size, np.bool_), np.empty(size, np.int32)
+    old_hits, old_crossings = np.empty(size, hits.dtype), np.empty(size, crossings.dtype)
+    for k in range(len(ranges)):
+        for pose, is_added in ((before[k], False), (after[k], True)):
+            if math.isnan(pose[0]):
+                continue
+            echoes, end = _trace(layers, sweep, origin, resolution, pose, bearings, ranges[k], max_range)
+            sweep += 1
+            for i in range(end):
+                cell = touched[i]
+                if not marked[cell]:
+                    marked[cell], journal[changed] = True, cell
+                    old_hits[changed], old_crossings[changed] = hits[cell], crossings[cell]
+                    changed += 1
+                counts = hits if i < echoes else crossings
+                if is_added:
+                    counts[cell] += 1
+                else:
+                    counts[cell] -= 1
+    for i in range(changed):
+        cell = journal[i]
+        if hits[cell] == old_hits[i] and crossings[cell] == old_crossings[i]:
+            continue
+        weight = int(HIT) * int(hits[cell]) + int(MISS) * int(crossings[cell])
+        layers.evidence.ravel()[cell] = min(SATURATION, max(-SATURATION, weight))
+        seen = UNKNOWN if hits[cell] + crossings[cell] == 0 else (WALL if weight > 0 else FREE)
+        if layers.cells.ravel()[cell] != seen:
+            _reclassify(layers, cell, seen)
+
+
+@compiled
+def _unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Array:
+    """Unknown area [cells] in view of each point (q, 2) [cells]: Σ over rays of Δθ (r₂² − r₁²)/2 per unknown cell."""
+    h, w = cells.shape
+    areas = np.zeros(points.shape[0])
+    for k in range(rays):
+        angle = 2.0 * math.pi * (k + 0.5) / rays
+        dx, dy = math.cos(angle), math.sin(angle)
+        for q in range(points.shape[0]):
+            step_x, next_x, stride_x = border_crossings(points[q, 0], dx)
+            step_y, next_y, stride_y = border_crossings(points[q, 1], dy)
+            column, row, entered = math.floor(points[q, 0]), math.floor(points[q, 1]), 0.0
+            while entered < reach and 0 <= row < h and 0 <= column < w and cells[row, column] != WALL:
+                left = min(next_x, next_y, reach)
+                if cells[row, column] == UNKNOWN:
+                    areas[q] += (left * left - entered * entered) * math.pi / rays
+                entered = left
+                if next_x < next_y:
+                    column, next_x = column + step_x, next_x + stride_x
+                else:
+                    row, next_y = row + step_y, next_y + stride_y
+    return areas
+
+
+@compiled
+def draw_egocentric(
+    blocks: Blocks, origin: Array, resolution: float, pose: Array, features: Array, metres: float, image: Cells
+) -> None:
+    """See `ExploredGrid.egocentric`, drawn in `image` (3, pixels, pixels). Two samples of the blocks per pixel,
+    staggered, so that hardly a thin wall slips through; block indices advance in fixed point, 16 bits behind the point.
+    """
+    h, w, pixels = blocks.shape[0], blocks.shape[1], image.shape[1]
+    unit, pixel = 65536.0 / (resolution * BLOCK), metres / pixels
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    step_x, step_y = int(sin * pixel * unit), int(-cos * pixel * unit)  # from a pixel to the one on its right
+    sums = np.empty(pixels, dtype=np.int32)
+    for row in range(pixels):
+        sums[:] = 0
+        for quarter in (0.25, 0.75):
+            ahead, left = metres / 2.0 - (row + quarter) * pixel, metres / 2.0 - quarter * pixel
+            x = math.floor((pose[0] + cos * ahead - sin * left - origin[0]) * unit)
+            y = math.floor((pose[1] + sin * ahead + cos * left - origin[1]) * unit)
+            far_x, far_y = x + (pixels - 1) * step_x, y + (pixels - 1) * step_y
+            if max(x, far_x) < 0 or max(y, far_y) < 0 or min(x, far_x) >> 16 >= w or min(y, far_y) >> 16 >= h:
+                continue  # all of it lies outside
+            if min(x, far_x) >= 0 and min(y, far_y) >= 0 and max(x, far_x) >> 16 < w and max(y, far_y) >> 16 < h:
+                for i in range(pixels):
+                    sums[i] += blocks[np.uint64(y >> 16), np.uint64(x >> 16)]  # of no sign, or it would be tested
+                    x, y = x + step_x, y + step_y
+                continue
+            for i in range(pixels):
+                r, c = y >> 16, x >> 16
+                if 0 <= r < h and 0 <= c < w:
+                    sums[i] += blocks[r, c]
+                x, y = x + step_x, y + step_y
+        for i in range(pixels):
+            image[0, row, i] = (sums[i] & 255) * 255 >> 3
+            image[1, row, i] = min(255, (sums[i] >> 8) * 64)
+            image[2, row, i] = 0
+    for j in range(features.shape[0]):
+        dx, dy = features[j, 0] - pose[0], features[j, 1] - pose[1]
+        row = math.floor((metres / 2.0 - cos * dx - sin * dy) / pixel)
+        column = math.floor((metres / 2.0 + sin * dx - cos * dy) / pixel)
+        if 0 <= row < pixels and 0 <= column < pixels:
+            image[2, row, column] = min(255, image[2, row, column] + SHADE)

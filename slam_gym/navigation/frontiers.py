@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
-from slam_gym.navigation.grid import FREE, UNKNOWN, Cells
+from slam_gym.navigation.explored_grid import FREE, UNKNOWN, Cells, ExploredGrid
 from slam_gym.types import Array, BoolArray, IntArray
 
 Labels = NDArray[np.int32]  # (h, w) ON_FRONTIER, or the component of a frontier cell, or the last to look at a cell
@@ -17,22 +16,25 @@ ON_FRONTIER = -1
 _RINGS = 2  # how many cells off a frontier the cell that stands for it may lie
 
 
-@dataclass(frozen=True, slots=True)
-class Frontiers:
-    """The frontiers of a grid."""
+def frontiers(
+    grid: ExploredGrid, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0
+) -> Array:
+    """(q, 2) [m] in B: a centre of each frontier at least `min_length` [m] long.
 
-    centres: Array  # (q, 2) [m] in B, centre of a reachable free cell of (or by) each frontier
-    sizes: Array  # (q,) [m] length of the border with the unknown
-
-    def __len__(self) -> int:
-        return len(self.centres)
+    A frontier is a set of 8-connected free cells with an unknown 4-neighbour, as long as there are unknown cells beside
+    it. One that reaches further than `span` [m] from its first cell is split there, since one centre could not stand
+    for all of it. The centre is that of the `reachable` (h, w) cell nearest to the frontier's centroid; frontiers
+    without one are left out. By default every free cell counts as reachable.
+    """
+    cells, side = grid.cells, grid.resolution
+    reachable = cells == FREE if reachable is None else reachable
+    found = find_frontiers(cells, reachable, min_length / side - 1e-9, span / side)
+    centres: Array = grid.origin + (found[:, :2] + 0.5) * side
+    return centres
 
 
 def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: float) -> IntArray:
-    """Column and row of the cell that stands for each frontier, and the number of unknown cells beside it (q, 3).
-
-    A frontier is a set of 8-connected free cells with an unknown 4-neighbour, none further than `span` from the first.
-    """
+    """Column and row of the cell that stands for each frontier, and the number of unknown cells beside it (q, 3)."""
     unknown = np.pad(cells == UNKNOWN, 1)
     beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
     labels = np.where((cells == FREE) & beside, np.int32(ON_FRONTIER), np.int32(0))
@@ -49,8 +51,7 @@ def _components(cells: Cells, labels: Labels, reachable: BoolArray, min_border: 
         for c in range(w):
             if labels[r, c] == ON_FRONTIER:
                 component += 1
-                end = _grow(labels, queue, r, c, component, span)
-                border = _border(cells, labels, queue, end, component)
+                end, border = _grow(cells, labels, queue, (r, c), component, span)
                 if border >= min_border:
                     row, column = _stand_in(cells, labels, reachable, queue, end, component)
                     if row >= 0:
@@ -60,12 +61,15 @@ def _components(cells: Cells, labels: Labels, reachable: BoolArray, min_border: 
 
 
 @compiled
-def _grow(labels: Labels, queue: Labels, row: int, column: int, component: int, span: float) -> int:
-    """Collect in `queue` the 8-connected frontier cells within `span` of the first; returns their number."""
-    h, w = labels.shape
+def _grow(
+    cells: Cells, labels: Labels, queue: Labels, first: tuple[int, int], component: int, span: float
+) -> tuple[int, int]:
+    """Collect in `queue` the 8-connected frontier cells within `span` of the first: their number, and how many unknown
+    cells lie beside them."""
+    (h, w), (row, column) = labels.shape, first
     queue[0, 0], queue[0, 1] = row, column
     labels[row, column] = component
-    head, end = 0, 1
+    head, end, border = 0, 1, 0
     while head < end:
         r0, c0 = queue[head, 0], queue[head, 1]
         head += 1
@@ -75,21 +79,10 @@ def _grow(labels: Labels, queue: Labels, row: int, column: int, component: int, 
                     labels[r, c] = component
                     queue[end, 0], queue[end, 1] = r, c
                     end += 1
-    return end
-
-
-@compiled
-def _border(cells: Cells, labels: Labels, queue: Labels, end: int, component: int) -> int:
-    """Number of distinct unknown cells beside queue[:end]."""
-    h, w = cells.shape
-    count = 0
-    for i in range(end):
-        for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            r, c = queue[i, 0] + dr, queue[i, 1] + dc
-            if 0 <= r < h and 0 <= c < w and cells[r, c] == UNKNOWN and labels[r, c] != component:
-                labels[r, c] = component
-                count += 1
-    return count
+                elif cells[r, c] == UNKNOWN and (r == r0 or c == c0) and labels[r, c] != component:
+                    labels[r, c] = component
+                    border += 1
+    return end, border
 
 
 @compiled

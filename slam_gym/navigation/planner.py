@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled
-from slam_gym.navigation.explored_grid import ExploredGrid
-from slam_gym.navigation.grid import FREE, WALL, Cells, border_crossings
+from slam_gym.navigation.explored_grid import FREE, WALL, Cells, ExploredGrid, border_crossings
 from slam_gym.types import Array, BoolArray, IntArray
 
 MARGIN = 0.4  # [m] beyond the clearance, up to which paths pay for being near a wall

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.navigation.grid import shape_of
+from slam_gym.navigation.explored_grid import shape_of
 from slam_gym.types import Array, Beams
 
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.navigation.grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
+from slam_gym.navigation.explored_grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
 from slam_gym.types import Array
 from slam_gym.types._arguments import floats
 
@@ -98,31 +98,16 @@ class FieldOfView:
 
 @dataclass(frozen=True, slots=True)
 class ViewsFrom:
-    """From a pose (3,) in B to `Prediction.view`: what the sensor has in view from there, as far as walls are known."""
+    """What the sensor has in view from wherever the robot is, as far as walls are known."""
 
     field: FieldOfView
     explored: ExploredCells
-
-    def __call__(self, pose: Array) -> ViewFromPose:
-        return ViewFromPose(self.field, self.explored, pose)
 
     @property
     def arrays(self) -> SightArrays:
         """As `probabilities_in_view` takes them."""
         cells, origin, resolution = self.explored
         return self.field.figures, (cells, np.array(origin), resolution)
-
-
-@dataclass(frozen=True, slots=True)
-class ViewFromPose:
-    """What the sensor has in view from a pose."""
-
-    field: FieldOfView
-    explored: ExploredCells
-    pose: Array  # (3,) in B
-
-    def __call__(self, positions: Array, covariances: Array) -> Array:
-        return self.field.in_view(positions, covariances, self.explored, self.pose)
 
 
 @compiled
@@ -189,12 +174,12 @@ def _in_sight(grid: ExploredCells, pose: Array, x: float, y: float, across: floa
     tau, total = unknown**resolution, 0.0
     for quantile in _QUANTILES:
         u, v = x - quantile * spread * y, y + quantile * spread * x
-        total += _passage(grid.cells, from_x, from_y, (c * u - s * v) / resolution, (s * u + c * v) / resolution, tau)
+        total += passage(grid.cells, from_x, from_y, (c * u - s * v) / resolution, (s * u + c * v) / resolution, tau)
     return total / len(_QUANTILES)
 
 
 @compiled
-def _passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) -> float:
+def passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) -> float:
     """How likely the ray from (x, y) by (dx, dy) [cells] gets through: τ per cell's length of unknown, 0 for a wall.
 
     The robot's own cell never stops it, and outside the grid all is unknown.

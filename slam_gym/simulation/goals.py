@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.expected_gain import expected_reduction, features_in_sight
 from slam_gym.navigation.explored_grid import ExploredGrid
+from slam_gym.navigation.frontiers import frontiers
 from slam_gym.navigation.planner import DistanceField, distance_field
 from slam_gym.scenarios import Scenario
 from slam_gym.types import Array, BoolArray, IntArray
@@ -147,7 +148,7 @@ def frontiers_on_offer(grid: ExploredGrid, field: DistanceField, reach: float, t
     Where there are more, the offer is of the nearest and of those that promise most for the way there, so that a wing
     of the building is not forgotten over the corners of all the rooms on this side.
     """
-    centres: Array = grid.frontiers(field.reachable).centres
+    centres = frontiers(grid, field.reachable)
     if len(centres) == 0:
         return centres
     areas = grid.expected_area(centres, reach)

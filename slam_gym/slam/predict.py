@@ -9,7 +9,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.acceptance import unambiguous_rows
 from slam_gym.mapping.ekf import MapArrays
-from slam_gym.mapping.foresight import Locality, RowArrays, foresee, keep_rows
+from slam_gym.mapping.measurement import Locality, RowArrays, foresee, keep_rows
 from slam_gym.types import Array
 from slam_gym.validation import first_bad_measurement
 

@@ -21,8 +21,8 @@ from slam_gym.association.prediction import (
     refused_odometry,
 )
 from slam_gym.mapping.covisibility import CovisibilityGraph
-from slam_gym.mapping.foresight import rows_for
 from slam_gym.mapping.map_joining import UNKNOWN_POSE
+from slam_gym.mapping.measurement import rows_for
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap, bad_measurement, refused_update
 from slam_gym.navigation.visibility import ViewsFrom
 from slam_gym.slam import learn, predict

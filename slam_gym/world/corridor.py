@@ -29,17 +29,14 @@ TURN_SIGMA = (0.03, 0.03, math.radians(2.5))
 def features() -> Array:
     """The 88 point features of the corridor, (88, 2) [m]."""
     even, odd = np.arange(0.0, 11.0, 2.0), np.arange(1.0, 10.0, 2.0)
-    side = np.concatenate([np.column_stack([x, np.full(len(x), y)]) for y, x in _walls(even, odd)])
+    walls = ((-0.6, even), (-0.35, even), (0.35, odd), (0.6, odd))
+    side = np.concatenate([np.column_stack([x, np.full(len(x), y)]) for y, x in walls])
     corners = np.array([[0.0, 0.0, 0.0], [SIDE, 0.0, 90.0], [SIDE, SIDE, 180.0], [0.0, SIDE, 270.0]])
     turned = []
     for x, y, degrees in corners:
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         turned.append(side @ np.array([[c, s], [-s, c]]) + (x, y))
     return np.concatenate(turned)
-
-
-def _walls(even: Array, odd: Array) -> list[tuple[float, Array]]:
-    return [(-0.6, even), (-0.35, even), (0.35, odd), (0.6, odd)]
 
 
 def walk_round(rng: np.random.Generator, q: float = 1.0) -> Iterator[tuple[Odometry, Scan, Truth]]:

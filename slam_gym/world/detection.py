@@ -89,6 +89,21 @@ def room_for(n: int) -> Measured:
     return np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
 
 
+Finder = tuple[float, float]
+"""Reach [m] and sigma [m] of a `BeamSpec`, for compiled functions."""
+
+
+@compiled
+def noisy_ranges(
+    walls: Packed, pose: Array, bearings: Array, finder: Finder, moving: Moving, noise: Array, out: Array
+) -> None:
+    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach], entered in `out`."""
+    reach, sigma = finder
+    free = cast(walls, pose, pose[2] + bearings, reach, moving)
+    for b in range(len(bearings)):
+        out[b] = min(max(free[b] + sigma * noise[b], 0.0), reach) if free[b] < reach else reach
+
+
 @compiled
 def measure(
     walls: Packed,
@@ -98,15 +113,17 @@ def measure(
     moving: Moving,
     noise: tuple[Array, Array],
     packed: PackedSettings,
-    out: Measured,
+    out: tuple[Measured, tuple[Array, Finder, Array]],
 ) -> int:
-    """A scan of what is `seen`, the answer of `in_sight` and its arrays, entered in `out`: its length.
+    """A scan of what is `seen`, the answer of `in_sight` and its arrays, and the ranges of beams; length of the scan.
 
     `sizes` are those of all features, from which those of spurious measurements are drawn. `noise` are uniform and
-    normal random numbers, at least (3n,) each: three for each thing in sight, then three for each piece of clutter.
+    normal random numbers: three of each for each thing in sight, then for each piece of clutter, and normal ones for
+    the beams. `out` receives the scan, and the ranges along the bearings in it (see `noisy_ranges`).
     """
     grid, settings, movers = Grid(*walls), Settings(*packed), Movers(*moving)
-    (k, polar, sources), (uniform, normal) = seen, noise
+    (k, polar, sources), (uniform, normal), (scan, (bearings, finder, ranges)) = seen, noise, out
+    noisy_ranges(walls, pose, bearings, finder, moving, normal[len(uniform) :], ranges)
     draws = len(uniform) // 3
     measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
     n = 0
@@ -130,7 +147,7 @@ def measure(
         measured[2, n] = max(size + settings.size_sigma * normal[3 * i + 2], 0.0)
         origins[n] = source
         n += 1
-    return _sweep(measured, origins, int(n), settings, out)  # int: not the literal 0 as well
+    return _sweep(measured, origins, int(n), settings, scan)  # int: not the literal 0 as well
 
 
 @compiled
@@ -151,21 +168,6 @@ def _sweep(measured: Array, origins: IntArray, count: int, settings: Settings, o
         sizes[i], size_variances[i] = measured[2, order[i]], settings.size_sigma**2
         sources[i] = origins[order[i]]
     return len(order)
-
-
-Finder = tuple[float, float]
-"""Reach [m] and sigma [m] of a `BeamSpec`, for compiled functions."""
-
-
-@compiled
-def noisy_ranges(
-    walls: Packed, pose: Array, bearings: Array, finder: Finder, moving: Moving, noise: Array, out: Array
-) -> None:
-    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach], entered in `out`."""
-    reach, sigma = finder
-    free = cast(walls, pose, pose[2] + bearings, reach, moving)
-    for b in range(len(bearings)):
-        out[b] = min(max(free[b] + sigma * noise[b], 0.0), reach) if free[b] < reach else reach
 
 
 class Wheels(NamedTuple):
@@ -218,21 +220,3 @@ def report_and_in_sight(
     """`report` and `in_sight` in one call from Python."""
     report(*wheels)
     return in_sight(walls, pose, features, moving, packed, out)
-
-
-@compiled
-def measure_and_ranges(
-    walls: Packed,
-    pose: Array,
-    seen: tuple[int, Array, IntArray],
-    sizes: Array,
-    moving: Moving,
-    noise: tuple[Array, Array],
-    packed: PackedSettings,
-    out: tuple[Measured, tuple[Array, Finder, Array]],
-) -> int:
-    """`measure` and `noisy_ranges` in one call from Python; the ranges take the last normal random numbers."""
-    measured, (bearings, finder, ranges) = out
-    m = measure(walls, pose, seen, sizes, moving, noise, packed, measured)
-    noisy_ranges(walls, pose, bearings, finder, moving, noise[1][len(noise[0]) :], ranges)
-    return m

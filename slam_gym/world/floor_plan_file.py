@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._files import array_of, content_of, gunzipped, json_of
-from slam_gym.world.contours import import_cv2
 from slam_gym.world.floor_plan import (
     MAX_EXTENT,
     MAX_PIXELS,
@@ -207,6 +206,8 @@ def _read_image(path: Path) -> NDArray[Any]:
             unpacked = gunzipped(content, _MAX_ARRAY) if path.suffix == ".gz" else content
             image = array_of(unpacked, "biuf", _MAX_ARRAY)
         else:
+            from slam_gym.world.raster import import_cv2
+
             cv2 = import_cv2()
             image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
     except (ValueError, OSError) as error:

@@ -44,7 +44,7 @@ def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25, obstacles: Ar
     columns, rows = np.ceil((plan.bounds[2:] + cell - origin) / cell).astype(int) + 1
     free = np.ones((int(rows), int(columns)), np.bool_)
     for segments in (plan.walls, obstacles):
-        _block(free, float(origin[0]), float(origin[1]), cell, segments, radius)
+        _block(free, origin, cell, segments, radius)
     return FreeCells(free, origin, cell)
 
 
@@ -98,24 +98,21 @@ def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearanc
     raise ValueError(f"floor plan {plan.name!r}: furniture stands within {clearance} m of every free place")
 
 
-@compiled
-def _block(free: BoolArray, left: float, bottom: float, cell: float, segments: Array, radius: float) -> None:
+def _block(free: BoolArray, origin: Array, cell: float, segments: Array, radius: float) -> None:
     """Clear `free` wherever a cell's centre lies closer than `radius` to a segment."""
-    rows, columns = free.shape
-    for s in range(segments.shape[0]):
-        x1, y1, x2, y2 = segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
-        ex, ey = x2 - x1, y2 - y1
-        length = max(ex * ex + ey * ey, 1e-300)
-        first_row = max(math.ceil((min(y1, y2) - radius - bottom) / cell), 0)
-        last_row = min(math.floor((max(y1, y2) + radius - bottom) / cell), rows - 1)
-        first_column = max(math.ceil((min(x1, x2) - radius - left) / cell), 0)
-        last_column = min(math.floor((max(x1, x2) + radius - left) / cell), columns - 1)
-        for row in range(first_row, last_row + 1):
-            for column in range(first_column, last_column + 1):
-                dx, dy = left + column * cell - x1, bottom + row * cell - y1
-                t = min(max((dx * ex + dy * ey) / length, 0.0), 1.0)
-                if (dx - t * ex) ** 2 + (dy - t * ey) ** 2 < radius * radius:
-                    free[row, column] = False
+    left, bottom = origin.tolist()
+    xs, ys = left + np.arange(free.shape[1]) * cell, bottom + np.arange(free.shape[0]) * cell
+    for x1, y1, x2, y2 in segments.tolist():
+        rows = _between(min(y1, y2) - radius - bottom, max(y1, y2) + radius - bottom, cell)
+        columns = _between(min(x1, x2) - radius - left, max(x1, x2) + radius - left, cell)
+        dx, dy, ex, ey = xs[columns] - x1, ys[rows, None] - y1, x2 - x1, y2 - y1
+        t = np.clip((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300), 0.0, 1.0)
+        free[rows, columns] &= (dx - t * ex) ** 2 + (dy - t * ey) ** 2 >= radius * radius
+
+
+def _between(low: float, high: float, cell: float) -> slice:
+    """The cells with centres from `low` to `high` [m] beyond that of the first cell."""
+    return slice(max(math.ceil(low / cell), 0), max(math.floor(high / cell) + 1, 0))
 
 
 @compiled

@@ -20,7 +20,6 @@ from slam_gym.world.detection import (
     PackedWheels,
     in_sight,
     measure,
-    measure_and_ranges,
     noisy_ranges,
     report,
     report_and_in_sight,
@@ -148,7 +147,7 @@ class Sensor:
         k = report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, room)
         n, beams = k + rng.poisson(self.spec.clutter), len(self._bearings)
         noise, measured, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), room_for(n), np.empty(beams)
-        m = measure_and_ranges(
+        m = measure(
             self._walls, pose, (k, *room), self._sizes, moving, noise, self._settings,
             (measured, (self._bearings, self._finder, ranges)),
         )  # fmt: skip
@@ -166,9 +165,12 @@ class Sensor:
         moving, room = (people, furniture), self._room_in_sight(people)
         k = in_sight(self._walls, pose, self._targets, moving, self._settings, room)
         n = k + rng.poisson(self.spec.clutter)  # measurements that there may be
-        noise, out = (rng.random(3 * n), rng.standard_normal(3 * n)), room_for(n)
-        m = measure(self._walls, pose, (k, *room), self._sizes, moving, noise, self._settings, out)
-        return self._scan(pose, out, m, rng)
+        noise, measured = (rng.random(3 * n), rng.standard_normal(3 * n)), room_for(n)
+        m = measure(
+            self._walls, pose, (k, *room), self._sizes, moving, noise, self._settings,
+            (measured, (np.empty(0), self._finder, np.empty(0))),
+        )  # fmt: skip
+        return self._scan(pose, measured, m, rng)
 
     def _scan(self, pose: Array, out: Measured, m: int, rng: np.random.Generator) -> tuple[Scan, Truth]:
         """The first m measurements of those that `measure` has entered."""

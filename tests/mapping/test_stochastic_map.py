@@ -89,22 +89,12 @@ def test_counts_the_steps_in_which_a_feature_was_seen() -> None:
     assert m.step == 3
 
 
-def test_maintenance_names_features_seen_once_more_than_two_steps_ago() -> None:
+def test_an_id_is_never_given_twice() -> None:
     m = StochasticMap()
-    look(m)
-    fresh(m, 3)  # in step 1
-    look(m)
-    look(m, 1)
-    fresh(m, 1)  # in step 3
-    np.testing.assert_array_equal(m.unconfirmed(), [])
-    look(m)
-    np.testing.assert_array_equal(m.unconfirmed(), [0, 2])
-    m.remove(m.unconfirmed())
-    np.testing.assert_array_equal(m.ids, [1, 3])
+    fresh(m, 4)
+    m.remove(np.array([0, 2]))
     fresh(m, 1)
-    np.testing.assert_array_equal(m.ids, [1, 3, 4])  # an id is never given twice
-    m.spec = KEEP  # without an age limit
-    assert len(m.unconfirmed()) == 0
+    np.testing.assert_array_equal(m.ids, [1, 3, 4])
 
 
 def test_sizes_are_averaged_by_their_variances() -> None:

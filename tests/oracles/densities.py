@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slam_gym.association.prediction import Prediction
-from slam_gym.navigation.grid import ExploredCells
+from slam_gym.navigation.explored_grid import ExploredCells
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 from tests.oracles.association import compatible, problem

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.navigation.grid import WALL
+from slam_gym.navigation.explored_grid import WALL
 from slam_gym.navigation.planner import distance_field
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation import driver, goals

@@ -9,7 +9,7 @@ from slam_gym.geometry import compose, relative
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.metrics.map_quality import ate
-from slam_gym.navigation.grid import ExploredCells
+from slam_gym.navigation.explored_grid import ExploredCells
 from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.slam import Slam

@@ -43,7 +43,8 @@ class WrittenOut:
         return prediction, ids, created, removed
 
     def _forget(self) -> Any:
-        m, unconfirmed = self.map, self.map.unconfirmed()
+        m, age = self.map, self.map.spec.unconfirmed_age
+        unconfirmed = np.flatnonzero(m.provisional & (m.first_seen < m.step - (m.step if age is None else age)))
         removed, became = m.ids[unconfirmed], np.full(m.n, UNPAIRED)
         kept = m.remove(unconfirmed)
         self.graph.keep(kept)

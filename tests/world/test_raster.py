@@ -5,12 +5,11 @@ import gzip
 import numpy as np
 import pytest
 
-from slam_gym.world.contours import corners, thinned
 from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import FloorPlanError, Kind
 from slam_gym.world.floor_plan_file import load_floor_plan
 from slam_gym.world.generators import OfficeGenerator
-from slam_gym.world.raster import from_raster
+from slam_gym.world.raster import corners, from_raster, thinned
 from slam_gym.world.reachability import reachable
 from tests.world.test_floor_plan_file import PIXEL, blank
 
