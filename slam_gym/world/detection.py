@@ -10,7 +10,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, Array, IntArray
-from slam_gym.world.ray_casting import Grid, Movers, Packed, cast, hides, movers_near, range_along, sees
+from slam_gym.world.ray_casting import Grid, Movers, Packed, cast, movers_near, range_along, sees
 
 _SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
 
@@ -71,7 +71,7 @@ def in_sight(
         bearing = wrap_angle(math.atan2(dy, dx) - pose[2])
         if abs(bearing) > 0.5 * settings.field_of_view:
             continue
-        if hides(x, y, dx, dy, short, movers) or not sees(grid, x, y, dx, dy, short):
+        if not sees(grid, movers, x, y, dx, dy, short):
             continue
         polar[k, 0], polar[k, 1] = distance, bearing
         sources[k] = i if person < 0 else SPURIOUS

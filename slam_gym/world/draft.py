@@ -74,8 +74,7 @@ class Draft:
 
     def __init__(self, rng: np.random.Generator, contents: Contents) -> None:
         self.rng, self.contents = rng, contents
-        self.floors: list[Rectangle] = []  # of the rooms
-        self.names: list[str] = []  # of the rooms
+        self.rooms: dict[str, Rectangle] = {}  # their floors
         self.openings: list[Rectangle] = []  # of the doors, through the wall
         self.doors: list[Door] = []
         self.blocked: list[Rectangle] = []
@@ -84,8 +83,7 @@ class Draft:
         self.kept_free: list[tuple[float, float, float]] = []  # x, y, radius of the discs in which nothing may stand
 
     def add_room(self, name: str, floor: Rectangle) -> None:
-        self.floors.append(floor)
-        self.names.append(name)
+        self.rooms[name] = floor
         self.kept_free.append((*floor.centre, _CENTRE_AREA))
 
     def add_door(self, a: str, b: str, opening: Rectangle, upright: bool) -> None:
@@ -155,7 +153,8 @@ class Draft:
 
     def finish(self, name: str) -> FloorPlan:
         """Walls and features from the outline of what is free."""
-        walls, corners, sizes = outline(np.array(self.floors + self.openings), np.array(self.blocked).reshape(-1, 4))
+        free = np.array([*self.rooms.values(), *self.openings])
+        walls, corners, sizes = outline(free, np.array(self.blocked).reshape(-1, 4))
         kinds = np.full(len(corners), int(Kind.CORNER))
         sizes = np.minimum(sizes, MAX_CORNER_SIZE)
         for door, (x1, y1, x2, y2) in zip(self.doors, self.openings):
@@ -170,7 +169,7 @@ class Draft:
         walls = np.vstack([walls, *(pillar_outline(*pillar) for pillar in self.pillars)])
         rooms = [
             Room(name, np.array([[x1, y1], [x2, y1], [x2, y2], [x1, y2]]))
-            for name, (x1, y1, x2, y2) in zip(self.names, self.floors)
+            for name, (x1, y1, x2, y2) in self.rooms.items()
         ]
         furniture = np.array(self.furniture).reshape(-1, 5)
         return FloorPlan(name, walls, features, tuple(rooms), tuple(self.doors), furniture)

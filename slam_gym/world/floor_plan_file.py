@@ -6,7 +6,7 @@ import json
 import reprlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorP
         raster = read(path, resolution)
         from slam_gym.world.raster import from_raster  # scipy.spatial, which it needs, takes long to import
 
-        return from_raster(**raster._asdict())
+        return from_raster(**raster)
     except FloorPlanError as error:
         raise FloorPlanError(error.field, error.reason, str(path)) from None
 
@@ -139,18 +139,8 @@ def _text(where: str, value: Any) -> str:
     return value
 
 
-class _Raster(NamedTuple):
-    """The arguments of `raster.from_raster`."""
-
-    occupancy: NDArray[Any]
-    resolution: float
-    name: str
-    valid: NDArray[Any] | None = None
-    origin: tuple[float, float] = (0.0, 0.0)
-
-
-def _read_labelled_image(path: Path, resolution: float | None) -> _Raster:
-    """An image file.
+def _read_labelled_image(path: Path, resolution: float | None) -> dict[str, Any]:
+    """An image file, as the arguments of `from_raster`.
 
     An array named `…_occ_map.npy.gz` is read together with its room labels `…_valid_space.npy.gz` where they lie beside
     it, the naming of the KTH floor plan data set.
@@ -161,11 +151,12 @@ def _read_labelled_image(path: Path, resolution: float | None) -> _Raster:
         raise FloorPlanError("resolution", "an image needs its resolution in metres per pixel")
     image, labels = _read_image(path), path.with_name(path.name.replace("_occ_map", "_valid_space"))
     valid = _read_image(labels) if labels != path and labels.is_file() else None
-    return _Raster(image, resolution, path.name.split(".")[0].removesuffix("_occ_map"), valid)
+    name = path.name.split(".")[0].removesuffix("_occ_map")
+    return {"occupancy": image, "resolution": resolution, "name": name, "valid": valid}
 
 
-def _read_ros_map(path: Path, resolution: float | None) -> _Raster:
-    """The map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
+def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
+    """The same of the map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
     given = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
     resolution, threshold, negate = (_number(key, given[key]) for key in ("resolution", "free_thresh", "negate"))
     origin = given["origin"]
@@ -180,7 +171,7 @@ def _read_ros_map(path: Path, resolution: float | None) -> _Raster:
     grey = np.arange(256.0)
     occupied = grey / 255.0 if negate else (255.0 - grey) / 255.0
     free = np.where(occupied < threshold, 255, 0).astype(np.uint8)  # for each level of grey
-    return _Raster(free[image], resolution, path.stem, origin=(x, y))
+    return {"occupancy": free[image], "resolution": resolution, "name": path.stem, "origin": (x, y)}
 
 
 def _yaml(path: Path) -> dict[Any, Any]:

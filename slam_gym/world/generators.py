@@ -36,28 +36,21 @@ def _draw_bay(rng: np.random.Generator, width: float, depths: Limits, doors: Lim
     return _Bay(width, depth, draw(rng, (_JAMB, width - _JAMB - door_width)), door_width)
 
 
-class _Placed(NamedTuple):
-    """A room of the draft."""
-
-    name: str
-    floor: Rectangle
-
-
-def _lay_out(draft: Draft, rows: list[list[_Bay]], corridor: float, wall: float) -> list[list[_Placed]]:
-    """Put the first row of rooms above the corridor and the second, mirrored, below it."""
+def _lay_out(draft: Draft, rows: list[list[_Bay]], corridor: float, wall: float) -> list[list[str]]:
+    """Put the first row of rooms above the corridor and the second, mirrored, below it; the names of both."""
     length = max(sum(bay.width + wall for bay in row) - wall for row in rows)
     draft.add_room("corridor", Rectangle(0.0, 0.0, round(length, 3), corridor))
-    placed: list[list[_Placed]] = []
+    placed: list[list[str]] = []
     for side, row in enumerate(rows):
         x, near = 0.0, round(corridor + wall, 3)
         placed.append([])
         for bay in row:
             left, right = round(x, 3), round(x + bay.width, 3)
-            room = _Placed(f"room {len(draft.floors)}", _sided(side, corridor, left, near, right, near + bay.depth))
-            draft.add_room(*room)
+            room = f"room {len(draft.rooms)}"
+            draft.add_room(room, _sided(side, corridor, left, near, right, near + bay.depth))
             start, end = round(left + bay.door, 3), round(left + bay.door + bay.door_width, 3)
             opening = _sided(side, corridor, start, corridor, end, near)
-            draft.add_door("corridor", room.name, opening, upright=False)
+            draft.add_door("corridor", room, opening, upright=False)
             placed[side].append(room)
             x += bay.width + wall
     return placed
@@ -104,17 +97,17 @@ class OfficeGenerator:
             for a, b in pairwise(neighbours):
                 if rng.random() < self.joined:
                     self._join(draft, a, b)
-        for floor in draft.floors:
+        for floor in draft.rooms.values():
             draft.furnish(floor)
         return draft.finish("office")
 
-    def _join(self, draft: Draft, a: _Placed, b: _Placed) -> None:
+    def _join(self, draft: Draft, a: str, b: str) -> None:
         """A door through the wall between two neighbours, a on the left."""
-        bottom, top = max(a.floor.y1, b.floor.y1), min(a.floor.y2, b.floor.y2)
+        left, right = draft.rooms[a], draft.rooms[b]
+        bottom, top = max(left.y1, right.y1), min(left.y2, right.y2)
         width = draw(draft.rng, self.door_width)
         start = draw(draft.rng, (bottom + _JAMB, top - _JAMB - width))
-        opening = Rectangle(a.floor.x2, start, b.floor.x1, round(start + width, 3))
-        draft.add_door(a.name, b.name, opening, upright=True)
+        draft.add_door(a, b, Rectangle(left.x2, start, right.x1, round(start + width, 3)), upright=True)
 
 
 @dataclass(frozen=True)
@@ -139,11 +132,11 @@ class AliasedGenerator:
         corridor = draw(rng, self.corridor_width)
         rows = [[bay] * count for count in (above, self.rooms - above) if count]
         placed = _lay_out(draft, rows, corridor, self.wall_thickness)
-        draft.furnish(placed[0][0].floor)
+        draft.furnish(draft.rooms[placed[0][0]])
         self._repeat(draft, placed, corridor, bay.width + self.wall_thickness)
         return draft.finish("aliased")
 
-    def _repeat(self, draft: Draft, placed: list[list[_Placed]], corridor: float, pitch: float) -> None:
+    def _repeat(self, draft: Draft, placed: list[list[str]], corridor: float, pitch: float) -> None:
         """Put what stands in the first room into all others."""
         blocked, pillars, furniture = list(draft.blocked), list(draft.pillars), list(draft.furniture)
         for side, row in enumerate(placed):
@@ -176,7 +169,7 @@ class HallGenerator:
     def __call__(self, rng: np.random.Generator) -> FloorPlan:
         draft = Draft(rng, self.contents)
         draft.add_room("hall", Rectangle(0.0, 0.0, draw(rng, self.length), draw(rng, self.width)))
-        draft.furnish(draft.floors[0])
+        draft.furnish(draft.rooms["hall"])
         return draft.finish("hall")
 
 
@@ -203,7 +196,7 @@ class LoopGenerator:
             draft.add_room(name, Rectangle(*side))
         for u in (wide / 2, x - wide / 2):  # where corridors meet nothing stands, for each is open to the other there
             draft.kept_free += [(u, v, 0.75 * wide) for v in (wide / 2, y - wide / 2)]
-        for floor in draft.floors:
+        for floor in draft.rooms.values():
             draft.furnish(floor)
         return draft.finish("loop")
 

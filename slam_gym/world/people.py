@@ -13,7 +13,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import Grid, Movers, Packed, box_distance, hides, outlines, sees, wall_grid
+from slam_gym.world.ray_casting import Grid, Movers, Packed, box_distance, outlines, sees, wall_grid
 from slam_gym.world.reachability import free_cells, indoor
 
 _CLEARANCE = 0.02  # [m] from walls
@@ -186,6 +186,6 @@ def _passable(grid: Grid, outlines: Array, x1: float, y1: float, x2: float, y2: 
     length, movers = math.hypot(dx, dy), Movers(np.empty((0, 3)), outlines)
     for flank in (-radius, 0.0, radius):
         x, y = x1 - flank * dy / length, y1 + flank * dx / length
-        if not sees(grid, x, y, dx, dy, 0.0) or hides(x, y, dx, dy, 0.0, movers):
+        if not sees(grid, movers, x, y, dx, dy, 0.0):
             return False
     return True

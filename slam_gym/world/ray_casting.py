@@ -303,19 +303,12 @@ def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
 
 
 @compiled
-def sees(grid: Grid, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
-    """Whether no wall stands between (x, y) and (x, y) + (dx, dy), the latter `pull_back` [m] nearer."""
+def sees(grid: Grid, movers: Movers, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
+    """Whether nothing stands between (x, y) and (x, y) + (dx, dy), the latter `pull_back` [m] nearer."""
     distance = math.hypot(dx, dy)
     left = 1.0 - pull_back / distance if distance > pull_back else 0.0
-    return _wall_hit(grid, x, y, left * dx, left * dy) == math.inf
-
-
-@compiled
-def hides(x: float, y: float, dx: float, dy: float, pull_back: float, movers: Movers) -> bool:
-    """Whether one of `movers` stands on the line of sight that `sees` asks the walls about."""
-    distance = math.hypot(dx, dy)
-    left = 1.0 - pull_back / distance if distance > pull_back else 0.0
-    return _mover_hit(x, y, left * dx, left * dy, movers) < math.inf
+    dx, dy = left * dx, left * dy
+    return _mover_hit(x, y, dx, dy, movers) == math.inf and _wall_hit(grid, x, y, dx, dy) == math.inf
 
 
 @compiled
@@ -344,6 +337,5 @@ def _visible(packed: Packed, origin: Array, targets: Array, pull_back: Array, mo
         reach = max(reach, math.hypot(targets[i, 0] - x, targets[i, 1] - y))
     movers, seen = movers_near(x, y, reach, Movers(*moving)), np.empty(targets.shape[0], np.bool_)
     for i in range(targets.shape[0]):
-        dx, dy, short = targets[i, 0] - x, targets[i, 1] - y, pull_back[i]
-        seen[i] = sees(grid, x, y, dx, dy, short) and not hides(x, y, dx, dy, short, movers)
+        seen[i] = sees(grid, movers, x, y, targets[i, 0] - x, targets[i, 1] - y, pull_back[i])
     return seen

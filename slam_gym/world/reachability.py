@@ -11,7 +11,7 @@ from scipy import ndimage
 from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, Packed, WallIndex, box_distance, pull_back, sees
+from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, Movers, Packed, WallIndex, box_distance, pull_back, sees
 
 _START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
 
@@ -119,10 +119,11 @@ def _between(low: float, high: float, cell: float) -> slice:
 def _seen_from(packed: Packed, positions: Array, pull_backs: Array, cells: Array, max_range: float) -> BoolArray:
     """`observable`, feature by feature until the first cell that sees it."""
     grid, seen = Grid(*packed), np.zeros(positions.shape[0], np.bool_)
+    nothing = Movers(np.empty((0, 3)), np.empty((0, 4)))
     for i in range(positions.shape[0]):
         for c in range(cells.shape[0]):
             x, y, dx, dy = cells[c, 0], cells[c, 1], positions[i, 0] - cells[c, 0], positions[i, 1] - cells[c, 1]
-            if dx * dx + dy * dy <= max_range * max_range and sees(grid, x, y, dx, dy, pull_backs[i]):
+            if dx * dx + dy * dy <= max_range * max_range and sees(grid, nothing, x, y, dx, dy, pull_backs[i]):
                 seen[i] = True
                 break
     return seen

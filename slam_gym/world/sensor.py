@@ -15,7 +15,6 @@ import numpy as np
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.validation import check_settings
 from slam_gym.world.detection import (
-    Measured,
     PackedSettings,
     PackedWheels,
     in_sight,
@@ -145,14 +144,9 @@ class Sensor:
         moving, out, room = (people, furniture), np.empty((4, 3)), self._room_in_sight(people)
         wheels = (self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
         k = report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, room)
-        n, beams = k + rng.poisson(self.spec.clutter), len(self._bearings)
-        noise, measured, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), room_for(n), np.empty(beams)
-        m = measure(
-            self._walls, pose, (k, *room), self._sizes, moving, noise, self._settings,
-            (measured, (self._bearings, self._finder, ranges)),
-        )  # fmt: skip
+        scan, truth, ranges = self._measured(pose, (k, *room), moving, self._bearings, rng)
         swept = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
-        return Senses(Odometry(out[0], out[1:]), *self._scan(pose, measured, m, rng), swept)
+        return Senses(Odometry(out[0], out[1:]), scan, truth, swept)
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
@@ -164,20 +158,25 @@ class Sensor:
         """
         moving, room = (people, furniture), self._room_in_sight(people)
         k = in_sight(self._walls, pose, self._targets, moving, self._settings, room)
-        n = k + rng.poisson(self.spec.clutter)  # measurements that there may be
-        noise, measured = (rng.random(3 * n), rng.standard_normal(3 * n)), room_for(n)
-        m = measure(
-            self._walls, pose, (k, *room), self._sizes, moving, noise, self._settings,
-            (measured, (np.empty(0), self._finder, np.empty(0))),
-        )  # fmt: skip
-        return self._scan(pose, measured, m, rng)
+        return self._measured(pose, (k, *room), moving, self._bearings[:0], rng)[:2]
 
-    def _scan(self, pose: Array, out: Measured, m: int, rng: np.random.Generator) -> tuple[Scan, Truth]:
-        """The first m measurements of those that `measure` has entered."""
-        points, covariances, sizes, size_variances, sources = out
+    def _measured(
+        self,
+        pose: Array,
+        seen: tuple[int, Array, IntArray],
+        moving: tuple[Array, Array],
+        bearings: Array,
+        rng: np.random.Generator,
+    ) -> tuple[Scan, Truth, Array]:
+        """The scan of what is `seen` (see `in_sight`), the truth behind it, and the ranges (b,) of beams."""
+        n, beams = seen[0] + rng.poisson(self.spec.clutter), len(bearings)  # measurements that there may be
+        noise, room, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), room_for(n), np.empty(beams)
+        out = room, (bearings, self._finder, ranges)
+        m = measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
+        points, covariances, sizes, size_variances, sources = room
         kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
         scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
-        return scan, Truth(pose.copy(), sources[:m])
+        return scan, Truth(pose.copy(), sources[:m]), ranges
 
     def _room_in_sight(self, people: Array) -> tuple[Array, IntArray]:
         """For what `in_sight` finds."""
