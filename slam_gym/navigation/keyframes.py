@@ -201,16 +201,10 @@ def _further_apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bo
 
 
 def _rows_of(ids: IntArray) -> IntArray:
-    """Row of each id in the map, −1 where there is none; the last entry, which NO_ID leads to, is −1."""
+    """Row of each id in the map, −1 where there is none; the last entry, for NO_ID and all higher ids, is −1."""
     rows = np.full(ids.max(initial=-1) + 2, -1)
     rows[ids] = np.arange(len(ids))
     return rows
-
-
-@compiled
-def _row(row_of: IntArray, feature: int) -> int:
-    """Row of a feature in the map, −1 where there is none."""
-    return row_of[feature] if feature < len(row_of) - 1 else -1
 
 
 @compiled
@@ -220,7 +214,7 @@ def _pose_now(frames: _Frames, k: int, row_of: IntArray, positions: Array) -> _P
     x = y = u = v = 0.0
     present = 0
     for i in range(anchors.shape[1]):
-        row = _row(row_of, anchors[k, i])
+        row = row_of[min(anchors[k, i], len(row_of) - 1)]
         if row >= 0:
             x, y, u, v = x + places[k, i, 0], y + places[k, i, 1], u + positions[row, 0], v + positions[row, 1]
             present += 1
@@ -229,7 +223,7 @@ def _pose_now(frames: _Frames, k: int, row_of: IntArray, positions: Array) -> _P
     x, y, u, v = x / present, y / present, u / present, v / present
     along, across = _STIFFNESS * math.cos(poses[k, 2]), _STIFFNESS * math.sin(poses[k, 2])
     for i in range(anchors.shape[1]):
-        row = _row(row_of, anchors[k, i])
+        row = row_of[min(anchors[k, i], len(row_of) - 1)]
         if row >= 0:
             px, py, fx, fy = places[k, i, 0] - x, places[k, i, 1] - y, positions[row, 0] - u, positions[row, 1] - v
             along, across = along + px * fx + py * fy, across + px * fy - py * fx
@@ -269,7 +263,7 @@ def _anchored(
     frames: _Frames, k: int, count: int, pose: _Pose, feature: int, row_of: IntArray, positions: Array
 ) -> int:
     """Add an anchor to the first `count` of keyframe k, which is at `pose`, if it is in the map; their number then."""
-    anchors, row = frames.anchors, _row(row_of, feature)
+    anchors, row = frames.anchors, row_of[min(feature, len(row_of) - 1)]
     if count == anchors.shape[1] or row < 0:
         return count
     for i in range(count):

@@ -64,11 +64,8 @@ def _sided(side: int, corridor: float, x1: float, y1: float, x2: float, y2: floa
 
 
 @dataclass(frozen=True)
-class OfficeGenerator:
-    """Rooms of different sizes on both sides of a corridor, a door each; some neighbours share a second door.
-
-    The rows of the two sides are stretched towards one length, each by at most a quarter.
-    """
+class _Building:
+    """Rooms off a corridor. Raises ValueError, naming the field, for what cannot be built."""
 
     rooms: int = 9
     room_width: Limits = (3.6, 6.0)  # [m] along the corridor, before stretching
@@ -76,11 +73,31 @@ class OfficeGenerator:
     corridor_width: Limits = (1.8, 2.4)  # [m]
     door_width: Limits = (0.9, 1.3)  # [m]
     wall_thickness: float = 0.2  # [m]
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if not 1 <= self.rooms <= 200:
+            raise ValueError(f"{name}.rooms: {self.rooms} is not in 1 … 200")
+        check_limits(f"{name}.door_width", self.door_width, _MIN_DOOR, 5.0)
+        check_limits(f"{name}.wall_thickness", (self.wall_thickness,) * 2, 0.05, 1.0)
+        check_limits(f"{name}.corridor_width", self.corridor_width, 1.5, 20.0)
+        smallest = 1.25 * (self.door_width[1] + 2 * _JAMB)  # a row may be shortened to .8 of its length
+        check_limits(f"{name}.room_width", self.room_width, smallest, 50.0)
+        check_limits(f"{name}.room_depth", self.room_depth, smallest, 50.0)
+
+
+@dataclass(frozen=True)
+class OfficeGenerator(_Building):
+    """Rooms of different sizes on both sides of a corridor, a door each; some neighbours share a second door.
+
+    The rows of the two sides are stretched towards one length, each by at most a quarter.
+    """
+
     joined: float = 0.4  # probability of a door between two neighbours
     contents: Contents = field(default_factory=Contents)
 
     def __post_init__(self) -> None:
-        _check_building(self)
+        super().__post_init__()
         check_limits("OfficeGenerator.joined", (self.joined,) * 2, 0.0, 1.0)
 
     def __call__(self, rng: np.random.Generator) -> FloorPlan:
@@ -111,19 +128,13 @@ class OfficeGenerator:
 
 
 @dataclass(frozen=True)
-class AliasedGenerator:
+class AliasedGenerator(_Building):
     """Identical rooms, equally spaced on both sides of a corridor: only the ends of the corridor tell them apart."""
 
     rooms: int = 10
     room_width: Limits = (3.6, 4.4)  # [m] along the corridor
     room_depth: Limits = (4.4, 5.2)  # [m]
-    corridor_width: Limits = (1.8, 2.4)  # [m]
-    door_width: Limits = (0.9, 1.3)  # [m]
-    wall_thickness: float = 0.2  # [m]
     contents: Contents = field(default_factory=lambda: Contents(pilasters=0.06, pillars=0.7))
-
-    def __post_init__(self) -> None:
-        _check_building(self)
 
     def __call__(self, rng: np.random.Generator) -> FloorPlan:
         draft = Draft(rng, self.contents)
@@ -199,16 +210,3 @@ class LoopGenerator:
         for floor in draft.rooms.values():
             draft.furnish(floor)
         return draft.finish("loop")
-
-
-def _check_building(generator: OfficeGenerator | AliasedGenerator) -> None:
-    """ValueError naming the field of a generator of rooms off a corridor that cannot be built."""
-    name = type(generator).__name__
-    if not 1 <= generator.rooms <= 200:
-        raise ValueError(f"{name}.rooms: {generator.rooms} is not in 1 … 200")
-    check_limits(f"{name}.door_width", generator.door_width, _MIN_DOOR, 5.0)
-    check_limits(f"{name}.wall_thickness", (generator.wall_thickness,) * 2, 0.05, 1.0)
-    check_limits(f"{name}.corridor_width", generator.corridor_width, 1.5, 20.0)
-    smallest = 1.25 * (generator.door_width[1] + 2 * _JAMB)  # a row may be shortened to .8 of its length
-    check_limits(f"{name}.room_width", generator.room_width, smallest, 50.0)
-    check_limits(f"{name}.room_depth", generator.room_depth, smallest, 50.0)
