@@ -48,10 +48,9 @@ class WallCompass:
 
     def corrected(self, odometry: Odometry, beams: Beams) -> Odometry:
         """The motion since the last sweep, which the wheels report as `odometry`, and from which `beams` were taken."""
-        lines = _lines(beams.bearings, beams.ranges, beams.max_range, self._variance)
         motion, covariance = odometry.motion.copy(), odometry.covariance.copy()
-        _correct(motion, covariance, self._last, lines)
-        self._last = lines
+        swept = beams.bearings, beams.ranges, beams.max_range
+        self._last = _correct(motion, covariance, self._last, swept, self._variance)
         return Odometry(motion, covariance)
 
 
@@ -127,9 +126,11 @@ def _run(bearings: Array, ranges: Array, max_range: float, variance: float, firs
 
 
 @compiled
-def _correct(motion: Array, P: Array, before: Array, after: Array) -> None:
-    """Update the motion (3,) and its covariance (3, 3) with those of the lines (k, 5) and (l, 5) that are one."""
-    used = np.zeros(len(before), np.bool_)
+def _correct(motion: Array, P: Array, before: Array, beams: tuple[Array, Array, float], variance: float) -> Array:
+    """The lines (l, 5) of a sweep; updates the motion (3,) and its covariance (3, 3) with those that are one of the
+    lines `before` (k, 5)."""
+    (bearings, ranges, max_range), used = beams, np.zeros(len(before), np.bool_)
+    after = _lines(bearings, ranges, max_range, variance)
     for j in range(len(after)):
         least, row = _PAIRED, -1
         for i in range(len(before)):
@@ -139,6 +140,7 @@ def _correct(motion: Array, P: Array, before: Array, after: Array) -> None:
         if row >= 0:
             used[row] = True
             _update(motion, P, before[row], after[j])
+    return after
 
 
 @compiled
