@@ -6,16 +6,17 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from slam_gym.recordings import dlr as _dlr
 from slam_gym.recordings import mrclam as _mrclam
 from slam_gym.recordings import victoria_park as _victoria_park
 from slam_gym.recordings.pose_graph import g2o, isam
 from slam_gym.recordings.recording import Recording, load
 
-PUBLISHED = {"victoria_park": _victoria_park.SOURCE, "mrclam": _mrclam.SOURCE}
+PUBLISHED = {"victoria_park": _victoria_park.SOURCE, "mrclam": _mrclam.SOURCE, "dlr": _dlr.SOURCE}
 """Public logs that can be asked for by name, and what to cite. Their files are the user's business."""
 
 DATA = "SLAM_GYM_DATA"
-"""The environment variable that names the folder in which the folders `victoria_park` and `mrclam` lie."""
+"""The environment variable that names the folder in which the folders `victoria_park`, `mrclam` and `dlr` lie."""
 
 
 def open_recordings(
@@ -24,7 +25,7 @@ def open_recordings(
     """The logs behind a name: one, or of MR.CLAM one for each robot (`robots`, default all) of each set.
 
     Arguments:
-        name: `victoria_park`, `mrclam`, or a file: .npz (`recordings/FORMAT.md`), .g2o, or .txt (iSAM).
+        name: `victoria_park`, `mrclam`, `dlr`, or a file: .npz (`recordings/FORMAT.md`), .g2o, or .txt (iSAM).
         data: folder of the published files; default: that of the same name in `SLAM_GYM_DATA`.
         robots: of MR.CLAM.
         reference: the vertices of a .g2o file are the truth.
@@ -34,6 +35,8 @@ def open_recordings(
     """
     if str(name) == "victoria_park":
         return [_victoria_park.victoria_park(_folder(str(name), data))]
+    if str(name) == "dlr":
+        return [_dlr.dlr(_folder(str(name), data))]
     if str(name) == "mrclam":
         folder = _folder(str(name), data)
         chosen = list(robots or _mrclam.ROBOTS)

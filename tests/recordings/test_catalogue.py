@@ -23,7 +23,7 @@ def test_the_suffix_of_a_file_tells_its_reader(tmp_path) -> None:
 
 
 def test_what_is_no_recording_is_refused_by_name(tmp_path, monkeypatch) -> None:
-    with pytest.raises(ValueError, match=r"unknown recording 'park'; known: victoria_park, mrclam, FILE\.npz"):
+    with pytest.raises(ValueError, match=r"unknown recording 'park'; known: victoria_park, mrclam, dlr, FILE\.npz"):
         open_recordings("park")
     with pytest.raises(FileNotFoundError, match=r"none\.npz: not there"):
         open_recordings(tmp_path / "none.npz")
@@ -31,7 +31,7 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path, monkeypatch) -> None:
     with pytest.raises(RecordingError, match=r"bad\.txt: line 1"):
         open_recordings(tmp_path / "bad.txt")
     monkeypatch.delenv(DATA, raising=False)
-    for name in ("victoria_park", "mrclam"):
+    for name in ("victoria_park", "mrclam", "dlr"):
         with pytest.raises(FileNotFoundError, match=rf"{name}.*not part of this package.*{DATA}.*Cite"):
             open_recordings(name)
         with pytest.raises(FileNotFoundError, match=rf"{name}.*is no folder.*Cite"):

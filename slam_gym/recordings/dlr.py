@@ -1,0 +1,117 @@
+"""The DLR log: a robot drives 505 m through a building and sees artificial circles on its floor, all of them labelled.
+
+Published by J. Kurlbaum and U. Frese, "A Benchmark Data Set for Data Association", SFB/TR 8 report, 2009. Needed: the
+file `map.circles`, gzipped or not.
+
+The file's robot looks along −Y and has X to its right. Turned by a right angle, x' = −y and y' = x, it looks along X as
+ours do. The map is then the mirror image of the building, which is consistent in itself.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from slam_gym._files import content_of, gunzipped
+from slam_gym.recordings.reading import RecordingError, naming, starts_of
+from slam_gym.recordings.recording import Recording
+from slam_gym.types import SPURIOUS, UNLABELLED, Array
+
+SOURCE = (
+    "DLR Spatial Cognition, J. Kurlbaum and U. Frese, University of Bremen and DLR. Cite: Kurlbaum and Frese, 'A "
+    "Benchmark Data Set for Data Association', SFB/TR 8 Spatial Cognition, 2009."
+)
+TERMS = "No licence is published for the data: ask the authors before you pass it on."
+FILE = "map.circles"
+_RANGE, _FIELD_OF_VIEW = 4.5, math.radians(120.0)  # [m], [rad] of the camera on the floor
+_STEP, _CIRCLE = "STEP", "LANDMARK_C"
+_STEP_NUMBERS, _CIRCLE_NUMBERS = 9, 6  # in a line, after its words; identities follow those of a circle
+_AT_REST = 1e-6  # [m], [rad] σ that every motion has at least
+_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # from the file's frame to R
+
+
+def dlr(folder: str | Path) -> Recording:
+    """The whole log from the published file in `folder`: one step an image, one second long since none is stamped.
+
+    Circles that the labels call −1 are spurious; those without an identity, or with several, are UNLABELLED. There is
+    no survey of robot or circles. Raises FileNotFoundError, or RecordingError that names file and line.
+    """
+    folder = Path(folder)
+    path = next((p for p in (folder / f"{FILE}.gz", folder / FILE) if p.is_file()), None)
+    if path is None:
+        raise FileNotFoundError(f"{folder / FILE}: not there, gzipped or not. {SOURCE}")
+    with naming(path):
+        content = content_of(path)
+        text = (gunzipped(content) if path.suffix == ".gz" else content).decode("ascii", errors="replace")
+        motions, circles, sources, counts = _lines(text)
+        points = circles[:, :2] @ _TURN[:2, :2].T
+        return Recording(
+            name="dlr",
+            source=SOURCE,
+            terms=TERMS,
+            times=np.arange(len(motions), dtype=np.float64),
+            motions=motions[:, :3] @ _TURN.T,
+            motion_covariances=_turned(motions[:, 3:][:, [0, 1, 3, 1, 2, 4, 3, 4, 5]], 3) + _AT_REST**2 * np.eye(3),
+            starts=starts_of(counts),
+            points=points,
+            covariances=_turned(circles[:, 3:][:, [0, 1, 1, 2]], 2),
+            sources=np.array(sources, np.int64),
+            range=_RANGE,
+            field_of_view=_FIELD_OF_VIEW,
+        )
+
+
+def _lines(text: str) -> tuple[Array, Array, list[int], list[int]]:
+    """Numbers of the steps (T, 9), of the circles (M, 6), identities of those, and how many each step has seen."""
+    motions: list[list[float]] = []
+    circles: list[list[float]] = []
+    sources: list[int] = []
+    counts: list[int] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        kind, *words = line.split() or ["#"]
+        if kind.startswith("#"):
+            continue
+        try:
+            if kind == _STEP:
+                motions.append(_numbers(words[1:], _STEP_NUMBERS))
+                counts.append(0)
+            elif kind == _CIRCLE:
+                circles.append(_numbers(words[:_CIRCLE_NUMBERS], _CIRCLE_NUMBERS))
+                sources.append(_identity(words[_CIRCLE_NUMBERS:]))
+                counts[-1] += 1
+            else:
+                raise ValueError(f"{kind!r} is neither {_STEP} nor {_CIRCLE}")
+        except IndexError:
+            raise RecordingError(f"line {number}: a circle before the first step") from None
+        except ValueError as error:
+            raise RecordingError(f"line {number}: {error}") from None
+    if not motions:
+        raise RecordingError("there is no step")
+    return np.array(motions), np.array(circles).reshape(-1, _CIRCLE_NUMBERS), sources, counts
+
+
+def _numbers(words: list[str], count: int) -> list[float]:
+    """So many finite numbers."""
+    numbers = [float(word) for word in words]
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"expected {count} finite numbers, found {' '.join(words)!r}")
+    return numbers
+
+
+def _identity(words: list[str]) -> int:
+    """Of a circle: a number, SPURIOUS, or UNLABELLED where none or several are given."""
+    identities = [int(word) for word in words]
+    if len(identities) != 1:
+        return UNLABELLED
+    if not SPURIOUS <= identities[0] < 1 << 53:
+        raise ValueError(f"identity {identities[0]}")
+    return identities[0]
+
+
+def _turned(entries: Array, side: int) -> Array:
+    """Covariances (k, side, side) in R from the entries (k, side²) of those in the file's frame."""
+    turn = _TURN[:side, :side]
+    out: Array = turn @ entries.reshape(-1, side, side) @ turn.T
+    return out
