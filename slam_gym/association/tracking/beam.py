@@ -6,7 +6,7 @@ term of its own, and hypotheses over the same measurements compare at every leve
 
 Hypotheses that begin alike share the nodes of their beginnings, and no factor is ever copied: a hypothesis is a row of
 node numbers. Whatever shares a beginning stands together, so that a candidate is conditioned on every node once, not
-once for every hypothesis.
+once for every hypothesis. A pairing becomes a node only in a hypothesis that is kept.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.tracking.path import Path, append
 from slam_gym.association.tree import (
+    Innovation,
     Pairings,
     Pivot,
     condition,
@@ -33,7 +34,6 @@ from slam_gym.types import Array, IntArray
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 _LOOKED_AT = 0  # the node that holds w of what is looked at; hypotheses have the others
 _NODES = 64  # room for nodes to begin with
-_MANY = 1024  # nodes from which those that no hypothesis needs any more are given up after every level
 
 
 class Prices(NamedTuple):
@@ -65,7 +65,6 @@ class _Room(NamedTuple):
     together: IntArray  # (B,) how many of its first nodes each has in common with the one before
     along: Array  # (P + 1, 5) innovations of a pairing along a path
     offered: Array  # (B, 1 + c) scores with `*`, then with each pairing; −inf where it may not be or is hopeless
-    joins: IntArray  # (B, 1 + c) nodes of those pairings
     flat: Array  # (B (1 + c),) scores that may be kept
 
 
@@ -86,16 +85,15 @@ def search(pairings: Pairings, levels: IntArray, prices: Prices) -> tuple[Beam, 
     now, kept, nodes, tests, cut = 0, 1, 0, 0, False
     for level in range(len(levels)):
         first, last = levels[level, 0], levels[level, 1]
+        here = _Level(room, joined, now, kept)
         best = _offer_none(room, now, kept, last - first, prices.unpaired)
         for c in range(first, last):
-            joined = _with_room(joined, used + kept)
-            here, price = _Level(room, joined, now, kept), (prices.gains[c], prices.margin)
-            best, used, more = _pair(pairings, here, c, 1 + c - first, price, best, used)
+            price = prices.gains[c], prices.margin
+            best, more = _offer_pairing(pairings, here, c, 1 + c - first, price, best)
             tests += more
-        kept, full = _select(room, now, kept, levels[level], best - prices.margin, prices.width)
+        least = best - prices.margin
+        joined, used, kept, full = _select(pairings, here, levels[level], least, prices.width, used)
         now, nodes, cut = 1 - now, nodes + kept, cut or full
-        if used > _MANY:
-            used = _compact(room, joined, now, kept)
     beam = Beam(
         room.score[now, :kept], room.pairings[now, :kept], room.made[now, :kept], room.nodes[now, :kept], joined
     )
@@ -114,16 +112,28 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Pat
     room = _Room(
         np.zeros((2, count)), np.zeros((2, count), np.int64), np.zeros((2, count, place), np.int64),
         np.zeros((2, count, place), np.int64), np.zeros(count, np.int64), np.empty((place + 1, 5)),
-        np.empty((count, 1 + most)), np.zeros((count, 1 + most), np.int64), np.empty(count * (1 + most)),
+        np.empty((count, 1 + most)), np.empty(count * (1 + most)),
     )  # fmt: skip
     N = max(_NODES, pairings.given + 2)
     joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * place, 2)))
     for d in range(pairings.given):
-        room.offered[0, 0] = -math.inf
-        _, used, _ = _pair(pairings, _Level(room, joined, 0, 1), d, 0, (0.0, math.inf), -math.inf, used)
-        room.made[0, 0, d], room.nodes[0, 0, d] = d, room.joins[0, 0]
-        room.pairings[0, 0], room.score[0, 0] = d + 1, room.offered[0, 0]
+        e = _join(pairings, joined, room.made[0, 0], room.nodes[0, 0], d, d, used)
+        room.score[0, 0] += -0.5 * squared(e) - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
+        room.pairings[0, 0], used = d + 1, used + 1
     return room, joined, used
+
+
+@inlined
+def _join(pairings: Pairings, joined: Path, made: IntArray, nodes: IntArray, p: int, c: int, used: int) -> Innovation:
+    """Pairing c joins the p pairings of a hypothesis, as node number `used`. Its innovation after those."""
+    pivots, slots, e = joined.pivots, pairings.slots, innovation_of(pairings, c)
+    for q in range(p):
+        d = nodes[q]
+        pivot = Pivot(slots[made[q]], pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4])
+        e = condition(pairings.covariance, joined.w, pivot, d, q, used, slots[c], e)
+    append(joined, used, c, e)
+    made[p], nodes[p] = c, used
+    return e
 
 
 @compiled
@@ -144,13 +154,13 @@ def _offer_none(room: _Room, now: int, kept: int, count: int, unpaired: float) -
 
 
 @compiled
-def _pair(
-    pairings: Pairings, level: _Level, c: int, place: int, price: tuple[float, float], best: float, used: int
-) -> tuple[float, int, int]:
-    """Enter scores and nodes of pairing c, at its `price` (gain and margin), after each hypothesis that allows it, as
-    offers number `place`.
+def _offer_pairing(
+    pairings: Pairings, level: _Level, c: int, place: int, price: tuple[float, float], best: float
+) -> tuple[float, int]:
+    """Enter the scores of pairing c, at its `price` (gain and margin), after each hypothesis that allows it, as offers
+    number `place`.
 
-    Returns the best score, the nodes in use, and how many were tested. Hypothesis b has its first together[b] nodes in
+    Returns the best score, and how many were tested. Hypothesis b has its first together[b] nodes in
     common with the one before, and along[q] is the innovation of c after q nodes: both are worked out anew only from
     where the hypotheses part.
     """
@@ -158,7 +168,7 @@ def _pair(
     gain, margin = price
     slots, covariance, local, given = pairings.slots, pairings.covariance, pairings.local, pairings.given
     made, path, count, score, along = room.made, room.nodes, room.pairings, room.score, room.along
-    together, offered, joins = room.together, room.offered, room.joins
+    together, offered = room.together, room.offered
     pivots, w, slot = joined.pivots, joined.w, slots[c]
     most = gain + greatest_log_density(pairings.noise[pairings.measured[c]])
     valid, tests = 0, 0
@@ -183,12 +193,8 @@ def _pair(
             continue
         total = before + gain - 0.5 * distance - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
         if total > best - margin:
-            offered[b, place], joins[b, place], best = total, used, max(best, total)
-            for r in range(2 * p):
-                w[used, r, 0], w[used, r, 1] = w[_LOOKED_AT, r, 0], w[_LOOKED_AT, r, 1]
-            append(joined, used, c, e)
-            used += 1
-    return best, used, tests
+            offered[b, place], best = total, max(best, total)
+    return best, tests
 
 
 @compiled
@@ -259,10 +265,14 @@ def _with_room(joined: Path, nodes: int) -> Path:
 
 
 @compiled
-def _select(room: _Room, now: int, kept: int, level: IntArray, least: float, width: int) -> tuple[int, bool]:
+def _select(
+    pairings: Pairings, here: _Level, level: IntArray, least: float, width: int, used: int
+) -> tuple[Path, int, int, bool]:
     """Enter the hypotheses of the next level, those that score best of what scores `least`: each goes on with `*`, then
-    with the pairings of the `level`. Returns their number, and whether the width has turned any away."""
-    offered, joins, scores, first, last = room.offered, room.joins, room.flat, level[0], level[1]
+    with the pairings of the `level`. Returns the nodes, how many are in use, the number of hypotheses, and whether the
+    width has turned any away."""
+    room, joined, now, kept = here
+    offered, scores, first, last = room.offered, room.flat, level[0], level[1]
     score, count, made, nodes = room.score, room.pairings, room.made, room.nodes
     found = 0
     for b in range(kept):
@@ -272,7 +282,7 @@ def _select(room: _Room, now: int, kept: int, level: IntArray, least: float, wid
                 found += 1
     full, then = found > width, 1 - now
     floor = np.partition(scores[:found], found - width)[found - width] if full else least
-    found = 0
+    joined, found = _with_room(joined, used + min(found, width)), 0
     for b in range(kept):
         p = count[now, b]
         for k in range(1 + last - first):
@@ -282,28 +292,10 @@ def _select(room: _Room, now: int, kept: int, level: IntArray, least: float, wid
                 made[then, found, q], nodes[then, found, q] = made[now, b, q], nodes[now, b, q]
             score[then, found], count[then, found] = offered[b, k], p
             if k > 0:
-                made[then, found, p], nodes[then, found, p] = first + k - 1, joins[b, k]
-                count[then, found] = p + 1
+                _join(pairings, joined, made[then, found], nodes[then, found], p, first + k - 1, used)
+                count[then, found], used = p + 1, used + 1
             found += 1
-    return found, full
-
-
-@compiled
-def _compact(room: _Room, joined: Path, now: int, kept: int) -> int:
-    """Move the nodes of the hypotheses kept to the front, in the same order; the number of nodes in use."""
-    number, used = np.zeros(len(joined.pairings), np.int64), _LOOKED_AT + 1
-    for b in range(kept):
-        for q in range(room.pairings[now, b]):
-            number[room.nodes[now, b, q]] = 1
-    for d in range(len(number)):
-        if number[d] == 1:
-            joined.pairings[used], joined.pivots[used] = joined.pairings[d], joined.pivots[d]
-            joined.w[used], number[d] = joined.w[d], used
-            used += 1
-    for b in range(kept):
-        for q in range(room.pairings[now, b]):
-            room.nodes[now, b, q] = number[room.nodes[now, b, q]]
-    return used
+    return joined, used, found, full
 
 
 @inlined

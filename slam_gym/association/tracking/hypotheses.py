@@ -135,8 +135,9 @@ def affordable(width: int, problems: list[ScanProblem]) -> int:
     """The width of a beam, or what `JOINT_TESTS` and `MEMORY` admit of it where all these problems are searched."""
     tests, size = 1, 1
     for problem in problems:
-        place = min(len(problem.levels), len(problem.rows)) + problem.pairings.given + 1
-        tests, size = tests + len(problem.pairings.slots), size + 32 * place * place  # bytes of the w of a hypothesis
+        nodes = len(problem.levels) + problem.pairings.given + 1
+        place = min(nodes, len(problem.rows) + problem.pairings.given + 1)
+        tests, size = tests + len(problem.pairings.slots), size + 32 * place * nodes  # bytes of the w of a hypothesis
     return max(min(width, JOINT_TESTS // tests, MEMORY // size), 1)
 
 
