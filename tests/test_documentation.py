@@ -34,7 +34,7 @@ NEEDS_DATA = "# with SLAM_GYM_DATA"  # first line of blocks that read public log
 NEEDS_PACKAGE = re.compile(r"# with ([a-z]\w+)\n")  # likewise of blocks that need what no extra installs
 ENVIRONMENT = re.compile(r"\w+=")
 UsageError = typer.BadParameter.__base__  # of typer, which does not export it
-INLINE_COMMAND = re.compile(r"(time )?(python -[mc]|pip|pytest|mkdocs) ")
+INLINE_COMMAND = re.compile(r"(time )?(python -[mc]|pip|pytest|mkdocs|slam-gym(?! (COMMAND|policy|NAME))) ")
 
 
 class Block(NamedTuple):
@@ -115,8 +115,11 @@ def check_command(command: list[str], complete: bool = True) -> None:
             assert all((ROOT / path).exists() for path in arguments if path.startswith("tests")), arguments
         case ["jupyter", "nbconvert", *arguments]:
             assert all((ROOT / path).is_file() for path in arguments if path.endswith(".ipynb")), arguments
-        case ["slam-gym", name, *_]:
-            assert name in (*COMMANDS, "doctor"), name
+        case ["slam-gym", "doctor"]:
+            pass
+        case ["slam-gym", name, *arguments]:
+            assert name in COMMANDS, name
+            check_command(["python", "-m", f"agents.{name.replace('-', '_')}", *arguments], complete)
         case ["evo_ape" | "evo_rpe" | "evo_traj", "tum", first, *rest]:
             assert all(path.endswith(".tum") for path in (first, *rest) if "/" in path), rest
         case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:
@@ -241,7 +244,17 @@ def test_the_format_page_of_floor_plans_shows_one(tmp_path: Path) -> None:
 
 
 def test_readme_is_short() -> None:
-    assert len(text_of(ROOT / "README.md").splitlines()) <= 130
+    assert len(text_of(ROOT / "README.md").splitlines()) <= 100
+
+
+def test_results_are_six_short_pages_with_their_plots() -> None:
+    pages = sorted((ROOT / "docs" / "results").glob("*.md"))
+    assert len(pages) <= 6
+    assert sum(len(text_of(page).split()) for page in pages) <= 4000
+    for page in pages:
+        for background in ("light", "dark"):
+            plot = page.with_name(f"{page.stem}-{background}.svg")
+            assert plot.is_file() and plot.name in text_of(page), "python docs/results/plots.py draws it"
 
 
 def test_pictures_are_small_and_shown() -> None:
