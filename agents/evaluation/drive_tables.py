@@ -27,11 +27,12 @@ from slam_gym.simulation.judged import CEILING
 
 (LOST,) = columns("map_lost")
 DRIVER_COLUMNS = columns(
-    "map_error", "local_error", "coverage", "precision", "recall", "anees", "map_lost", "ticks", "ticks_per_second"
-)
+    "map_error", "map_error_aligned", "coverage", "precision", "recall", "anees", "map_lost", "ticks",
+    "ticks_per_second",
+)  # fmt: skip
 ASSOCIATOR_COLUMNS = columns(
-    "precision", "recall", "f1", "exact", "duplicates", "nodes", "microseconds", "limits", "map_error", "local_error",
-    "anees",
+    "precision", "recall", "f1", "exact", "duplicates", "nodes", "microseconds", "limits", "map_error",
+    "map_error_aligned", "anees",
 )  # fmt: skip
 RELOCATION_COLUMNS = columns("recovered", "relocations_wrong", "ticks_astray")
 

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from slam_gym._jit import compiled
 from slam_gym.geometry import transform
 from slam_gym.mapping import ekf
 from slam_gym.mapping.ekf import MapArrays
 from slam_gym.metrics.point_assignment import Index, assign, indexed
-from slam_gym.types import Array, IntArray
+from slam_gym.types import UNPAIRED, Array, IntArray
+
+_ROUNDS = 20  # of an alignment, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +68,60 @@ def error_of(estimated: Array, index: Index) -> float:
     (_, cost, pairs), sigma0 = assign(estimated, index, 1.0), 0.5 * cutoff
     unpaired = len(estimated) + len(true) - 2 * pairs
     return float((cost + sigma0 * unpaired) / (sigma0 * max(len(true), 1)))
+
+
+def map_error_aligned(estimated: Array, true: Array, sigma0: float, known: tuple[Array, Array] | None = None) -> float:
+    """The least `map_error` over all rigid motions of the map: what is wrong with it, in whatever frame it is drawn.
+
+    How the frame of the first pose is turned nobody can know better than the first scans tell, and over 200 m a
+    hundredth of a radian spends all of E. A reward cannot be this one: the best motion is known at the end only.
+
+    Starts from the map as it is, from as many points of it as fit best where `known` tells which belong together
+    (k of the map, and the k true ones), and from the assignment of either; the best is then refined by a local search.
+    Raises ValueError as `map_error`, and as `align_se2` for what is `known`.
+    """
+    raw = map_error(estimated, true, sigma0)
+    if not len(estimated) or not len(true):
+        return raw
+    index, centre = indexed(true, 2.0 * sigma0), estimated.mean(axis=0)
+
+    def error(motion: Array) -> float:  # about the centre, so that a turn moves the map as little as it can
+        return error_of(transform(motion, estimated - centre), index)
+
+    def about_centre(pose: Array) -> Array:
+        return np.array([*transform(pose, centre[None])[0], pose[2]])
+
+    starts = [np.zeros(3)]
+    if known is not None and len(known[0]):
+        starts.append(_trimmed(*known))
+    starts += [_assigned(estimated, index, start) for start in starts]
+    best = min(map(about_centre, starts), key=error)
+    spread = max(float(np.hypot(*(estimated - centre).T).max()), sigma0)
+    steps = np.vstack([np.zeros(3), np.diag([0.2 * sigma0, 0.2 * sigma0, 0.2 * sigma0 / spread])])
+    options = {"initial_simplex": best + steps, "xatol": 1e-6, "fatol": 1e-6, "maxfev": 300}
+    return min(raw, error(best), float(minimize(error, best, method="Nelder-Mead", options=options).fun))
+
+
+def _trimmed(points: Array, true: Array) -> Array:
+    """Pose (3,) that moves points (k, 2) onto those of the same row, by the half of them that it fits best."""
+    chosen, pose = np.arange(len(points)), np.zeros(3)
+    for _ in range(_ROUNDS):
+        pose = align_se2(points[chosen], true[chosen])
+        off = np.hypot(*(transform(pose, points) - true).T)
+        chosen = np.argsort(off, kind="stable")[: max(len(off) // 2, min(len(off), 2))]
+    return pose
+
+
+def _assigned(points: Array, index: Index, pose: Array) -> Array:
+    """The pose (3,) that assignment to the true points and alignment in turn make of another."""
+    for _ in range(_ROUNDS):
+        assigned = assign(transform(pose, points), index, 1.0)[0]
+        paired = assigned != UNPAIRED
+        after = align_se2(points[paired], index[0][assigned[paired]])
+        if not paired.any() or np.array_equal(after, pose):
+            break
+        pose = after
+    return pose
 
 
 @compiled

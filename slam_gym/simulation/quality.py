@@ -6,7 +6,7 @@ import numpy as np
 
 from slam_gym.geometry import transform
 from slam_gym.metrics.consistency import anees
-from slam_gym.metrics.map_quality import ate, gospa, landmark_rmse, local_error
+from slam_gym.metrics.map_quality import ate, gospa, landmark_rmse, local_error, map_error_aligned
 from slam_gym.simulation.episode import Episode
 from slam_gym.types import IntArray
 
@@ -17,6 +17,7 @@ def quality(episode: Episode) -> dict[str, float]:
     """Measures of the episode so far; provisional features (seen too seldom to be confirmed) count nowhere, and those
     of maps that a lost robot has left count as long as they are not joined with the current one.
 
+    `map_error_aligned` is that of the map laid rigidly onto the truth: what is wrong with its shape.
     `landmark_rmse_…` [m] are over the mapped features whose creator was a real feature, each against that feature;
     duplicates count in `duplicates` and as false in GOSPA (p = 2, c = 1 m). `local_error` [m] is by how much distances
     between those of them that were seen together are wrong, on average. `ate` [m] is that of the positions, without
@@ -34,6 +35,9 @@ def quality(episode: Episode) -> dict[str, float]:
     parts = gospa(landmarks, episode.targets, p=2.0, cutoff=_CUTOFF)
     return {
         "map_error": episode.map_error(),
+        "map_error_aligned": map_error_aligned(
+            landmarks, episode.targets, episode.scenario.prior_sigma, (mapped, true)
+        ),
         "coverage": episode.coverage(),
         "landmark_rmse_raw": landmark_rmse(mapped, true),
         "landmark_rmse_aligned": landmark_rmse(mapped, true, aligned=True),

@@ -1,5 +1,6 @@
 """Map quality against closed forms and invariances."""
 
+import itertools
 import math
 
 import numpy as np
@@ -15,6 +16,7 @@ from slam_gym.metrics.map_quality import (
     landmark_rmse,
     local_error,
     map_error,
+    map_error_aligned,
 )
 
 
@@ -116,3 +118,40 @@ def test_the_trajectory_error_is_that_of_the_positions():
     moved = transform(np.array([1.0, -2.0, 2.5]), true[:, :2].copy())
     assert ate(moved, true) > 0.5 and ate(moved, true, aligned=True) == pytest.approx(0.0, abs=1e-12)
     assert math.isnan(ate(np.empty((0, 3)), np.empty((0, 3))))
+
+
+def blurred(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a map, and the true ones: some missed, some false, the others off by a tenth of a metre."""
+    rng = np.random.default_rng(seed)
+    true = rng.uniform(-10.0, 10.0, (30, 2))
+    return np.concatenate([true[:24] + rng.normal(0.0, 0.1, (24, 2)), rng.uniform(-10.0, 10.0, (4, 2))]), true
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_map_that_was_moved_is_as_good_as_it_was(seed) -> None:
+    estimated, true = blurred(seed)
+    before = map_error_aligned(estimated, true, 0.5)
+    rng = np.random.default_rng(seed)
+    moved = transform(np.array([*rng.normal(0.0, 3.0, 2), rng.uniform(-np.pi, np.pi)]), estimated)
+    assert map_error_aligned(moved, true, 0.5, (moved[:24], true[:24])) == pytest.approx(before, abs=2e-3)
+    assert before <= map_error(estimated, true, 0.5) < map_error(moved, true, 0.5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_motion_of_a_grid_is_better(seed) -> None:
+    """Turns by up to 10° and shifts by up to 0.6 m, from a map that is off by as much."""
+    estimated, true = blurred(seed)
+    rng = np.random.default_rng(seed)
+    moved = transform(np.array([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.1, 0.1)]), estimated)
+    shifts, turns = np.linspace(-0.6, 0.6, 13), np.deg2rad(np.linspace(-10.0, 10.0, 21))
+    grid = [map_error(transform(np.array(T), moved), true, 0.5) for T in itertools.product(shifts, shifts, turns)]
+    for known in (None, (moved[:24], true[:24])):
+        assert map_error_aligned(moved, true, 0.5, known) <= min(grid) + 1e-9
+
+
+def test_nothing_and_one_point_are_aligned_too() -> None:
+    nothing, one = np.empty((0, 2)), np.array([[3.0, 4.0]])
+    assert map_error_aligned(nothing, one, 0.5) == 1.0
+    assert map_error_aligned(one + 5.0, one, 0.5, (one + 5.0, one)) == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(ValueError, match="sigma0"):
+        map_error_aligned(one, one, 0.0)

@@ -31,7 +31,9 @@ METADATA = {
 def folder(tmp_path):
     """Three episodes of two agents: the second makes better maps, and has a film."""
     curve = json.dumps({"ticks": [0, 10], "map_error": [1.0, 0.5], "coverage": [0.1, 0.5]})
-    numbers = dict.fromkeys(("local_error", "coverage", "precision", "recall", "anees", "map_lost", "kidnapped"), 0.5)
+    numbers = dict.fromkeys(
+        ("map_error_aligned", "coverage", "precision", "recall", "anees", "map_lost", "kidnapped"), 0.5
+    )
     rows = [
         {"name": name, "setting": "<hall>", "episode": k, "model": "", "map_error": error + 0.01 * k, "ticks": 10,
          "ticks_per_second": 100.0, "curve": curve, "recovered": 1.0, "relocations_wrong": 0.0, "ticks_astray": 3.0,
