@@ -10,11 +10,10 @@ from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.relocation.answer import Best, answer_of, nothing_found, offer
 from slam_gym.association.relocation.constraints import Path
-from slam_gym.association.relocation.tree import BINARY, LEAVES, LIMIT, NODES, UNARY, Problem, next_branch, problem_of
+from slam_gym.association.relocation.tree import LEAVES, LIMIT, NODES, Problem, next_branch, problem_of
 from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 
-WORK_LIMIT = 10_000_000  # unary and binary tests of a search, each leaf that is located being worth so many:
-_LEAF = 1_000
+LEAF_LIMIT = 5_000  # hypotheses that a search locates: a quarter of a second
 _STAR = -1  # in place of a candidate: `*` comes next, the candidates are done
 
 
@@ -44,7 +43,7 @@ def gcbb(
     Levels follow the scan. With `outwards` they go from its centre out: a measurement amid the others is more likely to
     begin with a feature that was seen together with all of theirs, so that less is lost to a strict locality.
 
-    `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `WORK_LIMIT` ends the search,
+    `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `LEAF_LIMIT` ends the search,
     `effort.limit_hit` says so and the best hypothesis until then is returned. Raises ValueError for bad numbers in scan
     or map, and for a locality of another map.
     """
@@ -87,8 +86,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
         tried[level] = _STAR if feature == UNPAIRED else done
         if feature == UNPAIRED and not _promises(best, p + m - level - 1, rivals):
             continue
-        work = effort[UNARY] + effort[BINARY] + _LEAF * effort[LEAVES]
-        if effort[NODES] == node_limit or work >= WORK_LIMIT:
+        if effort[NODES] == node_limit or effort[LEAVES] >= LEAF_LIMIT:
             effort[LIMIT] = 1
             break
         effort[NODES] += 1
