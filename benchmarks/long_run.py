@@ -161,7 +161,7 @@ def main() -> None:
     print(f"{len(megabytes)} episodes, {total} ticks, {broken} broken, memory {100.0 * growth:+.1f} %")
     print(f"worst tick {worst:.2f} s: {when}")
     too_long, leaks = a.associator != "" and worst > LONGEST_TICK, len(megabytes) >= MIN_EPISODES and growth > GROWTH
-    raise SystemExit(broken > 0 or too_long or leaks)
+    raise SystemExit(int(broken > 0 or too_long or leaks))
 
 
 if __name__ == "__main__":
