@@ -198,6 +198,11 @@ def test_files_above_the_limit_and_numbers_that_are_not_finite_are_refused(tmp_p
     (tmp_path / "log.npz").write_bytes(bytes((1 << 26) + 1))
     with pytest.raises(ValueError, match=r"log\.npz: .*larger than 64 MB"):
         load(tmp_path / "log.npz")
+    bomb = packed(np.savez_compressed, times=np.zeros(1 << 23), format="slam_gym recording")
+    (tmp_path / "log.npz").write_bytes(bomb)
+    assert len(bomb) < 1 << 20
+    with pytest.raises(ValueError, match=r"log\.npz: .*unpacks to more than 64 MB"):
+        load(tmp_path / "log.npz")
     path = tmp_path / "plan.json"
     save_floor_plan(square(), path)
     path.write_text(json.dumps({**json.loads(path.read_text()), "name": float("nan")}))

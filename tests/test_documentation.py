@@ -273,24 +273,6 @@ def test_every_environment_and_scenario_has_its_picture() -> None:
 # -- these checks can fail -------------------------------------------------------------------------------------------
 
 
-def test_blocks_are_found_with_their_lines() -> None:
-    text = "# A\n\n```python\nx = 1\n```\n`slam_gym.no.such`\n```text\n`y`\n```\n"
-    assert list(blocks(text)) == [Block("python", "x = 1\n", 4), Block("text", "`y`\n", 8)]
-    assert (
-        inline_code(text) == ["slam_gym.no.such"]
-        and not resolves("slam_gym.no.such")
-        and not resolves("slam_gym.types.No")
-    )
-
-
-def test_commands_are_found_in_scripts() -> None:
-    script = (
-        'for s in 0 1; do python -m a --seed $s --out r/s$s; done  # twice\nA=b time pip install -e ".[x]" && pytest'
-    )
-    found = [["python", "-m", "a", "--seed", "0", "--out", "r/s0"], ["pip", "install", "-e", ".[x]"], ["pytest"]]
-    assert list(commands(script)) == found
-
-
 @pytest.mark.parametrize(
     "command",
     ["python benchmarks/corridor.py --no-such-option", "python -m agents.evaluate --episodes many", "rm -r results",

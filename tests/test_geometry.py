@@ -41,18 +41,8 @@ def numerical(f, x: Array, angle: bool = False, step: float = 1e-6) -> Array:
 # --- angles -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turns", [-1000, -3, -1, 0, 1, 2, 1000])
-@pytest.mark.parametrize("angle", [-3.14159, -1.0, -1e-9, 0.0, 1e-9, 0.5, 3.14159])
-def test_whole_turns_do_not_matter(angle: float, turns: int) -> None:
-    assert g.wrap_angle(angle + turns * 2 * math.pi) == pytest.approx(angle, abs=1e-12 * (1 + abs(turns)))
-
-
-@pytest.mark.parametrize("angle", [math.pi, -math.pi])
-def test_half_a_turn_is_plus_pi(angle: float) -> None:
-    assert g.wrap_angle(angle) == math.pi
-
-
 def test_wrapped_angles_lie_in_the_half_open_interval() -> None:
+    assert g.wrap_angle(math.pi) == g.wrap_angle(-math.pi) == math.pi
     around = [k * math.pi + d for k in range(-9, 10) for d in (-1e-15, 0.0, 1e-15, -1e-12, 1e-12)]
     seam = [np.nextafter(s * math.pi, to) for s in (1, -1) for to in (-10.0, 10.0)]
     wild = np.random.default_rng(1).normal(0, 1e6, 1000)
@@ -70,12 +60,6 @@ def test_composition_is_the_product_of_matrices(a: Array, b: Array) -> None:
     result = g.compose(a, b)
     np.testing.assert_allclose(matrix(result), matrix(a) @ matrix(b), rtol=0, atol=1e-12)
     assert -math.pi < result[2] <= math.pi
-
-
-@pytest.mark.parametrize(("a", "b"), PAIRS)
-@pytest.mark.parametrize("c", [POSES[3], SEAM[0]])
-def test_composition_is_associative(a: Array, b: Array, c: Array) -> None:
-    assert_same(g.compose(g.compose(a, b), c), g.compose(a, g.compose(b, c)))
 
 
 @pytest.mark.parametrize("a", POSES + SEAM)

@@ -132,13 +132,6 @@ def test_sizes_and_common_drift_are_taken_into_account():
     assert min_pairings(scan, replace(landmarks, covariances=marginals)) > min_pairings(scan, known)
 
 
-def test_crowding_given_is_crowding_found():
-    scan, landmarks = world(2, 200, 8)
-    crowding = crowding_of(landmarks, extent(scan))
-    assert crowding.landmarks.sum() == 200 and crowding.variance == pytest.approx(0.0025)
-    np.testing.assert_array_equal(log_expected(scan, landmarks, crowding=crowding), log_expected(scan, landmarks))
-
-
 @pytest.mark.parametrize("m", [0, 1, 2, 3])
 def test_never_less_than_three_and_never_more_than_all_and_one(m):
     scan, landmarks = world(3, 5, m)

@@ -77,18 +77,6 @@ def test_compatibility_does_not_depend_on_the_axes():
     np.testing.assert_allclose(before.distances, after.distances, rtol=1e-9)
 
 
-def broken(what, entry, value):
-    """A problem with one number spoilt."""
-    scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
-    owner = scan if what.startswith("scan") else prediction
-    array = getattr(owner, what.split(".")[1]).copy()
-    array[entry] = value
-    if owner is scan:
-        return dataclasses.replace(scan, **{what.split(".")[1]: array}), prediction
-    positions = array if what.endswith("positions") else prediction.positions
-    return scan, with_rows(prediction, positions, array if what.endswith("covariances") else prediction.covariances)
-
-
 def with_rows(prediction, positions, covariances):
     """The same with other positions and covariances."""
     counted, sized, near, _, _, across = prediction.rows
@@ -97,22 +85,10 @@ def with_rows(prediction, positions, covariances):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-@pytest.mark.parametrize("what", ["scan.points", "scan.covariances", "prediction.positions", "prediction.covariances"])
-def test_numbers_that_are_not_finite_are_refused_by_name(what, value):
-    entry = (2, 0, 0) if what.endswith("covariances") else (2, 1)
-    with pytest.raises(ValueError, match=rf"{what}\[2\]"):
-        individual(*broken(what, entry, value))
-
-
-@pytest.mark.parametrize("value", [[[-1.0, 0.0], [0.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]])
-def test_noise_that_is_no_covariance_is_refused_by_name(value):
-    with pytest.raises(ValueError, match=r"scan.covariances\[1\] is not positive semi-definite"):
-        individual(*broken("scan.covariances", 1, value))
-
-
-def test_exact_measurements_of_exactly_known_features_are_refused():
-    scan, prediction = broken("scan.covariances", slice(None), 0.0)
-    k = len(prediction)
-    certain = with_rows(prediction, np.tile(scan.points[:1], (k, 1)), np.ones((k, 2, 2)))
-    with pytest.raises(ValueError, match="singular"):
-        individual(scan, certain)
+@pytest.mark.parametrize("what", ["positions", "covariances"])
+def test_a_prediction_that_is_not_finite_is_refused_by_name(what, value):
+    scan, prediction = oracles.problem(np.random.default_rng(0), 4, 5)
+    arrays = {"positions": prediction.positions.copy(), "covariances": prediction.covariances.copy()}
+    arrays[what][2, 0] = value
+    with pytest.raises(ValueError, match=rf"prediction.{what}\[2\]"):
+        individual(scan, with_rows(prediction, **arrays))

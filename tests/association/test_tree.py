@@ -39,54 +39,6 @@ def pairs_of(tree, node):
     return [(i, int(row)) for i, row in enumerate(decided(tree, node)) if row != UNPAIRED]
 
 
-def factored(node):
-    """L and y of S_H = L Lᵀ and y = L⁻¹ν_H, from what each pairing of the path was when it joined."""
-    L, y = np.zeros((2 * len(node.path),) * 2), np.zeros(2 * len(node.path))
-    for p, c in enumerate(node.path):
-        x, z, xx, xy, yy = node.innovations[c]
-        corner = np.linalg.cholesky([[xx, xy], [xy, yy]])
-        L[2 * p : 2 * p + 2, : 2 * p], L[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] = node.w[c, : 2 * p].T, corner
-        y[2 * p : 2 * p + 2] = np.linalg.solve(corner, [x, z])
-    return L, y
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_what_may_follow_a_node_is_conditioned_on_its_path(seed):
-    """As an EKF update with the pairings of the path would leave it."""
-    tree = plant(seed)
-    for node in random_leaf(tree, np.random.default_rng(seed))[:-1]:
-        pairs, (first, _) = pairs_of(tree, node), tree.level(node.level)
-        for c in range(first, len(tree.pairings.slots)):
-            i, j = int(tree.pairings.measured[c]), int(tree.rows[tree.pairings.slots[c]])
-            if any(j == used for _, used in pairs):
-                continue
-            rows = np.array([*(row for _, row in pairs), j])
-            S = tree.prediction.joint(rows)
-            for k, measured in enumerate([*(measured for measured, _ in pairs), i]):
-                S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += tree.scan.covariances[measured]
-            nu = np.concatenate([tree.scan.points[m] - tree.prediction.positions[r] for m, r in [*pairs, (i, j)]])
-            gain = S[-2:, :-2] @ np.linalg.inv(S[:-2, :-2]) if pairs else np.zeros((2, 0))
-            left = S[-2:, -2:] - gain @ S[:-2, -2:]
-            expected = [*(nu[-2:] - gain @ nu[:-2]), left[0, 0], left[0, 1], left[1, 1]]
-            np.testing.assert_allclose(node.innovations[c], expected, atol=1e-10)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_node_carries_the_factored_innovation_covariance_of_its_path(seed):
-    tree = plant(seed)
-    node = random_leaf(tree, np.random.default_rng(seed))[-1]
-    pairs = pairs_of(tree, node)
-    rows = np.array([row for _, row in pairs], np.int64)
-    S = tree.prediction.joint(rows)
-    for k, (i, _) in enumerate(pairs):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += tree.scan.covariances[i]
-    innovation = np.array([tree.scan.points[i] - tree.prediction.positions[j] for i, j in pairs]).ravel()
-    factor, whitened = factored(node)
-    np.testing.assert_allclose(factor @ factor.T, S, atol=1e-12)
-    np.testing.assert_allclose(factor @ whitened, innovation, atol=1e-12)
-    assert node.distance == pytest.approx(oracles.distance(tree.scan, tree.prediction, pairs), rel=1e-9, abs=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(30))
 def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_legal(seed):
     tree = plant(seed)

@@ -1,4 +1,4 @@
-"""`Associate-v0`: checkers, rewards that rank associators, classical associators through it, twins, snapshots."""
+"""`Associate-v0`: arguments, rewards that rank associators, associators and policies through it, what is handed out."""
 
 from dataclasses import replace
 
@@ -70,9 +70,6 @@ def total(steps):
     return sum(step[1] for step in steps)
 
 
-# -- checkers ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -89,9 +86,6 @@ def total(steps):
 def test_bad_arguments_are_refused_by_name(options, message):
     with pytest.raises(ValueError, match=message):
         AssociateEnv(**options)
-
-
-# -- rewards -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scenario", ["corridor", short(120), short(120, "crowd")])
@@ -138,9 +132,6 @@ def test_the_right_actions_are_right_and_earn_the_most():
     assert steps[-1][4]["score"] == pytest.approx(tally.recall)
 
 
-# -- other ways to the same hypotheses -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("associator", "compatibility"),
     [
@@ -180,9 +171,6 @@ def test_a_policy_sees_as_an_associator_what_it_sees_in_the_environment():
     np.testing.assert_array_equal(slam.map.mean, env.run.slam.map.mean)
 
 
-# -- what is handed out --------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scenario", ["corridor", "office-small", short(150, "crowd")])
 def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
     env, looks, hid = associate(scenario, candidates=2, compatibility="individual"), [], 0
@@ -202,9 +190,6 @@ def test_observations_are_inside_their_space_and_info_has_fixed_keys(scenario):
     assert looks == sorted(looks)
     assert looks[-1] == env.run.length
     assert hid > 0 or scenario != "corridor"
-
-
-# -- floor plans ---------------------------------------------------------------------------------------------------
 
 
 def test_it_is_driven_on_a_floor_plan(tmp_path):

@@ -1,8 +1,7 @@
-"""`Explore-v0` as Gymnasium knows it: checkers, spaces, twins, ends, snapshots, pictures; and no truth in sight."""
+"""`Explore-v0`: worlds, what is handed out, masked goals, the end of the budget; and no truth in sight."""
 
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -19,9 +18,6 @@ INFO = ["map_error", "coverage", "pairings_right", "pairings_wrong", "pairings_m
 INFO += ["lost", "truth"]
 
 
-# -- same seed, same episode, bit for bit --------------------------------------------------------------------------
-
-
 def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
     env = explore("office-small")
     plans = []
@@ -33,9 +29,6 @@ def test_world_option_takes_the_world_and_the_seed_the_rest() -> None:
     assert plans[0][0].shape != plans[2][0].shape or not np.array_equal(plans[0][0], plans[2][0])
     drawn = env.scenario.generator(world_generator("train", 6))
     np.testing.assert_array_equal(plans[2][0], drawn.walls)
-
-
-# -- what is handed out --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("action", ["goal", "twist"])
@@ -62,9 +55,6 @@ def test_info_sums_up_to_the_tally_and_the_ticks() -> None:
     assert sum(info["pairings_missed"] for info in infos) == tally.fn
     assert sum(info["ticks"] for info in infos) == 120 == infos[-1]["map_quality"]["ticks"]
     assert infos[-1]["map_quality"] == env.map_quality()
-
-
-# -- truth cannot leak ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("associator", ["jcbb", "nearest_neighbour", "singles"])
@@ -116,9 +106,6 @@ def test_where_the_building_stands_in_the_world_is_nowhere_to_be_seen(action, st
         np.testing.assert_allclose(apart, [64.0, -32.0, 0.0], atol=1e-9)
 
 
-# -- ends ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("action", ["goal", "twist"])
 def test_spending_the_budget_terminates_and_is_seen_coming(action) -> None:
     env, ticks = explore(short(70), action=action), 0
@@ -128,9 +115,6 @@ def test_spending_the_budget_terminates_and_is_seen_coming(action) -> None:
         assert observation["budget"] == np.float32(1.0 - ticks / 70)
         assert ("map_quality" in info) == terminated
     assert terminated and observation["budget"] == 0.0
-
-
-# -- masked goals --------------------------------------------------------------------------------------------------
 
 
 def test_a_masked_goal_looks_around() -> None:
@@ -152,19 +136,6 @@ def test_masks_agree_everywhere_and_looking_around_is_always_legal() -> None:
     assert seen[1:11].any() and seen[11:].any()
     with pytest.raises(AttributeError, match="goal mode"):
         explore(action="twist").action_masks()
-
-
-# -- specification, pictures, lifecycle ----------------------------------------------------------------------------
-
-
-def test_the_spec_survives_json() -> None:
-    kwargs = dict(scenario="hall", split="test", associator="slam_gym.association:singles", action="twist")
-    env = gym.make("slam_gym/Explore-v0", **kwargs, reward="d_opt", locality=None)
-    spec = gym.envs.registration.EnvSpec.from_json(env.spec.to_json())
-    assert spec.kwargs == env.spec.kwargs
-    again = gym.make(spec)
-    for one, other in zip(episode(env, 20), episode(again, 20), strict=True):
-        assert not differences(one, other)
 
 
 def test_a_given_floor_plan_is_surveyed_once(tmp_path) -> None:

@@ -12,10 +12,8 @@ from slam_gym.envs.explore import ExploreEnv
 from slam_gym.scenarios import Scenario, get_scenario
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Scan
 from slam_gym.world.floor_plan import Features, FloorPlan
-from slam_gym.world.sensor import Sensor, SensorSpec
+from slam_gym.world.sensor import SensorSpec
 from tests.rollouts import episode, explore, short
-
-# -- unknown names -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -36,51 +34,11 @@ def test_an_unknown_name_is_refused_with_the_known_ones(arguments, known) -> Non
         ExploreEnv(**arguments)
 
 
-# -- actions and resets --------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("right", [(1.0, -1.0), [0.0, 0.5], np.array([0.2, 0.1], np.float32), np.zeros(2)])
 def test_twists_may_come_as_any_pair(right) -> None:
     env = explore(action="twist")
     env.reset(seed=0)
     assert env.step(right)[-1]["ticks"] == 1
-
-
-# -- scans and associators -----------------------------------------------------------------------------------------
-
-
-def spoiled(monkeypatch: pytest.MonkeyPatch, spoil) -> None:
-    """From now on every scan with a measurement is spoiled."""
-    sense = Sensor.sense
-
-    def spoiled_senses(self, *args):
-        senses = sense(self, *args)
-        if len(senses.scan):
-            spoil(senses.scan)
-        return senses
-
-    monkeypatch.setattr(Sensor, "sense", spoiled_senses)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda scan: scan.points.__setitem__((0, 1), np.nan), "Scan: measurement 0: points are not finite"),
-        (lambda scan: scan.covariances.__setitem__((0, 0, 0), np.nan), "covariance is not finite"),
-        (lambda scan: scan.covariances.__setitem__(0, np.diag([1.0, -1.0])), "covariance is not PSD"),
-        (lambda scan: scan.covariances.__setitem__(0, [[1.0, 2.0], [2.0, 1.0]]), "covariance is not PSD"),
-    ],
-)
-def test_a_scan_that_would_corrupt_the_map_is_refused_by_name(spoil, message, monkeypatch) -> None:
-    env = explore(action="twist")
-    for _ in episode(env, 20):
-        pass
-    mean, covariance = env.episode.slam.map.mean, env.episode.slam.map.covariance
-    spoiled(monkeypatch, spoil)
-    with pytest.raises(ValueError, match=message):
-        env.step((0.0, 0.0))
-    np.testing.assert_array_equal(env.episode.slam.map.mean, mean)
-    np.testing.assert_array_equal(env.episode.slam.map.covariance, covariance)
 
 
 def hypothesis(features: list[int]) -> Hypothesis:
@@ -120,9 +78,6 @@ def test_an_associator_that_pairs_at_random_does_not_break_the_filter() -> None:
     for observation, reward, *_ in episode(env):
         assert math.isfinite(reward) and env.observation_space.contains(observation)
     assert sound(env.episode.slam.map.covariance) and np.isfinite(env.episode.slam.map.mean).all()
-
-
-# -- floor plans ---------------------------------------------------------------------------------------------------
 
 
 def box(width: float, height: float, x: float = 0.0, y: float = 0.0) -> list[list[float]]:

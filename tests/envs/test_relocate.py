@@ -1,4 +1,4 @@
-"""`Relocate-v0`: checkers, kidnappings and who judges them, searches and policies through it, twins, snapshots."""
+"""`Relocate-v0`: arguments, who judges an answer, searches and policies through it, what is handed out, its floors."""
 
 from dataclasses import replace
 
@@ -50,9 +50,6 @@ def by_truth(observation, info):
     return refuse(observation, info) if action == NOT_OFFERED else action
 
 
-# -- arguments -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -75,17 +72,11 @@ def test_bad_arguments_are_refused_by_name(options, message):
         RelocateEnv(**options)
 
 
-# -- kidnappings ---------------------------------------------------------------------------------------------------
-
-
 def test_the_robot_is_outside_as_often_as_asked_for():
     env = relocate(outside=0.4, kidnappings_per_map=200)
     env.reset(seed=1)
     inside = [env.reset()[1]["truth"]["inside"] for _ in range(199)]
     assert 0.5 < np.mean(inside) < 0.7
-
-
-# -- rewards -------------------------------------------------------------------------------------------------------
 
 
 def test_the_truth_played_is_right_inside_and_refusing_is_right_outside():
@@ -118,9 +109,6 @@ def test_an_answer_is_judged_by_its_pose_and_by_the_tolerances():
         *_, none = episode(env, refuse, seed=seed)
         assert none[1] == 0.0 and none[4]["score"] == {"right": 0, "wrong": 0, "nodes": none[4]["nodes"]}
     assert believed >= 4
-
-
-# -- searches and policies through the environment -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("locality", ["covisibility", "two-hop covisibility", "distance", None])
@@ -158,9 +146,6 @@ def test_a_policy_sees_as_a_relocator_what_it_sees_in_the_environment():
     np.testing.assert_array_equal(found.features, env.walk.answer().features)
 
 
-# -- same seed, same episode, bit for bit --------------------------------------------------------------------------
-
-
 def test_a_world_asked_for_does_not_depend_on_what_was_mapped_before_nor_disturb_the_series():
     env, twin = relocate(kidnappings_per_map=4), relocate(kidnappings_per_map=4)
     for world in range(5):  # more than are kept
@@ -175,9 +160,6 @@ def test_a_world_asked_for_does_not_depend_on_what_was_mapped_before_nor_disturb
     twin.reset()
     assert env.mapped.site.plan.walls.shape == twin.mapped.site.plan.walls.shape
     np.testing.assert_array_equal(env.mapped.landmarks.positions, twin.mapped.landmarks.positions)
-
-
-# -- what is handed out --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -205,9 +187,6 @@ def test_info_has_fixed_keys_and_agrees_with_the_observation(options):
             assert (hidden > 0.0) == (info["hidden"] > 0)
             assert info["nodes"] <= env.walk_spec.node_limit
         assert terminated
-
-
-# -- pictures ------------------------------------------------------------------------------------------------------
 
 
 def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_scenario(tmp_path):

@@ -23,16 +23,11 @@ def test_rewards_sum_to_the_first_error_minus_the_last(reward, action) -> None:
     assert errors[-1] < errors[0] - 0.01, "nothing was learnt, so nothing was tested"
 
 
-def scan_of(points: np.ndarray) -> Scan:
-    unknown = np.full(len(points), np.nan)
-    return Scan(points, np.tile(np.eye(2) * 1e-6, (len(points), 1, 1)), unknown, unknown)
-
-
 def mapped(env, points: np.ndarray, times: int) -> float:
     """E once the map holds `points` (k, 2) in W, each seen so many times, and nothing else."""
     ep = env.episode
     ep.slam.map = StochasticMap()
-    scan = scan_of(observe(ep.base, np.ascontiguousarray(points)))
+    scan = Scan.from_points(observe(ep.base, np.ascontiguousarray(points)), sigma=1e-3)
     features = ep.slam.map.add(scan, np.arange(len(scan)))
     for _ in range(times - 1):
         ep.slam.map.end_of_step()

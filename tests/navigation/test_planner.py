@@ -170,23 +170,3 @@ def test_a_field_within_a_rectangle_is_that_of_its_cells_alone():
     goal = centre(grid, 21, 24)
     assert length_to(field, goal) == length_to(expected, centre(alone, 13, 14)) and len(field.path(goal)) >= 2
     assert length_to(field, centre(grid, 2, 2)) == math.inf
-
-
-def test_points_along_many_paths_are_every_so_many_cells_from_each_goal_back() -> None:
-    rng = np.random.default_rng(3)
-    grid = grid_of(random_cells(rng, (40, 60)))
-    field = distance_field(grid, centre(grid, *rng.choice(np.argwhere(grid.cells == FREE))), 0.2)
-    goals, expected, counts = grid.origin + rng.uniform(-1.0, [13.0, 9.0], (200, 2)), [], []
-    for goal in goals:
-        cell, cells = field.cell(goal), []
-        if cell is not None and np.isfinite(field.lengths[cell]):
-            cells.append(cell)
-            while (step := field.steps[cell]) >= 0:
-                cell = cell[0] - STEPS[step][0], cell[1] - STEPS[step][1]
-                cells.append(cell)
-        expected += [centre(grid, *cell) for cell in cells[::3][::-1]]
-        counts.append(len(cells[::3]))
-    points, told = field.along_each(goals, 0.6)
-    assert min(counts) == 0 and max(counts) > 5
-    np.testing.assert_array_equal(told, counts)
-    np.testing.assert_array_equal(points, expected)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.navigation.pursuit import PursuitSpec, follow, length_left, next_stretch, on_path, points_ahead
+from slam_gym.navigation.pursuit import PursuitSpec, follow, length_left, next_stretch, on_path
 
 
 def reference(path, position):
@@ -28,20 +28,6 @@ def test_nearest_point_and_what_is_left_are_those_of_whole_arrays(seed) -> None:
     segment, covered, gap, lengths = reference(path, position)
     assert tuple(on_path(path, position)) == pytest.approx((segment, covered, gap), abs=1e-12)
     assert length_left(path, position) == pytest.approx(gap + lengths[segment:].sum() - covered, abs=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_points_ahead_lie_on_the_path_evenly(seed) -> None:
-    rng = np.random.default_rng(seed)
-    path, position = rng.uniform(0.0, 9.0, (rng.integers(1, 12), 2)), rng.uniform(-1.0, 10.0, 2)
-    first = int(np.argmin(((path - position) ** 2).sum(axis=1)))
-    points = points_ahead(path, position, 0.2)
-    np.testing.assert_array_equal(points[0], path[first])
-    length = np.hypot(*np.diff(path[first:], axis=0).T).sum()
-    assert len(points) == max(math.ceil(length / 0.2), 1)
-    assert (np.hypot(*np.diff(points, axis=0).T) <= 0.2 + 1e-9).all()
-    if len(path) - first > 1:
-        assert max(on_path(path[first:], point).gap for point in points) < 1e-9
 
 
 def test_the_next_stretch_and_the_rest_make_up_the_path() -> None:

@@ -12,7 +12,6 @@ from slam_gym.rendering.canvas import SUPERSAMPLING, Canvas, Window, pixels, pyg
 
 pytest.importorskip("pygame")
 
-
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
@@ -29,18 +28,6 @@ def test_ellipses_hold_95_percent() -> None:
     samples = rng.multivariate_normal([0.5, -0.5], covariance, 20_000)
     x, y = ((samples + 8.0) * 50.0 * SUPERSAMPLING).astype(int).T
     assert 0.94 < painted(canvas)[x, 800 * SUPERSAMPLING - 1 - y].mean() < 0.96
-
-
-def test_dashes_cover_about_half_of_a_line_and_a_polyline_breaks_at_nan() -> None:
-    canvas = Canvas((200, 40), (0.0, 0.0), 10.0, WHITE)
-    canvas.dashes(np.array([[1.0, 2.0], [19.0, 2.0]]), BLACK, 3.0)
-    row = painted(canvas)[:, SUPERSAMPLING * 20]
-    gaps = int((row[1:] & ~row[:-1]).sum())
-    assert 0.4 < row.mean() < 0.9 and gaps == 20  # one dash each 9 pixels
-    canvas = Canvas((200, 40), (0.0, 0.0), 10.0, WHITE)
-    canvas.polyline(np.array([[1.0, 2.0], [5.0, 2.0], [np.nan, np.nan], [15.0, 2.0], [19.0, 2.0]]), BLACK, 3.0)
-    row = painted(canvas)[:, SUPERSAMPLING * 20]
-    assert row[SUPERSAMPLING * 30] and row[SUPERSAMPLING * 170] and not row[SUPERSAMPLING * 100]
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, -2.5])
@@ -72,19 +59,6 @@ def test_without_pygame_the_error_names_the_extra() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert done.returncode != 0 and "slam_gym[render]" in done.stderr
-
-
-pytest.importorskip("pygame")
-
-
-def test_pixels_are_a_fresh_array_with_rows_first() -> None:
-    surface = pygame.Surface((30, 20), depth=32)
-    surface.fill((1, 2, 3))
-    surface.set_at((29, 0), (9, 8, 7))
-    array = pixels(surface)
-    assert array.shape == (20, 30, 3) and array.dtype == np.uint8 and array.flags.writeable
-    assert tuple(array[0, 29]) == (9, 8, 7) and tuple(array[19, 0]) == (1, 2, 3)
-    assert not np.shares_memory(array, pixels(surface))
 
 
 def test_a_window_opens_closes_and_opens_again() -> None:

@@ -1,6 +1,5 @@
 """Scenes: what an episode and a log come to, and that it is drawn in its colours, where it stands."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +21,6 @@ from slam_gym.rendering.scene import (
 from tests.rollouts import associate, episode, explore, short
 
 pytest.importorskip("pygame")
-
 
 SIZE, SCALE = (1000, 800), 100.0
 
@@ -106,23 +104,6 @@ def test_what_is_not_in_the_scene_is_not_in_the_legend() -> None:
             assert (pixels(legend(shown, True)) == colour).all(axis=2).any() == (name in shown)
 
 
-def test_every_entry_has_a_symbol() -> None:
-    surface = legend(ALL, True)
-    picture = pixels(surface)
-    symbols_column = (picture[:, :40] != symbols.PAPER).any(axis=(1, 2))
-    words_column = (picture[:, 48:] != symbols.PAPER).any(axis=(1, 2))
-    for top in np.flatnonzero(words_column[1:] & ~words_column[:-1]):
-        assert symbols_column[top : top + 18].any(), f"words at row {top} without a symbol"
-
-
-def test_colours_that_stand_side_by_side_differ_clearly() -> None:
-    colours = [symbols.DECISIONS[code] for code in list(Decision)[:5]] + [symbols.PLAN, symbols.MAPPED, symbols.INK]
-    for one, other in itertools.combinations(colours, 2):
-        assert np.abs(np.subtract(one, other)).sum() > 25, (one, other)
-    for other in (symbols.PLAN, symbols.DECISIONS[Decision.RIGHT], symbols.MAPPED):
-        assert np.abs(np.subtract(symbols.TRUTH, other)).sum() > 100, other
-
-
 def test_every_decision_has_a_colour_and_every_kind_of_feature_a_shape() -> None:
     assert set(symbols.DECISIONS) == set(Decision)
     shapes = []
@@ -131,10 +112,3 @@ def test_every_decision_has_a_colour_and_every_kind_of_feature_a_shape() -> None
         symbols.true_features(canvas, np.array([[20.0, 20.0]]), np.array([kind]), 8.0)
         shapes.append(pixels(canvas.picture()).tobytes())
     assert len(set(shapes)) == 3
-
-
-def test_provisional_landmarks_are_hollow() -> None:
-    canvas = Canvas((40, 20), (0.0, 0.0), 1.0, symbols.PAPER)
-    symbols.landmarks(canvas, np.array([[10.0, 10.0], [30.0, 10.0]]), np.array([False, True]), 5.0)
-    picture = pixels(canvas.picture())
-    assert tuple(picture[10, 10]) == symbols.MAPPED and tuple(picture[10, 30]) == symbols.PAPER

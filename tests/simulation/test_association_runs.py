@@ -136,15 +136,6 @@ def test_a_driven_run_lasts_as_long_as_its_scenario_and_is_the_same_each_time(dr
     assert travelled > 1.0
 
 
-def test_between_its_halves_a_driven_run_shows_the_scan_the_truth_and_what_is_expected() -> None:
-    run = driven()
-    run.next_scan()
-    assert run.scans == 1
-    assert len(run.truth) == len(run.scan) and len(run.prediction) > 0
-    run.associate(jcbb(run.scan, run.prediction))
-    assert run.scans == 2
-
-
 # --- drivers ----------------------------------------------------------------------------------------------------------
 
 

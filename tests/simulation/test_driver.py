@@ -117,20 +117,6 @@ def test_a_goal_that_is_walled_up_gives_way_to_a_place_nearby_if_there_is_one(ra
     assert left < driver.NEAR_ENOUGH + ARRIVED if arrives else (ep.ticks == ticks + 1 and left > 3.0)
 
 
-def test_ways_that_are_known_lead_where_those_that_are_found_anew_do() -> None:
-    for known in (True, False):
-        env = explore("office")
-        env.reset(seed=3)
-        for slot in (LOOK, 1, 2):
-            ways = env.goals.ways if known else None
-            carry_out(env.episode, slot, env.goals.positions[slot], lambda: None, ways)
-            env._observe()
-        if known:
-            driven = np.array(env.episode.estimates)
-    assert len(driven) > 60
-    np.testing.assert_array_equal(env.episode.estimates, driven)
-
-
 def test_frontiers_that_do_not_go_away_are_noted_and_others_are_not() -> None:
     for seed, name in enumerate(["office", "hall"]):
         env, rng, noted = explore(name), np.random.default_rng(seed), 0

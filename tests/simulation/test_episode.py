@@ -1,7 +1,5 @@
 """World and estimate side by side: the books that an episode keeps, and what nobody gets to see of it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -15,12 +13,12 @@ from slam_gym.metrics.consistency import pose_nees
 from slam_gym.metrics.map_quality import map_error
 from slam_gym.navigation.explored_grid import UNKNOWN, ExploredGrid
 from slam_gym.scenarios import KidnappingSpec, Scenario
-from slam_gym.simulation.episode import Episode, Site, survey, turned
+from slam_gym.simulation.episode import Episode, Site
 from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Relocation, Scan, Truth
-from slam_gym.world.floor_plan import Features, FloorPlan
+from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.physics import World
 from slam_gym.world.sensor import Sensor
 from tests.rollouts import short
@@ -189,15 +187,6 @@ def test_a_prediction_offers_localities_where_they_are_wanted() -> None:
         assert prediction.visibility().shape == (len(prediction),)
 
 
-@pytest.mark.parametrize("heading", [0.0, 0.7, 3.0])
-def test_a_covariance_turns_with_the_base(heading: float) -> None:
-    rng = np.random.default_rng(1)
-    factor, base = rng.standard_normal((3, 3)), np.array([4.0, -2.0, heading])
-    P = turned(base, factor @ factor.T)
-    J = np.column_stack([(compose(base, 1e-6 * e) - compose(base, -1e-6 * e)) / 2e-6 for e in np.eye(3)])
-    np.testing.assert_allclose(P, J @ factor @ factor.T @ J.T, atol=1e-7)
-
-
 # --- sites ------------------------------------------------------------------------------------------------------------
 
 
@@ -207,13 +196,3 @@ def test_a_site_is_where_the_robot_gets_to_and_what_it_can_see_there() -> None:
     assert site.observable.any() and (apart[site.observable] <= reach).all()
     x0, y0, x1, y1 = site.plan.bounds
     assert ((site.cells > [x0, y0]) & (site.cells < [x1, y1])).all()
-
-
-def test_a_plan_without_features_or_free_space_is_refused() -> None:
-    plan = site_of(SMALL).plan
-    nothing = Features(np.empty((0, 2)), np.empty(0, np.int64), np.empty(0))
-    with pytest.raises(ValueError, match="has no features"):
-        survey(replace(plan, features=nothing), SMALL)
-    wide = replace(SMALL, robot=replace(SMALL.robot, radius=9.0))
-    with pytest.raises(ValueError, match="no free space"):
-        survey(plan, wide)

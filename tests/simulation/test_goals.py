@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.navigation.expected_gain import features_in_sight
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.frontiers import frontiers
 from slam_gym.navigation.planner import distance_field
@@ -64,17 +63,6 @@ def test_revisits_are_places_passed_apart_from_each_other_and_best_per_metre_fir
     assert 2 <= most <= REVISITS
 
 
-def test_what_is_in_view_on_the_way_is_counted_along_it() -> None:
-    *_, (env, offer) = decisions("office", 6)
-    ep = env.episode
-    field = distance_field(ep.grid, ep.slam.map.pose[:2], env.scenario.robot.radius + goals.CLEARANCE)
-    for slot in np.flatnonzero(offer.legal)[1:]:
-        way, _ = field.along_each(offer.positions[slot : slot + 1], 2.0)
-        seen = features_in_sight(ep.slam.map.mean, ep.grid, way, 6.0)
-        assert offer.in_view[slot] == pytest.approx(0.75 * seen.mean())  # three quarters of a turn are in view
-    assert offer.in_view[offer.legal].max() > 2.0 and not offer.in_view[~offer.legal].any()
-
-
 def test_places_are_thinned_out_and_the_first_and_the_last_are_kept() -> None:
     places = Places()
     assert places.candidates().shape == (0, 2)
@@ -129,11 +117,3 @@ def test_frontiers_tried_in_vain_make_room_for_others_until_there_are_none() -> 
     np.testing.assert_array_equal(ends_of(grid, tried), first[:1])  # the least often tried
     tried.add(first[0])
     np.testing.assert_array_equal(ends_of(grid, tried), first)
-
-
-def test_tries_are_counted_by_place() -> None:
-    tried = Tried()
-    assert tried.times(np.zeros((2, 2))).tolist() == [0, 0]
-    for place in ([0.0, 0.0], [0.5, 0.0], [3.0, 0.0]):
-        tried.add(np.array(place))
-    assert tried.times(np.array([[0.2, 0.0], [3.0, 0.9], [1.5, 0.0]])).tolist() == [2, 1, 0]

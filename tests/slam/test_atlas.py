@@ -131,17 +131,6 @@ def test_nothing_changes_to_the_last_bit_while_nothing_is_found() -> None:
     np.testing.assert_array_equal(plain.map.covariance, atlas.map.covariance)
 
 
-def test_old_features_that_are_ambiguous_are_not_offered_and_others_are() -> None:
-    log = loop_drive(2)
-    offered, known = {}, {}
-    for name, ambiguous in (("all", 1e9), ("sure", 0.1)):
-        slam = Slam(SPEC, relocate=nobody, atlas=AtlasSpec(max_accidental_matches=ambiguous))
-        for odometry, scan, _ in log.steps[:250]:
-            prediction = slam.step(odometry, scan).prediction
-        offered[name], known[name] = len(prediction), slam.map.n
-    assert offered["sure"] < offered["all"] and known["sure"] >= known["all"] - 5
-
-
 def test_who_weighs_all_hypotheses_is_offered_everything_and_maps_as_without_an_atlas() -> None:
     """It would take for new what it is not offered."""
     log, maps = loop_drive(2, 250), []

@@ -9,7 +9,7 @@ from slam_gym.world.draft import Contents
 from slam_gym.world.floor_plan import FloorPlanError, Kind
 from slam_gym.world.floor_plan_file import load_floor_plan
 from slam_gym.world.generators import OfficeGenerator
-from slam_gym.world.raster import corners, from_raster, thinned
+from slam_gym.world.raster import from_raster, thinned
 from slam_gym.world.reachability import reachable
 from tests.world.test_floor_plan_file import PIXEL, blank
 
@@ -151,24 +151,3 @@ def test_willow_garage_can_be_driven(data_dir):
 def test_bad_images_are_refused_by_name(image, resolution, valid, message):
     with pytest.raises(FloorPlanError, match=message):
         from_raster(image, resolution, valid=valid)
-
-
-def test_corners_ignore_small_steps_and_keep_thin_wall_ends():
-    stepped = np.array([[0, 0], [5, 0], [5, 0.1], [10, 0.1], [10, 5], [0, 5]])
-    assert len(corners(stepped)[0]) == 4
-    thin = np.array([[0, 0], [10, 0], [10, 5], [5.1, 5], [5.1, 3], [5.0, 3], [5.0, 5], [0, 5]])
-    found = corners(thin)[0]
-    assert len(found) == 7 - 1  # four corners of the room, the wall's end, and one of the two at its foot
-    assert np.hypot(*(found - [5.05, 3.0]).T).min() <= 0.06
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_of_points_too_close_to_each_other_the_heavier_stays(seed):
-    rng = np.random.default_rng(seed)
-    points, weights = rng.uniform(0.0, 3.0, (80, 2)), rng.permutation(80).astype(float)
-    kept = thinned(points, weights)
-    apart = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
-    assert (apart[np.ix_(kept, kept)] + np.eye(len(kept)) >= 0.3).all()
-    for dropped in np.setdiff1d(np.arange(80), kept):
-        assert (weights[kept[apart[dropped, kept] < 0.3]] > weights[dropped]).any()
-    assert thinned(np.empty((0, 2)), np.empty(0)).shape == (0,)

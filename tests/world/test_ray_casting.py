@@ -8,7 +8,6 @@ from slam_gym.world.floor_plan import Features, Kind
 from slam_gym.world.ray_casting import WallIndex, box_distance, outlines, pull_back
 
 ROOM = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], float)
-NO_WALLS = np.empty((0, 4))
 
 
 def random_walls(rng, count=120, side=15.0):

@@ -11,7 +11,7 @@ import pytest
 from agents.evaluation.mapped_log import compare, map_log, measure, start_of, write_mapped_log
 from slam_gym.metrics.map_quality import ate
 from slam_gym.recordings.mrclam import mrclam
-from slam_gym.recordings.recording import Recording, interpolate
+from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import MRCLAM, VICTORIA_PARK
 from slam_gym.types import SPURIOUS, UNLABELLED
@@ -86,22 +86,6 @@ def test_where_headings_are_unknown_only_alignment_compares() -> None:
     assert not mapped.in_world and start_of(log) is None
     assert math.isnan(numbers["ate_unaligned"]) and math.isnan(numbers["anees"])
     assert numbers["ate"] == pytest.approx(measure(map_log(posts_log(), "jcbb", SPEC))["ate"], rel=1e-6)
-
-
-def test_instants_are_those_of_whichever_knows_fewer(log) -> None:
-    mapped = map_log(log, "jcbb", SPEC)
-
-    fine = np.linspace(-3.0, 70.0, 1000)
-    dense = replace(log, reference_times=fine, reference_poses=interpolate(log.times, log.reference_poses, fine))
-    np.testing.assert_array_equal(compare(dense, mapped.poses).times, log.times)
-    sparse = replace(log, reference_times=log.times[1::7] + 0.2, reference_poses=log.reference_poses[1::7])
-    times, estimated, _ = compare(sparse, mapped.poses)
-    kept = log.times[1::7] + 0.2
-    np.testing.assert_array_equal(times, kept[kept <= log.times[-1]])
-    np.testing.assert_allclose(estimated, interpolate(log.times, mapped.poses, times))
-    gap = replace(log, reference_times=np.array([0.0, 0.3, 50.0, 59.5]), reference_poses=log.reference_poses[:4])
-    gap = compare(replace(gap, times=log.times * 4.0), mapped.poses)
-    assert gap.times.tolist() == [0.0, 50.0]  # on a step; else 2 s apart
 
 
 # -- files -------------------------------------------------------------------------------------------------------------

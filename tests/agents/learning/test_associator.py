@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.evaluation.episodes import AssociateArguments
-from agents.learning.association_scans import HIDDEN, SeenAs, Source, decisions_of, labelled_decisions, without
+from agents.learning.association_scans import HIDDEN, Source, decisions_of, labelled_decisions, without
 from agents.learning.associator import (
     SHARES,
     AssociatorPlan,
@@ -19,7 +19,6 @@ from agents.learning.associator import (
     tensors,
     trained,
     untrained,
-    weighed,
 )
 from slam_gym.association.tracking.marginal import marginals
 from slam_gym.association.tracking.network import INPUTS, log_odds, network_of
@@ -58,13 +57,6 @@ def test_without_odds_the_probabilities_are_the_marginals(seed):
     assert p == pytest.approx(np.array(expected), abs=1e-3)
 
 
-def test_every_part_of_an_uncertain_heading_has_pairings_of_its_own():
-    _, prediction, _, found = answered(2, heading=0.3)
-    part = found.slots // (len(prediction) + 1)
-    assert (part > 0).any()
-    assert all(len({int(part[c]) for c in row[row >= 0]}) <= 1 for row in found.hypotheses)
-
-
 def test_what_nobody_knows_or_is_not_on_offer_teaches_nothing():
     scan, prediction, _, _ = answered(3)
     far = int(np.argmax(np.hypot(*(prediction.positions - scan.points[0]).T)))
@@ -77,15 +69,6 @@ def test_what_nobody_knows_or_is_not_on_offer_teaches_nothing():
     assert decisions_of(elsewhere, prediction, RightAnswers.of(Truth(np.zeros(3), sources), np.arange(8))) is None
     nobody = RightAnswers.of(Truth(np.zeros(3), np.full(6, UNLABELLED)), np.arange(8))
     assert decisions_of(scan, prediction, nobody) is None
-
-
-def test_a_feature_is_what_it_has_mostly_been_seen_as():
-    seen, ids = SeenAs(), np.array([7, 3, 5])
-    assert seen.source_of(ids, np.array([10, 11, -1])).tolist() == [10, 11, -1]
-    seen.add(ids, np.array([0, UNPAIRED, 2]), np.array([20, 11, 30]))
-    assert seen.source_of(ids, np.array([10, 11, -1])).tolist() == [10, 11, -1]  # as often as not
-    seen.add(ids, np.array([2, 0, 0]), np.array([30, 20, UNLABELLED]))
-    assert seen.source_of(ids[::-1], np.array([-1, 11, 10])).tolist() == [30, 11, 20]
 
 
 # -- where scans come from ---------------------------------------------------------------------------------------------
@@ -101,13 +84,6 @@ def test_no_world_is_both_trained_on_and_held_out():
     assert len(AssociatorPlan().levels) == 35 and all(
         get_scenario(s.name).name == s.name for s in train if s.kind == "drive"
     )
-
-
-def test_kinds_of_sources_have_their_shares():
-    scans = [answered(seed)[3] for seed in range(6)]
-    found = weighed({"level": scans[:1], "drive": scans[1:]})
-    level, drive = found[0].weight, sum(d.weight for d in found[1:])
-    assert level / drive == pytest.approx(SHARES["level"] / SHARES["drive"]) and level + drive == pytest.approx(6.0)
 
 
 def test_what_is_hidden_is_not_there():

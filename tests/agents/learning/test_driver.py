@@ -1,7 +1,5 @@
 """The training of the learned driver: drives in outline, what is learned from them, and the weights that come of it."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -19,11 +17,9 @@ from agents.drivers.learned import (
 )
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.learning.driver import DriverPlan, Examples, OutlinedDrive, greedy, regret_of, reproduce, trained, untrained
-from agents.learning.sketch import FREE_TURN, QUARTER, SPEED, STRETCH, TURN, Sketch, missed_by
-from slam_gym.geometry import observe
+from agents.learning.sketch import QUARTER, Sketch, missed_by
 from slam_gym.simulation.goals import FRONTIERS
 from slam_gym.weights import write
-from slam_gym.world.ray_casting import pull_back
 from tests.agents.drivers.test_learned import some_tokens
 
 SHORT = DriverPlan(epochs=12, batch=32, rate=3e-3)
@@ -78,28 +74,6 @@ def test_trying_a_goal_leaves_the_drive_alone_and_nobody_looks_around_twice(env)
     assert sketch.ticks == ticks + 4 * QUARTER and not sketch.legal[LOOK_AROUND]
 
 
-def test_a_look_sees_what_is_near_ahead_and_not_hidden(env):
-    sketch = begun(env, 3)
-    episode, before = env.unwrapped.episode, sketch._sightings.copy()
-    sensor, pose = episode.scenario.sensor, episode.poses[0]
-    true = episode.site.plan.features
-    ahead = observe(pose, true.positions)
-    near = np.hypot(*ahead.T) <= sensor.range
-    near &= np.abs(np.arctan2(*ahead.T[::-1])) <= 0.5 * sensor.field_of_view
-    free = episode.site.index.visible(pose[:2], true.positions, pull_back(true))
-    assert np.array_equal(before > 0, near & free) and 0 < before.sum() < len(before)
-
-
-def test_stretches_are_of_one_length_and_turns_take_time(env):
-    sketch, path = begun(env, 3), np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 2.0]])
-    count = math.ceil(2.5 / (STRETCH * SPEED))
-    for k in range(count):
-        assert len(path) > 1 and np.isclose(np.hypot(*np.diff(path, axis=0).T).sum(), 2.5 - k * STRETCH * SPEED)
-        path = sketch._stretch(path)
-    assert np.allclose(path, [[0.5, 2.0]]) and np.isclose(sketch._here[2], 0.5 * math.pi)
-    assert sketch.ticks == STRETCH * count + round(TURN * (0.5 * math.pi - FREE_TURN))
-
-
 # -- what is learned from them -----------------------------------------------------------------------------------------
 
 
@@ -144,16 +118,6 @@ def test_it_learns_to_choose_what_the_teacher_values_and_the_same_each_time():
     assert all(np.array_equal(network[name], again[name]) for name in network)
     assert curve[-1] == regret_of(scores(network, held_out.tokens), held_out).mean()
     assert curve[-1] < 0.3 * regret_of(held_out.greedy, held_out).mean()
-
-
-def test_regret_is_what_the_choice_is_worse_than_the_best():
-    legal, greedy_scores, values = (
-        np.array([[True, True, False]]),
-        np.array([[2.0, 1.0, 9.0]]),
-        np.array([[1.0, 4.0, 0.0]]),
-    )
-    example = Examples(np.zeros((1, 3, len(TOKEN_FIELDS))), np.zeros((1, 3, 3)), greedy_scores, legal, values)
-    assert regret_of(example.greedy, example) == 3.0
 
 
 def test_from_worlds_to_weights_that_drive(tmp_path):

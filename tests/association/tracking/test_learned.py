@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from slam_gym import Slam, learned_associator, marginal, weights
+from slam_gym import Slam, learned_associator, marginal
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tracking.learned import WEIGHTS, examples
 from slam_gym.association.tracking.marginal import marginals
-from slam_gym.association.tracking.network import INPUTS, VERSION, load_network, log_odds, shapes_for
+from slam_gym.association.tracking.network import INPUTS, VERSION, load_network, log_odds
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
 from tests.oracles import association as oracles
 
@@ -84,20 +84,7 @@ def test_where_places_are_all_there_is_marginal_decides_alone(told):
     assert (differ == 0) == (told == "nothing")
 
 
-def test_weights_for_other_inputs_are_refused_by_name():
-    shapes = shapes_for(len(INPUTS))
-    weights.load(WEIGHTS, VERSION, INPUTS, shapes)
-    with pytest.raises(ValueError, match=f"weights associator.npz: made for version {VERSION} of the inputs"):
-        weights.load(WEIGHTS, VERSION + 1, INPUTS, shapes)
-    with pytest.raises(ValueError, match="made for other inputs"):
-        weights.load(WEIGHTS, VERSION, (*INPUTS[:-1], "run: something else"), shapes)
-    with pytest.raises(ValueError, match=r"weights .nonsense.: unknown; known: .*associator"):
-        learned_associator(*problem(0), weights="nonsense")
-
-
 def test_cost_is_that_of_marginal():
     scan, prediction = problem(1)
     cheap, dear = learned_associator(scan, prediction, cost=1.0), learned_associator(scan, prediction, cost=1e4)
     assert dear.pairings <= cheap.pairings
-    with pytest.raises(ValueError, match="cost: "):
-        learned_associator(scan, prediction, cost=0.5)

@@ -42,17 +42,6 @@ def test_decisions_follow_the_cost_of_a_wrong_pairing(seed):
     assert all(dearer <= cheaper for cheaper, dearer in itertools.pairwise(paired))
 
 
-def test_the_problems_above_are_hard_enough():
-    """Costs decide, and answers differ from those of JCBB."""
-    fewer = other = 0
-    for seed in range(40):
-        scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
-        cheap, dear = marginal(scan, prediction, cost=1.0), marginal(scan, prediction, cost=100.0)
-        fewer += dear.pairings < cheap.pairings
-        other += not np.array_equal(marginal(scan, prediction).features, jcbb(scan, prediction).features)
-    assert fewer > 15 and other > 15, (fewer, other)
-
-
 def area_shown(scan):
     """[m²] of the box around the measurements, and no less than a sector as far as the farthest, two radians wide."""
     if not len(scan):
@@ -150,21 +139,6 @@ def test_of_two_features_at_one_place_none_is_paired():
     answer = marginal(Scan.from_points([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], sigma=0.01), prediction)
     assert answer.features.tolist() == [UNPAIRED, 2, 3]
     assert answer.posterior.unpaired[0] < 1e-3 and answer.posterior.probability < 1e-3
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"cost": 0.9},
-        {"cost": math.inf},
-        {"provisional_cost": 0.9},
-        {"width": 0},
-        {"margin": 0.0},
-    ],
-)
-def test_meaningless_options_are_refused(options):
-    with pytest.raises(ValueError, match=f"{next(iter(options))}: "):
-        marginal(*oracles.problem(np.random.default_rng(0), 3, 3), **options)
 
 
 def summed(m, n, every, log_densities):

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from slam_gym.association import jcbb, nearest_neighbour, singles
 from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.association.tracking.walk import COMPATIBILITIES, ORDERS, Walk
-from slam_gym.association.tree import branches, extend, root
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 
@@ -74,44 +72,6 @@ def test_the_mask_is_the_compatibility_test_of_the_path(order, compatibility):
         assert all(not legal(scan, prediction, compatible, last, i, compatibility) for i in left)
     assert choices > 100
     assert hid > 5
-
-
-def test_walks_agree_with_the_nodes_of_the_tree():
-    rng = np.random.default_rng(0)
-    for scan, prediction in problems(20):
-        for walk, pairs in walked(scan, prediction, rng, candidates=9):
-            node = root(walk.tree)
-            decided = dict(pairs)
-            for level in range(walk.level):
-                node = extend(walk.tree, node, decided.get(int(walk.candidates.measurements[level]), UNPAIRED))
-            offer = branches(walk.tree, node)
-            np.testing.assert_array_equal(offer.rows[offer.legal], walk.rows)
-            np.testing.assert_allclose(offer.joint[offer.legal], walk.joint_distances)
-
-
-def played(walk, hypothesis):
-    """The walk by which a hypothesis decides; None where it leaves the tree."""
-    while not walk.done:
-        feature = hypothesis.features[walk.measurement]
-        row = UNPAIRED if feature == UNPAIRED else int(np.flatnonzero(walk.tree.prediction.features == feature)[0])
-        action = walk.action_of(row)
-        if action is None:
-            return None
-        walk.take(action)
-    return walk.hypothesis()
-
-
-@pytest.mark.parametrize(
-    ("associate", "compatibility"),
-    [(nearest_neighbour, "individual"), (singles, "individual"), (jcbb, "individual"), (jcbb, "joint")],
-)
-def test_classical_hypotheses_are_walks(associate, compatibility):
-    for scan, prediction in problems(40):
-        direct = associate(scan, prediction)
-        through = played(Walk(scan, prediction, candidates=9, compatibility=compatibility), direct)
-        np.testing.assert_array_equal(through.features, direct.features)
-        assert through.joint_distance == pytest.approx(direct.joint_distance)
-        assert through.dof == direct.dof
 
 
 def test_an_illegal_action_and_one_at_a_leaf_are_refused():

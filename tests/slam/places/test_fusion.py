@@ -179,10 +179,6 @@ def test_duplicates_that_were_not_seen_lately_wait() -> None:
     assert len(find_duplicates(m, graph, 5)) == 0 and len(find_duplicates(m, graph, 30)) == 1
 
 
-def test_an_empty_map_has_none() -> None:
-    assert find_duplicates(StochasticMap(), CovisibilityGraph(), 10).shape == (0, 2)
-
-
 def seen_twice(rng: np.random.Generator, first: Array, second: Array) -> tuple[StochasticMap, CovisibilityGraph]:
     """The features `first` (a, 2), then, by scans that pair nothing of them, `second` (b, 2)."""
     m, graph = StochasticMap(MapSpec(unconfirmed_age=None)), CovisibilityGraph()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from slam_gym.association.acceptance import min_pairings
 from slam_gym.geometry import transform
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
@@ -14,11 +13,7 @@ from slam_gym.slam.places.fusion import find_loop
 from slam_gym.slam.places.recognition import (
     RecognitionSpec,
     as_scan,
-    mirrored,
-    parts_of,
-    recent_part,
 )
-from slam_gym.slam.places.verification import overlap
 from slam_gym.types import Array, Odometry, Scan
 from tests.slam.rings import enter
 
@@ -96,36 +91,6 @@ def test_few_pairs_close_no_loop() -> None:
     older = field(rng, 40)
     m, graph = layered(rng, older, np.concatenate([older[:7], field(rng, 7)]))
     assert len(loop_in(m, graph)) == 0
-
-
-def test_the_recent_part_is_what_was_seen_last() -> None:
-    rng = np.random.default_rng(6)
-    m, graph = layered(rng, field(rng, 30), field(rng, 12))
-    np.testing.assert_array_equal(recent_part(m, graph, RecognitionSpec(group=20)), np.arange(30, 42))
-    graph.see_together(np.array([3, 40]))  # then what was seen with 3 is linked to the recent part
-    assert len(recent_part(m, graph, RecognitionSpec(group=20))) == 20
-
-
-def test_a_mirror_turns_round_what_is_measured_and_nothing_else() -> None:
-    rng = np.random.default_rng(8)
-    m, _ = layered(rng, field(rng, 12), field(rng, 9))
-    scan = as_scan(m, np.arange(8))
-    there = mirrored(scan)
-    np.testing.assert_array_equal(mirrored(there).points, scan.points)
-    np.testing.assert_allclose(np.linalg.det(there.covariances), np.linalg.det(scan.covariances))
-    landmarks = m.landmarks()
-    assert min_pairings(there, landmarks) == min_pairings(scan, landmarks)  # chance is the same on either side
-
-
-def test_the_overlap_counts_what_is_not_paired_on_either_side() -> None:
-    rng = np.random.default_rng(9)
-    older = field(rng, 40)
-    m, graph = layered(rng, older, older[:14], drift=0.01)
-    parts = parts_of(m, graph, RecognitionSpec(inflation=50.0))
-    assert parts is not None
-    all_pairs = np.column_stack([np.arange(14), 40 + np.arange(14)])
-    assert overlap(m, parts, all_pairs) == pytest.approx(1.0, abs=0.1)
-    assert overlap(m, parts, all_pairs[::2]) < 0.8
 
 
 def drifting(rng: np.random.Generator, n: int) -> StochasticMap:

@@ -59,14 +59,6 @@ def test_shape_and_motion_are_the_parts_of_the_joint_distance() -> None:
     assert found.shape + found.motion == pytest.approx(total, rel=1e-6)
 
 
-def test_what_a_pair_adds_is_what_shape_loses_without_it() -> None:
-    m, pairs = twice(np.random.default_rng(1), 8)
-    found = agreement(m, pairs)
-    for i in range(len(pairs)):
-        without = agreement(m, np.delete(pairs, i, axis=0)).shape
-        assert found.added[i] == pytest.approx(found.shape - without, rel=1e-5, abs=1e-7)
-
-
 def test_both_parts_follow_their_chi_squared_distributions() -> None:
     found = [agreement(*twice(np.random.default_rng(seed), 6)) for seed in range(400)]
     shape, motion = np.array([each.shape for each in found]), np.array([each.motion for each in found])
