@@ -32,11 +32,10 @@ import pandas as pd
 
 from agents.evaluation.mapped_log import map_log
 from benchmarks.common import Tolerance, attempt, count_answers, data_folder, features_in_view, options, table
-from slam_gym import Landmarks, Locality, Scan, Slam, gcbb, indexed, random_sampling
+from slam_gym import Landmarks, Locality, Scan, Slam, Smoothed, gcbb, indexed, random_sampling, smooth
 from slam_gym.geometry import compose, transform
 from slam_gym.mapping.locality import covisible, linked, within
 from slam_gym.metrics.map_quality import align_se2
-from slam_gym.recordings.least_squares import Optimum, least_squares
 from slam_gym.recordings.mrclam import stationary
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
@@ -79,9 +78,9 @@ def spread(items: Sequence[Any], count: int) -> list[Any]:
     return [items[i] for i in np.linspace(0, len(items) - 1, min(count, len(items))).astype(int).tolist()]
 
 
-def reference(log: Recording) -> Optimum:
+def reference(log: Recording) -> Smoothed:
     """The least-squares optimum of a labelled log, started from the filter with the true association."""
-    return least_squares(log, map_log(log, CEILING, slam_for(log)).poses)
+    return smooth(*zip(*log.steps()), initial=map_log(log, CEILING, slam_for(log)).poses)
 
 
 def park(folder: Path, scans: int, steps: int | None) -> Place:
@@ -103,7 +102,7 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
     return Place("park", slam.map.landmarks(), localities, chosen, PARK_NEAR)
 
 
-def placed_scan(log: Recording, k: int, optimum: Optimum, mapped: HalfMap) -> PlacedScan | None:
+def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> PlacedScan | None:
     """Step k of the log with its place, or None where that is neither inside nor outside."""
     scan, sources = log.scan(k), log.sources_of(k)
     known = int(np.isin(sources[sources >= 0], mapped.sources).sum())
@@ -115,9 +114,9 @@ def placed_scan(log: Recording, k: int, optimum: Optimum, mapped: HalfMap) -> Pl
     return scan, pose, known > 0
 
 
-def into_map(optimum: Optimum, mapped: HalfMap, pose: Array, reach: float) -> Array:
+def into_map(optimum: Smoothed, mapped: HalfMap, pose: Array, reach: float) -> Array:
     """Pose (3,) of the reference frame in that of the map, as the trunks around `pose` have it."""
-    place = dict(zip(optimum.ids.tolist(), optimum.landmarks))
+    place = dict(zip(optimum.ids.tolist(), optimum.positions))
     known = np.array([row for row, source in enumerate(mapped.sources.tolist()) if source in place])
     there = np.array([place[source] for source in mapped.sources[known].tolist()])
     here, kept = mapped.positions[known], np.ones(len(known), bool)

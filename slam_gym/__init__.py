@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         true_association,
     )
     from slam_gym.association.prediction import Prediction
+    from slam_gym.mapping.smoothing import Smoothed, smooth
     from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
     from slam_gym.recordings.catalogue import open_recordings
     from slam_gym.recordings.recording import Recording, write_tum
@@ -49,8 +50,8 @@ __version__ = "0.1.0"
 
 _MODULES = (
     "types.measured", "types.mapped", "types.decided", "association", "association.prediction",
-    "mapping.stochastic_map", "slam.slam", "slam.local_maps", "slam.atlas", "slam.relocate", "scenarios",
-    "recordings", "world.floor_plan",
+    "mapping.stochastic_map", "mapping.smoothing", "slam.slam", "slam.local_maps", "slam.atlas", "slam.relocate",
+    "scenarios", "recordings", "world.floor_plan",
 )  # fmt: skip
 """Where the public names are looked for, in this order."""
 
@@ -75,6 +76,7 @@ __all__ = [
     "Scenario",
     "Slam",
     "SlamSpec",
+    "Smoothed",
     "StochasticMap",
     "from_floor_plan",
     "from_policy",
@@ -96,6 +98,7 @@ __all__ = [
     "relocate_by",
     "relocator_from_policy",
     "singles",
+    "smooth",
     "true_association",
     "write_tum",
 ]

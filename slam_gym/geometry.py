@@ -23,6 +23,11 @@ def wrap_angle(angle: float) -> float:
     return wrapped - math.pi
 
 
+def wrap_angles(angles: Array) -> Array:
+    """Angles [rad] of any shape brought into (−π, π]."""
+    return np.asarray(math.pi - np.remainder(math.pi - angles, 2.0 * math.pi))
+
+
 @compiled
 def compose(a: Array, b: Array) -> Array:
     """a ⊕ b for two poses (3,)."""

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from slam_gym._files import content_of, gunzipped
+from slam_gym.geometry import wrap_angles
 from slam_gym.recordings.reading import (
     RecordingError,
     Spans,
@@ -24,7 +25,6 @@ from slam_gym.recordings.reading import (
     read_matlab,
     refuse_rows,
     starts_of,
-    wrapped,
 )
 from slam_gym.recordings.recording import Recording, interpolate
 from slam_gym.types import SPURIOUS, Array, IntArray, Scan
@@ -187,7 +187,7 @@ def _driven(times: Array, odometry: Array, noise: Noise) -> tuple[Array, Array]:
     for (row, column), values in entries.items():
         covariances[:, row, column] += spans.sums(values, len(times))
         covariances[:, column, row] = covariances[:, row, column]
-    motions[:, 2] = wrapped(motions[:, 2])
+    motions[:, 2] = wrap_angles(motions[:, 2])
     return motions, covariances
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -77,11 +76,6 @@ def refuse_rows(path: Path, name: str, bad: Any, what: str) -> None:
 def starts_of(counts: ArrayLike) -> IntArray:
     """(T + 1,) rows at which the measurements of each step start, and their end, from their numbers (T,)."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-
-
-def wrapped(angles: Array) -> Array:
-    """Angles [rad] brought into (−π, π]."""
-    return np.asarray(math.pi - np.remainder(math.pi - angles, 2.0 * math.pi))
 
 
 class Spans(NamedTuple):

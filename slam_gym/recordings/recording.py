@@ -19,8 +19,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from slam_gym._files import array_of, content_of, zip_members
-from slam_gym.geometry import compose, compose_jacobians
-from slam_gym.recordings.reading import RecordingError, naming, starts_of, wrapped
+from slam_gym.geometry import compose, compose_jacobians, wrap_angles
+from slam_gym.recordings.reading import RecordingError, naming, starts_of
 from slam_gym.types import SPURIOUS, UNLABELLED, Array, BoolArray, IntArray, Odometry, Scan
 
 FORMAT, VERSION = "slam_gym recording", 1
@@ -234,7 +234,7 @@ def interpolate(times: Array, poses: Array, at: Array) -> Array:
     """Poses (k, 3) at instants (k,), linear between the given ones (t, 3); headings NaN where any of those is."""
     headings = poses[:, 2] if np.isnan(poses[:, 2]).any() else np.unwrap(poses[:, 2])
     x, y, heading = (np.interp(at, times, column) for column in (poses[:, 0], poses[:, 1], headings))
-    return np.column_stack([x, y, wrapped(heading)])
+    return np.column_stack([x, y, wrap_angles(heading)])
 
 
 def _validate(log: Recording) -> None:

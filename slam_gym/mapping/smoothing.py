@@ -1,0 +1,254 @@
+"""Batch least squares: the trajectory and map that explain a whole run best, its pairings taken as given.
+
+Minimises χ² = Σ_t ‖u_t − (⊖x_{t−1}) ⊕ x_t‖²_{Q_t} + Σ_i ‖z_i − (⊖x_{t(i)}) ⊕ m_{j(i)}‖²_{R_i} over poses x and
+positions m by Gauss–Newton with Levenberg's damping (smoothing and mapping: Dellaert and Kaess, IJRR 2006). No
+estimate that is given the same pairings can be expected to be better: it is the floor of every table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import block_array, block_diag, bsr_array, csc_array, eye_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from slam_gym.geometry import compose, wrap_angles
+from slam_gym.types import Array, IntArray, Odometry, Scan
+
+_TOLERANCE, _ITERATIONS = 1e-9, 100  # an iteration that gains less of χ² is the last
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """The best fit of a run, in the frame in which it starts."""
+
+    poses: Array  # (T, 3) [m, m, rad], the first of which is held
+    ids: IntArray  # (L,) what the pairings call each feature, ascending
+    positions: Array  # (L, 2) [m]
+    chi2: float
+    information: csc_array  # (3(T − 1) + 2L, …) of poses 1 … T − 1, then positions: JᵀΛJ at the optimum
+    iterations: int
+
+    def covariance(self, poses: ArrayLike = (), ids: ArrayLike = ()) -> Array:
+        """(3p + 2k, 3p + 2k) joint covariance [m², m·rad, rad²] of `poses` (p,), by step, and features (k,), by id.
+
+        One sparse factorisation, kept for the next call, and two triangular solutions for each column. That of the
+        first pose is zero. Raises ValueError where a pose or a feature does not exist.
+        """
+        steps, features = np.atleast_1d(np.asarray(poses, np.int64)), np.atleast_1d(np.asarray(ids, np.int64))
+        if ((steps < 0) | (steps >= len(self.poses))).any():
+            raise ValueError(f"poses: {steps.tolist()}, expected 0 … {len(self.poses) - 1}")
+        if not np.isin(features, self.ids).all():
+            raise ValueError(
+                f"ids: no measurement is paired with {features[~np.isin(features, self.ids)][:5].tolist()}"
+            )
+        rows = 3 * (len(self.poses) - 1) + 2 * np.searchsorted(self.ids, features)
+        entries = [(3 * steps[:, None] + np.arange(-3, 0)).ravel(), (rows[:, None] + np.arange(2)).ravel()]
+        at = np.concatenate(entries)
+        free = np.flatnonzero(at >= 0)
+        chosen, covariance = at[free], np.zeros((len(at), len(at)))
+        columns = np.zeros((self.information.shape[0], len(free)))
+        columns[chosen, np.arange(len(free))] = 1.0
+        covariance[np.ix_(free, free)] = self._factor.solve(columns)[chosen]
+        return 0.5 * (covariance + covariance.T)
+
+    @cached_property
+    def _factor(self) -> SuperLU:
+        return _factor(self.information)
+
+
+def smooth(
+    odometry: Sequence[Odometry],
+    scans: Sequence[Scan],
+    pairings: Sequence[ArrayLike],
+    initial: ArrayLike | None = None,
+) -> Smoothed:
+    """The least-squares optimum of a run of T steps, of whose measurements it is known which are of one feature.
+
+    `smooth(*zip(*recording.steps()))` is that of a log with its identities.
+
+    Arguments:
+        odometry: before each scan. The first pose is held where the first motion leads to from the origin.
+        scans: T of them.
+        pairings: for each scan (m,) integers that tell features apart; a measurement whose number is negative is left
+            out.
+        initial: (T, 3) poses to start from, such as a filter's, in any frame; by default those of dead reckoning, from
+            which a long run ends in a local minimum. Features start where they were first seen from there.
+
+    Raises ValueError, naming the argument, where lengths do not fit, nothing is paired, a number is not finite or a
+    covariance not positive definite; and where the iterations run out.
+    """
+    T = len(odometry)
+    if len(scans) != T or len(pairings) != T:
+        raise ValueError(f"scans, pairings: {len(scans)} and {len(pairings)} of them for {T} of odometry")
+    numbers = [_pairing(step, pairing, len(scan)) for step, (scan, pairing) in enumerate(zip(scans, pairings))]
+    kept = [pairing >= 0 for pairing in numbers]
+    pose = np.repeat(np.arange(T), [which.sum() for which in kept])
+    if not len(pose):
+        raise ValueError("pairings: no measurement is paired with a feature")
+    ids, feature = np.unique(np.concatenate([n[which] for n, which in zip(numbers, kept)]), return_inverse=True)
+    points = np.concatenate([scan.points[which] for scan, which in zip(scans, kept)])
+    covariances = np.concatenate([scan.covariances[which] for scan, which in zip(scans, kept)])
+    motions = np.array([moved.motion for moved in odometry])
+    for name, values, steps in (("odometry", motions, np.arange(T)), ("scans", points, pose)):
+        _refuse(name, steps, np.isfinite(values).all(axis=1), "is not finite")
+    weights = (
+        _inverses(
+            "odometry", np.arange(1, T), np.array([moved.covariance for moved in odometry[1:]]).reshape(-1, 3, 3)
+        ),
+        _inverses("scans", pose, covariances),
+    )
+    graph = FactorGraph(motions[1:], points, pose, feature, block_diag(list(map(_diagonal, weights)), format="csc"))
+    start = _dead_reckoning(motions) if initial is None else np.array(initial, np.float64)
+    if start.shape != (T, 3) or not np.isfinite(start).all():
+        raise ValueError(f"initial: shape {start.shape}, expected ({T}, 3) finite numbers")
+    return graph.optimum(_moved_to(motions[0], start), ids)
+
+
+@dataclass(frozen=True, eq=False)
+class FactorGraph:
+    """What is known of T poses and L positions: motions between consecutive poses and points seen from poses."""
+
+    motions: Array  # (T − 1, 3) [m, m, rad] each pose in the frame of the one before
+    points: Array  # (M, 2) [m] in the frame of …
+    pose: IntArray  # (M,) … this pose
+    feature: IntArray  # (M,) row of the feature that each is
+    information: csc_array  # Λ (3(T − 1) + 2M, …) of the motions, then of the points
+
+    def optimum(self, poses: Array, ids: IntArray) -> Smoothed:
+        """The optimum from poses (T, 3), the first of which is held; ids (L,) of the features.
+
+        Raises ValueError where the iterations run out.
+        """
+        x, damping = self.start(poses), 1e-3
+        errors, jacobian = self.linearise(poses[0], x)
+        chi2 = float(errors @ (self.information @ errors))
+        for iteration in range(1, _ITERATIONS + 1):
+            weighted = (self.information @ jacobian).T
+            normal = csc_array(weighted @ jacobian)
+            step = _factor(normal + damping * eye_array(len(x))).solve(weighted @ errors)
+            moved = self._wrapped(x - step)
+            further = self.linearise(poses[0], moved)
+            chi2_before, chi2_after = chi2, float(further[0] @ (self.information @ further[0]))
+            if not chi2_after <= (1.0 + _TOLERANCE) * chi2_before:
+                damping *= 10.0
+                continue
+            x, damping, (errors, jacobian), chi2 = moved, 0.1 * damping, further, chi2_after
+            if chi2_before - chi2 <= _TOLERANCE * max(chi2, 1.0):
+                found, positions = self.split(poses[0], x)
+                return Smoothed(found, ids, positions, chi2, normal, iteration)
+        raise ValueError(f"no optimum in {_ITERATIONS} iterations: χ² is {chi2:.6g} and still falls")
+
+    def start(self, poses: Array) -> Array:
+        """Unknowns x (3(T − 1) + 2L,): all poses but the first, and each position where it was first seen from them."""
+        first = np.unique(self.feature, return_index=True)[1]
+        at, seen = poses[self.pose[first]], self.points[first]
+        return np.concatenate([poses[1:].ravel(), (at[:, :2] + _turned(at[:, 2], seen)).ravel()])
+
+    def split(self, first: Array, x: Array) -> tuple[Array, Array]:
+        """Poses (T, 3), with the `first` (3,), and positions (L, 2)."""
+        unknown = self.motions.size
+        return np.vstack([first, x[:unknown].reshape(-1, 3)]), x[unknown:].reshape(-1, 2)
+
+    def linearise(self, first: Array, x: Array) -> tuple[Array, csc_array]:
+        """Errors of the motions and points as x has them, (3(T − 1) + 2M,), and their sparse Jacobian by x."""
+        poses, positions = self.split(first, x)
+        before, after = poses[:-1], poses[1:]
+        moved, by_before, by_after = np.zeros((len(before), 3)), *np.zeros((2, len(before), 3, 3))
+        moved[:, :2], by_before[:, :2], by_after[:, :2, :2] = _seen_from(before, after[:, :2])
+        moved[:, 2], by_before[:, 2, 2], by_after[:, 2, 2] = after[:, 2] - before[:, 2], -1.0, 1.0
+        seen, by_pose, by_position = _seen_from(poses[self.pose], positions[self.feature])
+        motion_errors = moved - self.motions
+        motion_errors[:, 2] = wrap_angles(motion_errors[:, 2])
+        k, width = np.arange(len(before)), poses.size
+        by_poses = [_blocks(by_before, k, width) + _blocks(by_after, k + 1, width), _blocks(by_pose, self.pose, width)]
+        of_motions, of_points = (csc_array(blocks)[:, 3:] for blocks in by_poses)
+        by_positions = _blocks(by_position, self.feature, positions.size)
+        jacobian = block_array([[of_motions, None], [of_points, by_positions]], format="csc")
+        return np.concatenate([motion_errors.ravel(), (seen - self.points).ravel()]), jacobian
+
+    def _wrapped(self, x: Array) -> Array:
+        """x, its headings wrapped in place."""
+        headings = slice(2, self.motions.size, 3)
+        x[headings] = wrap_angles(x[headings])
+        return x
+
+
+def _factor(matrix: Any) -> SuperLU:
+    """Sparse factors of a symmetric positive definite matrix."""
+    return splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+
+def _dead_reckoning(motions: Array) -> Array:
+    """(T, 3) poses by odometry alone, from the origin."""
+    poses, pose = np.empty((len(motions), 3)), np.zeros(3)
+    for step, motion in enumerate(motions):
+        pose = poses[step] = compose(pose, motion)
+    return poses
+
+
+def _moved_to(first: Array, poses: Array) -> Array:
+    """Poses (T, 3), moved rigidly so that the first of them is `first` (3,)."""
+    turn = np.full(len(poses), first[2] - poses[0, 2])
+    positions = first[:2] + _turned(turn, poses[:, :2] - poses[0, :2])
+    return np.column_stack([positions, wrap_angles(poses[:, 2] + turn)])
+
+
+def _turned(headings: Array, vectors: Array) -> Array:
+    """Vectors (k, 2), each turned by its heading."""
+    c, s = np.cos(headings), np.sin(headings)
+    return np.column_stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]])
+
+
+def _seen_from(poses: Array, points: Array) -> tuple[Array, Array, Array]:
+    """(⊖x) ⊕ m (k, 2) for poses x (k, 3) and points m (k, 2), and its Jacobians (k, 2, 3) to x and (k, 2, 2) to m."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    seen = _turned(-poses[:, 2], points - poses[:, :2])
+    by_point = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
+    aside = np.column_stack([seen[:, 1], -seen[:, 0]])
+    return seen, np.concatenate([-by_point, aside[:, :, None]], axis=2), by_point
+
+
+def _blocks(blocks: Array, columns: IntArray, width: int) -> bsr_array:
+    """Blocks (k, r, c), one below the other, each in its column of blocks, in a sparse array of so many columns."""
+    return bsr_array((blocks, columns, np.arange(len(blocks) + 1)), shape=(len(blocks) * blocks.shape[1], width))
+
+
+def _diagonal(blocks: Array) -> bsr_array:
+    """Blocks (k, d, d) along the diagonal of a sparse array."""
+    return _blocks(blocks, np.arange(len(blocks)), len(blocks) * blocks.shape[1])
+
+
+# what is refused
+
+
+def _pairing(step: int, pairing: ArrayLike, measurements: int) -> IntArray:
+    given = np.asarray(pairing)
+    if given.shape != (measurements,) or (given.size and given.dtype.kind not in "iu"):
+        raise ValueError(
+            f"pairings[{step}]: {given.dtype} of shape {given.shape}, expected ({measurements},) "
+            "integers, one for each measurement"
+        )
+    return given.astype(np.int64)
+
+
+def _inverses(name: str, steps: IntArray, covariances: Array) -> Array:
+    """C⁻¹ of covariances (k, d, d), once all are positive definite."""
+    finite = np.isfinite(covariances).all(axis=(1, 2))
+    _refuse(name, steps, finite, "has a covariance that is not finite")
+    definite = np.linalg.eigvalsh(covariances)[:, 0] > 0.0
+    asymmetry = np.abs(covariances - covariances.transpose(0, 2, 1)).max(axis=(1, 2))
+    symmetric = asymmetry <= _TOLERANCE * np.trace(covariances, axis1=1, axis2=2)
+    _refuse(name, steps, definite & symmetric, "has a covariance that is not positive definite")
+    return np.asarray(np.linalg.inv(covariances))
+
+
+def _refuse(name: str, steps: IntArray, good: Any, fault: str) -> None:
+    """Raise ValueError at the first of them that is not `good` (k,), naming its step."""
+    if not good.all():
+        raise ValueError(f"{name}[{steps[good.argmin()]}]: {fault}")
