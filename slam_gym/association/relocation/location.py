@@ -156,11 +156,13 @@ def _linearise(points: Array, noise: Array, positions: Array, P: Array, pose: Ar
 @compiled
 def _whiten(S: Array, columns: Array) -> bool:
     """Cholesky factor in place of the lower triangle of S, and L⁻¹ in place of `columns`; False: S is none."""
-    d = len(S)
-    for r in range(d):
-        for q in range(r + 1):
+    for r in range(len(S)):
+        start = 0  # of the row: no zero before it is ever filled, so that independent features cost next to nothing
+        while S[r, start] == 0.0 and start < r:
+            start += 1
+        for q in range(start, r + 1):
             value = S[r, q]
-            for t in range(q):
+            for t in range(start, q):
                 value -= S[r, t] * S[q, t]
             if q < r:
                 S[r, q] = value / S[q, q]
@@ -170,7 +172,7 @@ def _whiten(S: Array, columns: Array) -> bool:
                 return False
         for column in range(4):
             value = columns[r, column]
-            for t in range(r):
+            for t in range(start, r):
                 value -= S[r, t] * columns[t, column]
             columns[r, column] = value / S[r, r]
     return True

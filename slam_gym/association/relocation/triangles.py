@@ -9,6 +9,7 @@ of the scan), not the number of pairs of pairings.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import time
@@ -20,23 +21,23 @@ from slam_gym._jit import compiled
 from slam_gym.association.acceptance import Crowding, least_pairings, log_expected
 from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.answer import relocation
+from slam_gym.association.relocation.answer import answer_of
 from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
-from slam_gym.association.relocation.constraints import difference_covariance, gates_at
+from slam_gym.association.relocation.constraints import difference_covariance, gates_at, measured
 from slam_gym.association.relocation.location import locate
-from slam_gym.association.relocation.tree import location_gates
+from slam_gym.association.relocation.tree import Problem, location_gates
 from slam_gym.association.relocation.triangle_search import (
     FAR,
     Bytes,
     Floats32,
     Grid,
     Integers32,
+    Look,
     Raster,
     TriangleHash,
     cell_number,
     search,
 )
-from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _WITHIN = 23  # features within reach of each, more in small maps
@@ -58,8 +59,11 @@ class FeatureIndex:
 
     def __init__(self, landmarks: Landmarks) -> None:
         self.landmarks, mapped = landmarks, map_arrays(landmarks)
-        spreads = relative_covariances(landmarks) + _FLOOR * np.eye(2)
-        self._hash = _hash_of(mapped, spreads)
+        alone = np.empty((0, 0)), np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2, 2))
+        self._mapped = Mapped(
+            mapped.positions, relative_covariances(landmarks) + _FLOOR * np.eye(2), *mapped[2:5], *alone
+        )  # features as if they were independent
+        self._hash = _hash_of(self._mapped)
 
     def __len__(self) -> int:
         return len(self.landmarks)
@@ -83,46 +87,47 @@ class FeatureIndex:
         With `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule of
         `acceptance`, with densities in squares of 1.5 reach; what explains two less is not looked for. The
         search ends once no pose is unseen that explains as many measurements as the best. It also ends with one pairing
-        more than needed, or with so many as chance brings once in 500 maps by the rule, and no other place found that
-        looks alike: none that explains all but k/3 − 1 of the same k measurements.
+        more than needed, where disjoint triples of what is paired have been looked up and show no other place.
 
-        `node_limit` bounds the work, as so many poses verified: fits count as several. Default: 20 000 and 3 for each
+        `node_limit` bounds the nodes: poses verified, every location counting as 30. Default: 20 000 and 3 for each
         feature, some three times what it takes to refuse a scan of 20 measurements from elsewhere. Where it is met,
         `effort.limit_hit` says so, and the answer is what was found until then.
 
         Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
         another number of features.
         """
-        began, arrays = time.perf_counter(), scan_arrays(scan)
+        began, seen, gates = time.perf_counter(), scan_arrays(scan), gates_at(confidence)
         decisive = len(scan) + 1
         if min_pairings is None:
             by_chance = log_expected(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
             min_pairings, decisive = least_pairings(by_chance, 0.02), least_pairings(by_chance, _DECISIVE)
         if min_pairings < 3:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
-        most_work = _POSES + _POSES_EACH * len(self) if node_limit is None else node_limit
-        limits = min_pairings, min(decisive, min_pairings + 1), most_work
-        gates, places = gates_at(confidence), locality_arrays(locality, len(self))
-        found = search(self._hash, arrays, gates, location_gates(len(scan), confidence), places, limits)
-        count = int(found.state[1])
-        best = int(found.squares[:count].argmin()) if count else 0
-        features, distance = found.features[best], float(found.squares[best])
-        if count and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
-            located = locate(scan, self.landmarks, features)
+        if node_limit is None:
+            node_limit = _POSES + _POSES_EACH * len(self)
+        problem = Problem(
+            measured(seen.points, seen.noise, gates),
+            self._mapped,
+            location_gates(len(scan), confidence),
+            np.empty((0, 0), np.bool_),
+            np.empty(0),
+            *locality_arrays(locality, len(self)),
+            np.zeros(8, np.int64),
+        )
+        best = search(self._hash, Look(problem, seen, min_pairings, min(decisive, min_pairings + 1), node_limit))
+        answer = answer_of(best, problem, min_pairings, time.perf_counter() - began)
+        if answer.pairings and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
+            located = locate(scan, self.landmarks, answer.features)
             pose, covariance, distance = located.pose, located.covariance, located.joint_distance
-        else:
-            pose, covariance = _pose_of(found.fits[best], arrays.points)
-        ties = max(count - 1, 0)
-        seconds = time.perf_counter() - began
-        return relocation(features, pose, covariance, distance, ties, min_pairings, found.effort, seconds)
+            answer = dataclasses.replace(answer, pose=pose, covariance=covariance, joint_distance=distance)
+        return answer
 
     @functools.cached_property
     def _crowding(self) -> Crowding:
         """That of squares of 1.5 reach, with the mean variance of all features relative to those around."""
-        table, width = self._hash, 1.5 * self.reach
-        tree = cKDTree(table.positions)
-        others = tree.query_ball_point(table.positions, 0.5 * width, p=math.inf, return_length=True) - 1
-        variance = 0.5 * float((table.spreads[:, 0] + table.spreads[:, 2]).mean()) if len(self) else 0.0
+        positions, width = self._mapped.positions, 1.5 * self.reach
+        others = cKDTree(positions).query_ball_point(positions, 0.5 * width, p=math.inf, return_length=True) - 1
+        variance = 0.5 * float(np.trace(self._mapped.covariances, axis1=1, axis2=2).mean()) if len(self) else 0.0
         return Crowding(np.bincount(others), width * width, variance)
 
 
@@ -177,17 +182,6 @@ def _differences(mapped: Mapped, near: IntArray) -> Array:
     return out
 
 
-def _pose_of(fit: Array, points: Array) -> tuple[Array, Array]:
-    """Pose of the robot (3,) and its covariance (3, 3), from a fit about the mean of the points (m, 2)."""
-    tx, ty, c, s, xx, xy, yy, xt, yt, tt = fit.tolist()
-    x, y = (points.sum(axis=0) / max(len(points), 1)).tolist()
-    u, v = c * x - s * y, s * x + c * y
-    pose = np.array([tx - u, ty - v, wrap_angle(math.atan2(s, c))])
-    xx, yy, xy = xx + 2.0 * v * xt + v * v * tt, yy - 2.0 * u * yt + u * u * tt, xy + v * yt - u * xt - u * v * tt
-    xt, yt = xt + v * tt, yt - u * tt
-    return pose, np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
-
-
 def _usual_reach(positions: Array) -> float:
     """[m] what gives each feature enough others within reach; 11 m where there are fewer than three features."""
     n = len(positions)
@@ -202,28 +196,26 @@ def _most_triangles(n: int) -> int:
     return max(_TRIANGLES_EACH * n, _TRIANGLES)
 
 
-def _hash_of(mapped: Mapped, spreads: Array) -> TriangleHash:
-    """The hash of a map, `spreads` (n, 2, 2) being the covariances of features relative to those around."""
-    positions, reach, n = mapped.positions, _usual_reach(mapped.positions), len(mapped.positions)
-    packed = spreads.reshape(-1, 4)[:, [0, 1, 3]]
+def _hash_of(mapped: Mapped) -> TriangleHash:
+    """The hash of a map whose covariances are relative to the features around."""
+    positions, spreads, n = mapped.positions, mapped.covariances, len(mapped.positions)
+    reach = _usual_reach(positions)
     widest = np.linalg.eigvalsh(spreads)[:, 1].astype(np.float64)
-    noise = math.sqrt(float(np.median(packed[:, 0] + packed[:, 2])) + 1e-6) if n else 0.07
+    noise = math.sqrt(float(np.median(np.trace(spreads, axis1=1, axis2=2))) + 1e-6) if n else 0.07
     noise = max(noise, reach / 400.0)
     reach, neighbours = _neighbours(positions, reach)
     quantum = max(5.0 * noise, reach / 32.0)
     counts = np.zeros(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1, np.int64)
     nothing = np.empty((0, 3), np.int32), np.empty((0, 4), np.float32)
     most = _most_triangles(n)
-    while _enter_triangles(positions, packed, neighbours, quantum, reach, most, counts, nothing) > most:
+    while _enter_triangles(mapped, neighbours, quantum, reach, most, counts, nothing) > most:
         reach, neighbours = _neighbours(positions, 0.9 * reach)
         counts[:] = 0
     ends = np.cumsum(counts)
     corners, sides = np.empty((ends[-1], 3), np.int32), np.empty((ends[-1], 4), np.float32)
-    _enter_triangles(positions, packed, neighbours, quantum, reach, most, ends[:-1].copy(), (corners, sides))
-    grid, raster = _grid_of(positions, reach / 3.0), _raster_of(positions, widest, 3.5 * noise)
-    features = positions, packed, mapped.sizes, mapped.size_variances, mapped.kinds
-    largest = float(widest.max(initial=_FLOOR))
-    return TriangleHash(*features, ends, corners, sides, grid, raster, reach, quantum, largest)
+    _enter_triangles(mapped, neighbours, quantum, reach, most, ends[:-1].copy(), (corners, sides))
+    grid, raster = _grid_of(positions, reach / 7.0), _raster_of(positions, widest, 3.5 * noise)
+    return TriangleHash(ends, corners, sides, grid, raster, reach, quantum, float(widest.max(initial=_FLOOR)))
 
 
 def _neighbours(positions: Array, reach: float) -> tuple[float, tuple[IntArray, IntArray]]:
@@ -238,8 +230,7 @@ def _neighbours(positions: Array, reach: float) -> tuple[float, tuple[IntArray, 
 
 @compiled
 def _enter_triangles(
-    positions: Array,
-    spreads: Array,
+    mapped: Mapped,
     neighbours: tuple[IntArray, IntArray],
     quantum: float,
     reach: float,
@@ -251,7 +242,7 @@ def _enter_triangles(
 
     Without room for any entries, they are counted one cell later; not on and on where they are more than `most`.
     """
-    (starts, later), (corners, sides) = neighbours, entries
+    positions, spreads, (starts, later), (corners, sides) = mapped.positions, mapped.covariances, neighbours, entries
     count, fill, numbers, lengths = 0, len(corners) > 0, np.empty(3, np.int64), np.empty(3)
     for f in range(len(positions)):
         for p in range(starts[f], starts[f + 1]):
@@ -277,8 +268,8 @@ def _enter_triangles(
                 for side in range(3):
                     a, b = numbers[(first + side) % 3], numbers[(first + side + 1) % 3]
                     x, y = positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1]
-                    xx, yy = spreads[a, 0] + spreads[b, 0], spreads[a, 2] + spreads[b, 2]
-                    xy = spreads[a, 1] + spreads[b, 1]
+                    xx, yy = spreads[a, 0, 0] + spreads[b, 0, 0], spreads[a, 1, 1] + spreads[b, 1, 1]
+                    xy = spreads[a, 0, 1] + spreads[b, 0, 1]
                     corners[place, side], sides[place, side] = a, lengths[(first + side) % 3]
                     square = x * x + y * y
                     along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
