@@ -11,10 +11,9 @@ from scipy.stats import chi2
 from slam_gym.association.relocation import triangle_search
 from slam_gym.association.relocation.constraints import gates_at, measured
 from slam_gym.association.relocation.location import locate
-from slam_gym.association.relocation.tree import location_gates
 from slam_gym.association.relocation.triangles import FeatureIndex, indexed, relative_covariances
 from slam_gym.geometry import observe
-from slam_gym.types import SPURIOUS, UNKNOWN_KIND, UNPAIRED, Landmarks, Locality, Scan
+from slam_gym.types import SPURIOUS, UNPAIRED, Landmarks, Locality, Scan
 from slam_gym.world import corridor
 
 SIGMA = 0.05
@@ -224,15 +223,8 @@ def test_the_triangles_are_those_with_sides_within_reach_once_each_and_countercl
 @pytest.mark.parametrize("groups", [1, 2, 4])
 def test_any_measurements_one_more_than_two_for_each_group_hold_a_triple_looked_up(groups):
     rng, m = np.random.default_rng(37), 13
-    table, points = FeatureIndex(landmarks_at(field(rng, 30)))._hash, 2.0 * rng.standard_normal((m, 2))
-    of_scan = measured(points, np.tile(SIGMA**2 * np.eye(2), (m, 1, 1)), gates_at(0.99))
-    unknown, kinds, nowhere = np.full(m, np.nan), np.full(m, UNKNOWN_KIND), np.empty(0, np.int64)
-    look = triangle_search.Look(
-        of_scan, unknown, unknown, kinds, location_gates(m, 0.99), nowhere, nowhere, 2 * groups + 1, m + 1, 10**6
-    )
-    order, starts = triangle_search._near_groups(table, look, groups)
-    assert sorted(order) == list(range(m)) and starts[0] == 0 and starts[-1] == m
-    triples = triangle_search._triples(table, look, order, starts, np.zeros(math.comb(m, 3), np.bool_))
+    of_scan = measured(2.0 * rng.standard_normal((m, 2)), np.tile(SIGMA**2 * np.eye(2), (m, 1, 1)), gates_at(0.99))
+    triples = triangle_search._triples(of_scan, np.arange(m), groups, reach=11.0)
     looked_up = [set(t) for t in triples.tolist()]
     for some in itertools.combinations(range(m), 2 * groups + 1):
         assert any(t <= set(some) for t in looked_up)
