@@ -97,30 +97,16 @@ def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -
     δᵀ(Σ_1 + Σ_2)⁻¹δ < χ²_3.
     """
     _, rivals, b = best.state.tolist()
-    if rivals == 0:
-        nowhere = np.full(best.features.shape[1], UNPAIRED), np.full(3, math.nan), np.full((3, 3), math.nan)
-        return relocation(*nowhere, 0.0, 0, min_pairings, problem.effort, seconds)
-    apart = best.poses[:rivals] - best.poses[b]
-    apart[:, 2] = [wrap_angle(turn) for turn in apart[:, 2].tolist()]
-    both = best.covariances[:rivals] + best.covariances[b]
-    squares = np.einsum("ra,ra->r", apart, np.linalg.solve(both, apart[:, :, None])[:, :, 0])
-    ties, distance = int((squares >= problem.joint_gates[-1]).sum()), float(best.distances[b])
-    located = best.features[b].copy(), best.poses[b].copy(), best.covariances[b].copy(), distance
-    return relocation(*located, ties, min_pairings, problem.effort, seconds)
-
-
-def relocation(
-    features: IntArray,
-    pose: Array,
-    covariance: Array,
-    distance: float,
-    ties: int,
-    min_pairings: int,
-    effort: IntArray,
-    seconds: float,
-) -> Relocation:
-    """The answer of any search, with its effort as counted."""
-    counts = effort.tolist()
+    features, distance, ties = np.full(best.features.shape[1], UNPAIRED), 0.0, 0
+    pose, covariance = np.full(3, math.nan), np.full((3, 3), math.nan)
+    if rivals > 0:
+        features, distance = best.features[b].copy(), float(best.distances[b])
+        pose, covariance = best.poses[b].copy(), best.covariances[b].copy()
+        apart, both = best.poses[:rivals] - pose, best.covariances[:rivals] + covariance
+        apart[:, 2] = [wrap_angle(turn) for turn in apart[:, 2].tolist()]
+        squares = np.einsum("ra,ra->r", apart, np.linalg.solve(both, apart[:, :, None])[:, :, 0])
+        ties = int((squares >= problem.joint_gates[-1]).sum())
+    counts = problem.effort.tolist()
     spent = Effort(
         nodes=counts[NODES],
         unary_tests=counts[UNARY],

@@ -10,6 +10,7 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.compatibility import gate_pairings
 from slam_gym.association.relocation.answer import Best, answer_of, keep, nothing_found
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import locate_pairings
@@ -17,7 +18,6 @@ from slam_gym.association.relocation.tree import JOINT, LEAVES, LIMIT, NODES, TR
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _SAMPLE = 3  # measurements of a sample
-_CANDIDATES = 64  # of a measurement, at one pose
 _STAR = -1  # in place of a candidate: `*` was tried, the candidates are done
 
 
@@ -70,11 +70,8 @@ def random_sampling(
 def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Best:
     """The best of all tries: all ways to pair every measurement of a sample, each extended."""
     m, size, effort = len(problem.allowed), samples.shape[1], problem.effort
-    best, path, tried = (
-        nothing_found(m),
-        Path(np.empty(m, np.int64), np.empty(m, np.int64)),
-        np.zeros(size + 1, np.int64),
-    )
+    best, tried = nothing_found(m), np.zeros(size + 1, np.int64)
+    path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
     for sample in samples:
         effort[TRIES] += effort[LIMIT] == 0
         p = tried[0] = 0
@@ -108,9 +105,9 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
     located = _Located(np.empty((m + 1, 3)), np.empty((m + 1, 3, 3)), np.empty(m + 1))
     if not _locate(located, problem, path, p):
         return
-    candidates, counts = _compatible(problem, path, p, located)
-    levels, level = np.flatnonzero(counts), 0
-    depth = len(levels)
+    measured, features = _compatible(problem, path, p, located)
+    levels, level = np.unique(measured), 0
+    starts, depth = np.append(np.searchsorted(measured, levels), len(measured)), len(levels)
     above, following = np.full(depth + 1, p), np.zeros(depth + 1, np.int64)
     while level >= 0:
         q = above[level]
@@ -121,21 +118,20 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
             keep(best, path, q, located.poses[q], located.covariances[q], located.distances[q])
             level -= 1
             continue
-        i, chosen, position = levels[level], UNPAIRED, following[level]
-        while position < counts[i] and chosen == UNPAIRED:
-            j = candidates[i, position]
-            position += 1
-            if not (path.features[:q] == j).any():
-                path.measurements[q], path.features[q] = i, j
+        chosen, candidate = UNPAIRED, following[level]
+        while candidate < starts[level + 1] and chosen == UNPAIRED:
+            if not (path.features[:q] == features[candidate]).any():
+                path.measurements[q], path.features[q] = levels[level], features[candidate]
                 if _locate(located, problem, path, q + 1):
-                    chosen = j
-        following[level] = position if chosen != UNPAIRED else _STAR
+                    chosen = features[candidate]
+            candidate += 1
+        following[level] = candidate if chosen != UNPAIRED else _STAR
         if effort[NODES] == node_limit:
             effort[LIMIT] = 1
             return
         effort[NODES] += 1
         level += 1
-        above[level], following[level] = q + (chosen != UNPAIRED), 0
+        above[level], following[level] = q + (chosen != UNPAIRED), starts[level]
 
 
 @compiled
@@ -149,57 +145,35 @@ def _locate(located: _Located, problem: Problem, path: Path, k: int) -> bool:
 
 @compiled
 def _compatible(problem: Problem, path: Path, p: int, located: _Located) -> tuple[IntArray, IntArray]:
-    """What is individually compatible at the pose of p pairings, and local to the first one.
+    """Other measurements and features that are individually compatible at the pose of p pairings, (c,) each.
 
-    Features (m, 64) of each measurement by ascending D²_ij, and how many (m,); where there is no room the last one is
-    dropped, and the limit counted as hit. Pose and features are taken for independent here: where a common drift
-    correlates them the gate is too wide, and the joint test decides.
+    By measurement, then D²_ij. Features are local to the first one paired. Pose and features are taken for independent
+    here: where a common drift correlates them the gate is too wide, and the joint test decides.
     """
-    points, noise, positions, P = (
-        problem.scan.points,
-        problem.scan.noise,
-        problem.mapped.positions,
-        problem.mapped.covariances,
-    )
-    pose, covariance, starts, m, gate = (
-        located.poses[p],
-        located.covariances[p],
-        problem.starts,
-        len(points),
-        problem.scan.gates.two,
-    )
-    begin, end = (starts[path.features[0]], starts[path.features[0] + 1]) if len(starts) > 0 else (0, len(positions))
-    free, c, s = np.ones(m, np.bool_), math.cos(pose[2]), math.sin(pose[2])
-    free[path.measurements[:p]] = False
-    distances, found, counts = np.empty((m, _CANDIDATES)), np.empty((m, _CANDIDATES), np.int64), np.zeros(m, np.int64)
-    for position in range(begin, end):
-        j = problem.members[position] if len(starts) > 0 else position
+    scan, starts, pose, covariance = problem.scan, problem.starts, located.poses[p], located.covariances[p]
+    local, others = np.arange(len(problem.traces)), np.ones(len(scan.points), np.bool_)
+    if len(starts) > 0:
+        local = problem.members[starts[path.features[0]] : starts[path.features[0] + 1]]
+    others[path.measurements[:p]] = False
+    positions, covariances = np.empty((len(local), 2)), np.empty((len(local), 2, 2))
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(len(local)):
         # h_j with covariance H Σ Hᵀ + Cᵀ P_jj C, in B, with ∂/∂θ = (dy, −dx) of C(F − t): turned into R at the end
-        dx, dy = positions[j, 0] - pose[0], positions[j, 1] - pose[1]
+        F, P = problem.mapped.positions[local[k]], problem.mapped.covariances[local[k]]
+        dx, dy = F[0] - pose[0], F[1] - pose[1]
         tt, xt, yt = covariance[2, 2], covariance[0, 2], covariance[1, 2]
-        bxx = covariance[0, 0] - 2.0 * dy * xt + dy * dy * tt + P[j, 0, 0]
-        byy = covariance[1, 1] + 2.0 * dx * yt + dx * dx * tt + P[j, 1, 1]
-        bxy = covariance[0, 1] + dx * xt - dy * yt - dx * dy * tt + P[j, 0, 1]
-        xx = c * c * bxx + 2.0 * c * s * bxy + s * s * byy
-        yy = s * s * bxx - 2.0 * c * s * bxy + c * c * byy
-        xy = c * s * (byy - bxx) + (c * c - s * s) * bxy
-        for i in range(m):
-            x, y = points[i, 0] - (c * dx + s * dy), points[i, 1] - (c * dy - s * dx)
-            sxx, syy, sxy = xx + noise[i, 0, 0], yy + noise[i, 1, 1], xy + noise[i, 0, 1]
-            if not free[i] or x * x >= gate * sxx or y * y >= gate * syy or not problem.allowed[i, j]:
-                continue
-            distance = (syy * x * x - 2.0 * sxy * x * y + sxx * y * y) / (sxx * syy - sxy * sxy)
-            if not distance < gate:
-                continue
-            place = counts[i]
-            if place == _CANDIDATES:
-                problem.effort[LIMIT] = 1
-                if distances[i, place - 1] <= distance:
-                    continue
-                place -= 1
-            counts[i] = place + 1
-            while place > 0 and distances[i, place - 1] > distance:
-                distances[i, place], found[i, place] = distances[i, place - 1], found[i, place - 1]
-                place -= 1
-            distances[i, place], found[i, place] = distance, j
-    return found, counts
+        bxx = covariance[0, 0] - 2.0 * dy * xt + dy * dy * tt + P[0, 0]
+        byy = covariance[1, 1] + 2.0 * dx * yt + dx * dx * tt + P[1, 1]
+        bxy = covariance[0, 1] + dx * xt - dy * yt - dx * dy * tt + P[0, 1]
+        positions[k, 0], positions[k, 1] = c * dx + s * dy, c * dy - s * dx
+        covariances[k, 0, 0] = c * c * bxx + 2.0 * c * s * bxy + s * s * byy
+        covariances[k, 1, 1] = s * s * bxx - 2.0 * c * s * bxy + c * c * byy
+        covariances[k, 0, 1] = covariances[k, 1, 0] = c * s * (byy - bxx) + (c * c - s * s) * bxy
+    _, found = gate_pairings(
+        scan.points, scan.noise, positions, covariances, np.flatnonzero(others), np.empty(0, np.bool_),
+        scan.gates.two, len(local),
+    )  # fmt: skip
+    features, passed = local[found.rows[found.slots]], np.empty(len(found.slots), np.bool_)
+    for k in range(len(features)):
+        passed[k] = problem.allowed[found.measured[k], features[k]]
+    return found.measured[passed], features[passed]
