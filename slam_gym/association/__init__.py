@@ -14,11 +14,7 @@ from typing import Any
 from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.association.relocation.cliques import max_clique
 from slam_gym.association.relocation.gcbb import gcbb
-from slam_gym.association.relocation.policy import (
-    SampledRelocation,
-    greedy_relocation,
-    relocator_from_policy,
-)
+from slam_gym.association.relocation.policy import greedy_relocation, relocator_from_policy
 from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.association.relocation.triangles import indexed
 from slam_gym.association.tracking.ipjc import ipjc
@@ -38,7 +34,6 @@ __all__ = [
     "ASSOCIATORS",
     "RELOCATORS",
     "Policy",
-    "SampledRelocation",
     "from_policy",
     "gcbb",
     "global_nearest_neighbour",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,12 @@ Observation = dict[str, Float32Array]
 Policy = Callable[[Observation, BoolArray], int]
 """Observation of a walk and mask -> a legal action: a < K pairs with the a-th candidate on offer, K is `*`. Without a
 prior, `*` stops at a leaf, and K + 1 restarts."""
+
+Order = Literal["as_scanned", "nearest_first", "fewest_candidates"]
+"""In which order measurements are decided: as the scan has them; by distance from the robot; those first that have the
+fewest features to choose from, which decides what is plain before what is ambiguous."""
+
+ORDERS: tuple[str, ...] = get_args(Order)
 
 POSITION_SCALE, SIGMA_SCALE, SIZE_SCALE = 6.0, 0.1, 1.0  # [m]
 

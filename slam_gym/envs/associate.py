@@ -10,7 +10,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from slam_gym.association.tracking.observation import lengths, nothing
-from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
+from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
+from slam_gym.association.walks import Order
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings
 from slam_gym.scenarios import SCENARIOS, Scenario, world_seed
 from slam_gym.simulation.association_runs import (

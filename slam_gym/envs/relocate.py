@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from slam_gym.association import resolve_associator
 from slam_gym.association.prediction import Associator
 from slam_gym.association.relocation.observation import observe_walk, walk_shapes
-from slam_gym.association.relocation.walk import RelocationOrder, RelocationWalk, WalkSpec
+from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
+from slam_gym.association.walks import Order
 from slam_gym.envs.base import BaseEnv, Info, Observation, Settings, chosen_scenario
 from slam_gym.geometry import relative
 from slam_gym.scenarios import SPLITS, Scenario
@@ -32,7 +33,7 @@ class RelocateSettings(Settings):
 
     locality: LocalityName | None = "covisibility"
     candidates: int = 8
-    order: RelocationOrder = "fewest_candidates"
+    order: Order = "fewest_candidates"
     node_limit: int = 300
     sizes: bool = True
     outside: float = 0.25
@@ -188,7 +189,7 @@ class RelocateEnv(BaseEnv):
         inside = bool(self.np_random.random() >= self.arguments.outside)
         self.kidnapped: Kidnapped = kidnap(self.mapped, self.scenario, inside, self.np_random)
         landmarks, locality = self.mapped.landmarks, self.mapped.locality(self.arguments.locality)
-        self._walk = RelocationWalk(self.walk_spec, self.kidnapped.scan, landmarks, locality, self.np_random)
+        self._walk = RelocationWalk(self.walk_spec, self.kidnapped.scan, landmarks, locality)
         self._changed()
         return self._observe()
 

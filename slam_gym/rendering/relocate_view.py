@@ -167,12 +167,10 @@ def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
 
 def _remarks(walk: RelocationWalk) -> tuple[str, ...]:
     """At a leaf: what the hypothesis comes to."""
-    leaf = walk.leaf
-    assert leaf is not None
-    pairings = int((leaf.features != UNPAIRED).sum())
+    pairings = walk.node.pairings
     believed = "the best so far is believed" if walk.best.accepted else "the best so far is not believed"
     if pairings < 2:
         return "A leaf without a pose", "two pairings at least determine one", believed
-    passed = "passes" if leaf.compatible else "fails"
-    distance = f"D² = {leaf.located.joint_distance:.1f}, dof {leaf.located.dof}"
+    passed, located = "passes" if walk.compatible else "fails", locate(walk.scan, walk.landmarks, walk.node.hypothesis)
+    distance = f"D² = {located.joint_distance:.1f}, dof {located.dof}"
     return f"A leaf of {pairings} pairings: {passed} the joint test", distance, believed

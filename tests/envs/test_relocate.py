@@ -7,7 +7,7 @@ import pytest
 
 from slam_gym.association import gcbb
 from slam_gym.association.relocation.observation import CANDIDATE_FIELDS, MEASUREMENT_FIELDS
-from slam_gym.association.relocation.policy import SampledRelocation, greedy_relocation, relocator_from_policy
+from slam_gym.association.relocation.policy import relocator_from_policy
 from slam_gym.envs import relocate as module
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.scenarios import get_scenario
@@ -15,11 +15,11 @@ from slam_gym.simulation.relocation_problems import kidnap
 from slam_gym.simulation.right_answers import NOT_OFFERED
 from slam_gym.world.floor_plan_file import save_floor_plan
 from slam_gym.world.generators import OfficeGenerator
+from tests.oracles.relocation_walks import by_chance
 from tests.rollouts import bare, differences, relocate, short
 
 INFO = ["nodes", "tries", "hidden", "pairings", "needed", "accepted", "action_mask", "truth"]
 SMALL = short(120)
-POLICIES = {"greedy": greedy_relocation, "sampled": SampledRelocation(8)}
 
 
 def episode(env, choose, seed=None, options=None):
@@ -133,12 +133,12 @@ def test_what_gcbb_finds_can_be_played_and_comes_to_the_same(name, locality):
 
 def test_a_policy_sees_as_a_relocator_what_it_sees_in_the_environment():
     env, seen, shown = relocate(short(250), order="nearest_first", sizes=False), [], []
-    for observation, *_ in episode(env, by(POLICIES["sampled"]), seed=4):
+    for observation, *_ in episode(env, by(by_chance), seed=4):
         seen.append(observation)
 
     def policy(observation, mask):
         shown.append(observation)
-        return POLICIES["sampled"](observation, mask)
+        return by_chance(observation, mask)
 
     find = relocator_from_policy(policy, order="nearest_first", sizes=False)
     found = find(env.kidnapped.scan, env.mapped.landmarks, env.mapped.locality("covisibility"))
@@ -165,7 +165,7 @@ def test_a_world_asked_for_does_not_depend_on_what_was_mapped_before_nor_disturb
 @pytest.mark.parametrize(
     "options",
     [
-        dict(scenario=short(150, "hall"), split="test", locality="two-hop covisibility", order="random", sizes=False),
+        dict(scenario=short(150, "hall"), split="test", locality="two-hop covisibility", sizes=False),
         dict(scenario=short(150, "aliased"), locality="distance", order="nearest_first", candidates=1, outside=1.0),
         dict(scenario=short(150, "crowd"), locality=None, candidates=200, outside=0.0, node_limit=7),
     ],
@@ -205,15 +205,15 @@ def test_on_a_floor_plan_robots_are_carried_to_that_floor_or_to_a_world_of_the_s
 
 
 def test_a_lying_truth_changes_no_observation_and_no_mask(monkeypatch):
-    env = relocate(short(250), order="random", outside=0.0)
-    honest = list(episode(env, by(POLICIES["sampled"]), seed=2))
+    env = relocate(short(250), outside=0.0)
+    honest = list(episode(env, by(by_chance), seed=2))
 
     def lie(*args):
         drawn = kidnap(*args)
         return replace(drawn, pose=drawn.pose + 5.0, features=drawn.features[::-1].copy(), inside=False)
 
     monkeypatch.setattr(module, "kidnap", lie)
-    lied_to = list(episode(env, by(POLICIES["sampled"]), seed=2))
+    lied_to = list(episode(env, by(by_chance), seed=2))
     for one, other in zip(honest, lied_to, strict=True):
         assert not differences(one[0], other[0])
         assert not differences({k: one[4][k] for k in INFO[:-1]}, {k: other[4][k] for k in INFO[:-1]})

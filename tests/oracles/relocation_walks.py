@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from slam_gym.association.relocation.walk import RelocationWalk
-from slam_gym.types import Array, Landmarks, Locality, Scan
+from slam_gym.association.walks import Observation
+from slam_gym.types import Array, BoolArray, Landmarks, Locality, Scan
 from tests.oracles import relocation
 
 Planted = tuple[Scan, Landmarks, Array, dict[str, Locality | None], np.random.Generator]
@@ -33,6 +35,12 @@ def pairs_of(walk: RelocationWalk) -> list[tuple[int, int]]:
 
 def walk_randomly(walk: RelocationWalk, rng: np.random.Generator) -> Iterator[None]:
     """Yields at every decision, then takes a legal branch at random, until a leaf."""
-    while walk.leaf is None:
+    while not walk.at_leaf:
         yield
         walk.take(int(rng.choice(np.flatnonzero(walk.mask[:-1]))))
+
+
+def by_chance(observation: Observation, mask: BoolArray) -> int:
+    """A policy: any legal action, the same for the same observation."""
+    drawn = zlib.crc32(b"".join(part.tobytes() for part in observation.values()))
+    return int(np.random.default_rng(drawn).choice(np.flatnonzero(mask)))

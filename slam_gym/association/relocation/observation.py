@@ -114,12 +114,9 @@ def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
 
 def _path(walk: RelocationWalk) -> Float32Array:
     m = max(len(walk.scan), 1)
-    leaf, compatible = walk.leaf is not None, walk.leaf is not None and walk.leaf.compatible
-    pairings, without = walk.node.pairings, walk.node.bound_without(walk.measurement)
-    return np.array(
-        [walk.level / m, pairings / m, walk.node.bound / m, without / m, leaf, compatible],
-        np.float32,
-    )
+    bound, without = walk.node.bound, walk.node.bound_without(walk.measurement)
+    shares = walk.level / m, walk.node.pairings / m, bound / m, without / m
+    return np.array([*shares, walk.at_leaf, bool(walk.compatible)], np.float32)
 
 
 def _search(walk: RelocationWalk) -> Float32Array:
@@ -135,8 +132,3 @@ def _search(walk: RelocationWalk) -> Float32Array:
         ],
         np.float32,
     )
-
-
-def unsquash(value: float, scale: float) -> float:
-    """The inverse of the scaling of what has no bound, into (−1, 1): v / (|v| + scale)."""
-    return scale * value / max(1.0 - abs(value), 1e-6)

@@ -58,11 +58,16 @@ class FeatureIndex:
     """
 
     def __init__(self, landmarks: Landmarks) -> None:
-        self.landmarks, mapped = landmarks, map_arrays(landmarks)
-        alone = np.empty((0, 0)), np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2, 2))
-        self._mapped = Mapped(
-            mapped.positions, relative_covariances(landmarks) + _FLOOR * np.eye(2), *mapped[2:5], *alone
-        )  # features as if they were independent
+        self.landmarks = landmarks
+        independent = dataclasses.replace(
+            landmarks,
+            covariances=relative_covariances(landmarks) + _FLOOR * np.eye(2),
+            covariance=np.empty((0, 0)),
+            block_starts=np.empty(0, np.int64),
+            block_columns=np.empty(0, np.int64),
+            blocks=np.empty((0, 2, 2)),
+        )
+        self._mapped = map_arrays(independent)
         self._hash = _hash_of(self._mapped)
 
     def __len__(self) -> int:

@@ -9,15 +9,12 @@ walker may restart, or stop (`*`): the best is then the answer.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
 from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.relocation.answer import answer_of, keep, nothing_found
-from slam_gym.association.relocation.location import Located, locate
+from slam_gym.association.relocation.answer import answer_of, nothing_found, offer
 from slam_gym.association.relocation.tree import (
-    JOINT,
     LEAVES,
     LIMIT,
     NODES,
@@ -29,11 +26,9 @@ from slam_gym.association.relocation.tree import (
     problem_of,
     root,
 )
+from slam_gym.association.walks import ORDERS, Order
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
-
-RelocationOrder = Literal["fewest_candidates", "nearest_first", "as_scanned", "random"]
-"""In which order measurements are decided: those first that the unary constraints leave fewest features; by distance
-from the robot; as the scan has them, as `gcbb` does; dealt anew at every try."""
+from slam_gym.validation import one_of
 
 
 @dataclass(frozen=True)
@@ -41,7 +36,7 @@ class WalkSpec:
     """Settings of a walk."""
 
     candidates: int = 8  # K on offer, those with most support
-    order: RelocationOrder = "fewest_candidates"
+    order: Order = "fewest_candidates"
     node_limit: int = 300
     sizes: bool = True  # sizes are looked at
     confidence: float = 0.99  # of all constraints and of the joint test
@@ -51,8 +46,7 @@ class WalkSpec:
             value = getattr(self, name)
             if not (isinstance(value, int | np.integer) and value >= 1):
                 raise ValueError(f"{name}: expected a whole number >= 1, got {value!r}")
-        if self.order not in get_args(RelocationOrder):
-            raise ValueError(f"order={self.order!r}; known: {', '.join(get_args(RelocationOrder))}")
+        one_of("order", self.order, ORDERS)
         if not 0.0 < self.confidence < 1.0:
             raise ValueError(f"confidence: {self.confidence} is not between 0 and 1")
 
@@ -72,42 +66,24 @@ class WalkSpec:
         return self.candidates + 2
 
 
-@dataclass(frozen=True, slots=True)
-class Leaf:
-    """A hypothesis that was located."""
-
-    features: IntArray  # (m,)
-    located: Located
-    compatible: bool  # it has a pose and passes the joint test there
-
-
 class RelocationWalk:
     """A walk through the tree of one scan, from the root until the walker stops or the nodes are spent.
 
-    Nodes are counted as every try leaves the root, and at every level decided, those passed by among them. `rng` deals
-    the levels with `order="random"`, and is not touched otherwise. Raises ValueError where scan, map
-    or locality are bad.
+    Nodes are counted as every try leaves the root, and at every level decided, those passed by among them. Raises
+    ValueError where scan, map or locality are bad.
     """
 
-    def __init__(
-        self,
-        spec: WalkSpec,
-        scan: Scan,
-        landmarks: Landmarks,
-        locality: Locality | None = None,
-        rng: np.random.Generator | None = None,
-    ) -> None:
+    def __init__(self, spec: WalkSpec, scan: Scan, landmarks: Landmarks, locality: Locality | None = None) -> None:
         if not spec.sizes:
             scan = Scan.from_points(scan.points, scan.covariances, kinds=scan.kinds)
         self.spec, self.scan, self.landmarks, self.locality = spec, scan, landmarks, locality
         self.problem = problem_of(scan, landmarks, locality, spec.confidence)
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
-        self.counters = self.problem.effort
-        self.counters[UNARY] = self.problem.allowed.size
+        self.problem.effort[UNARY] = self.problem.allowed.size
         self.done = False
-        self._rng = rng or np.random.default_rng(0)
         self._at_root: dict[int, RelocationBranches] = {}  # every try begins with the same offer
         self._kept = nothing_found(len(scan))
+        self.order = self._in_order()
         self.best = self.answer()
         self._begin()
 
@@ -121,7 +97,12 @@ class RelocationWalk:
     @property
     def measurement(self) -> int | None:
         """The one to decide; None at a leaf."""
-        return None if self.leaf else int(self.order[self.level])
+        return None if self.at_leaf else int(self.order[self.level])
+
+    @property
+    def at_leaf(self) -> bool:
+        """Nothing is left to decide but to stop or to restart."""
+        return self._offer is None
 
     @property
     def offer(self) -> RelocationBranches | None:
@@ -136,12 +117,12 @@ class RelocationWalk:
     @property
     def nodes(self) -> int:
         """Spent so far."""
-        return int(self.counters[NODES])
+        return int(self.problem.effort[NODES])
 
     @property
     def tries(self) -> int:
         """Walks from the root, this one included."""
-        return int(self.counters[TRIES])
+        return int(self.problem.effort[TRIES])
 
     @property
     def mask(self) -> BoolArray:
@@ -169,7 +150,7 @@ class RelocationWalk:
         if not (0 <= action < len(legal) and legal[action]):
             raise ValueError(f"action {action!r} is not legal; mask: {legal.tolist()}")
         if action == self.spec.restart:
-            if self.leaf is None:
+            if not self.at_leaf:
                 self._judge()
             self._begin()
         elif self._offer is None:
@@ -186,20 +167,18 @@ class RelocationWalk:
 
     def _begin(self) -> None:
         """A new try, from the root."""
-        self.order = self._deal()
         self.node = root(self.problem)
-        self.leaf: Leaf | None = None
+        self.compatible: bool | None = None  # at a leaf: the hypothesis has a pose and passes the joint test there
         self.path: list[int] = []  # features decided, level by level
         self.offered: list[tuple[int, int]] = []  # of each such level: candidates on offer, action taken
         self._chosen = 0  # decisions of this try that were the walker's own
-        self.counters[NODES] += 1
-        self.counters[TRIES] += 1
+        self.problem.effort[NODES] += 1
+        self.problem.effort[TRIES] += 1
         self._go_on()
 
-    def _deal(self) -> IntArray:
+    def _in_order(self) -> IntArray:
+        """(m,) the measurements, level by level."""
         points = self.scan.points
-        if self.spec.order == "random":
-            return self._rng.permutation(len(points))
         if self.spec.order == "as_scanned":
             return np.arange(len(points))
         far = np.hypot(points[:, 0], points[:, 1])
@@ -211,7 +190,7 @@ class RelocationWalk:
         self.offered.append((shown, self.spec.star if feature == UNPAIRED else self.action_of(feature) or 0))
         self.node = extend(self.problem, self.node, int(self.order[self.level]), feature)
         self.path.append(feature)
-        self.counters[NODES] += 1
+        self.problem.effort[NODES] += 1
 
     def _go_on(self) -> None:
         """Pass by the levels that leave no choice; make the offer of the next, or judge the leaf."""
@@ -219,8 +198,8 @@ class RelocationWalk:
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
             self._decide(UNPAIRED)
         if self._spent or self.level == m:
-            self.counters[LIMIT] = self._spent
-            self.leaf = self._judge()
+            self.problem.effort[LIMIT] = self._spent
+            self.compatible = self._judge()
         else:
             self._offer = self._branches(int(self.order[self.level]))
 
@@ -235,17 +214,10 @@ class RelocationWalk:
     def _spent(self) -> bool:
         return self.nodes >= self.spec.node_limit
 
-    def _judge(self) -> Leaf:
-        """Locate and test the hypothesis of the path; keep it if none has more pairings."""
-        node, features, k = self.node, self.node.hypothesis, self.node.pairings
-        located = locate(self.scan, self.landmarks, features)
-        self.counters[LEAVES] += 1
-        compatible = False
-        if k >= 2:
-            self.counters[JOINT] += 1
-            compatible = bool(located.joint_distance < self.problem.joint_gates[k])
-        if compatible:
-            distance = located.joint_distance
-            keep(self._kept, node.path, k, located.pose, located.covariance, distance)
+    def _judge(self) -> bool:
+        """Locate and test the hypothesis of the path, and keep it if none has more pairings; whether it holds."""
+        self.problem.effort[LEAVES] += 1
+        holds = offer(self._kept, self.problem, self.node.path, self.node.pairings)
+        if holds:
             self.best = self.answer()
-        return Leaf(features, located, compatible)
+        return holds

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slam_gym.association.prediction import Associator, Prediction
-from slam_gym.association.tracking.walk import Compatibility, Order, Walk, check_arguments
-from slam_gym.association.walks import Observation, Policy, play
+from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
+from slam_gym.association.walks import Observation, Order, Policy, play
 from slam_gym.types import BoolArray, Hypothesis, Scan
 
 

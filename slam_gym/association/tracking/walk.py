@@ -24,17 +24,12 @@ from slam_gym.association.tree import (
     interpretation_tree,
     root,
 )
-from slam_gym.association.walks import Observation
+from slam_gym.association.walks import ORDERS, Observation, Order
 from slam_gym.types import UNPAIRED, Array, Effort, Hypothesis, IntArray, Scan
-
-Order = Literal["as_scanned", "nearest_first", "fewest_candidates"]
-"""In which order measurements are decided: as the scan has them; by distance from the robot; those first that have the
-fewest individually compatible features (but some), which decides what is plain before what is ambiguous."""
 
 Compatibility = Literal["joint", "individual"]
 """What makes a branch legal: that the path stays jointly compatible and takes no feature twice; or D²_ij alone."""
 
-ORDERS: tuple[str, ...] = get_args(Order)
 COMPATIBILITIES: tuple[str, ...] = get_args(Compatibility)
 
 
