@@ -22,6 +22,7 @@ from agents.evaluation.associators import metered
 from agents.evaluation.records import Record, stem, written_whole
 from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose, inverse, transform
+from slam_gym.mapping.smoothing import smooth
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.metrics.consistency import anees, pose_nees
 from slam_gym.metrics.map_quality import align_se2, ate, landmark_rmse
@@ -30,7 +31,7 @@ from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, Truth
+from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, IntArray, Truth
 
 MAX_GAP = 1.0  # [s] between samples, over which poses are not interpolated
 REFERENCE_SIGMA = (0.005, 0.005, math.radians(0.5))  # [m, m, rad] of reference poses
@@ -87,7 +88,7 @@ class MappedLog:
     log: Recording
     poses: Array  # (T, 3) [m, m, rad]
     pose_covariances: Array  # (T, 3, 3) [m², m·rad, rad²]
-    measurements: pd.DataFrame  # M rows: source; whether paired; source of the feature that it updated or started
+    measurements: pd.DataFrame  # M rows: source; whether paired; id in the end of the feature, and its source
     features: pd.DataFrame  # of the map in the end, oldest first: the columns of its file but for the aligned position
     tally: Tally
     effort: Record  # of the associator, and of the steps
@@ -124,6 +125,7 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
     measurements = pd.DataFrame({
         "source": log.sources,
         "paired": (feature != NO_ID) & ~np.concatenate(created),
+        "feature": final_ids(slam, feature),
         "feature_source": np.where(feature == NO_ID, UNPAIRED, identities.source_of(np.maximum(feature, 0))),
     })  # fmt: skip
     effort = meter.effort() | {"seconds": sum(seconds), "step_microseconds": 1e6 * float(np.median(seconds))}
@@ -143,6 +145,30 @@ def _features(slam: Slam, identities: Identities) -> pd.DataFrame:
     })  # fmt: skip
 
 
+def final_ids(slam: Slam, ids: IntArray) -> IntArray:
+    """Ids (k,) of features as they are called after all that was made one since; NO_ID stays."""
+    final = ids.copy()
+    for record in slam.atlas.fusions if slam.atlas is not None else ():
+        for kept, gone in record.ids.tolist():
+            final[final == gone] = kept
+    return final
+
+
+def smoothed(mapped: MappedLog) -> MappedLog | None:
+    """Poses and map that explain the same pairings best: batch least squares from the poses of the filter.
+
+    None where nothing was paired, or a covariance of the log is not positive definite.
+    """
+    odometry, scans, _ = zip(*mapped.log.steps())
+    pairings = np.split(mapped.measurements["feature"].to_numpy(), mapped.log.starts[1:-1])
+    try:
+        best = smooth(odometry, scans, pairings, mapped.poses)
+    except ValueError:
+        return None
+    x, y = best.positions[np.searchsorted(best.ids, mapped.features["id"])].T
+    return replace(mapped, poses=best.poses, features=mapped.features.assign(x=x, y=y), in_world=False)
+
+
 def start_of(log: Recording) -> Array | None:
     """Pose (3,) in W from which the first motion starts, or None where the reference does not say."""
     if not len(log.reference_times) or not log.reference_times[0] <= log.times[0] <= log.reference_times[-1]:
@@ -158,7 +184,10 @@ def measure(mapped: MappedLog) -> Record:
     """The numbers of a mapped log."""
     log = mapped.log
     about = {"steps": len(log), "measurements": len(log.points)}
-    return about | _associations(mapped) | _confirmed(mapped) | _poses(mapped) | _landmarks(mapped) | mapped.effort
+    errors, best = _poses(mapped) | _landmarks(mapped), smoothed(mapped)
+    of_best = {} if best is None else _poses(best) | _landmarks(best)
+    batch = {f"{name}_batch": of_best.get(name, math.nan) for name in ("ate", "landmark_rmse")}
+    return about | _associations(mapped) | _confirmed(mapped) | errors | batch | mapped.effort
 
 
 def _associations(mapped: MappedLog) -> Record:

@@ -60,6 +60,7 @@ _ALL = (
     Column("features", "feat.", 0), Column("found", "found", 0, "higher"), Column("wrong", "wrong", 0, "lower"),
     Column("clutter_features", "clut.", 0, "lower"), Column("clutter_share", "clutter accepted", 3, "lower"),
     Column("clutter_on_landmarks", "onto landmarks", 0, "lower"), Column("ate", "ATE", 2, "lower"),
+    Column("ate_batch", "batch", 2, "lower"), Column("landmark_rmse_batch", "batch", 2, "lower"),
     Column("ate_unaligned", "ATE₀", 2, "lower"), Column("ate_median", "median error", 2, "lower"),
     Column("landmark_rmse", "lm.", 2, "lower"), Column("landmark_rmse_unaligned", "landmarks₀", 2, "lower"),
     Column("seconds", "s", 1, "lower"), Column("step_microseconds", "µs/step", 0, "lower"),

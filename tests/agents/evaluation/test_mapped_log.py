@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.mapped_log import compare, map_log, measure, start_of, write_mapped_log
-from slam_gym.metrics.map_quality import ate
+from agents.evaluation.recordings import surveyed
+from slam_gym.metrics.map_quality import ate, landmark_rmse
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
@@ -86,6 +87,31 @@ def test_where_headings_are_unknown_only_alignment_compares() -> None:
     assert not mapped.in_world and start_of(log) is None
     assert math.isnan(numbers["ate_unaligned"]) and math.isnan(numbers["anees"])
     assert numbers["ate"] == pytest.approx(measure(map_log(posts_log(), "jcbb", SPEC))["ate"], rel=1e-6)
+
+
+def test_batch_least_squares_with_the_same_pairings_stands_beside_the_filter() -> None:
+    filtered, batch = [], []
+    for seed in range(6):
+        truth = measure(map_log(posts_log(60, seed, clutter=0.5), "true_association", SPEC))
+        filtered.append([truth["ate"], truth["landmark_rmse"]])
+        batch.append([truth["ate_batch"], truth["landmark_rmse_batch"]])
+    assert (np.mean(batch, axis=0) < 1.05 * np.mean(filtered, axis=0)).all()
+    certain = replace(posts_log(), motion_covariances=np.zeros_like(posts_log().motion_covariances))
+    assert math.isnan(measure(map_log(certain, "jcbb", SPEC))["ate_batch"])
+
+
+def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identities() -> None:
+    log = posts_log(60)
+    unknown = replace(
+        log, reference_times=np.empty(0), reference_poses=np.empty((0, 3)), landmark_ids=np.empty(0, np.int64),
+        landmarks=np.empty((0, 2)),
+    )  # fmt: skip
+    found = surveyed(unknown)
+    assert surveyed(log) is log and len(found.landmarks) == len(np.unique(log.sources[log.sources >= 0]))
+    true = log.landmarks[np.searchsorted(log.landmark_ids, found.landmark_ids)]
+    assert landmark_rmse(found.landmarks, true, aligned=True) < 0.1
+    numbers = measure(map_log(found, "true_association", SPEC))
+    assert numbers["ate_batch"] < 1e-3 < numbers["ate"] < 0.2 and math.isnan(numbers["anees"])
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
