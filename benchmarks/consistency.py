@@ -102,7 +102,7 @@ def park(folder: Path, steps: int | None = None) -> DrivenLog:
     driven = [
         (odometry, scan, Truth(pose, sources)) for (odometry, scan, sources), pose in zip(log.steps(), optimum.poses)
     ]
-    return DrivenLog("park", driven, dict(zip(optimum.ids.tolist(), optimum.landmarks)), slam_for(log), 60, 60)
+    return DrivenLog("park", driven, dict(zip(optimum.ids.tolist(), optimum.positions)), slam_for(log), 60, 60)
 
 
 def estimate(log: DrivenLog, method: str, associator: str) -> Record:

@@ -7,7 +7,7 @@ symmetric rank-20 product by BLAS on a matrix as large as the covariance, which 
 
 The second table has drives over lanes of a field, step by step with JCBB: in one map a step costs as much as its
 square; in a local map, which is closed with so many features, it costs the same however far the robot has come. What is
-measured from two lanes stands in two local maps until they are joined, which takes as long as the one map.
+measured from two lanes stands in two local maps until they are joined, all at once by sparse least squares.
 
     python benchmarks/scale.py [--features 100 1000 5000]     # five minutes
 """
@@ -70,8 +70,8 @@ def step_and_update(features: int, steps: int, rng: np.random.Generator) -> Reco
     return row | {"update / dsyrk": update / least, "memory MB": resident() - before}
 
 
-def drive(count: int, per_map: int | None, joined: bool, seed: int) -> Record:
-    """A drive over so many features with one map (None) or local maps of so many; `joined` at its end."""
+def drive(count: int, per_map: int | None, seed: int) -> Record:
+    """A drive over so many features with one map (None) or local maps of so many, joined at its end."""
     rng, side, before = np.random.default_rng(seed), math.sqrt(AREA * count), resident()
     features, way = rng.uniform(0.0, side, (count, 2)), lanes(side, 8.0, 0.5)
     spec = SlamSpec(reach=REACH)
@@ -94,8 +94,8 @@ def drive(count: int, per_map: int | None, joined: bool, seed: int) -> Record:
     row: Record = {"features": count, "map": "one" if per_map is None else "local", "maps": len(maps)}
     row |= {"step ms": 1e-3 * np.median(times[WARM_UP:]), "last tenth ms": 1e-3 * np.median(times[-len(times) // 10 :])}
     row |= {"memory MB": resident() - before} | off(ids, places, features, source)
-    if per_map is not None and joined:
-        whole, taken = timed(slam.joined)
+    if isinstance(slam, LocalMapSlam):
+        whole, taken = timed(slam.smoothed)
         found = off(whole.ids, transform(way[0], whole.positions), features, source)
         row |= {"join s": 1e-6 * taken} | {f"{name}, joined": value for name, value in found.items()}
     return row
@@ -115,11 +115,7 @@ def main() -> None:
     sizes, drives, steps = ((50,), (50,), 3) if a.quick else (a.features, a.drives, a.steps)
     rows = [step_and_update(n, steps, np.random.default_rng(a.seed)) for n in sizes]
     table(f"Steps of {PAIRINGS} pairings by the size of the map; medians", rows)
-    rows = [
-        drive(n, per_map, n <= a.one_map, a.seed)
-        for n in drives
-        for per_map in ((None, 100) if n <= a.one_map else (100,))
-    ]
+    rows = [drive(n, per_map, a.seed) for n in drives for per_map in ((None, 100) if n <= a.one_map else (100,))]
     table("Drives over lanes, in one map and in local maps of 100 features", rows)
 
 

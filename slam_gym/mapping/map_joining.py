@@ -7,23 +7,31 @@ state, all in B_A, with x_R the robot of B, is
 
 where J_A, J_B are the Jacobians of x by x_A and x_B. Features that both maps hold are then matched, made equal by an
 update with the noise-free measurement F_a − F_b = 0, and one of each pair is deleted.
+
+Many maps are joined at once by least squares (`join_all`): each is a measurement (R_i; F_i), of covariance P_i, of the
+next base and of its features as seen from its own base. That is exact but for rounding, linearised at the result, and
+sparse: two maps have to do with each other where they share features, or where one follows the other.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.linear_algebra import ROUNDING, aligned_zeros, cholesky, padded, subtract_squares, whiten
+from slam_gym.mapping.smoothing import FactorGraph, Smoothed, dead_reckoning
 from slam_gym.mapping.stochastic_map import MapState, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray
 
 UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
 """[m², m², rad²] Covariance of a pose, or of the relation of two maps, before it is found: it says nothing."""
+_AT_LEAST = 1e-12  # [m²], [rad²] of a local map that is joined with others
 
 
 def join(a: StochasticMap, b: StochasticMap) -> StochasticMap:
@@ -51,6 +59,51 @@ def join_at(a: StochasticMap, b: StochasticMap, base: Array) -> StochasticMap:
     placed = a.copy()
     placed.place(base, UNKNOWN_POSE)
     return join(placed, b)
+
+
+def join_all(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Smoothed:
+    """All maps in the base of the first, each of which has its base where the robot of the one before it ended.
+
+    Features of one name are one: `names` has those (n_i,) of the features of each map, different within a map. The
+    poses are the bases of the maps, then that of the robot. To every variance (1 µm)² is added, for a robot that has
+    not moved since its map began knows its pose exactly. Raises ValueError where the iterations run out.
+    """
+    count, sizes = len(maps), [m.n for m in maps]
+    ids, feature = np.unique(np.concatenate(names), return_inverse=True)
+    rows, columns, values = [], [], []
+    for number, (m, first) in enumerate(zip(maps, 3 * count + 2 * np.cumsum([0, *sizes]))):
+        entries = np.concatenate([3 * number + np.arange(3), first + np.arange(2 * m.n)])
+        values.append(np.linalg.inv(m.covariance + _AT_LEAST * np.eye(len(entries))).ravel())
+        rows.append(np.repeat(entries, len(entries)))
+        columns.append(np.tile(entries, len(entries)))
+    total = 3 * count + 2 * sum(sizes)
+    at = np.concatenate(rows), np.concatenate(columns)
+    information = csc_array((np.concatenate(values), at), shape=(total, total))
+    motions, points = np.array([m.pose for m in maps]), np.concatenate([m.positions for m in maps])
+    graph = FactorGraph(motions, points, np.repeat(np.arange(count), sizes), feature, information)
+    return graph.optimum(dead_reckoning(np.vstack([np.zeros(3), motions])), ids)
+
+
+def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> StochasticMap:
+    """`join_all` as one map with its full covariance, whose time and memory grow with the cube and square of its size.
+
+    A feature has the id that is its name, and what was known of it in all maps; settings are those of the first map,
+    the robot is that of the last. Names are ids, each that of the oldest of the features of this name.
+    """
+    best, states = join_all(maps, names), [m.state for m in maps]
+    counted = np.concatenate([state.counted for state in states], axis=1)
+    sized = np.concatenate([state.sized for state in states], axis=1)
+    named = np.concatenate(names)
+    of_name = dict(zip(counted[ekf.IDS].tolist(), range(len(named))))
+    dropped = np.flatnonzero(counted[ekf.IDS] != named)
+    take_over(counted, sized, np.array([of_name[i] for i in named[dropped].tolist()], np.int64), dropped)
+    kept = np.flatnonzero(counted[ekf.IDS] == named)
+    mean = np.concatenate([best.poses[-1], best.positions.ravel()])
+    step, next_id = max(state.step for state in states), max(state.next_id for state in states)
+    covariance = best.covariance([len(maps)], best.ids)
+    return StochasticMap.of_state(
+        maps[0].spec, MapState(mean, covariance, counted[:, kept], sized[:, kept], step, next_id)
+    )
 
 
 def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tuple[Array, Array]:

@@ -104,7 +104,7 @@ def smooth(
         _inverses("scans", pose, covariances),
     )
     graph = FactorGraph(motions[1:], points, pose, feature, block_diag(list(map(_diagonal, weights)), format="csc"))
-    start = _dead_reckoning(motions) if initial is None else np.array(initial, np.float64)
+    start = dead_reckoning(motions) if initial is None else np.array(initial, np.float64)
     if start.shape != (T, 3) or not np.isfinite(start).all():
         raise ValueError(f"initial: shape {start.shape}, expected ({T}, 3) finite numbers")
     return graph.optimum(_moved_to(motions[0], start), ids)
@@ -184,7 +184,7 @@ def _factor(matrix: Any) -> SuperLU:
     return splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
-def _dead_reckoning(motions: Array) -> Array:
+def dead_reckoning(motions: Array) -> Array:
     """(T, 3) poses by odometry alone, from the origin."""
     poses, pose = np.empty((len(motions), 3)), np.zeros(3)
     for step, motion in enumerate(motions):

@@ -4,7 +4,10 @@ Map i + 1 has its base where the robot stood at the end of map i, and starts wit
 enters two maps, so their estimates are independent, and the last robot pose of map i, with its covariance and its
 correlations, is all that links the two. The new map's first features are as certain as a scan is, what the robot does
 not know of its base stays with the map before, and linearisation errors stay small. The maps are joined when the whole
-is asked for (`mapping.map_joining`); features that two of them hold are found by JCBB under the prior of the join.
+is asked for, all at once by least squares (`mapping.map_joining.join_all`). Which features two of them hold is found
+pair by pair, by JCBB in the join of the two alone, the surest relation first. The relation of maps that do not follow
+each other is composed along the surest path of relations found so far (Bosse et al., "Atlas", IJRR 2004), and taken to
+be independent of their features: so which features are one is decided approximately, what follows from it is exact.
 
 **Ids** run through all maps and are never given twice. When a map is closed its features leave, and its last `SlamStep`
 says so in `removed`: `metrics.association.Identities` therefore judges every decision against the current local map, in
@@ -14,7 +17,10 @@ which a feature may rightly begin a second time. A joined map keeps the oldest i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+import heapq
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,9 +30,10 @@ from slam_gym.association.compatibility import chi2_gate, joint_gates
 from slam_gym.association.prediction import Associator, Prediction, SlamStep
 from slam_gym.association.tracking.jcbb import branch_and_bound
 from slam_gym.association.tree import Pairings
-from slam_gym.geometry import compose
+from slam_gym.geometry import compose, compose_jacobians, inverse, transform
 from slam_gym.mapping.locality import linked, same_local_map
-from slam_gym.mapping.map_joining import equate, join
+from slam_gym.mapping.map_joining import equate, join, join_all, joined_map
+from slam_gym.mapping.smoothing import Smoothed
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree, difference_covariance
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -34,7 +41,7 @@ from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Locality, Odom
 from slam_gym.validation import check_scan
 
 Match = Callable[[StochasticMap, IntArray, IntArray], IntArray]
-"""From a joined map, its older features (a,) and its newer ones (b,) to pairs (k, 2) that are the same."""
+"""From the join of two local maps, older features (a,) and newer ones (b,) in it to pairs (k, 2) that are the same."""
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
 _INDIVIDUAL = 0.9999  # confidence: one draw moves all pairs, so that the joint gate is the one that discerns
@@ -63,11 +70,12 @@ class LocalMapSlam:
         self.features_per_map = features_per_map
         self.slam = Slam(self.spec)  # of the current local map
         self.maps = [self.slam.map]  # each in its own base; the last one is the current
-        self._match = match or jointly_compatible
         self._graphs = [self.slam.covisibility]  # of each local map
         self._first_ids = [0]  # id from which on each local map gives them
-        self._joined = 1, self.slam.map  # closed maps joined so far, as one
-        self._oldest: dict[int, int] = {}  # id → the older one that the last join made it the same as
+        self._correspondences = _Correspondences(
+            match or jointly_compatible
+        )  # of the closed maps, as far as anybody has asked
+        self._names: list[IntArray] = []  # of the features of each map, when the whole was last asked for
         self._is_last_step = False  # of the current map, whether it is full or not
         self._is_closed = False  # the next step begins a new map
 
@@ -128,42 +136,180 @@ class LocalMapSlam:
     def joined(self) -> StochasticMap:
         """All maps in the base of the first, features that are the same made one. The maps stay as they are.
 
-        Of each pair the older id is left. Joins of closed maps are kept, so that only the current one is matched again.
+        Of features that are the same the oldest id is left. Matches of closed maps are kept, so that only the current
+        one is matched again. The full covariance takes time that grows with the cube of the features: see `smoothed`.
         """
-        done, whole = self._joined
-        for number in range(done, len(self.maps)):
-            older = whole.n
-            whole = join(whole, self.maps[number])
-            pairs, ids = self._match(whole, np.arange(older), np.arange(older, whole.n)), whole.ids
-            self._oldest = {i: j for i, j in self._oldest.items() if i < self._first_ids[number]}
-            self._oldest.update(zip(ids[pairs[:, 1]].tolist(), ids[pairs[:, 0]].tolist()))
-            whole = equate(whole, pairs)
-            if number < len(self.maps) - 1:
-                self._joined = number + 1, whole
-        return whole.copy()
+        names = self._match_all()
+        return joined_map(self.maps, names) if len(self.maps) > 1 else self.map.copy()
 
-    def map_of(self, m: StochasticMap) -> IntArray:
+    def smoothed(self) -> Smoothed:
+        """As `joined`, with the covariance of what is asked for only: seconds for thousands of features.
+
+        The poses are the bases of the maps, then that of the robot.
+        """
+        return join_all(self.maps, self._match_all())
+
+    def _match_all(self) -> list[IntArray]:
+        """The names (n_i,) of the features of each map: the oldest id of all features that are the same."""
+        while len(self._correspondences.names) < len(self.maps) - 1:
+            self._correspondences.add(self.maps)
+        everything = self._correspondences.copy()
+        everything.add(self.maps)
+        self._names = everything.names
+        return self._names
+
+    def map_of(self, m: StochasticMap | Smoothed) -> IntArray:
         """(n,) number of the local map in which each feature of a joined map was first seen."""
         numbers: IntArray = np.searchsorted(self._first_ids, m.ids, side="right") - 1
         return numbers
 
-    def locality(self, m: StochasticMap) -> Locality:
+    def locality(self, m: StochasticMap | Smoothed) -> Locality:
         """Features of a joined map that are of the same local map."""
         return same_local_map(self.map_of(m))
 
-    def covisible(self, m: StochasticMap, hops: int = 1) -> Locality:
-        """Features of the map that `joined` last returned that were seen together in any local map; see `covisible`.
+    def covisible(self, m: StochasticMap | Smoothed, hops: int = 1) -> Locality:
+        """Features of the map that was joined last that were seen together in any local map; see `covisible`.
 
         Raises ValueError where m holds other features than that map.
         """
-        seen = [np.empty((0, 2), np.int64)]
-        for local, graph in zip(self.maps, self._graphs):
-            seen.append(local.ids[graph.edges().pairs].reshape(-1, 2))
-        ids = np.array([self._oldest.get(i, i) for i in np.concatenate(seen).ravel().tolist()], np.int64).reshape(-1, 2)
+        together = [names[graph.edges().pairs].reshape(-1, 2) for names, graph in zip(self._names, self._graphs)]
+        ids = np.concatenate([np.empty((0, 2), np.int64), *together])
         if not np.isin(ids, m.ids).all():
             raise ValueError("m: not the map that was joined last")
         rows = np.sort(np.searchsorted(m.ids, ids), axis=1)
-        return linked(m.n, np.unique(rows[rows[:, 0] != rows[:, 1]], axis=0), hops)
+        return linked(len(m.ids), np.unique(rows[rows[:, 0] != rows[:, 1]], axis=0), hops)
+
+
+_Relation = tuple[Array, Array]
+"""Pose (3,) of a local map in the base of another, and its covariance (3, 3)."""
+
+
+class _Correspondences:
+    """Which features of local maps are the same, and where the maps stand to each other, map after map."""
+
+    def __init__(self, match: Match) -> None:
+        self.names: list[IntArray] = []  # (n_i,) of each map: the oldest id of all features that are the same
+        self._match = match
+        self._rows: dict[int, dict[int, int]] = {}  # name → by map, the row of its feature of that name
+        self._relations: list[dict[int, _Relation]] = []  # of each map: where others stand in its base
+
+    def copy(self) -> _Correspondences:
+        """An independent copy."""
+        return copy.deepcopy(self)
+
+    def add(self, maps: Sequence[StochasticMap]) -> None:
+        """Match the next one of the maps with those before it, the surest relation first, where they may overlap."""
+        number = len(self.names)
+        m = maps[number]
+        self.names.append(m.ids)
+        self._rows |= {name: {number: row} for row, name in enumerate(m.ids.tolist())}
+        self._relations.append({})
+        if number:
+            self._relate(number - 1, number, (maps[number - 1].pose, maps[number - 1].pose_covariance))
+        extent, tried = float(np.hypot(*m.positions.T).max(initial=1.0)), {number}
+        while True:
+            for other, relation in self._surest(number, extent).items():
+                if other not in tried and self._compare(maps, other, number, relation, extent):
+                    tried.add(other)
+                    break  # what was found makes other relations surer
+                tried.add(other)
+            else:
+                return
+
+    def _surest(self, start: int, extent: float) -> dict[int, _Relation]:
+        """Where map `start` stands in the base of every other, along the surest path to it; the surest first.
+
+        Uncertainty is the variance [m²] of what lies at a distance of `extent` [m] (Dijkstra).
+        """
+        found: dict[int, _Relation] = {}
+        queue: list[tuple[float, int, int, _Relation]] = [(0.0, 0, start, (np.zeros(3), np.zeros((3, 3))))]
+        pushed = 0  # ties are settled by who came first
+        while queue:
+            _, _, at, (pose, P) = heapq.heappop(queue)
+            if at in found:
+                continue
+            found[at] = pose, P
+            for other in self._relations[at]:
+                if other not in found:
+                    further = _composed(self._relations[other][at], (pose, P))
+                    pushed += 1
+                    heapq.heappush(queue, (_uncertainty(further[1], extent), pushed, other, further))
+        return found
+
+    def _compare(self, maps: Sequence[StochasticMap], a: int, b: int, relation: _Relation, extent: float) -> bool:
+        """Find out what older map a and newer map b both hold; whether their relation is known better now."""
+        older, newer, (pose, P) = maps[a], maps[b], relation
+        margin = 4.0 * math.sqrt(_uncertainty(P, extent) + _largest_variance(older) + _largest_variance(newer))
+        positions, others = older.positions, transform(pose, newer.positions)
+        rows_a, rows_b = _within(positions, others, margin), _within(others, positions, margin)
+        if not len(rows_a) or not len(rows_b):
+            return False
+        older, newer = _part(older, rows_a), _part(newer, rows_b)
+        newer.place(np.zeros(3), np.zeros((3, 3)))  # the robot of the join is then where the newer map has its base
+        if a != b - 1:
+            older.place(pose, P)
+        names_a, names_b = self.names[a][rows_a], self.names[b][rows_b]
+        _, one, other = np.intersect1d(names_a, names_b, return_indices=True)
+        both = equate(join(older, newer), np.column_stack([one, older.n + other]))
+        free_a = np.setdiff1d(np.arange(older.n), one)
+        free_b = np.setdiff1d(np.arange(newer.n), other)
+        pairs = self._match(both, free_a, older.n + np.arange(len(free_b)))
+        kept = [self._unite(int(names_a[j]), int(names_b[free_b[i - older.n]])) for j, i in pairs.tolist()]
+        if not any(kept) and not len(one):
+            return False
+        both = equate(both, pairs[np.array(kept, np.bool_)])
+        self._relate(a, b, (both.pose, both.pose_covariance))
+        return True
+
+    def _unite(self, name: int, other: int) -> bool:
+        """Give all features of two names the older one; False where a map has both, for they cannot be one then."""
+        name, other = min(name, other), max(name, other)
+        if name == other or self._rows[name].keys() & self._rows[other].keys():
+            return name == other
+        for number, row in self._rows[other].items():
+            self.names[number][row] = name
+        self._rows[name] |= self._rows.pop(other)
+        return True
+
+    def _relate(self, a: int, b: int, relation: _Relation) -> None:
+        """Note where map b stands in the base of map a, and the reverse."""
+        pose, P = relation
+        back = inverse(pose)
+        by_back, by_pose = compose_jacobians(back, pose)  # ⊖x ⊕ x = 0
+        J = np.linalg.solve(by_back, by_pose)
+        self._relations[a][b], self._relations[b][a] = relation, (back, J @ P @ J.T)
+
+
+def _composed(first: _Relation, second: _Relation) -> _Relation:
+    """The relation of independent ones in a row."""
+    (a, P_a), (b, P_b) = first, second
+    by_a, by_b = compose_jacobians(a, b)
+    return compose(a, b), by_a @ P_a @ by_a.T + by_b @ P_b @ by_b.T
+
+
+def _uncertainty(P: Array, extent: float) -> float:
+    """Variance [m²] of what is so far [m] from a pose of covariance (3, 3)."""
+    return float(P[0, 0] + P[1, 1] + P[2, 2] * extent**2)
+
+
+def _largest_variance(m: StochasticMap) -> float:
+    """[m²] of a feature of the map."""
+    return float(np.trace(m.covariances, axis1=1, axis2=2).max(initial=0.0))
+
+
+def _part(m: StochasticMap, rows: IntArray) -> StochasticMap:
+    """The map with no other features than those of `rows` (k,)."""
+    part = m.copy()
+    part.remove(np.setdiff1d(np.arange(m.n), rows))
+    return part
+
+
+def _within(points: Array, others: Array, margin: float) -> IntArray:
+    """Rows of the points (k, 2) in the bounding box of others (l, 2), widened by a margin [m]."""
+    if not len(others):
+        return np.empty(0, np.int64)
+    low, high = others.min(axis=0) - margin, others.max(axis=0) + margin
+    return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
 
 
 def jointly_compatible(m: StochasticMap, older: IntArray, newer: IntArray) -> IntArray:

@@ -12,7 +12,7 @@ from slam_gym.mapping.map_joining import join
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.slam.local_maps import LocalMapSlam, jointly_compatible
+from slam_gym.slam.local_maps import LocalMapSlam, Match, jointly_compatible
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import Array, IntArray, Odometry, Scan
 from slam_gym.world import corridor
@@ -24,10 +24,18 @@ WORLD = corridor.features()
 class Loop:
     """One loop through the corridor of the reference experiment in local maps."""
 
-    def __init__(self, seed: int, features_per_map: int | None, *, truth: bool = True, ask: int | None = None) -> None:
+    def __init__(
+        self,
+        seed: int,
+        features_per_map: int | None,
+        *,
+        truth: bool = True,
+        ask: int | None = None,
+        match: Match | None = None,
+    ) -> None:
         rng = np.random.default_rng(seed)
         spec = SlamSpec(MapSpec(unconfirmed_age=None), reach=corridor.RANGE)
-        self.slam = LocalMapSlam(spec, features_per_map)
+        self.slam = LocalMapSlam(spec, features_per_map, match)
         judged = JudgedSlam(self.slam, "true_association" if truth else "jcbb")
         self.identities = judged.identities
         self.pose, self.starts, self.views, self.scans = np.zeros(3), [np.zeros(3)], [], []
@@ -143,15 +151,29 @@ def test_joining_leaves_each_feature_once_under_its_oldest_id_and_closed_maps_ar
         pairs = [(first[int(sources[i])], int(i)) for i in newer if int(sources[i]) in first]
         return np.array(pairs, np.int64).reshape(-1, 2)
 
-    run = Loop(0, 20)
-    run.slam._match = match
-    joined, joins = run.slam.joined(), len(run.slam.maps) - 1
+    run = Loop(0, 20, match=match)
+    joined, compared = run.slam.joined(), len(calls)
     sources, ids = run.identities.source_of(joined.ids), np.concatenate([m.ids for m in run.slam.maps])
-    assert len(calls) == joins and len(np.unique(sources)) == len(sources)
+    assert compared >= len(run.slam.maps) - 1 and len(np.unique(sources)) == len(sources)
     for source, i in zip(sources, joined.ids):
         assert i == ids[run.identities.source_of(ids) == source].min()
     joined.remove(np.arange(joined.n))  # what was handed out is no window
-    assert run.slam.joined().n == len(sources) and len(calls) == joins + 1  # the current map alone is matched again
+    assert run.slam.joined().n == len(sources)
+    assert set(calls[compared:]) <= set(range(run.slam.map.n + 1))
+    assert len(calls) - compared < len(run.slam.maps)  # the current map alone is compared again, with each at most once
+
+
+def test_the_whole_can_be_had_without_its_full_covariance() -> None:
+    run = loop(0, 20)
+    joined, smoothed = run.slam.joined(), run.slam.smoothed()
+    np.testing.assert_array_equal(smoothed.ids, joined.ids)
+    np.testing.assert_allclose(smoothed.positions, joined.positions, atol=1e-9)
+    np.testing.assert_allclose(smoothed.poses[-1], joined.pose, atol=1e-9)
+    np.testing.assert_allclose(smoothed.poses[:-1, :2], run.slam.bases[:, :2], atol=2.0)
+    rows = np.r_[0:3, 3 + 2 * 7 : 5 + 2 * 7]
+    some = smoothed.covariance([len(run.slam.maps)], joined.ids[[7]])
+    np.testing.assert_allclose(some, joined.covariance[np.ix_(rows, rows)], atol=1e-9)
+    assert locality_sizes(run.slam.covisible(smoothed), joined.n).min() > 0
 
 
 def test_a_new_map_on_demand() -> None:
