@@ -81,7 +81,7 @@ def join_all(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Smooth
     information = csc_array((np.concatenate(values), at), shape=(total, total))
     motions, points = np.array([m.pose for m in maps]), np.concatenate([m.positions for m in maps])
     graph = FactorGraph(motions, points, np.repeat(np.arange(count), sizes), feature, information)
-    return graph.optimum(dead_reckoning(np.vstack([np.zeros(3), motions])), ids)
+    return graph.optimum(dead_reckoning(motions), ids)
 
 
 def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> StochasticMap:

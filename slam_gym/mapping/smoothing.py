@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import block_array, block_diag, bsr_array, csc_array, eye_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from slam_gym.geometry import compose, wrap_angles
+from slam_gym.geometry import compose, relative, wrap_angles
 from slam_gym.types import Array, IntArray, Odometry, Scan
 
 _TOLERANCE, _ITERATIONS = 1e-9, 100  # an iteration that gains less of χ² is the last
@@ -104,10 +105,10 @@ def smooth(
         _inverses("scans", pose, covariances),
     )
     graph = FactorGraph(motions[1:], points, pose, feature, block_diag(list(map(_diagonal, weights)), format="csc"))
-    start = dead_reckoning(motions) if initial is None else np.array(initial, np.float64)
+    start = dead_reckoning(motions)[1:] if initial is None else np.array(initial, np.float64)
     if start.shape != (T, 3) or not np.isfinite(start).all():
         raise ValueError(f"initial: shape {start.shape}, expected ({T}, 3) finite numbers")
-    return graph.optimum(_moved_to(motions[0], start), ids)
+    return graph.optimum(np.array([compose(motions[0], relative(start[0], pose)) for pose in start]), ids)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,8 @@ class FactorGraph:
             weighted = (self.information @ jacobian).T
             normal = csc_array(weighted @ jacobian)
             step = _factor(normal + damping * eye_array(len(x))).solve(weighted @ errors)
-            moved = self._wrapped(x - step)
+            moved = x - step
+            moved[2 : self.motions.size : 3] = wrap_angles(moved[2 : self.motions.size : 3])
             further = self.linearise(poses[0], moved)
             chi2_before, chi2_after = chi2, float(further[0] @ (self.information @ further[0]))
             if not chi2_after <= (1.0 + _TOLERANCE) * chi2_before:
@@ -172,31 +174,15 @@ class FactorGraph:
         jacobian = block_array([[of_motions, None], [of_points, by_positions]], format="csc")
         return np.concatenate([motion_errors.ravel(), (seen - self.points).ravel()]), jacobian
 
-    def _wrapped(self, x: Array) -> Array:
-        """x, its headings wrapped in place."""
-        headings = slice(2, self.motions.size, 3)
-        x[headings] = wrap_angles(x[headings])
-        return x
-
 
 def _factor(matrix: Any) -> SuperLU:
     """Sparse factors of a symmetric positive definite matrix."""
     return splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
-def dead_reckoning(motions: Array) -> Array:
-    """(T, 3) poses by odometry alone, from the origin."""
-    poses, pose = np.empty((len(motions), 3)), np.zeros(3)
-    for step, motion in enumerate(motions):
-        pose = poses[step] = compose(pose, motion)
-    return poses
-
-
-def _moved_to(first: Array, poses: Array) -> Array:
-    """Poses (T, 3), moved rigidly so that the first of them is `first` (3,)."""
-    turn = np.full(len(poses), first[2] - poses[0, 2])
-    positions = first[:2] + _turned(turn, poses[:, :2] - poses[0, :2])
-    return np.column_stack([positions, wrap_angles(poses[:, 2] + turn)])
+def dead_reckoning(motions: ArrayLike) -> Array:
+    """(k + 1, 3) poses that motions (k, 3) lead to, each from the one before, the first of them at the origin."""
+    return np.array(list(accumulate(np.asarray(motions), compose, initial=np.zeros(3))))
 
 
 def _turned(headings: Array, vectors: Array) -> Array:

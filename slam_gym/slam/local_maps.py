@@ -6,8 +6,8 @@ correlations, is all that links the two. The new map's first features are as cer
 not know of its base stays with the map before, and linearisation errors stay small. The maps are joined when the whole
 is asked for, all at once by least squares (`mapping.map_joining.join_all`). Which features two of them hold is found
 pair by pair, by JCBB in the join of the two alone, the surest relation first. The relation of maps that do not follow
-each other is composed along the surest path of relations found so far (Bosse et al., "Atlas", IJRR 2004), and taken to
-be independent of their features: so which features are one is decided approximately, what follows from it is exact.
+each other is composed of the surest ones found so far (Bosse et al., "Atlas", IJRR 2004) and taken to be independent
+of their features: which features are one is decided approximately, and what follows from it is exact.
 
 **Ids** run through all maps and are never given twice. When a map is closed its features leave, and its last `SlamStep`
 says so in `removed`: `metrics.association.Identities` therefore judges every decision against the current local map, in
@@ -18,7 +18,6 @@ which a feature may rightly begin a second time. A joined map keeps the oldest i
 from __future__ import annotations
 
 import copy
-import heapq
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -33,7 +32,7 @@ from slam_gym.association.tree import Pairings
 from slam_gym.geometry import compose, compose_jacobians, inverse, transform
 from slam_gym.mapping.locality import linked, same_local_map
 from slam_gym.mapping.map_joining import equate, join, join_all, joined_map
-from slam_gym.mapping.smoothing import Smoothed
+from slam_gym.mapping.smoothing import Smoothed, dead_reckoning
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.slam.places.verification import attributes_agree, difference_covariance
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -87,10 +86,7 @@ class LocalMapSlam:
     @property
     def bases(self) -> Array:
         """(k, 3) [m, m, rad] base of each map in the base of the first, by composing the last robot poses."""
-        out = [np.zeros(3)]
-        for closed in self.maps[:-1]:
-            out.append(compose(out[-1], closed.pose))
-        return np.array(out)
+        return dead_reckoning([closed.pose for closed in self.maps[:-1]])
 
     @property
     def pose(self) -> Array:
@@ -153,7 +149,7 @@ class LocalMapSlam:
         """The names (n_i,) of the features of each map: the oldest id of all features that are the same."""
         while len(self._correspondences.names) < len(self.maps) - 1:
             self._correspondences.add(self.maps)
-        everything = self._correspondences.copy()
+        everything = copy.deepcopy(self._correspondences)
         everything.add(self.maps)
         self._names = everything.names
         return self._names
@@ -193,58 +189,47 @@ class _Correspondences:
         self._rows: dict[int, dict[int, int]] = {}  # name → by map, the row of its feature of that name
         self._relations: list[dict[int, _Relation]] = []  # of each map: where others stand in its base
 
-    def copy(self) -> _Correspondences:
-        """An independent copy."""
-        return copy.deepcopy(self)
-
     def add(self, maps: Sequence[StochasticMap]) -> None:
-        """Match the next one of the maps with those before it, the surest relation first, where they may overlap."""
-        number = len(self.names)
-        m = maps[number]
-        self.names.append(m.ids)
-        self._rows |= {name: {number: row} for row, name in enumerate(m.ids.tolist())}
-        self._relations.append({})
-        if number:
-            self._relate(number - 1, number, (maps[number - 1].pose, maps[number - 1].pose_covariance))
-        extent, tried = float(np.hypot(*m.positions.T).max(initial=1.0)), {number}
-        while True:
-            for other, relation in self._surest(number, extent).items():
-                if other not in tried and self._compare(maps, other, number, relation, extent):
-                    tried.add(other)
-                    break  # what was found makes other relations surer
-                tried.add(other)
-            else:
-                return
+        """Match the next one of the maps with those before it that it may overlap, the surest relation first."""
+        b = len(self.names)
+        ids, self._extent = maps[b].ids, float(np.hypot(*maps[b].positions.T).max(initial=1.0))
+        self.names.append(ids)
+        self._rows |= {name: {b: row} for row, name in enumerate(ids.tolist())}
+        self._relations.append({b: (np.zeros(3), np.zeros((3, 3)))})
+        if b:
+            self._relate(b - 1, b, (maps[b - 1].pose, maps[b - 1].pose_covariance))
+        left = set(range(b))
+        while left:
+            a = min(left, key=lambda other: self._variance(self._relations[other][b]))
+            left.remove(a)
+            found = self._compared(maps, a, b)
+            if found is not None:
+                self._relate(a, b, found)
 
-    def _surest(self, start: int, extent: float) -> dict[int, _Relation]:
-        """Where map `start` stands in the base of every other, along the surest path to it; the surest first.
+    def _variance(self, relation: _Relation) -> float:
+        """[m²] of what is as far from a base as the features of the newest map are."""
+        P = relation[1]
+        return float(P[0, 0] + P[1, 1] + P[2, 2] * self._extent**2)
 
-        Uncertainty is the variance [m²] of what lies at a distance of `extent` [m] (Dijkstra).
-        """
-        found: dict[int, _Relation] = {}
-        queue: list[tuple[float, int, int, _Relation]] = [(0.0, 0, start, (np.zeros(3), np.zeros((3, 3))))]
-        pushed = 0  # ties are settled by who came first
-        while queue:
-            _, _, at, (pose, P) = heapq.heappop(queue)
-            if at in found:
-                continue
-            found[at] = pose, P
-            for other in self._relations[at]:
-                if other not in found:
-                    further = _composed(self._relations[other][at], (pose, P))
-                    pushed += 1
-                    heapq.heappush(queue, (_uncertainty(further[1], extent), pushed, other, further))
-        return found
+    def _relate(self, a: int, b: int, relation: _Relation) -> None:
+        """Note where map b, the newest, stands in the base of map a, and in others where that makes it surer."""
+        for other, known in enumerate(self._relations[:b]):
+            through = _composed(known[a], relation)
+            if b not in known or self._variance(through) < self._variance(known[b]):
+                known[b], self._relations[b][other] = through, _inverted(through)
 
-    def _compare(self, maps: Sequence[StochasticMap], a: int, b: int, relation: _Relation, extent: float) -> bool:
-        """Find out what older map a and newer map b both hold; whether their relation is known better now."""
-        older, newer, (pose, P) = maps[a], maps[b], relation
-        margin = 4.0 * math.sqrt(_uncertainty(P, extent) + _largest_variance(older) + _largest_variance(newer))
+    def _compared(self, maps: Sequence[StochasticMap], a: int, b: int) -> _Relation | None:
+        """Match map a and newer map b; where b stands in the base of a by that, or None where they share nothing."""
+        older, newer, (pose, P) = maps[a], maps[b], self._relations[a][b]
+        variances = [m.covariances[:, [0, 1], [0, 1]].sum(axis=1).max(initial=0.0) for m in (older, newer)]
+        margin = 4.0 * math.sqrt(self._variance((pose, P)) + sum(variances))
         positions, others = older.positions, transform(pose, newer.positions)
-        rows_a, rows_b = _within(positions, others, margin), _within(others, positions, margin)
+        rows_a, rows_b = _near(positions, others, margin), _near(others, positions, margin)
         if not len(rows_a) or not len(rows_b):
-            return False
-        older, newer = _part(older, rows_a), _part(newer, rows_b)
+            return None
+        older, newer = older.copy(), newer.copy()
+        older.remove(np.setdiff1d(np.arange(older.n), rows_a))
+        newer.remove(np.setdiff1d(np.arange(newer.n), rows_b))
         newer.place(np.zeros(3), np.zeros((3, 3)))  # the robot of the join is then where the newer map has its base
         if a != b - 1:
             older.place(pose, P)
@@ -256,28 +241,19 @@ class _Correspondences:
         pairs = self._match(both, free_a, older.n + np.arange(len(free_b)))
         kept = [self._unite(int(names_a[j]), int(names_b[free_b[i - older.n]])) for j, i in pairs.tolist()]
         if not any(kept) and not len(one):
-            return False
+            return None
         both = equate(both, pairs[np.array(kept, np.bool_)])
-        self._relate(a, b, (both.pose, both.pose_covariance))
-        return True
+        return both.pose, both.pose_covariance
 
     def _unite(self, name: int, other: int) -> bool:
         """Give all features of two names the older one; False where a map has both, for they cannot be one then."""
         name, other = min(name, other), max(name, other)
-        if name == other or self._rows[name].keys() & self._rows[other].keys():
-            return name == other
+        if self._rows[name].keys() & self._rows[other].keys():
+            return False
         for number, row in self._rows[other].items():
             self.names[number][row] = name
         self._rows[name] |= self._rows.pop(other)
         return True
-
-    def _relate(self, a: int, b: int, relation: _Relation) -> None:
-        """Note where map b stands in the base of map a, and the reverse."""
-        pose, P = relation
-        back = inverse(pose)
-        by_back, by_pose = compose_jacobians(back, pose)  # ⊖x ⊕ x = 0
-        J = np.linalg.solve(by_back, by_pose)
-        self._relations[a][b], self._relations[b][a] = relation, (back, J @ P @ J.T)
 
 
 def _composed(first: _Relation, second: _Relation) -> _Relation:
@@ -287,28 +263,18 @@ def _composed(first: _Relation, second: _Relation) -> _Relation:
     return compose(a, b), by_a @ P_a @ by_a.T + by_b @ P_b @ by_b.T
 
 
-def _uncertainty(P: Array, extent: float) -> float:
-    """Variance [m²] of what is so far [m] from a pose of covariance (3, 3)."""
-    return float(P[0, 0] + P[1, 1] + P[2, 2] * extent**2)
+def _inverted(relation: _Relation) -> _Relation:
+    """Where the other one stands in the base of this one."""
+    pose, P = relation
+    back = inverse(pose)
+    by_back, by_pose = compose_jacobians(back, pose)  # of ⊖x ⊕ x = 0
+    J = np.linalg.solve(by_back, by_pose)
+    return back, J @ P @ J.T
 
 
-def _largest_variance(m: StochasticMap) -> float:
-    """[m²] of a feature of the map."""
-    return float(np.trace(m.covariances, axis1=1, axis2=2).max(initial=0.0))
-
-
-def _part(m: StochasticMap, rows: IntArray) -> StochasticMap:
-    """The map with no other features than those of `rows` (k,)."""
-    part = m.copy()
-    part.remove(np.setdiff1d(np.arange(m.n), rows))
-    return part
-
-
-def _within(points: Array, others: Array, margin: float) -> IntArray:
+def _near(points: Array, others: Array, margin: float) -> IntArray:
     """Rows of the points (k, 2) in the bounding box of others (l, 2), widened by a margin [m]."""
-    if not len(others):
-        return np.empty(0, np.int64)
-    low, high = others.min(axis=0) - margin, others.max(axis=0) + margin
+    low, high = others.min(axis=0, initial=np.inf) - margin, others.max(axis=0, initial=-np.inf) + margin
     return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
 
 
