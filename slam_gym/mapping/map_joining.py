@@ -87,23 +87,20 @@ def join_all(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Smooth
 def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> StochasticMap:
     """`join_all` as one map with its full covariance, whose time and memory grow with the cube and square of its size.
 
-    A feature has the id that is its name, and what was known of it in all maps; settings are those of the first map,
-    the robot is that of the last. Names are ids, each that of the oldest of the features of this name.
+    Names are ids, each that of the oldest of the features of this name; ids ascend from map to map. What was known of
+    a feature in all maps goes to it; settings are those of the first map, the robot is that of the last.
     """
     best, states = join_all(maps, names), [m.state for m in maps]
     counted = np.concatenate([state.counted for state in states], axis=1)
     sized = np.concatenate([state.sized for state in states], axis=1)
-    named = np.concatenate(names)
-    of_name = dict(zip(counted[ekf.IDS].tolist(), range(len(named))))
-    dropped = np.flatnonzero(counted[ekf.IDS] != named)
-    take_over(counted, sized, np.array([of_name[i] for i in named[dropped].tolist()], np.int64), dropped)
-    kept = np.flatnonzero(counted[ekf.IDS] == named)
+    ids, named = counted[ekf.IDS], np.concatenate(names)
+    kept, dropped = np.flatnonzero(ids == named), np.flatnonzero(ids != named)
+    take_over(counted, sized, np.searchsorted(ids, named[dropped]), dropped)
     mean = np.concatenate([best.poses[-1], best.positions.ravel()])
-    step, next_id = max(state.step for state in states), max(state.next_id for state in states)
-    covariance = best.covariance([len(maps)], best.ids)
-    return StochasticMap.of_state(
-        maps[0].spec, MapState(mean, covariance, counted[:, kept], sized[:, kept], step, next_id)
+    state = MapState(
+        mean, best.covariance([len(maps)], best.ids), counted[:, kept], sized[:, kept], maps[-1].step, maps[-1].next_id
     )
+    return StochasticMap.of_state(maps[0].spec, state)
 
 
 def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tuple[Array, Array]:

@@ -44,10 +44,8 @@ class Smoothed:
         steps, features = np.atleast_1d(np.asarray(poses, np.int64)), np.atleast_1d(np.asarray(ids, np.int64))
         if ((steps < 0) | (steps >= len(self.poses))).any():
             raise ValueError(f"poses: {steps.tolist()}, expected 0 … {len(self.poses) - 1}")
-        if not np.isin(features, self.ids).all():
-            raise ValueError(
-                f"ids: no measurement is paired with {features[~np.isin(features, self.ids)][:5].tolist()}"
-            )
+        if len(unknown := np.setdiff1d(features, self.ids)):
+            raise ValueError(f"ids: no measurement is paired with {unknown[:5].tolist()}")
         rows = 3 * (len(self.poses) - 1) + 2 * np.searchsorted(self.ids, features)
         entries = [(3 * steps[:, None] + np.arange(-3, 0)).ravel(), (rows[:, None] + np.arange(2)).ravel()]
         at = np.concatenate(entries)
@@ -95,16 +93,12 @@ def smooth(
     ids, feature = np.unique(np.concatenate([n[which] for n, which in zip(numbers, kept)]), return_inverse=True)
     points = np.concatenate([scan.points[which] for scan, which in zip(scans, kept)])
     covariances = np.concatenate([scan.covariances[which] for scan, which in zip(scans, kept)])
-    motions = np.array([moved.motion for moved in odometry])
+    motions, noise = np.array([u.motion for u in odometry]), np.array([u.covariance for u in odometry])
     for name, values, steps in (("odometry", motions, np.arange(T)), ("scans", points, pose)):
         _refuse(name, steps, np.isfinite(values).all(axis=1), "is not finite")
-    weights = (
-        _inverses(
-            "odometry", np.arange(1, T), np.array([moved.covariance for moved in odometry[1:]]).reshape(-1, 3, 3)
-        ),
-        _inverses("scans", pose, covariances),
-    )
-    graph = FactorGraph(motions[1:], points, pose, feature, block_diag(list(map(_diagonal, weights)), format="csc"))
+    of_motions, of_points = _inverses("odometry", np.arange(1, T), noise[1:]), _inverses("scans", pose, covariances)
+    information = block_diag([_diagonal(of_motions), _diagonal(of_points)], format="csc")
+    graph = FactorGraph(motions[1:], points, pose, feature, information)
     start = dead_reckoning(motions)[1:] if initial is None else np.array(initial, np.float64)
     if start.shape != (T, 3) or not np.isfinite(start).all():
         raise ValueError(f"initial: shape {start.shape}, expected ({T}, 3) finite numbers")

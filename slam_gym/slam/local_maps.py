@@ -200,29 +200,27 @@ class _Correspondences:
             self._relate(b - 1, b, (maps[b - 1].pose, maps[b - 1].pose_covariance))
         left = set(range(b))
         while left:
-            a = min(left, key=lambda other: self._variance(self._relations[other][b]))
+            a = min(left, key=lambda other: self._variance(self._relations[other][b][1]))
             left.remove(a)
-            found = self._compared(maps, a, b)
-            if found is not None:
+            if (found := self._compared(maps, a, b)) is not None:
                 self._relate(a, b, found)
 
-    def _variance(self, relation: _Relation) -> float:
-        """[m²] of what is as far from a base as the features of the newest map are."""
-        P = relation[1]
+    def _variance(self, P: Array) -> float:
+        """[m²] of what is as far from a base of covariance (3, 3) as the features of the newest map are."""
         return float(P[0, 0] + P[1, 1] + P[2, 2] * self._extent**2)
 
     def _relate(self, a: int, b: int, relation: _Relation) -> None:
         """Note where map b, the newest, stands in the base of map a, and in others where that makes it surer."""
         for other, known in enumerate(self._relations[:b]):
             through = _composed(known[a], relation)
-            if b not in known or self._variance(through) < self._variance(known[b]):
+            if b not in known or self._variance(through[1]) < self._variance(known[b][1]):
                 known[b], self._relations[b][other] = through, _inverted(through)
 
     def _compared(self, maps: Sequence[StochasticMap], a: int, b: int) -> _Relation | None:
         """Match map a and newer map b; where b stands in the base of a by that, or None where they share nothing."""
         older, newer, (pose, P) = maps[a], maps[b], self._relations[a][b]
         variances = [m.covariances[:, [0, 1], [0, 1]].sum(axis=1).max(initial=0.0) for m in (older, newer)]
-        margin = 4.0 * math.sqrt(self._variance((pose, P)) + sum(variances))
+        margin = 4.0 * math.sqrt(self._variance(P) + sum(variances))
         positions, others = older.positions, transform(pose, newer.positions)
         rows_a, rows_b = _near(positions, others, margin), _near(others, positions, margin)
         if not len(rows_a) or not len(rows_b):
