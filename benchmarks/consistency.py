@@ -28,7 +28,7 @@ from slam_gym.metrics.consistency import pose_nees
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import JudgedSlam
-from slam_gym.types import Array, Truth
+from slam_gym.types import Array, IntArray, Truth
 
 METHODS = ("standard", "right-invariant", "local maps")
 CLOSED = 5  # duplicates
@@ -117,18 +117,26 @@ def estimate(log: DrivenLog, method: str, associator: str) -> Record:
     for step, (odometry, scan, truth) in enumerate(log.steps):
         spent += timed(judged.step, odometry, scan, truth)[1]
         if step in checked:
-            whole, joining = timed(slam.joined if isinstance(slam, LocalMapSlam) else lambda: slam.map)
+            (pose, covariance, ids), joining = timed(present, slam)
             spent += joining
             true = relative(base, truth.pose)
-            nees.append(pose_nees(whole.pose, whole.pose_covariance, true))
-            off.append(math.dist(whole.pose[:2], true[:2]))
-    sources = judged.identities.source_of(whole.ids)
+            nees.append(pose_nees(pose, covariance, true))
+            off.append(math.dist(pose[:2], true[:2]))
+    sources = judged.identities.source_of(ids)
     sources = sources[sources >= 0]
     return {
         **{"world": log.world, "method": method, "associator": associator},
         **{"ANEES": float(np.mean(nees)) / 3.0, "error [m]": math.sqrt(np.mean(np.square(off))), "final [m]": off[-1]},
-        **{"duplicates": len(sources) - len(np.unique(sources)), "features": whole.n, "seconds": 1e-6 * spent},
+        **{"duplicates": len(sources) - len(np.unique(sources)), "features": len(ids), "seconds": 1e-6 * spent},
     }
+
+
+def present(slam: Slam | LocalMapSlam) -> tuple[Array, Array, IntArray]:
+    """Pose (3,) of the robot, its covariance (3, 3) and the ids (n,) of the features; local maps are joined for it."""
+    if isinstance(slam, Slam):
+        return slam.map.pose, slam.map.pose_covariance, slam.map.ids
+    whole = slam.smoothed()
+    return whole.poses[-1], whole.covariance([len(slam.maps)]), whole.ids
 
 
 def main() -> None:
