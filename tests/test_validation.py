@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from slam_gym.association.prediction import Prediction
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.scenarios.scenario import KidnappingSpec, Scenario
@@ -246,7 +245,6 @@ CORRIDOR = WallIndex(np.array([[0.0, 0.0, 9.0, 0.0]]))
         (lambda: Locality(np.zeros(3), np.zeros(0, np.int64)), "Locality.starts: float64, expected an array of int64"),
         (lambda: CORRIDOR.cast(np.zeros(1), np.zeros(3), 5.0), r"origin: shape \(1,\), expected \(2,\)"),
         (lambda: CORRIDOR.visible(np.zeros(2), np.zeros((5, 2)), np.zeros(1)), r"pull_back: shape \(1,\)"),
-        (lambda: Prediction.from_gaussian([[1.0, 0.0]], np.eye(2)).subset(np.array([9])), r"kept: \[9\]"),
         (lambda: ExploredGrid(np.ones(4) * [-1, -1, 1, 1]).integrate(np.zeros(1), NO_BEAMS), r"pose: expected \(3,\)"),
     ],
 )

@@ -20,7 +20,7 @@ from slam_gym._jit import compiled
 from slam_gym.mapping import ekf
 from slam_gym.mapping.covisibility import CovisibilityGraph, among
 from slam_gym.mapping.linear_algebra import padded
-from slam_gym.mapping.measurement import Locality, RowArrays, foresee, joint_covariance, keep_rows, rows_for
+from slam_gym.mapping.measurement import Locality, RowArrays, foresee, joint_covariance, rows_for
 from slam_gym.mapping.stochastic_map import Estimate, StochasticMap
 from slam_gym.navigation.visibility import SightArrays, ViewsFrom, probabilities_in_view
 from slam_gym.types import (
@@ -266,16 +266,6 @@ class Prediction:
         if not ((visible >= 0.0) & (visible <= 1.0)).all():
             raise ValueError(f"visibility: expected probabilities, got {visible.tolist()}")
         return replace(self, source=(*self.source[:5], _NO_SENSOR, visible))
-
-    def subset(self, kept: IntArray) -> Prediction:
-        """Of the features in the rows `kept` (j,), ascending, alone. Raises ValueError where one does not exist."""
-        if len(kept) and not 0 <= kept.min() <= kept.max() < len(self):
-            raise ValueError(f"kept: {kept.tolist()} do not all exist in a prediction of {len(self)} features")
-        counted, sized, near, positions, covariances, across = self.rows
-        rows = counted.copy(), sized.copy(), near.copy(), positions.copy(), covariances.copy(), across.copy()
-        keep_rows(rows, kept)
-        visible = self.source[6][kept] if len(self.source[6]) else self.source[6]
-        return replace(self, rows=rows, source=(*self.source[:6], visible), size=(len(kept), *self.size[1:]))
 
     @classmethod
     def from_gaussian(

@@ -30,12 +30,3 @@ def test_marginals_are_the_blocks_of_a_joint_covariance() -> None:
 def test_a_covariance_that_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match=r"covariance: shape \(3, 3\), expected \(2, 2\)"):
         Prediction.from_gaussian([[1, 2]], np.eye(3))
-
-
-def test_some_rows_of_a_prediction_are_those_of_all() -> None:
-    whole = Prediction.from_gaussian([[0, 0], [1, 0], [2, 0], [3, 0]], np.diag(np.arange(1.0, 9.0)))
-    some = whole.with_visibility([0.1, 0.2, 0.3, 0.4]).subset(np.array([1, 3]))
-    assert some.features.tolist() == [1, 3] and len(some) == 2
-    np.testing.assert_array_equal(some.positions, [[1, 0], [3, 0]])
-    np.testing.assert_array_equal(some.joint(np.array([1, 0])), np.diag([7.0, 8.0, 3.0, 4.0]))
-    assert some.visibility().tolist() == [0.2, 0.4] and some.local(np.array([0, 1])).all()

@@ -151,7 +151,7 @@ def _compatible(problem: Problem, path: Path, p: int, located: _Located) -> tupl
     here: where a common drift correlates them the gate is too wide, and the joint test decides.
     """
     scan, starts, pose, covariance = problem.scan, problem.starts, located.poses[p], located.covariances[p]
-    local, others = np.arange(len(problem.traces)), np.ones(len(scan.points), np.bool_)
+    local, others = np.arange(len(problem.mapped.positions)), np.ones(len(scan.points), np.bool_)
     if len(starts) > 0:
         local = problem.members[starts[path.features[0]] : starts[path.features[0] + 1]]
     others[path.measurements[:p]] = False

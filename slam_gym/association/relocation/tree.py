@@ -43,7 +43,6 @@ class Problem(NamedTuple):
     mapped: Mapped
     joint_gates: Array  # (m + 2,) `location_gates`
     allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
-    traces: Array  # (n,) [m²] of the features' covariances
     starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
     members: IntArray
     effort: IntArray  # (8,)
@@ -109,7 +108,6 @@ def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, conf
         mapped,
         location_gates(len(scan), confidence),
         unary_table(seen, mapped.sizes, mapped.size_variances, mapped.kinds, gates.one),
-        mapped.covariances[:, 0, 0] + mapped.covariances[:, 1, 1],
         *locality_arrays(locality, len(landmarks)),
         np.zeros(8, np.int64),
     )
@@ -170,17 +168,17 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
 
     Candidates are the features local to the first one paired, or all; the first `tried` of them are done with.
     """
-    scan, mapped, effort, traces = problem.scan, problem.mapped, problem.effort, problem.traces
-    positions, starts, members, allowed = mapped.positions, problem.starts, problem.members, problem.allowed
+    scan, mapped, effort, allowed = problem.scan, problem.mapped, problem.effort, problem.allowed
+    positions, P, starts, members = mapped.positions, mapped.covariances, problem.starts, problem.members
     gate = scan.gates.two
     restricted = p > 0 and len(starts) > 0
-    begin, end = 0, len(traces)
+    begin, end = 0, len(positions)
     if restricted:
         begin, end = starts[path.features[0]], starts[path.features[0] + 1]
     first, x0, y0, trace, distance, spread = UNPAIRED, 0.0, 0.0, 0.0, 0.0, 0.0
     if p > 0:
         first = path.features[0]
-        x0, y0, trace = positions[first, 0], positions[first, 1], traces[first]
+        x0, y0, trace = positions[first, 0], positions[first, 1], P[first, 0, 0] + P[first, 1, 1]
         k = path.measurements[0]
         distance, spread = scan.distances[i, k], scan.spreads[i, k]
     for position in range(begin + tried, end):
@@ -190,7 +188,7 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
             continue
         if p > 0:  # what `follows` would do first, with all at hand: it settles most pairings
             x, y = positions[j, 0] - x0, positions[j, 1] - y0
-            if far_apart(distance - math.sqrt(x * x + y * y), spread, traces[j], trace, gate):
+            if far_apart(distance - math.sqrt(x * x + y * y), spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
                 effort[BINARY] += first != j
                 continue
         if follows(scan, mapped, effort, path, p, i, j, 0):
@@ -201,7 +199,7 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
 @compiled
 def _local_to(problem: Problem, feature: int) -> BoolArray:
     """(n,) L(feature)."""
-    local = np.full(len(problem.traces), len(problem.starts) == 0)
+    local = np.full(len(problem.mapped.positions), len(problem.starts) == 0)
     if len(problem.starts) > 0:
         for at in range(problem.starts[feature], problem.starts[feature + 1]):
             local[problem.members[at]] = True

@@ -30,6 +30,7 @@ _TURNS = 16  # of a scan, for groups that are less wide
 _ROUNDS = 6  # of locating and pairing again; as a rule two are enough
 _LOCATING = 30  # nodes that a location counts as: it takes as long as holding so many poses against the raster
 
+Integers16 = NDArray[np.int16]
 Integers32 = NDArray[np.int32]
 Floats32 = NDArray[np.float32]
 Bytes = NDArray[np.uint8]

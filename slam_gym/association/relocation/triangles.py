@@ -31,6 +31,7 @@ from slam_gym.association.relocation.triangle_search import (
     Bytes,
     Floats32,
     Grid,
+    Integers16,
     Integers32,
     Look,
     Raster,
@@ -115,7 +116,6 @@ class FeatureIndex:
             self._mapped,
             location_gates(len(scan), confidence),
             np.empty((0, 0), np.bool_),
-            np.empty(0),
             *locality_arrays(locality, len(self)),
             np.zeros(8, np.int64),
         )
@@ -204,23 +204,21 @@ def _most_triangles(n: int) -> int:
 def _hash_of(mapped: Mapped) -> TriangleHash:
     """The hash of a map whose covariances are relative to the features around."""
     positions, spreads, n = mapped.positions, mapped.covariances, len(mapped.positions)
-    reach = _usual_reach(positions)
+    reach, most = _usual_reach(positions), _most_triangles(len(positions))
     widest = np.linalg.eigvalsh(spreads)[:, 1].astype(np.float64)
     noise = math.sqrt(float(np.median(np.trace(spreads, axis1=1, axis2=2))) + 1e-6) if n else 0.07
     noise = max(noise, reach / 400.0)
     reach, neighbours = _neighbours(positions, reach)
     quantum = max(5.0 * noise, reach / 32.0)
-    counts = np.zeros(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1, np.int64)
-    nothing = np.empty((0, 3), np.int32), np.empty((0, 4), np.float32)
-    most = _most_triangles(n)
-    while _enter_triangles(mapped, neighbours, quantum, reach, most, counts, nothing) > most:
+    cells, corners, sides = _triangles(mapped, neighbours, quantum, reach, most)
+    while len(cells) > most:
         reach, neighbours = _neighbours(positions, 0.9 * reach)
-        counts[:] = 0
-    ends = np.cumsum(counts)
-    corners, sides = np.empty((ends[-1], 3), np.int32), np.empty((ends[-1], 4), np.float32)
-    _enter_triangles(mapped, neighbours, quantum, reach, most, ends[:-1].copy(), (corners, sides))
+        cells, corners, sides = _triangles(mapped, neighbours, quantum, reach, most)
+    order = np.argsort(cells, kind="stable")
+    starts = np.searchsorted(cells[order], np.arange(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1))
     grid, raster = _grid_of(positions, reach / 7.0), _raster_of(positions, widest, 3.5 * noise)
-    return TriangleHash(ends, corners, sides, grid, raster, reach, quantum, float(widest.max(initial=_FLOOR)))
+    largest = float(widest.max(initial=_FLOOR))
+    return TriangleHash(starts, corners[order], sides[order], grid, raster, reach, quantum, largest)
 
 
 def _neighbours(positions: Array, reach: float) -> tuple[float, tuple[IntArray, IntArray]]:
@@ -234,27 +232,19 @@ def _neighbours(positions: Array, reach: float) -> tuple[float, tuple[IntArray, 
 
 
 @compiled
-def _enter_triangles(
-    mapped: Mapped,
-    neighbours: tuple[IntArray, IntArray],
-    quantum: float,
-    reach: float,
-    most: int,
-    places: IntArray,
-    entries: tuple[Integers32, Floats32],
-) -> int:
-    """Enter corners and sides of each triangle at the place of its cell, which moves on; returns how many there are.
-
-    Without room for any entries, they are counted one cell later; not on and on where they are more than `most`.
-    """
-    positions, spreads, (starts, later), (corners, sides) = mapped.positions, mapped.covariances, neighbours, entries
-    count, fill, numbers, lengths = 0, len(corners) > 0, np.empty(3, np.int64), np.empty(3)
+def _triangles(
+    mapped: Mapped, neighbours: tuple[IntArray, IntArray], quantum: float, reach: float, most: int
+) -> tuple[Integers16, Integers32, Floats32]:
+    """Cell, corners and sides of each triangle; not of all where they are more than `most`, but of one more."""
+    positions, spreads, (starts, later), count = mapped.positions, mapped.covariances, neighbours, 0
+    cells, corners = np.empty(most + 1, np.int16), np.empty((most + 1, 3), np.int32)
+    sides, numbers, lengths = np.empty((most + 1, 4), np.float32), np.empty(3, np.int64), np.empty(3)
     for f in range(len(positions)):
         for p in range(starts[f], starts[f + 1]):
             for q in range(starts[f], p):
                 j, l = later[q], later[p]
                 (fx, fy), (jx, jy), (lx, ly) = positions[f], positions[j], positions[l]
-                if (jx - lx) ** 2 + (jy - ly) ** 2 > reach * reach:
+                if (jx - lx) ** 2 + (jy - ly) ** 2 > reach * reach or count > most:
                     continue
                 if (jx - fx) * (ly - fy) - (jy - fy) * (lx - fx) < 0.0:
                     j, l = l, j
@@ -262,27 +252,21 @@ def _enter_triangles(
                 for k in range(3):
                     a, b = numbers[k], numbers[(k + 1) % 3]
                     lengths[k] = math.hypot(positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1])
-                first, count = int(np.argmax(lengths)), count + 1
+                first, variance = int(np.argmax(lengths)), 0.0
                 longest, second, third = lengths[first], lengths[(first + 1) % 3], lengths[(first + 2) % 3]
-                cell = cell_number(int(longest / quantum), int(second / quantum), int(third / quantum))
-                if not fill:
-                    places[cell + 1] += 1
-                    continue
-                place, variance = places[cell], 0.0
-                places[cell] += 1
+                cells[count] = cell_number(int(longest / quantum), int(second / quantum), int(third / quantum))
                 for side in range(3):
                     a, b = numbers[(first + side) % 3], numbers[(first + side + 1) % 3]
                     x, y = positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1]
                     xx, yy = spreads[a, 0, 0] + spreads[b, 0, 0], spreads[a, 1, 1] + spreads[b, 1, 1]
                     xy = spreads[a, 0, 1] + spreads[b, 0, 1]
-                    corners[place, side], sides[place, side] = a, lengths[(first + side) % 3]
+                    corners[count, side], sides[count, side] = a, lengths[(first + side) % 3]
                     square = x * x + y * y
                     along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
                     variance = max(variance, along)
-                sides[place, 3] = variance
-        if count > most:
-            break
-    return count
+                sides[count, 3] = variance
+                count += 1
+    return cells[:count], corners[:count], sides[:count]
 
 
 def _grid_of(positions: Array, side: float) -> Grid:

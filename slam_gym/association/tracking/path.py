@@ -47,12 +47,7 @@ def path_of(pairings: Pairings, room: int) -> Path:
 @inlined
 def follow(pairings: Pairings, path: Path, p: int, c: int) -> Innovation:
     """Innovation of pairing c after the first p pairings of a path; the w after theirs is overwritten with its own."""
-    return after(pairings, path, p, pairings.slots[c], innovation_of(pairings, c))
-
-
-@inlined
-def after(pairings: Pairings, path: Path, p: int, slot: int, e: Innovation) -> Innovation:
-    """The same of whatever depends on a feature and has innovation e given nothing."""
+    slot, e = pairings.slots[c], innovation_of(pairings, c)
     for q in range(p):
         v = path.pivots[q]
         pivot = Pivot(pairings.slots[path.pairings[q]], v[0], v[1], v[2], v[3], v[4])
