@@ -102,6 +102,7 @@ def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -
     if rivals > 0:
         features, distance = best.features[b].copy(), float(best.distances[b])
         pose, covariance = best.poses[b].copy(), best.covariances[b].copy()
+    if rivals > 1:
         apart, both = best.poses[:rivals] - pose, best.covariances[:rivals] + covariance
         apart[:, 2] = [wrap_angle(turn) for turn in apart[:, 2].tolist()]
         squares = np.einsum("ra,ra->r", apart, np.linalg.solve(both, apart[:, :, None])[:, :, 0])

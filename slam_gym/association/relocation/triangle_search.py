@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.relocation.answer import Best, nothing_found, offer
+from slam_gym.association.relocation.answer import Best, keep, nothing_found
 from slam_gym.association.relocation.arrays import ScanArrays
 from slam_gym.association.relocation.constraints import Measured, Path, unary_test
 from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.association.relocation.tree import BINARY, LEAVES, LIMIT, NODES, TRIES, Problem
+from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES, Problem
 from slam_gym.types import UNPAIRED, Array, IntArray
 
 FAR = 255  # in the raster of distances: farther than it reaches
@@ -382,32 +382,40 @@ def _examine(
     best: Best,
     anchor: int,
     located: tuple[Array, Array],
-    k: int,
+    paired: int,
     features: IntArray,
     squares: Array,
 ) -> None:
-    """Locate and pair in turns, from k pairings (m,) around a pose on, until they stay.
+    """Locate and pair in turns, from pairings (m,) around a pose on, until they stay.
 
     Then drop the worst until the rest is jointly compatible, and keep what is as good as the best or better.
     `located`, `features` and their D² are written to.
     """
     problem, scan, wanted, (pose, covariance) = look.problem, look.problem.scan, _wanted(best), located
     path, before = Path(np.empty(len(features), np.int64), np.empty(len(features), np.int64)), features.copy()
+    k, distance = paired, math.inf
     for _ in range(_ROUNDS):
+        k = paired
         path.measurements[:k] = np.flatnonzero(features != UNPAIRED)
         path.features[:k] = features[path.measurements[:k]]
         problem.effort[NODES] += _LOCATING
-        if not locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance) < math.inf:
-            return
+        distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
         before[:] = features
-        k = _pair_around(table, look, located, anchor, wanted, features, squares)
-        if k == 0 or (features == before).all():
+        paired = _pair_around(table, look, located, anchor, wanted, features, squares) if distance < math.inf else 0
+        if paired == 0:
+            return
+        if (features == before).all():
             break
-    while k >= wanted and not offer(best, problem, path, k):
+    problem.effort[JOINT] += 1
+    while k >= wanted and not distance < problem.joint_gates[k]:
         worst = np.argmax(squares[path.measurements[:k]])
         for a in range(worst, k - 1):
             path.measurements[a], path.features[a] = path.measurements[a + 1], path.features[a + 1]
         k -= 1
+        problem.effort[JOINT] += 1
+        distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
+    if k >= wanted:
+        keep(best, path, k, pose, covariance, distance)
 
 
 @inlined
