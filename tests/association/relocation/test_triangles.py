@@ -10,7 +10,6 @@ from scipy.stats import chi2
 
 from slam_gym.association.relocation import triangle_search
 from slam_gym.association.relocation.constraints import gates_at, measured
-from slam_gym.association.relocation.location import locate
 from slam_gym.association.relocation.triangles import FeatureIndex, indexed, relative_covariances
 from slam_gym.geometry import observe
 from slam_gym.types import SPURIOUS, UNPAIRED, Landmarks, Locality, Scan
@@ -284,30 +283,6 @@ def test_is_exact_without_noise():
         answer = index.relocate(scan)
         assert np.array_equal(answer.features, sources)
         np.testing.assert_allclose(answer.pose, pose, atol=1e-7)
-
-
-def test_the_fit_is_the_location_of_its_pairings():
-    rng = np.random.default_rng(35)
-    truth = field(rng, 120)
-    halves = 0.04 * rng.standard_normal((120, 2, 2))
-    errors = halves @ halves.transpose(0, 2, 1) + 1e-4 * np.eye(2)
-    landmarks = dataclasses.replace(landmarks_at(truth), covariances=errors)
-    index, found = FeatureIndex(landmarks), 0
-    for _ in range(30):
-        scan = view(rng, truth, 10, 2)[0]
-        wide = scan.covariances * rng.uniform(1.0, 2.0, (10, 1, 1)) + 1e-3 * np.array([[1.0, 0.5], [0.5, 0.6]])
-        scan = dataclasses.replace(scan, covariances=wide)
-        answer = index.relocate(scan)
-        if answer.pairings == 0:
-            continue
-        located = locate(scan, landmarks, answer.features)
-        deviations = np.sqrt(np.diag(located.covariance))
-        assert np.all(np.abs(answer.pose - located.pose) < 1e-3 * deviations)
-        scale = np.outer(deviations, deviations)
-        np.testing.assert_allclose(answer.covariance / scale, located.covariance / scale, atol=0.01)
-        np.testing.assert_allclose(answer.joint_distance, located.joint_distance, rtol=1e-3)
-        found += 1
-    assert found >= 27
 
 
 def test_drift_that_near_features_share_does_not_open_the_gates():
