@@ -11,8 +11,6 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Iterator
-from importlib.util import find_spec
 
 import networkx as nx
 import numpy as np
@@ -26,7 +24,8 @@ from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, N
 from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at
-_MAXIMAL = 200_000  # maximal cliques that networkx goes through
+_MAXIMAL = 20_000  # maximal cliques gone through: their number may grow exponentially with the nodes
+_EDGES = 1_000_000
 
 
 def max_clique(
@@ -40,10 +39,9 @@ def max_clique(
 ) -> Relocation:
     """The largest cliques of the graph of consistent pairings; of those that are jointly compatible, the least D².
 
-    They are found by igraph where it is installed, and otherwise by networkx, which takes some hundred times as long.
-    Where the graph has more than `node_limit` nodes it is not built: nothing is found, and `effort.limit_hit` says so;
-    likewise where there are more than 256 largest cliques, of which the others are not looked at, and where networkx
-    has gone through 200 000 maximal ones. Raises ValueError as `gcbb` does.
+    A graph of more than `node_limit` nodes or a million edges is not built, and nothing is found. Of the maximal
+    cliques 20 000 are gone through, and of the largest among these 256 are tested. `effort.limit_hit` says where one
+    of these limits was met. Raises ValueError as `gcbb` does.
     """
     began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
     pairings, edges = _consistent(problem, node_limit)
@@ -58,30 +56,22 @@ def max_clique(
 
 
 def largest_cliques(edges: IntArray) -> tuple[IntArray, bool]:
-    """The cliques (k, size) of most vertices in a graph of edges (e, 2), 256 of them at most; whether these are all."""
+    """The cliques (k, size) of most vertices in a graph of edges (e, 2), as far as looked at; whether these are all."""
     if not len(edges):
         return np.empty((0, 0), np.int64), True
-    if find_spec("igraph") is not None:
-        import igraph
-
-        found, complete = igraph.Graph(edges=edges).largest_cliques(), True
-    else:
-        found, complete = _longest(nx.find_cliques(nx.Graph(edges.tolist())))
-    return np.array(found[:_CLIQUES], np.int64), complete and len(found) <= _CLIQUES
-
-
-def _longest(cliques: Iterator[list[int]]) -> tuple[list[list[int]], bool]:
-    """Those of most vertices among the first `_MAXIMAL` cliques; whether there are no more of them."""
-    first = list(itertools.islice(cliques, _MAXIMAL))
+    maximal = nx.find_cliques(nx.Graph(edges.tolist()))
+    first = list(itertools.islice(maximal, _MAXIMAL))
+    complete = next(maximal, None) is None
     most = max(map(len, first))
-    return [clique for clique in first if len(clique) == most], next(cliques, None) is None
+    found = [clique for clique in first if len(clique) == most]
+    return np.array(found[:_CLIQUES], np.int64), complete and len(found) <= _CLIQUES
 
 
 @compiled
 def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
     """Pairings that pass the unary constraints, and edges (e, 2) between those that agree.
 
-    Without edges where there would be too many nodes.
+    Without edges where there would be too many nodes or edges.
     """
     scan, mapped, effort = problem.scan, problem.mapped, problem.effort
     allowed, starts, of_each = problem.allowed, problem.starts, problem.members
@@ -105,6 +95,9 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
                 effort[BINARY] += 1
                 if not binary_test(scan, mapped, i, j, k, l):
                     continue
+                if count == _EDGES:
+                    effort[LIMIT] = 1
+                    return Path(measurements, features), edges[:0]
                 if count == len(edges):
                     edges = np.concatenate((edges, edges))
                 edges[count, 0], edges[count, 1] = a, number[k, l]
