@@ -131,11 +131,12 @@ class FactorGraph:
             moved[2 : self.motions.size : 3] = wrap_angles(moved[2 : self.motions.size : 3])
             further = self.linearise(poses[0], moved)
             chi2_before, chi2_after = chi2, float(further[0] @ (self.information @ further[0]))
-            if not chi2_after <= (1.0 + _TOLERANCE) * chi2_before:
+            least_gain = _TOLERANCE * max(chi2_before, 1.0)
+            if not chi2_after <= chi2_before + least_gain:
                 damping *= 10.0
                 continue
             x, damping, (errors, jacobian), chi2 = moved, 0.1 * damping, further, chi2_after
-            if chi2_before - chi2 <= _TOLERANCE * max(chi2, 1.0):
+            if chi2_before - chi2 <= least_gain:
                 found, positions = self.split(poses[0], x)
                 return Smoothed(found, ids, positions, chi2, normal, iteration)
         raise ValueError(f"no optimum in {_ITERATIONS} iterations: χ² is {chi2:.6g} and still falls")

@@ -147,6 +147,19 @@ def test_all_at_once_is_what_one_after_the_other_gives(noise: float, tolerance: 
     np.testing.assert_allclose(best.covariance([len(maps)], best.ids), P, atol=tolerance * np.abs(P).max() ** 0.5)
 
 
+def test_maps_that_share_nothing_are_only_placed() -> None:
+    """χ² is zero from the start: nothing contradicts anything, not even for one map alone or an empty one."""
+    a, b = two_small_maps()
+    both = join(a, b)
+    best = join_all([a, b], [a.ids, b.ids])
+    np.testing.assert_allclose(best.positions, both.positions, atol=1e-9)
+    np.testing.assert_allclose(best.poses, [np.zeros(3), a.pose, compose(a.pose, b.pose)], atol=1e-9)
+    np.testing.assert_allclose(best.covariance([2], best.ids), both.covariance, atol=1e-9)
+    np.testing.assert_allclose(join_all([a], [a.ids]).positions, a.positions, atol=1e-9)
+    empty = join_all([a, a.successor()], [a.ids, np.empty(0, np.int64)])
+    np.testing.assert_allclose(empty.poses[1:], [a.pose, a.pose], atol=1e-9)
+
+
 def test_joined_maps_are_consistent() -> None:
     """NEES of the whole state (robot and all features) over many runs of a drifting robot, three maps each."""
     values, dofs = [], 0
