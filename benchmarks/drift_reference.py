@@ -89,7 +89,7 @@ def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for (associator, scenario), group in groups:
         row: dict[str, Any] = {"associator": associator, "scenario": scenario, "worlds": len(group)}
-        for name in MEASURES:
+        for name in (name for name in MEASURES if f"{name} old" in pairs):  # older files have fewer
             now, before = (group[f"{name} {which}"].to_numpy(float) for which in ("new", "old"))
             found = paired_difference(now, before, np.random.default_rng(0), statistic=mean)
             row[name] = f"{found.estimate:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
