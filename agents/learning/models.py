@@ -25,8 +25,8 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from agents.drivers.base import ActionKind, Info, legal_goals
 from agents.drivers.base import Observation as ExploreObservation
 from agents.learning.policies import CHOICES, Decision, Hyperparameters, policy_of
+from slam_gym.association.policy import from_policy
 from slam_gym.association.prediction import Associator
-from slam_gym.association.tracking.policy import from_policy
 from slam_gym.association.walks import Observation
 from slam_gym.types import BoolArray
 

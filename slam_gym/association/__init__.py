@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from slam_gym.association.policy import from_policy, greedy, relocator_from_policy
 from slam_gym.association.prediction import Associator, Prediction
 from slam_gym.association.relocation.cliques import max_clique
 from slam_gym.association.relocation.gcbb import gcbb
-from slam_gym.association.relocation.policy import greedy_relocation, relocator_from_policy
 from slam_gym.association.relocation.random_sampling import random_sampling
 from slam_gym.association.relocation.triangles import indexed
 from slam_gym.association.tracking.ipjc import ipjc
@@ -24,7 +24,6 @@ from slam_gym.association.tracking.map_hypothesis import map_hypothesis
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tracking.nearest_neighbour import global_nearest_neighbour, nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
-from slam_gym.association.tracking.policy import from_policy, greedy
 from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.walks import Policy
 from slam_gym.types import Hypothesis, Relocator, Scan
@@ -38,7 +37,6 @@ __all__ = [
     "gcbb",
     "global_nearest_neighbour",
     "greedy",
-    "greedy_relocation",
     "indexed",
     "ipjc",
     "jcbb",

@@ -66,7 +66,7 @@ class AssociateEnv(BaseEnv):
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `path` and `pairings`, as
     `slam_gym.association.tracking.observation` lists them, and `budget`, the fraction of the scans left. The first four
-    are what a policy sees as an associator elsewhere (`slam_gym.association.tracking.policy.from_policy`).
+    are what a policy sees as an associator elsewhere (`slam_gym.association.policy.from_policy`).
 
     ## Rewards
     - `reward="truth"`: a right pairing +1, a wrong one −`wrong_cost`, `*` 0, divided by the measurements of features

@@ -7,7 +7,7 @@ import pytest
 
 import slam_gym  # noqa: F401 (registers the environment)
 from slam_gym.association import jcbb, nearest_neighbour, singles
-from slam_gym.association.tracking.policy import from_policy, greedy
+from slam_gym.association.policy import from_policy, greedy
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.scenarios import get_scenario
 from slam_gym.simulation.association_runs import CORRIDOR

@@ -19,6 +19,7 @@ from slam_gym._jit import compiled
 from slam_gym.association.relocation.arrays import Mapped, floats, integers, unchecked_map
 from slam_gym.association.relocation.constraints import Path, cross_covariance
 from slam_gym.geometry import wrap_angle
+from slam_gym.mapping.linear_algebra import cholesky, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Scan
 from slam_gym.validation import check_scan
 
@@ -81,14 +82,15 @@ def locate_pairings(
         _joint_covariance(mapped, features),
     )
     _closed_form(z, R, F, P, pose)
-    L, columns = np.empty((2 * k, 2 * k)), np.empty((2 * k, 4))
+    S, A, e = np.empty((2 * k, 2 * k)), np.empty((2 * k, 3)), np.empty(2 * k)
     distance, normal, step = math.nan, np.empty((3, 3)), np.empty(3)
     for _ in range(_ITERATIONS):
-        _linearise(z, R, F, P, pose, L, columns)
+        _linearise(z, R, F, P, pose, (S, A, e))
         distance = math.nan
-        if not _whiten(L, columns):
+        if not cholesky(S):
             break
-        distance = _solve(columns, normal, pose_covariance, step)
+        whiten(S, A, e)
+        distance = _solve(A, e, normal, pose_covariance, step)
         if distance == math.inf:
             break
         pose += step
@@ -137,14 +139,16 @@ def _closed_form(points: Array, noise: Array, positions: Array, P: Array, pose: 
 
 
 @compiled
-def _linearise(points: Array, noise: Array, positions: Array, P: Array, pose: Array, S: Array, columns: Array) -> None:
-    """The lower triangle of S, and in `columns` (2k, 4) A and e, all at `pose`."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
+def _linearise(
+    points: Array, noise: Array, positions: Array, P: Array, pose: Array, out: tuple[Array, Array, Array]
+) -> None:
+    """The lower triangle of S, A (2k, 3) and e (2k,), all at `pose`."""
+    (S, A, e), c, s = out, math.cos(pose[2]), math.sin(pose[2])
     for a in range(len(points)):
         u, v = c * points[a, 0] - s * points[a, 1], s * points[a, 0] + c * points[a, 1]
         p, q = 2 * a, 2 * a + 1
-        columns[p, 0], columns[p, 1], columns[p, 2], columns[p, 3] = 1.0, 0.0, -v, positions[a, 0] - pose[0] - u
-        columns[q, 0], columns[q, 1], columns[q, 2], columns[q, 3] = 0.0, 1.0, u, positions[a, 1] - pose[1] - v
+        A[p, 0], A[p, 1], A[p, 2], e[p] = 1.0, 0.0, -v, positions[a, 0] - pose[0] - u
+        A[q, 0], A[q, 1], A[q, 2], e[q] = 0.0, 1.0, u, positions[a, 1] - pose[1] - v
         for b in range(p):
             S[p, b], S[q, b] = P[p, b], P[q, b]
         xx, xy, yy = noise[a, 0, 0], noise[a, 0, 1], noise[a, 1, 1]
@@ -154,41 +158,16 @@ def _linearise(points: Array, noise: Array, positions: Array, P: Array, pose: Ar
 
 
 @compiled
-def _whiten(S: Array, columns: Array) -> bool:
-    """Cholesky factor in place of the lower triangle of S, and L⁻¹ in place of `columns`; False: S is none."""
-    for r in range(len(S)):
-        start = 0  # of the row: no zero before it is ever filled, so that independent features cost next to nothing
-        while S[r, start] == 0.0 and start < r:
-            start += 1
-        for q in range(start, r + 1):
-            value = S[r, q]
-            for t in range(start, q):
-                value -= S[r, t] * S[q, t]
-            if q < r:
-                S[r, q] = value / S[q, q]
-            elif value > 0.0 and value < math.inf:
-                S[r, r] = math.sqrt(value)
-            else:
-                return False
-        for column in range(4):
-            value = columns[r, column]
-            for t in range(start, r):
-                value -= S[r, t] * columns[t, column]
-            columns[r, column] = value / S[r, r]
-    return True
-
-
-@compiled
-def _solve(columns: Array, normal: Array, inverse: Array, step: Array) -> float:
-    """(AᵀS⁻¹A)⁻¹ into `inverse`, δ into `step`; D² after the step, inf where AᵀS⁻¹A is singular."""
+def _solve(A: Array, errors: Array, normal: Array, inverse: Array, step: Array) -> float:
+    """(AᵀS⁻¹A)⁻¹ into `inverse`, δ into `step`, of whitened A and e; D² after the step, inf where it is singular."""
     right, distance = np.zeros(3), 0.0
     normal[:] = 0.0
-    for r in range(len(columns)):
-        distance += columns[r, 3] * columns[r, 3]
+    for r in range(len(errors)):
+        distance += errors[r] * errors[r]
         for a in range(3):
-            right[a] += columns[r, a] * columns[r, 3]
+            right[a] += A[r, a] * errors[r]
             for b in range(3):
-                normal[a, b] += columns[r, a] * columns[r, b]
+                normal[a, b] += A[r, a] * A[r, b]
     a, b, c = normal[0, 0], normal[0, 1], normal[0, 2]
     d, e, f = normal[1, 1], normal[1, 2], normal[2, 2]
     determinant = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)

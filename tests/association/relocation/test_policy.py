@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from slam_gym.association import gcbb
-from slam_gym.association.relocation.policy import greedy_relocation, relocator_from_policy
+from slam_gym.association.policy import greedy, relocator_from_policy
 from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from tests.oracles import relocation as oracles
 from tests.oracles import relocation_walks as walks
 
 
 def test_policies_are_relocators_that_pickle_and_repeat_themselves():
-    for policy in (greedy_relocation, walks.by_chance):
+    for policy in (greedy, walks.by_chance):
         relocate = relocator_from_policy(policy, order="nearest_first")
         for seed in range(3):
             scan, landmarks, _, localities, _ = walks.easy(seed)
@@ -25,10 +25,10 @@ def test_policies_are_relocators_that_pickle_and_repeat_themselves():
 
 
 def test_greedy_is_one_try_that_never_pairs_more_than_gcbb():
-    greedy, right = relocator_from_policy(greedy_relocation), 0
+    once, right = relocator_from_policy(greedy), 0
     for seed in range(50, 90):
         scan, landmarks, *_ = walks.easy(seed)
-        expected, found = gcbb(scan, landmarks), greedy(scan, landmarks)
+        expected, found = gcbb(scan, landmarks), once(scan, landmarks)
         assert found.effort.tries == 1 and found.pairings <= expected.pairings
         right += expected.accepted and found.accepted and np.allclose(found.pose, expected.pose, atol=0.2)
     assert right >= 5
@@ -45,7 +45,7 @@ def test_bad_settings_and_actions_are_refused_by_name():
         (dict(measurements=0), "measurements"),
     ):
         with pytest.raises(ValueError, match=name):
-            relocator_from_policy(greedy_relocation, **bad)
+            relocator_from_policy(greedy, **bad)
     with pytest.raises(ValueError, match="action 99 is not legal"):
         relocator_from_policy(lambda observation, mask: 99)(scan, landmarks)
     walk = RelocationWalk(WalkSpec(), scan, landmarks)

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 
-from slam_gym.association.tracking.policy import from_policy, greedy
+from slam_gym.association.policy import from_policy, greedy
 from slam_gym.types import UNPAIRED
 from tests.association.tracking.test_walk import CONFIDENCE, problems
 from tests.oracles import association as oracles

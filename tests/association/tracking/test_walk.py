@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam_gym.association.tracking.policy import from_policy, greedy
+from slam_gym.association.policy import from_policy, greedy
 from slam_gym.association.tracking.walk import COMPATIBILITIES, ORDERS, Walk
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles

@@ -1,0 +1,73 @@
+"""A policy of the interpretation tree as an associator or a relocator like any other; and a plain policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from slam_gym.association.prediction import Associator, Prediction
+from slam_gym.association.relocation.observation import observe_walk
+from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
+from slam_gym.association.tracking.walk import Compatibility, Walk, check_arguments
+from slam_gym.association.walks import Observation, Order, Policy, play
+from slam_gym.types import BoolArray, Hypothesis, Landmarks, Locality, Relocation, Relocator, Scan
+
+
+def from_policy(
+    policy: Policy,
+    *,
+    candidates: int = 5,
+    order: Order = "as_scanned",
+    compatibility: Compatibility = "joint",
+) -> Associator:
+    """The associator that walks the tree by `policy`, with the arguments of `Walk`. It pickles if the policy does.
+
+    Raises ValueError for arguments that no `Walk` can have; the associator raises it for an action that is not legal.
+    """
+    check_arguments(candidates, order, compatibility)
+    return _PolicyAssociator(policy, candidates, order, compatibility)
+
+
+def relocator_from_policy(policy: Policy, *, measurements: int = 20, **settings: Any) -> Relocator:
+    """The relocator that walks the tree by `policy`, with the settings of `WalkSpec`. It pickles if the policy does.
+
+    `measurements` rows of a scan are shown. Raises ValueError for settings that are none; the relocator raises it for
+    bad scans and maps, and for an action that is not legal.
+    """
+    if measurements < 1:
+        raise ValueError(f"measurements: {measurements} is less than 1")
+    return _PolicyRelocator(policy, WalkSpec(**settings), measurements)
+
+
+def greedy(observation: Observation, mask: BoolArray) -> int:
+    """The policy that takes the first on offer, else `*`.
+
+    With a prior that is the nearest legal candidate: sequential compatibility nearest neighbour. Without one it is the
+    candidate with most support, and the first leaf ends the walk.
+    """
+    return int(mask.argmax())
+
+
+@dataclass(frozen=True, slots=True)
+class _PolicyAssociator:
+    policy: Policy
+    candidates: int
+    order: Order
+    compatibility: Compatibility
+
+    def __call__(self, scan: Scan, prediction: Prediction) -> Hypothesis:
+        walk = Walk(scan, prediction, candidates=self.candidates, order=self.order, compatibility=self.compatibility)
+        play(walk, self.policy, walk.observation)
+        return walk.hypothesis()
+
+
+@dataclass(frozen=True, slots=True)
+class _PolicyRelocator:
+    policy: Policy
+    spec: WalkSpec
+    measurements: int
+
+    def __call__(self, scan: Scan, landmarks: Landmarks, locality: Locality | None = None) -> Relocation:
+        walk = RelocationWalk(self.spec, scan, landmarks, locality)
+        play(walk, self.policy, lambda: observe_walk(walk, self.measurements))
+        return walk.answer()
