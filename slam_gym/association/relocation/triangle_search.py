@@ -94,29 +94,24 @@ class _Seed(NamedTuple):
 def search(table: TriangleHash, look: Look) -> Best:
     """All hypotheses with most pairings, one less than needed at least.
 
-    With as many pairings as needed, there are no others with as many but what the gates turn away. With one more, the
-    search ends as soon as triples of what is paired have shown no other place that looks alike.
+    With as many pairings as needed, there are no others with as many but what the gates turn away. With decisive ones,
+    the search ends as soon as triples of what is paired have shown no other place that looks alike.
     """
     m = len(look.problem.scan.points)
-    best, complete = nothing_found(m), m < 3
+    best, complete = nothing_found(m), m < max(look.needed, 3)
     best.state[0] = max(look.needed - 1, 3) - 1
     while not complete:
         complete = _try_groups(table, look, best)
-    if _decided(look, best):
+    if _most_groups(look, best) == 0:
         _try_likes(table, look, best)
     return best
 
 
 @compiled
-def _decided(look: Look, best: Best) -> bool:
-    return bool(best.state[1] > 0 and best.state[0] >= look.decisive)
-
-
-@compiled
 def _most_groups(look: Look, best: Best) -> int:
-    """The most groups whose triples leave no better pose unseen, nor another as good."""
-    wanted = max(look.needed, best.state[0]) if best.state[1] > 0 else look.needed
-    return max((wanted - 1) // 2, 1)
+    """The most groups whose triples leave no better pose unseen, nor another as good; 0 with decisive pairings."""
+    found = best.state[0] if best.state[1] > 0 else 0
+    return 0 if found >= look.decisive else max((max(look.needed, found) - 1) // 2, 1)
 
 
 @compiled
@@ -125,22 +120,25 @@ def _try_groups(table: TriangleHash, look: Look, best: Best) -> bool:
     groups, everything = _most_groups(look, best), np.arange(len(look.problem.scan.points))
     for triple in _triples(look.problem.scan, everything, groups, table.reach):
         _try_triple(table, look, best, triple)
-        if look.problem.effort[LIMIT] > 0 or _decided(look, best):
+        enough = _most_groups(look, best)
+        if look.problem.effort[LIMIT] > 0 or enough == 0:
             return True
-        if _most_groups(look, best) > groups:
+        if enough > groups:
             return False
     return True
 
 
 @compiled
 def _try_likes(table: TriangleHash, look: Look, best: Best) -> None:
-    """Look up disjoint triples of what the best explains: a place like its own explains one of them."""
-    paired = np.flatnonzero(best.features[best.state[2]] != UNPAIRED)
-    fresh = np.ones(len(best.features[0]), np.bool_)
-    for triple in _triples(look.problem.scan, paired, len(paired) // 3, table.reach):
-        if fresh[triple].all() and look.problem.effort[LIMIT] == 0:
-            fresh[triple] = False
-            _try_triple(table, look, best, triple)
+    """Look up disjoint triples of what the best explains, until it stays: a place like its own explains one of them."""
+    pairings = 0
+    while pairings < best.state[0]:
+        pairings, fresh = best.state[0], np.ones(len(best.features[0]), np.bool_)
+        paired = np.flatnonzero(best.features[best.state[2]] != UNPAIRED)
+        for triple in _triples(look.problem.scan, paired, pairings // 3, table.reach):
+            if fresh[triple].all() and look.problem.effort[LIMIT] == 0:
+                fresh[triple] = False
+                _try_triple(table, look, best, triple)
 
 
 @compiled
@@ -212,6 +210,7 @@ def _turn(scan: Measured, triple: IntArray) -> float:
 
 @compiled
 def _seed(table: TriangleHash, look: Look, triple: IntArray) -> _Seed:
+    """The seed of a triple."""
     scan, points, noise, inertia = look.problem.scan, look.problem.scan.points, 0.0, 1e-12
     x, y = points[triple, 0].mean(), points[triple, 1].mean()
     for i in triple:

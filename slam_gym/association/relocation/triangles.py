@@ -93,7 +93,8 @@ class FeatureIndex:
         With `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule of
         `acceptance`, with densities in squares of 1.5 reach; what explains two less is not looked for. The
         search ends once no pose is unseen that explains as many measurements as the best. It also ends with one pairing
-        more than needed, where disjoint triples of what is paired have been looked up and show no other place.
+        more than needed, or with so many as chance brings once in 500 maps by the rule, where disjoint triples of what
+        is paired have shown no other place that looks alike.
 
         `node_limit` bounds the nodes: poses verified, every location counting as 30. Default: 20 000 and 3 for each
         feature, some three times what it takes to refuse a scan of 20 measurements from elsewhere. Where it is met,
