@@ -297,15 +297,15 @@ def _verify(table: TriangleHash, look: Look, best: Best, seed: _Seed, corners: I
     problem.effort[NODES] += len(triangles)
     poses = _implied_poses(problem.mapped.positions, problem.scan.points[corners], triangles)
     missed, m = _missed(table.raster, seed, poses), len(problem.scan.points)
-    features, squares = np.empty(m, np.int64), np.empty(m)
+    located, features, squares = (np.empty(3), np.empty((3, 3))), np.empty(m, np.int64), np.empty(m)
     for t in np.flatnonzero(missed <= m - _wanted(best)):
         if problem.effort[NODES] > look.node_limit:
             break
-        anchor, located = triangles[t, 0], _located(seed, poses[:, t])
-        k = _pair_around(table, look, located, anchor, _wanted(best), features, squares)
+        _locate_robot(seed, poses[:, t], located)
+        k = _pair_around(table, look, located, triangles[t, 0], _wanted(best), features, squares)
         if k > 0 and _is_new(look, best, corners, triangles[t]):
             problem.effort[LEAVES] += 1
-            _examine(table, look, best, anchor, located, k, features, squares)
+            _examine(table, look, best, triangles[t, 0], located, k, features, squares)
     if problem.effort[NODES] > look.node_limit:
         problem.effort[LIMIT] = 1
 
@@ -364,14 +364,13 @@ def _is_new(look: Look, best: Best, corners: IntArray, features: Integers32) -> 
 
 
 @compiled
-def _located(seed: _Seed, pose: Array) -> tuple[Array, Array]:
-    """Pose of the robot and its covariance, from a pose (4,) of the centroid of a seed."""
-    (x, y), (v, w), c, s = seed.centroid, seed.variances, pose[2], pose[3]
+def _locate_robot(seed: _Seed, implied: Array, located: tuple[Array, Array]) -> None:
+    """Enter pose (3,) of the robot and its covariance (3, 3), from a pose (4,) of the centroid of a seed."""
+    (x, y), (v, w), c, s, (pose, P) = seed.centroid, seed.variances, implied[2], implied[3], located
     lx, ly = c * x - s * y, s * x + c * y
-    covariance = np.array(
-        [[v + ly * ly * w, -lx * ly * w, ly * w], [-lx * ly * w, v + lx * lx * w, -lx * w], [ly * w, -lx * w, w]]
-    )
-    return np.array([pose[0] - lx, pose[1] - ly, math.atan2(s, c)]), covariance
+    pose[0], pose[1], pose[2] = implied[0] - lx, implied[1] - ly, math.atan2(s, c)
+    P[0, 0], P[1, 1], P[2, 2], P[0, 1] = v + ly * ly * w, v + lx * lx * w, w, -lx * ly * w
+    P[0, 2], P[1, 2], P[1, 0], P[2, 0], P[2, 1] = ly * w, -lx * w, P[0, 1], ly * w, -lx * w
 
 
 @compiled
