@@ -86,7 +86,9 @@ def main(
     suite_options: Suite,
     recorded: Recorded,
     suite: Annotated[bool, Option("--suite", help="One number per capability instead of drives.")] = False,
-    recording: Annotated[str | None, Option(help=f"A log: {', '.join(PUBLISHED)}, or .npz, .g2o, .txt (iSAM).")] = None,
+    recording: Annotated[
+        str | None, Option(help=f"A log: {', '.join(PUBLISHED)}, or .csv, .npz, .g2o, .txt (iSAM).")
+    ] = None,
 ) -> None:
     """Evaluate associators on the same drives, over the suite, or on a recording."""
     if suite and recording:

@@ -19,13 +19,13 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.collections import EllipseCollection
 from PIL import Image
 
 import slam_gym  # noqa: F401 (registers the environments)
+from agents.demo import WORLD, mapped, one_drive
 from agents.drivers.base import make_agent, visible
 from slam_gym.association import jcbb, nearest_neighbour
-from slam_gym.association.compatibility import chi2_gate, individual
+from slam_gym.rendering.plot import plot_episode, plot_scan
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import UNPAIRED
@@ -99,18 +99,6 @@ def relocate() -> Any:
 # -- concepts --------------------------------------------------------------------------------------------------------
 
 
-def ellipses(ax: Any, centres: Any, covariances: Any, colour: str, scale: float) -> None:
-    values, vectors = np.linalg.eigh(covariances)
-    widths = 2 * scale * np.sqrt(np.maximum(values, 0.0))
-    angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
-    ax.add_collection(
-        EllipseCollection(
-            widths[:, 1], widths[:, 0], angles, units="xy", offsets=centres, offset_transform=ax.transData,
-            facecolors=colour + "18", edgecolors=colour, linewidths=0.6,
-        )
-    )  # fmt: skip
-
-
 def compatibility() -> None:
     """Gates and pairings of nearest neighbour and JCBB where the reference corridor's loop closes."""
     slam = Slam(SlamSpec(reach=corridor.RANGE, locality=False))
@@ -126,16 +114,11 @@ def compatibility() -> None:
 
 def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     """An associator that draws what nearest neighbour and JCBB make of the scan, whose right features are `right`."""
-    candidates = individual(scan, prediction)
-    rows = candidates.rows[candidates.slots]
-    gates = prediction.covariances[rows] + scan.covariances[candidates.measured]
     place = dict(zip(prediction.features.tolist(), prediction.positions))
     answers = {"nearest neighbour": nearest_neighbour(scan, prediction), "JCBB": jcbb(scan, prediction)}
     _, axes = plt.subplots(1, 2, figsize=(11.5, 4.9), sharex=True, sharey=True, layout="constrained")
     for ax, (name, answer) in zip(axes, answers.items()):
-        ellipses(ax, prediction.positions[rows], gates, GREY, np.sqrt(chi2_gate(2, prediction.confidence)))
-        ax.plot(*prediction.positions.T, "o", mfc="white", color=INK, ms=4.5, mew=0.9)
-        ax.plot(*scan.points.T, "x", color=INK, ms=6, mew=1.6, zorder=3)
+        plot_scan(scan, prediction, ax=ax)
         for i in np.flatnonzero(answer.features != UNPAIRED):
             colour = GREEN if answer.features[i] == right[i] else RED
             arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.8, "connectionstyle": "arc3,rad=-0.35"}
@@ -152,43 +135,10 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     return answers["JCBB"]
 
 
-DRIFT_WORLD = 4  # of the train split
-
-
-def one_drive(scenario: str, world: int) -> list[Any]:
-    """The speeds of a drive by information gain, whose robot knows every association."""
-    arguments = {"scenario": scenario, "disable_env_checker": True, "associator": "true_association"}
-    env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
-    agent = make_agent("information_gain")
-    agent.reset(world)
-    observation, info = env.reset(seed=world, options={"world": world})
-    speeds, tick, over = [], env.episode.tick, False
-
-    def kept(forward: float, turn: float) -> None:
-        speeds.append(np.array([forward, turn]))
-        tick(forward, turn)
-
-    env.episode.tick = kept
-    while not over:
-        observation, _, over, _, info = env.step(agent.act(observation, visible(info)))
-    return speeds
-
-
-def mapped(scenario: str, world: int, speeds: list[Any], **arguments: Any) -> Any:
-    """The episode of the same drive, wheels and scans, with another SLAM."""
-    env: Any = gym.make(
-        "slam_gym/Explore-v0", scenario=scenario, action="twist", disable_env_checker=True, **arguments
-    ).unwrapped
-    env.reset(seed=world, options={"world": world})
-    for speed in speeds:
-        env.step(speed)
-    return env.episode
-
-
 def drift() -> None:
     """One drive on bad wheels, mapped four times: what was explored, and where features came to lie."""
     scenario = "drift-3"
-    speeds = one_drive(scenario, DRIFT_WORLD)
+    speeds = one_drive(scenario, WORLD)
     kinds = {
         "nearest neighbour": {"associator": "nearest_neighbour", "relocation": None},
         "JCBB": {"associator": "jcbb", "relocation": None},
@@ -197,27 +147,11 @@ def drift() -> None:
     }
     _, axes = plt.subplots(2, 2, figsize=(10.5, 6.8), layout="constrained", sharex=True, sharey=True)
     for ax, (name, arguments) in zip(axes.flat, kinds.items()):
-        episode = mapped(scenario, DRIFT_WORLD, speeds, **arguments)
-        draw_map(ax, episode)
+        episode = mapped(scenario, WORLD, speeds, **arguments)
+        plot_episode(episode, ax)
         ax.set_title(f"{name}: map error {episode.map_error():.2f}")
         ax.set(aspect="equal", xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
-
-
-def draw_map(ax: Any, episode: Any) -> None:
-    """Walls and features as they are, and on top what the robot makes of them, brought into the world's frame."""
-    from slam_gym.geometry import transform
-    from slam_gym.navigation.explored_grid import WALL
-
-    plan, grid = episode.site.plan, episode.grid
-    rows, columns = np.nonzero(grid.cells == WALL)
-    cells = grid.origin + grid.resolution * (np.column_stack([columns, rows]) + 0.5)
-    ax.plot(*transform(episode.base, cells).T, "s", ms=2.6, color="#c3ccd6", mew=0)
-    ax.plot(*plan.walls.reshape(-1, 2, 2).transpose(2, 1, 0), color=INK, lw=0.8)
-    ax.plot(*plan.features.positions[episode.site.observable].T, ".", ms=3, color=GREY)
-    ax.plot(*episode.landmarks.T, "o", ms=3.2, mfc="none", mec=BLUE, mew=0.9)
-    ax.plot(*np.array(episode.poses)[:, :2].T, color=GREY, lw=1.0)
-    ax.plot(*transform(episode.base, np.array(episode.estimates)[:, :2]).T, color=RED, lw=0.9)
 
 
 def locality() -> None:

@@ -31,7 +31,7 @@ ALLOWED = {
     "simulation": SIMULATION,
     "rendering": SIMULATION | {"simulation"},
     "envs": SIMULATION | {"simulation", "rendering"},
-    "commands": {"__init__", "_jit", "recordings", "validation"},
+    "commands": {"__init__", "_jit", "association", "recordings", "scenarios", "validation"},
     "__main__": {"commands"},
     "__init__": SIMULATION,
 }

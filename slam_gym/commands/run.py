@@ -9,8 +9,9 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures.process import BrokenProcessPool
+from enum import StrEnum
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
@@ -22,6 +23,8 @@ _INSTALLED = Path(__file__).parent / "shipped"  # where a wheel has the folder `
 _CHECKOUT = Path(__file__).parents[2]  # … and where a checkout has it
 
 COMMANDS: dict[str, str] = {
+    "demo": "One drive on bad wheels, mapped by two associators: a picture.",
+    "slam": "SLAM on your own log: map, path, picture.",
     "evaluate": "Drivers on the same test worlds: table, report, films.",
     "evaluate-association": "Associators in the loop, over the suite, on logs.",
     "train": "A driver by reinforcement learning.",
@@ -32,6 +35,17 @@ COMMANDS: dict[str, str] = {
     "play": "Drive with the keyboard.",
 }
 """Those of `agents`, each the `app` of the module of its name, and what it is about."""
+
+
+class Topic(StrEnum):
+    """What there are names of."""
+
+    SCENARIOS = "scenarios"
+    ASSOCIATORS = "associators"
+    RELOCATORS = "relocators"
+    DRIVERS = "drivers"
+    RECORDINGS = "recordings"
+
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -59,6 +73,25 @@ def _add(name: str, summary: str) -> None:
 
 for _name, _summary in COMMANDS.items():
     _add(_name, _summary)
+
+
+@app.command("list")
+def list_names(topic: Topic) -> None:
+    """The names that other commands take."""
+    from slam_gym.association import ASSOCIATORS, RELOCATORS
+    from slam_gym.recordings.catalogue import PUBLISHED
+    from slam_gym.scenarios import SCENARIOS
+
+    _find_agents()
+    drivers = importlib.import_module("agents.drivers.base").AGENTS
+    names: dict[str, Iterable[str]] = {
+        "associators": ASSOCIATORS,
+        "relocators": RELOCATORS,
+        "scenarios": SCENARIOS,
+        "recordings": PUBLISHED,
+    }
+    names["drivers"] = drivers
+    print("\n".join(names[topic.value]))
 
 
 @app.command()

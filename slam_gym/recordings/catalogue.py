@@ -9,6 +9,7 @@ from pathlib import Path
 from slam_gym.recordings import dlr as _dlr
 from slam_gym.recordings import mrclam as _mrclam
 from slam_gym.recordings import victoria_park as _victoria_park
+from slam_gym.recordings.csv_log import from_csv
 from slam_gym.recordings.pose_graph import g2o, isam
 from slam_gym.recordings.recording import Recording, load
 
@@ -25,7 +26,8 @@ def open_recordings(
     """The logs behind a name: one, or of MR.CLAM one for each robot (`robots`, default all) of each set.
 
     Arguments:
-        name: `victoria_park`, `mrclam`, `dlr`, or a file: .npz (`recordings/FORMAT.md`), .g2o, or .txt (iSAM).
+        name: `victoria_park`, `mrclam`, `dlr`, or a file: .csv (`from_csv`), .npz (`recordings/FORMAT.md`), .g2o, or
+            .txt (iSAM).
         data: folder of the published files; default: that of the same name in `SLAM_GYM_DATA`.
         robots: of MR.CLAM.
         reference: the vertices of a .g2o file are the truth.
@@ -68,7 +70,7 @@ def _sets(folder: Path) -> list[Path]:
 
 
 def _from_file(path: Path, reference: bool) -> Recording:
-    readers = {".npz": load, ".g2o": g2o, ".txt": isam}
+    readers = {".npz": load, ".csv": from_csv, ".g2o": g2o, ".txt": isam}
     if path.suffix not in readers:
         known = ", ".join([*PUBLISHED, *(f"FILE{suffix}" for suffix in readers)])
         raise ValueError(f"unknown recording {str(path)!r}; known: {known}")

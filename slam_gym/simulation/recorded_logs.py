@@ -1,6 +1,6 @@
 """Recordings as scenarios of `Associate-v0`: the log drives, the agent associates, identities give the reward.
 
-    recording:victoria_park     recording:mrclam/3     recording:dlr     recording:FILE (.npz, .g2o, .txt)
+    recording:victoria_park     recording:mrclam/3     recording:dlr     recording:FILE (.npz, .csv, .g2o, .txt)
     recording:victoria_park?every=5    recording:mine.npz?looks=200&every=2
 
 An episode is a window of `looks` steps (default 500, or all there are) with a random start, and maps it from scratch:

@@ -1,0 +1,69 @@
+"""SLAM on a log of one's own: `slam-gym slam LOG.csv` writes its map, the robot's path, and a picture of both.
+
+LOG.map.csv     id, x, y [m], standard deviations [m] and sightings of every feature, in the frame of the first pose
+LOG.path.tum    the robot at every step, for evo and others
+LOG.png         features with ellipses of two standard deviations, and the path
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from typer import Argument, Option
+
+from agents.cli import command, search_or_none
+from slam_gym.recordings import Recording, open_recordings, write_tum
+from slam_gym.scenarios.registry import slam_for
+from slam_gym.slam.atlas import AtlasSpec
+from slam_gym.slam.relocate import SEARCH, relocate_by
+from slam_gym.slam.slam import Slam
+from slam_gym.types import Array
+
+
+def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, Array]:
+    """The SLAM after a log, and its poses (T, 3) [m, m, rad]."""
+    parts = {} if relocation is None else {"relocate": relocate_by(relocation), "atlas": AtlasSpec()}
+    slam = Slam(slam_for(log), **parts)  # type: ignore[arg-type]
+    poses = np.empty((len(log), 3))
+    for step, (odometry, scan, _) in enumerate(log.steps()):
+        slam.step(odometry, scan, associator)
+        poses[step] = slam.map.pose
+    return slam, poses
+
+
+def main(
+    log: Annotated[str, Argument(metavar="LOG", help="A .csv, .npz, .g2o or iSAM's .txt, or the name of a known log.")],
+    associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "jcbb",
+    relocation: Annotated[str, Option(metavar="SEARCH", help="Finds a lost robot: a name, or none.")] = SEARCH,
+    output: Annotated[Path, Option(metavar="FOLDER", help="Where the files go.")] = Path("."),
+) -> None:
+    """Map a log: features, path, picture. Example: slam-gym slam mine.csv --associator learned"""
+    from matplotlib.figure import Figure  # which takes a second to import
+
+    from slam_gym.rendering.plot import plot_map, plot_path
+
+    output.mkdir(parents=True, exist_ok=True)
+    for recording in open_recordings(log):
+        print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)
+        slam, poses = run(recording, associator, search_or_none(relocation))
+        files = [output / f"{recording.name}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
+        m = slam.map
+        deviations = np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))
+        columns = np.column_stack([m.ids, m.positions, deviations, m.seen])[~m.provisional]
+        table = pd.DataFrame(columns, columns=["id", "x", "y", "sigma_x", "sigma_y", "sightings"])
+        table.astype({"id": int, "sightings": int}).to_csv(files[0], index=False, float_format="%.6g")
+        write_tum(files[1], recording.times, poses)
+        figure = Figure(figsize=(8.0, 6.0), dpi=120, layout="constrained")
+        ax = plot_path(poses, plot_map(m, figure.subplots()))
+        ax.set(title=f"{recording.name}: {len(table)} features by {associator}", xlabel="x [m]", ylabel="y [m]")
+        figure.savefig(files[2])
+        print(f"{len(table)} features, {len(slam.maps)} {'map' if len(slam.maps) == 1 else 'maps that are not joined'}")
+        print("\n".join(str(file) for file in files))
+
+
+app = command(main)
+if __name__ == "__main__":
+    app()

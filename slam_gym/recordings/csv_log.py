@@ -1,0 +1,173 @@
+"""A log of one's own as a table: a row a measurement, the odometry in the first row of each step.
+
+    time,forward,lateral,turn,x,y
+    0.0,0,0,0,8.0,1.0
+    0.0,,,,6.0,-2.0
+    0.5,1.0,0.0,0.02,7.0,0.9
+
+`time` [s]: consecutive rows of one time are one step. `forward`, `lateral`, `turn` [m, m, rad]: the motion since the
+step before, in the frame of the robot at that step. `x`, `y` [m] ahead and to the left, or `range`, `bearing`
+[m, rad]: a measurement, empty in a step that saw nothing. Optional: `sigma_` of the motion's and of the measurement's
+columns, standard deviations; `size`, `sigma_size` [m] of the feature; `source`, its identity, −1 where it is spurious,
+−2 or empty where nobody knows.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+
+from slam_gym._files import content_of
+from slam_gym.recordings.reading import RecordingError, naming, starts_of
+from slam_gym.recordings.recording import Recording
+from slam_gym.types import UNLABELLED, Array, IntArray, Odometry, Scan
+
+MOTION, POINT, POLAR = ("forward", "lateral", "turn"), ("x", "y"), ("range", "bearing")
+_OPTIONAL = ("size", "sigma_size", "source")
+_WHEELS = (0.02, 0.01)  # [m] standard deviation of a motion without columns for it, and what each metre adds
+_COMPASS = (0.01, 0.02, 0.05)  # [rad] likewise of its turn; what each metre and each radian adds
+_SIGMAS = {"x": 0.05, "y": 0.05, "range": 0.05, "bearing": 0.01}  # [m, m, m, rad] without columns for them
+
+
+def from_csv(path: str | Path, *, range: float | None = None, field_of_view: float | None = None) -> Recording:
+    """Read a log from a table (see the module).
+
+    Without `sigma_` columns a motion over d [m] that turns by a [rad] has 0.02 + 0.01 d [m] and 0.01 + 0.02 d +
+    0.05 |a| [rad], a point 0.05 m, a range 0.05 m and a bearing 0.01 rad.
+
+    Arguments:
+        path: of the table.
+        range: [m] of the sensor; by default that of the farthest measurement.
+        field_of_view: [rad] centred on the heading; by default the least that contains all measurements.
+
+    Raises FileNotFoundError, or RecordingError that names file, line and column.
+    """
+    file = Path(path)
+    with naming(file):
+        try:
+            text = content_of(file).decode("utf-8-sig")
+        except UnicodeDecodeError:
+            raise RecordingError("is no text in UTF-8") from None
+        table = _table(text)
+        measured = POLAR if "range" in table else POINT
+        first = np.flatnonzero(np.diff(table["time"], prepend=-math.inf))
+        seen = ~np.isnan(table[measured[0]])
+        scan = _scan({name: column[seen] for name, column in table.items()}, measured)
+        motions = np.column_stack([table[name][first] for name in MOTION])
+        sigmas = _motion_sigmas(table, motions, first)
+        sources = table.get("source", np.full(len(seen), math.nan))[seen]
+        distances = np.hypot(*scan.points.T) if seen.any() else np.ones(1)
+        widest = np.abs(np.arctan2(scan.points[:, 1], scan.points[:, 0])).max(initial=0.1)
+        return Recording(
+            name=file.stem,
+            source=file.name,
+            terms="as its owner says",
+            times=table["time"][first],
+            motions=motions,
+            motion_covariances=np.array(
+                [Odometry.from_motion(m, sigmas=s).covariance for m, s in zip(motions, sigmas)]
+            ),
+            starts=starts_of(np.add.reduceat(seen, first)),
+            points=scan.points,
+            covariances=scan.covariances,
+            sizes=scan.sizes,
+            size_variances=scan.size_variances,
+            sources=np.where(np.isnan(sources), UNLABELLED, sources).astype(np.int64),
+            range=float(distances.max()) if range is None else range,
+            field_of_view=min(2.0 * float(widest), 2.0 * math.pi) if field_of_view is None else field_of_view,
+        )
+
+
+def _table(text: str) -> dict[str, Array]:
+    """Its columns, NaN where empty. RecordingError names line and column of what does not fit."""
+    reader = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    names = [str(name).strip() for name in reader.fieldnames or ()]
+    measured = POLAR if "range" in names else POINT
+    for name in ("time", *MOTION, *measured):
+        if name not in names:
+            raise RecordingError(f"column {name!r} is missing; there are {', '.join(names) or 'none'}")
+    reader.fieldnames = names
+    known = ("time", *MOTION, *measured, *(f"sigma_{name}" for name in (*MOTION, *measured)), *_OPTIONAL)
+    if unknown := sorted(set(names) - set(known)):
+        raise RecordingError(f"unknown column {unknown[0]!r}; known: {', '.join(known)}")
+    columns: dict[str, list[float]] = {name: [] for name in names}
+    lines = []
+    for row in reader:
+        lines.append(reader.line_num)
+        where = f"line {reader.line_num}"
+        if None in row or None in row.values():
+            raise RecordingError(f"{where}: expected {len(names)} columns")
+        for name in names:
+            columns[name].append(_number(row[name], f"{where}: column {name!r}"))
+    if not columns["time"]:
+        raise RecordingError("has no row")
+    table = {name: np.array(column) for name, column in columns.items()}
+    _check(table, measured, lines)
+    return table
+
+
+def _number(text: str, where: str) -> float:
+    """NaN for an empty cell."""
+    try:
+        value = float(text) if text.strip() else math.nan
+    except ValueError:
+        raise RecordingError(f"{where}: {text[:40]!r} is no number") from None
+    if math.isinf(value):
+        raise RecordingError(f"{where}: {text[:40]!r} is not finite")
+    return value
+
+
+def _check(table: dict[str, Array], measured: tuple[str, str], lines: list[int]) -> None:
+    """RecordingError for the first row in which times descend, or a motion or measurement is not whole."""
+    time, empty = table["time"], {name: np.isnan(column) for name, column in table.items()}
+    first = np.diff(time, prepend=-math.inf) != 0.0
+    of_step = np.flatnonzero(first)[np.cumsum(first) - 1]  # the first row of the step of each row
+    pair = empty[measured[0]] != empty[measured[1]]
+    source = table.get("source", np.zeros(len(time)))
+    refused = {
+        "column 'time' is empty": empty["time"],
+        "column 'time' descends": np.diff(time, prepend=time[:1]) < 0.0,
+        f"only one of {measured[0]!r} and {measured[1]!r} is given": pair,
+        "column 'source' is no integer": ~np.isnan(source) & (source != np.round(source)),
+    }
+    for name in MOTION:
+        again = ~empty[name] & (table[name] != table[name][of_step])
+        refused[f"column {name!r} is empty in the first row of a step"] = first & empty[name]
+        refused[f"column {name!r} differs from the first row of the step"] = again
+    if ("size" in table) != ("sigma_size" in table):
+        raise RecordingError("columns 'size' and 'sigma_size': only one of them is there")
+    for name in (name for name in table if name.startswith("sigma_")):
+        wanted = first if name.removeprefix("sigma_") in MOTION else ~empty.get(name.removeprefix("sigma_"), first)
+        refused[f"column {name!r} is empty"] = wanted & empty[name]
+        refused[f"column {name!r} is not above 0"] = table[name] <= 0.0
+    for what, bad in refused.items():
+        if bad.any():
+            raise RecordingError(f"line {lines[int(bad.argmax())]}: {what}")
+
+
+def _motion_sigmas(table: dict[str, Array], motions: Array, first: IntArray) -> Array:
+    """(T, 3) standard deviations of the motions [m, m, rad]."""
+    driven = np.hypot(motions[:, 0], motions[:, 1])
+    along = _WHEELS[0] + _WHEELS[1] * driven
+    turned = _COMPASS[0] + _COMPASS[1] * driven + _COMPASS[2] * np.abs(motions[:, 2])
+    columns = [table.get(f"sigma_{name}") for name in MOTION]
+    sigmas = [by_rule if c is None else c[first] for c, by_rule in zip(columns, (along, along, turned))]
+    return np.column_stack(sigmas)
+
+
+def _scan(rows: dict[str, Array], measured: tuple[str, str]) -> Scan:
+    """All measurements as if they were one scan."""
+    a, b = (rows[name] for name in measured)
+    sigma_a, sigma_b = (rows.get(f"sigma_{name}", np.full(len(a), _SIGMAS[name])) for name in measured)
+    sizes = rows.get("size")
+    if measured == POLAR:
+        scan = Scan.from_polar(a, b, sigma_a, sigma_b)
+    else:
+        covariances = np.zeros((len(a), 2, 2))
+        covariances[:, 0, 0], covariances[:, 1, 1] = sigma_a**2, sigma_b**2
+        scan = Scan.from_points(np.column_stack([a, b]), covariances)
+    return scan if sizes is None else Scan(scan.points, scan.covariances, sizes, rows["sigma_size"] ** 2)

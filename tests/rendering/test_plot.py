@@ -1,0 +1,59 @@
+"""Plots for users: what is in the map, the scan and the hypothesis is in the picture, at its place."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from slam_gym import Odometry, Scan, Slam
+from slam_gym.rendering.plot import plot_episode, plot_map, plot_path, plot_scan
+
+POSTS = np.array([[8.0, 1.0], [6.0, -2.0], [7.0, 3.0]])
+
+
+@pytest.fixture
+def slam():
+    slam = Slam()
+    for metre in range(3):
+        odometry = Odometry.from_motion([1.0, 0.0, 0.0], sigmas=[0.05, 0.02, 0.01])
+        step = slam.step(odometry, Scan.from_points(POSTS - [metre + 1.0, 0.0], sigma=0.05), "jcbb")
+    return slam, step
+
+
+def points(ax):
+    return np.concatenate([np.asarray(line.get_xydata()) for line in ax.lines])
+
+
+def test_a_map_is_drawn_where_it_lies_with_its_ellipses(slam):
+    ax = plot_map(slam[0].map)
+    shown = points(ax)
+    assert all((np.abs(shown - p).max(axis=1) < 1e-12).any() for p in [*slam[0].map.positions, slam[0].map.pose[:2]])
+    assert len(ax.collections[0].get_offsets()) == 3 and ax.get_aspect() == 1.0
+    sigmas = np.sqrt(np.linalg.eigvalsh(slam[0].map.covariances))
+    assert np.allclose(2 * ax.collections[0]._widths, 4.0 * sigmas[:, 1])  # matplotlib keeps half of what it was told
+
+
+def test_a_path_is_the_line_through_its_poses(slam):
+    ax = plot_map(slam[0].map)
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.2]])
+    assert plot_path(poses, ax, color="k") is ax and np.array_equal(ax.lines[-1].get_xydata(), poses[:, :2])
+
+
+def test_a_scan_is_drawn_with_an_arrow_for_each_pairing(slam):
+    _, step = slam
+    prediction = Slam().predict(
+        Odometry.from_motion([0.0, 0.0, 0.0], sigmas=[0.1, 0.1, 0.1]), Scan.from_points(POSTS, sigma=0.05)
+    )
+    assert not plot_scan(Scan.from_points(POSTS, sigma=0.05), prediction).texts
+    scan = Scan.from_points(POSTS - [3.0, 0.0], sigma=0.05)
+    ax = plot_scan(scan, step.prediction, step.hypothesis)
+    assert len(ax.texts) == 3 and sorted(t.xy[0] for t in ax.texts) == sorted(scan.points[:, 0])
+
+
+def test_an_exploration_is_drawn_in_the_frame_of_the_world():
+    env = gym.make("slam_gym/Explore-v0", scenario="office-small", action="twist").unwrapped
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.array([0.5, 0.1], np.float32))
+    ax, episode = plot_episode(env.episode), env.episode
+    assert np.allclose(ax.lines[-2].get_xydata(), np.array(episode.poses)[:, :2])
+    assert np.hypot(*(ax.lines[-1].get_xydata()[-1] - episode.poses[-1][:2])) < 0.2
