@@ -14,7 +14,6 @@ from scipy.io import savemat
 from slam_gym import weights
 from slam_gym.recordings import load, open_recordings
 from slam_gym.recordings.mrclam import mrclam, stationary
-from slam_gym.scenarios import get_scenario, overridden, parse_override
 from slam_gym.world.floor_plan_file import load_floor_plan, save_floor_plan
 from tests.recordings.test_pose_graph import files
 from tests.recordings.test_recording import by_hand
@@ -176,22 +175,6 @@ def test_weights(tmp_path) -> None:
 
     for path in (own, own.with_suffix(".json")):
         assert refusals(read, path, path.read_bytes(), (damaged,), own.name) > INPUTS / 3
-
-
-def test_options_of_a_command() -> None:
-    text = (
-        "sensor.range=4\ndynamics.people=3\ngenerator.rooms=4\nslam.map.confidence=0.9\nkidnapping.at=0.3\nbudget=100"
-    )
-    refused = 0
-    for seed in range(INPUTS):
-        content = (damaged, respelt)[seed % 2](text.encode(), np.random.default_rng(seed))
-        try:
-            options = [parse_override(line) for line in content.decode("utf-8", "replace").split("\n") if line]
-            overridden(get_scenario("office-small"), dict(options))
-        except ValueError as error:
-            assert "override" in str(error) or "expected NAME=VALUE" in str(error)
-            refused += 1
-    assert refused > INPUTS / 2
 
 
 def test_files_above_the_limit_and_numbers_that_are_not_finite_are_refused(tmp_path) -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from slam_gym import geometry as g
 from slam_gym.types import Array
-from tests.oracles import geometry as oracles
 
 RNG = np.random.default_rng(0)
 POSES = [np.array([x, y, t]) for x, y, t in np.column_stack([RNG.normal(0, 10, (12, 2)), RNG.uniform(-3.1, 3.1, 12)])]
@@ -98,19 +97,6 @@ def test_jacobians_of_composition(a: Array, b: Array) -> None:
     ja, jb = g.compose_jacobians(a, b)
     np.testing.assert_allclose(ja, numerical(lambda x: g.compose(x, b), a, angle=True), rtol=0, atol=1e-7)
     np.testing.assert_allclose(jb, numerical(lambda x: g.compose(a, x), b, angle=True), rtol=0, atol=1e-7)
-
-
-@pytest.mark.parametrize("pose", POSES + SEAM)
-@pytest.mark.parametrize("point", [np.zeros(2), np.array([3.0, -1.5]), np.array([-20.0, 8.0])])
-@pytest.mark.parametrize(
-    ("function", "jacobians"), [(g.transform, oracles.transform_jacobians), (g.observe, oracles.observe_jacobians)]
-)
-def test_jacobians_of_transformation_and_observation(function, jacobians, pose: Array, point: Array) -> None:
-    jp, jx = jacobians(pose, point)
-    by_pose = numerical(lambda p: function(p, point[None])[0], pose)
-    by_point = numerical(lambda x: function(pose, x[None])[0], point)
-    np.testing.assert_allclose(jp, by_pose, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(jx, by_point, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("heading", [-3.0, -1.0, 0.0, 0.7, math.pi / 2, math.pi])

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 import slam_gym
@@ -26,12 +25,3 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
     code = f"import sys, slam_gym; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_slam_on_arrays_of_one_s_own() -> None:
-    slam, world = slam_gym.Slam(), np.array([[2.0, 1.0], [3.0, -1.0], [5.0, 0.5]])
-    for k in range(5):
-        odometry = slam_gym.Odometry.from_motion([0.5 if k else 0.0, 0, 0], [0.02, 0.02, 0.01])
-        slam.step(odometry, slam_gym.Scan.from_points(world - [0.5 * k, 0], sigma=0.05), "jcbb")
-    assert len(slam.map) == 3 and "3 features" in repr(slam)
-    np.testing.assert_allclose(slam.map.pose, [2.0, 0.0, 0.0], atol=0.1)

@@ -5,29 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slam_gym.navigation.pursuit import PursuitSpec, follow, length_left, next_stretch, on_path
-
-
-def reference(path, position):
-    """Segment, length covered on it and gap of the nearest point, and the lengths of all segments."""
-    steps = np.diff(path, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
-    along = ((position - path[:-1]) * steps).sum(axis=1) / np.maximum(lengths, 1e-9) ** 2
-    along = np.clip(along, 0.0, 1.0)
-    gaps = np.hypot(*(position - path[:-1] - along[:, None] * steps).T)
-    nearest = int(np.argmin(gaps))
-    return nearest, along[nearest] * lengths[nearest], gaps[nearest], lengths
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_nearest_point_and_what_is_left_are_those_of_whole_arrays(seed) -> None:
-    rng = np.random.default_rng(seed)
-    path, position = rng.uniform(0.0, 9.0, (rng.integers(2, 30), 2)), rng.uniform(-1.0, 10.0, 2)
-    if seed % 3 == 0:
-        path[1] = path[0]  # a segment without length
-    segment, covered, gap, lengths = reference(path, position)
-    assert tuple(on_path(path, position)) == pytest.approx((segment, covered, gap), abs=1e-12)
-    assert length_left(path, position) == pytest.approx(gap + lengths[segment:].sum() - covered, abs=1e-12)
+from slam_gym.navigation.pursuit import PursuitSpec, follow, next_stretch
 
 
 def test_the_next_stretch_and_the_rest_make_up_the_path() -> None:

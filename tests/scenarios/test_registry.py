@@ -111,7 +111,7 @@ def test_a_floor_plan_file_becomes_a_scenario_with_a_budget_for_its_size(tmp_pat
 
 @pytest.mark.parametrize("file", ["kth_floorplans/50052750_occ_map.npy.gz", "willow_garage/willow-full.pgm"])
 def test_real_floors_can_be_driven_and_mapped(data_dir, file) -> None:
-    quality = drive(from_floor_plan(data_dir / file, resolution=0.1), 20)
+    quality = drive(from_floor_plan(data_dir / file, resolution=0.1), 6)
     assert quality["features"] > 20 and quality["precision"] > 0.8
     assert 0.0 < quality["coverage"] < 1.0 and quality["map_error"] < 1.0
 

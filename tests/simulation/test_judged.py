@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam_gym.association import jcbb, true_association
+from slam_gym.association import true_association
 from slam_gym.metrics.association import Identities, Tally
 from slam_gym.simulation.judged import CEILING, JudgedSlam
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -24,16 +24,6 @@ def test_it_is_a_loop_of_steps_and_judgements() -> None:
         np.testing.assert_array_equal(judged.identities.decisions, identities.decisions)
     np.testing.assert_array_equal(judged.slam.map.mean, slam.map.mean)
     assert judged.tally == identities.total != Tally()
-
-
-def test_where_somebody_outside_associates_the_step_and_its_judgement_are_the_same() -> None:
-    told, asking = JudgedSlam(Slam(), "jcbb"), JudgedSlam(Slam())
-    for odometry, scan, truth in LOG:
-        told.step(odometry, scan, truth)
-        prediction = asking.slam.predict(odometry, scan)
-        asking.learn(scan, prediction, jcbb(scan, prediction), truth)
-    assert told.tally == asking.tally
-    np.testing.assert_array_equal(told.slam.map.covariance, asking.slam.map.covariance)
 
 
 # --- who is told the truth --------------------------------------------------------------------------------------------
@@ -70,11 +60,6 @@ def test_a_lie_changes_nothing_but_the_judgement_for_everybody_else() -> None:
         lied_to.step(odometry, scan, Truth(truth.pose + 1.0, rng.permutation(truth.sources)))
     np.testing.assert_array_equal(honest.slam.map.mean, lied_to.slam.map.mean)
     assert honest.tally != lied_to.tally
-
-
-def test_an_unknown_associator_is_refused_with_those_that_are_known() -> None:
-    with pytest.raises(ValueError, match=r"unknown associator 'oracle'; known: .*jcbb"):
-        JudgedSlam(Slam(), "oracle")
 
 
 # --- what the map is told ---------------------------------------------------------------------------------------------

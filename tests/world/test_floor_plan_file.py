@@ -100,27 +100,6 @@ def test_bad_files_are_refused_by_file_field_and_reason(path, value, message, tm
     assert str(caught.value).startswith(f"{file}: ")
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        b"{",
-        b"[]",
-        b"\xff\xfe",
-        b"null",
-        b"[" * 100_000,
-        b"9" * 5_000,
-        b'{"name": 1, "name": 2}',
-        b" " * (17 << 20),
-    ],
-    ids=lambda content: f"{len(content)} bytes",
-)
-def test_what_is_no_plan_at_all_is_refused(content, tmp_path):
-    (tmp_path / "plan.json").write_bytes(content)
-    with pytest.raises(FloorPlanError, match=r"plan\.json: file: "):
-        load_floor_plan(tmp_path / "plan.json")
-
-
 def test_missing_files_and_unknown_suffixes(tmp_path):
     with pytest.raises(FileNotFoundError, match="nowhere"):
         load_floor_plan(tmp_path / "nowhere.json")

@@ -219,17 +219,6 @@ def test_only_the_nearest_are_kept_when_there_are_too_many():
         assert scan.points.shape == (limit, 2) and scan.covariances.shape == (limit, 2, 2)
 
 
-def test_the_same_generator_state_gives_the_same_scan_and_arrays_are_fresh():
-    sensor, people = sensor_in(scattered(), SensorSpec(clutter=2.0)), np.array([[21.0, 21.0, 0.25]])
-    (first, truth), (second, _) = (sensor.scan(POSE, np.random.default_rng(12), people) for _ in range(2))
-    np.testing.assert_array_equal(first.points, second.points)
-    assert not np.shares_memory(first.points, second.points)
-    assert not np.shares_memory(truth.pose, POSE)
-    one, other = (sensor.beams(POSE, np.random.default_rng(12), people) for _ in range(2))
-    np.testing.assert_array_equal(one.ranges, other.ranges)
-    assert not np.shares_memory(one.bearings, other.bearings)
-
-
 def test_beams_measure_what_comes_first():
     plan, rng = plan_with([], inner=[(23, 10, 23, 30)]), np.random.default_rng(13)
     person, box = np.array([[18.0, 20.0, 0.5]]), np.array([[19.0, 22.0, 21.0, 22.0]])

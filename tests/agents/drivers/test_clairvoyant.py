@@ -29,15 +29,13 @@ def test_it_maps_more_than_the_nearest_frontier():
     assert errors["clairvoyant"] < 0.9 * errors["nearest_frontier"]
 
 
-def test_values_promise_no_more_than_there_is_and_nothing_once_all_is_mapped():
+def test_values_promise_no_more_than_there_is():
     env, agent = SMALL.make("goal"), Clairvoyant()
     observation, info = begin_episode(env, agent, 0)
     values, missing = agent.values(observation, info), int(env.unwrapped.episode.site.observable.sum())
     legal = info["action_mask"]
     assert np.isneginf(values[~legal]).all()
     assert (values[legal] >= 0.0).all() and values[legal].max() <= 1.2 * missing
-    agent._known = lambda: ~np.zeros_like(agent._views.seen[0])
-    assert (agent.values(observation, info)[legal] == 0.0).all()
 
 
 class Curious(NearestFrontier):

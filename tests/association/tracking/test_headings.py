@@ -33,26 +33,17 @@ def test_a_heading_that_is_well_known_is_left_as_it_is():
     np.testing.assert_array_equal(part.positions, prediction.positions)
 
 
+@pytest.mark.parametrize(("second_order", "off"), [(False, 0.05), (True, 0.2)])
 @pytest.mark.parametrize("sigma", [0.12, 0.2, 0.3])
-def test_the_parts_together_are_where_the_features_are_seen_from(sigma):
-    """Mean and covariance of all features, by the rotation itself."""
-    map_, prediction = predicted(sigma)
+def test_the_parts_together_are_where_the_features_are_seen_from(sigma, second_order, off):
+    """Mean and covariance of all features, by the rotation itself; of second order, they count the bend twice."""
+    map_, prediction = predicted(sigma, second_order)
     true_mean, truth = sampled(map_)
     mean, covariance = moments(*headings(prediction))
     scale, error = math.sqrt(truth.max()), np.abs(mean - true_mean).max()
-    assert error < 0.05 * scale and error < 0.5 * np.abs(prediction.positions.ravel() - true_mean).max()
-    assert covariance == pytest.approx(truth, abs=0.1 * scale**2)
-
-
-@pytest.mark.parametrize("sigma", [0.12, 0.2, 0.3])
-def test_parts_of_a_prediction_that_knows_of_the_bend_are_nearly_right(sigma):
-    """They take the bend into account twice."""
-    map_, prediction = predicted(sigma, second_order=True)
-    true_mean, truth = sampled(map_)
-    mean, covariance = moments(*headings(prediction))
-    scale = math.sqrt(truth.max())
-    assert np.abs(mean - true_mean).max() < 0.2 * scale
-    assert covariance == pytest.approx(truth, abs=0.2 * scale**2)
+    assert error < off * scale
+    assert second_order or error < 0.5 * np.abs(prediction.positions.ravel() - true_mean).max()
+    assert covariance == pytest.approx(truth, abs=max(off, 0.1) * scale**2)
 
 
 def sampled(map_, draws=200_000):

@@ -30,19 +30,6 @@ def test_the_loops_are_the_formula(seed):
     np.testing.assert_allclose(log_odds(network, inputs, measured, slots), expected, atol=1e-9)
 
 
-def test_without_hidden_numbers_it_is_a_logistic_model_and_nothing_is_judged_of_nothing():
-    rng = np.random.default_rng(0)
-    network = network_of(drawn(rng, 4, 0))
-    inputs, none = rng.normal(size=(6, 4)), np.zeros(6, np.int64)
-    x = np.clip((inputs - network.centre) / network.scale, -FARTHEST, FARTHEST)
-    inputs = network.centre + network.scale * x * (1.0 - 1e-9)
-    np.testing.assert_allclose(log_odds(network, inputs, none, none), network.offset + x @ network.linear)
-    inputs[:, 0] += 10.0 * network.scale[0]
-    x[:, 0] = FARTHEST  # where nobody has trained
-    np.testing.assert_allclose(log_odds(network, inputs, none, none), 0.5 * (network.offset + x @ network.linear))
-    assert log_odds(network_of(drawn(rng, 4, 3)), inputs[:0], none[:0], none[:0]).shape == (0,)
-
-
 def test_weights_that_do_not_fit_each_other_are_refused():
     arrays = drawn(np.random.default_rng(0), 4, 3)
     for name, array, message in (
