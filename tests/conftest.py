@@ -1,13 +1,43 @@
-"""Fixtures shared by all tests."""
+"""Fixtures shared by all tests, and the order of files over processes."""
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from slam_gym.envs.associate import AssociateEnv
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.relocate import RelocateEnv
+
+TESTS = Path(__file__).parent
+ORDER = (
+    "agents/drivers/test_clairvoyant.py",  # compiles the loops of a drive
+    "agents/learning/test_associator.py",  # compiles the sums over hypotheses
+    "agents/",
+    "association/",
+    "test_notebooks.py",  # the longest
+)
+"""What comes before all other tests, so that two processes compile different loops and end at about the same time."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    def place(item: pytest.Item) -> int:
+        path = os.path.relpath(item.path, TESTS).replace(os.sep, "/")
+        return next((k for k, first in enumerate(ORDER) if path.startswith(first)), len(ORDER))
+
+    items.sort(key=place)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With `-n`, the tests of a file go to one process: what they share is made once, and what they compile."""
+    if config.option.dist != "load":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    config.option.loadscopereorder = False  # the order is that above
+    return LoadFileScheduling(config, log)
 
 
 @pytest.fixture(scope="session")
