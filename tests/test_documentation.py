@@ -115,7 +115,7 @@ def check_command(command: list[str], complete: bool = True) -> None:
             assert all((ROOT / path).exists() for path in arguments if path.startswith("tests")), arguments
         case ["jupyter", "nbconvert", *arguments]:
             assert all((ROOT / path).is_file() for path in arguments if path.endswith(".ipynb")), arguments
-        case ["slam-gym", "doctor"] | ["slam-gym", "list", *_]:
+        case ["slam-gym", "doctor" | "--help"] | ["slam-gym", "list", *_]:
             pass
         case ["slam-gym", name, *arguments]:
             assert name in COMMANDS, name
