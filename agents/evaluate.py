@@ -16,7 +16,7 @@ from agents.evaluation.drive_tables import drive_tables
 from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
 from agents.evaluation.pipeline import Execution
 
-EPISODES = 40
+EPISODES = 4  # a first look in a minute; tables need 40
 
 
 def main(
@@ -42,6 +42,8 @@ def main(
 
     evaluation = driver_evaluation(drivers, arguments, numbers)
     evaluate(evaluation, execution, out, drive_tables, make_films if films else None)
+    if not episodes.episodes:
+        print(f"next: --episodes 40 for intervals that tell drivers apart; open {out / 'report.html'}")
     if rerun:
         from agents.reports.rerun_log import Drive, log_drives
 

@@ -21,6 +21,7 @@ import slam_gym
 
 _INSTALLED = Path(__file__).parent / "shipped"  # where a wheel has the folder `agents`
 _CHECKOUT = Path(__file__).parents[2]  # … and where a checkout has it
+_LEARNING = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard")  # packages of the extra `learn`
 
 COMMANDS: dict[str, str] = {
     "demo": "One drive on bad wheels, mapped by two associators: a picture.",
@@ -114,7 +115,8 @@ def ended(command: Callable[[], Result]) -> Result:
         missing = (error.name or "").partition(".")[0]
         if missing in ("", "slam_gym", "agents"):
             raise
-        _end(f"{missing} is missing: pip install 'slam_gym[agents]'")
+        extra = "learn" if missing in _LEARNING else "agents"
+        _end(f"{missing} is missing: pip install 'slam_gym[{extra}]'")
     except BrokenProcessPool:
         _end("a worker process was killed, perhaps for want of memory: --resume goes on with what is left")
     except (ValueError, ImportError, OSError) as error:

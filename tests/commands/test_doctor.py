@@ -21,7 +21,7 @@ def test_versions_are_those_installed_and_what_is_missing_is_told_with_its_extra
     packages = {words[0]: " ".join(words[1:]) for line in lines if line.startswith("  ") and (words := line.split())}
     assert packages["numpy"] == np.__version__
     assert "torch" not in packages and "slam_gym" not in packages
-    told = next(line for line in lines if line.startswith("  pip install 'slam_gym[agents]'"))
+    told = next(line for line in lines if line.startswith("  pip install 'slam_gym[learn]'"))
     assert "torch" in told and "numpy" not in told
 
 

@@ -39,12 +39,16 @@ def test_bad_input_is_named(line, said, tmp_path, monkeypatch):
     assert result.exit_code == 2 and said in result.stderr
 
 
-def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)  # as if it were not installed
+def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pandas", None)  # as if they were not installed
+    monkeypatch.setitem(sys.modules, "torch", None)
     for name in [name for name in sys.modules if name.startswith("agents.") and "drivers" not in name]:
         monkeypatch.delitem(sys.modules, name)
     result = typed(run.app, "play")
     assert (result.exit_code, result.stderr) == (2, "error: pandas is missing: pip install 'slam_gym[agents]'\n")
+    with pytest.raises(typer.Exit):
+        run.ended(lambda: importlib.import_module("torch"))
+    assert capsys.readouterr().err == "error: torch is missing: pip install 'slam_gym[learn]'\n"
 
 
 def test_a_worker_that_was_killed_is_told_in_one_line(capsys):
