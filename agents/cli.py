@@ -13,8 +13,8 @@ from rich.console import Console
 from typer import Option
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
-from agents.evaluation.pipeline import Evaluation, Execution, Results, carry_out
-from agents.evaluation.tables import Table, print_table
+from agents.evaluation.pipeline import Evaluation, Execution, carry_out
+from agents.evaluation.tables import print_table
 from slam_gym.commands.run import ended
 from slam_gym.scenarios import parse_override
 from slam_gym.slam.relocate import SEARCH
@@ -69,7 +69,6 @@ class _SeveralValues(typer.core.TyperCommand):
 
 
 Overrides = Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help="Change the scenario. Repeatable.")]
-RerunFile = Annotated[str | None, Option("--rerun", metavar="FILE", help="First episodes for Rerun: FILE, or spawn.")]
 
 
 @dataclass(frozen=True)
@@ -144,26 +143,12 @@ def parsed_overrides(texts: Sequence[str] | None) -> tuple[tuple[str, Any], ...]
     return tuple(parse_override(text) for text in texts or ())
 
 
-def require_rerun(target: str | None) -> None:
-    """ImportError where --rerun is asked for and its package is missing: now, not after hours."""
-    if target:
-        from agents.reports.rerun_log import viewer
-
-        viewer()
-
-
 def search_or_none(text: str) -> str | None:
     """The name of a search; `none` is none."""
     return None if text == "none" else text
 
 
-def evaluate(
-    evaluation: Evaluation,
-    execution: Execution,
-    out: Path,
-    tables: Callable[[Results], list[Table]],
-    films: Callable[[], None] | None = None,
-) -> None:
+def evaluate(evaluation: Evaluation, execution: Execution, out: Path, films: Callable[[], None] | None = None) -> None:
     """Carry it out, make its films, print its tables, and write its report.
 
     Where it is interrupted, say how to go on.
@@ -175,8 +160,8 @@ def evaluate(
     except KeyboardInterrupt:
         print(f"interrupted; go on with the same command and --resume --out {out}")
         raise
-    for table in tables(results):
-        print_table(table, Console())
-    from agents.reports.page import write_report  # matplotlib takes a second to import
+    from agents.reports.page import page_of, write_report  # matplotlib takes a second to import
 
+    for table in page_of(results, out).tables:
+        print_table(table, Console())
     print(f"report: {write_report(out)}")

@@ -10,9 +10,8 @@ from typing import Annotated
 
 from typer import Option
 
-from agents.cli import Episodes, RerunFile, World, command, evaluate, require_rerun
+from agents.cli import Episodes, World, command, evaluate
 from agents.drivers.base import AGENTS, SHOWN
-from agents.evaluation.drive_tables import drive_tables
 from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
 from agents.evaluation.pipeline import Execution
 
@@ -27,10 +26,8 @@ def main(
     model: Annotated[list[Path] | None, Option(help="Of a learned agent; several are seeds of it, pooled.")] = None,
     trust: Annotated[bool, Option("--trust", help="Allow model files that can run code when read.")] = False,
     films: Annotated[bool, Option("--films/--no-films", help="Film the first episode of each agent.")] = True,
-    rerun: RerunFile = None,
 ) -> None:
     """Evaluate agents on the same test worlds."""
-    require_rerun(rerun)
     arguments, numbers = world.arguments("office", split="test"), episodes.range(EPISODES)
     out = execution.folder(world_of(arguments.plain).split(".")[0])
     drivers = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust)
@@ -38,16 +35,12 @@ def main(
     def make_films() -> None:
         from agents.reports import film  # ffmpeg and pygame are needed for films only
 
-        film.make_films(drivers, arguments, episodes.first, out, execution)
+        film.make_films(drivers, arguments, episodes.first, out, execution.jobs)
 
     evaluation = driver_evaluation(drivers, arguments, numbers)
-    evaluate(evaluation, execution, out, drive_tables, make_films if films else None)
+    evaluate(evaluation, execution, out, make_films if films else None)
     if not episodes.episodes:
         print(f"next: --episodes 40 for intervals that tell drivers apart; open {out / 'report.html'}")
-    if rerun:
-        from agents.reports.rerun_log import Drive, log_drives
-
-        log_drives(rerun, episodes.first, [Drive(driver.agent, arguments, driver.make()) for driver in drivers])
 
 
 app = command(main)

@@ -6,7 +6,7 @@ Writes into OUT: results.csv (one row per episode), results.json (what it depend
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,22 +17,17 @@ from agents.cli import (
     Episodes,
     Floor,
     Overrides,
-    RerunFile,
     command,
     evaluate,
     parsed_overrides,
-    require_rerun,
     search_or_none,
 )
-from agents.drivers.base import AGENTS, make_agent
-from agents.evaluation import recordings
-from agents.evaluation.associators import SHIPPED, metered
-from agents.evaluation.drive_tables import associator_tables
+from agents.drivers.base import AGENTS
+from agents.evaluation.associators import SHIPPED
 from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Evaluation, Execution
 from agents.evaluation.recordings import Recorded, recording_evaluation
-from agents.suite import numbers
 from agents.suite.worlds import Names, Suite
 from slam_gym.association import RELOCATORS
 from slam_gym.recordings.catalogue import PUBLISHED
@@ -50,7 +45,6 @@ class Loop(Floor, Episodes):
     scenarios: Annotated[Names, Option(help=f"Of {', '.join(SCENARIOS)}, or levels such as clutter/2.")] = None
     overrides: Overrides = None
     driver: Annotated[str, Option(help=f"Of {', '.join(AGENTS)}, or module:Class.")] = "information_gain"
-    rerun: RerunFile = None
 
     def arguments(self, split: str) -> list[ExploreArguments]:
         """Of the environment of each scenario."""
@@ -93,23 +87,20 @@ def main(
     """Evaluate associators on the same drives, over the suite, or on a recording."""
     if suite and recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
-    require_rerun(loop.rerun)
     kind = "suite" if suite else "recording" if recording else "association"
     _refuse_what_does_not_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
     out = execution.folder(kind)
     if suite:
         if candidates.relocation:
             raise ValueError("--relocation is not for --suite, whose searches --relocators names")
-        evaluate(suite_options.evaluation(candidates.names, candidates.split), execution, out, numbers.tables)
+        evaluate(suite_options.evaluation(candidates.names, candidates.split), execution, out)
     elif recording:
-        evaluate(_on_logs(candidates, recorded, recording, out), execution, out, recordings.tables)
+        evaluate(_on_logs(candidates, recorded, recording, out), execution, out)
     else:
         arguments, searches = loop.arguments(candidates.split), candidates.searches(["none", SEARCH])
         episodes = loop.range(EPISODES)
         evaluation = associator_evaluation(candidates.names, arguments, loop.driver, episodes, searches)
-        evaluate(evaluation, execution, out, associator_tables)
-        if loop.rerun:
-            _log_first_episodes(candidates.names, replace(arguments[0], relocation=searches[-1]), loop, loop.rerun)
+        evaluate(evaluation, execution, out)
 
 
 def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Path) -> Evaluation:
@@ -118,13 +109,6 @@ def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Pa
         print(f"{log.name}: {log.source} {log.terms}")
     conditions = {"recording": recording} | recorded.conditions
     return recording_evaluation(candidates.names, logs, conditions, out, candidates.searches([SEARCH]))
-
-
-def _log_first_episodes(associators: list[str], arguments: ExploreArguments, loop: Loop, target: str) -> None:
-    from agents.reports.rerun_log import Drive, log_drives
-
-    drives = [Drive(name, arguments, make_agent(loop.driver), metered(name)[1]) for name in associators]
-    log_drives(target, loop.first, drives)
 
 
 def _refuse_what_does_not_apply(kind: str, groups: dict[str, Loop | Suite | Recorded]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typer import Option
 
-from agents.cli import RerunFile, World, command, require_rerun
+from agents.cli import World, command
 from agents.drivers.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
 from agents.evaluation.associators import SIMPLEST_FIRST, find_associator
 from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
@@ -214,10 +214,8 @@ def main(
     model: Annotated[Path | None, Option(metavar="FILE", help="Model of a learned agent.")] = None,
     world: Annotated[int, Option(metavar="K", help="Of the training worlds.")] = 0,
     steps: Annotated[int | None, Option(metavar="N", help="Stop after so many steps.")] = None,
-    rerun: RerunFile = None,
 ) -> None:
     """Drive the robot, or watch an agent drive."""
-    require_rerun(rerun)
     watched = make_agent(agent, model) if agent else None
     arguments, controls = world_options.arguments("office", split="train"), Controls()
     probe: Any = arguments.make("twist").unwrapped  # refuses what nobody knows; has the scenario's associator
@@ -225,10 +223,6 @@ def main(
     game = Game(arguments, watched or controls, controls, deque(names), arguments.relocation is not None)
     env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))
     print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
-    if rerun:
-        from agents.reports.rerun_log import RerunLog
-
-        env.unwrapped.watch(RerunLog(rerun, game.agent.name))  # type: ignore[attr-defined]
     wish = "again"
     try:
         while wish != "quit":

@@ -14,8 +14,8 @@ import gymnasium as gym
 from agents.drivers.base import Agent, is_learned, make_agent
 from agents.evaluation.associators import Metered, contenders, metered
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
-from agents.evaluation.pipeline import Evaluation, Task
-from agents.evaluation.records import Key, Record
+from agents.evaluation.pipeline import Evaluation, Key, Task
+from agents.evaluation.records import Record
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,18 @@ def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list
     return [Driver(name, file, trust) for name in names for file in (is_learned(name) and files) or [""]]
 
 
-def drive(driver: Driver, arguments: ExploreArguments, associator: str | None, wanted: Sequence[Key]) -> list[Record]:
+def drive(driver: Driver, arguments: ExploreArguments, associator: str | None, episode: int) -> list[Record]:
     """One drive through one world. An associator that is evaluated stands in for that of the arguments; its decisions
     and its effort are recorded too."""
-    agent, (key,) = _agent(driver), wanted
+    agent = _agent(driver)
     env, meter = _loop(arguments, agent.action, associator)
     if meter is None:
-        return [key._asdict() | run_episode(env, agent, key.episode)]
+        return [run_episode(env, agent, episode)]
     meter.reset()
-    record = run_episode(env, agent, key.episode)
+    record = run_episode(env, agent, episode)
     del record["curve"]
     tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
-    return [key._asdict() | record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
+    return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
 
 
 # Agents and environments are kept for the next task of the same process.
@@ -73,7 +73,7 @@ def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, ep
     models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
     setting = world_of(arguments.plain)
     tasks = [
-        Task((Key(driver.agent, setting, k, driver.model),), partial(drive, driver, arguments, None))
+        Task([Key(driver.agent, setting, k, driver.model)], partial(drive, driver, arguments, None, k))
         for k in episodes for driver in drivers
     ]  # fmt: skip
     return Evaluation("drivers", tasks, arguments.plain, {"models": models})
@@ -120,7 +120,7 @@ def associator_evaluation(
         _loop(loop, _agent(by).action, associators[0])
         setting = world_of(loop.plain)
         tasks += [
-            Task((Key(name, setting, k),), partial(drive, by, replace(loop, relocation=relocation), associator))
+            Task([Key(name, setting, k)], partial(drive, by, replace(loop, relocation=relocation), associator, k))
             for k in episodes for name, (associator, relocation) in who.items()
         ]  # fmt: skip
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}

@@ -33,6 +33,7 @@ from slam_gym.slam.relocate import relocate_by
 from slam_gym.slam.slam import Slam, SlamSpec
 from slam_gym.types import NO_ID, SPURIOUS, UNPAIRED, Array, BoolArray, IntArray, Truth
 
+FOLDER = "runs"  # of these files, within that of an evaluation
 MAX_GAP = 1.0  # [s] between samples, over which poses are not interpolated
 REFERENCE_SIGMA = (0.005, 0.005, math.radians(0.5))  # [m, m, rad] of reference poses
 

@@ -7,46 +7,53 @@ seeds and versions behind it. Tables and reports are made from these two files.
 from __future__ import annotations
 
 import json
+import multiprocessing
+import signal
+import sys
+import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import joblib
 import pandas as pd
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import track
+from threadpoolctl import threadpool_limits
 from typer import Option
 
 import slam_gym
-from agents.evaluation.parallel import connect, run_all
-from agents.evaluation.records import (
-    Key,
-    Record,
-    command_line,
-    plain,
-    stem,
-    undamaged,
-    versions,
-    write_json,
-    written_whole,
-)
+from agents.evaluation.records import Record, command_line, plain, stem, undamaged, versions, write_json, written_whole
 from slam_gym._files import content_of, json_of
 
 KINDS = ("drivers", "associators", "suite", "recordings", "leaderboard")
-METADATA = "results.json"
-_TYPES = {
-    "kind": str, "commands": list, "complete": bool, "conditions": dict, "versions": dict,
-}  # fmt: skip
+METADATA, TABLE = "results.json", "results.csv"
+_TYPES = {"kind": str, "commands": list, "complete": bool, "conditions": dict, "versions": dict}
+
+Result = TypeVar("Result")
+
+
+class Key(NamedTuple):
+    """What tells one row of an evaluation from another."""
+
+    name: str  # of the agent or associator
+    setting: str  # scenario, level of the suite or log
+    episode: int
+    model: str = ""  # file of a learned agent
 
 
 class Task(NamedTuple):
-    """A piece of work that yields one record for each of its keys."""
+    """A piece of work that yields one record for each of its keys; it can be pickled, to run in another process."""
 
-    keys: tuple[Key, ...]
-    run: Callable[[Sequence[Key]], list[Record]]  # the records of some of its keys, in whatever process this is
+    keys: Sequence[Key]
+    run: Callable[[], Sequence[Record]]
+
+    def rows(self) -> list[Record]:
+        """Do it: the rows of the table of results."""
+        return [key._asdict() | record for key, record in zip(self.keys, self.run(), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,6 @@ class Execution:
     """How it is done, and where its files go."""
 
     jobs: Annotated[int, Option(min=1, metavar="J", help="Processes.")] = joblib.cpu_count()
-    backend: Annotated[Literal["loky", "ray", "dask"], Option(help="Of joblib.")] = "loky"
     out: Annotated[Path | None, Option(metavar="DIR", help="By default a new folder in results/.")] = None
     resume: Annotated[bool, Option("--resume", help="Go on where an evaluation was interrupted.")] = False
 
@@ -102,44 +108,73 @@ class Results(NamedTuple):
 
 
 def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Results:
-    """Run the tasks whose records `out` does not hold yet, and return the results.
+    """Run the tasks whose rows `out` does not hold yet, and return the results.
 
     What is finished is written at once, so that an interrupted evaluation can be resumed. Raises ValueError where `out`
     holds anything but an evaluation to resume with the same conditions.
     """
-    commands, records = _to_go_on_from(out, evaluation, execution.resume)
-    order = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
-    done = {_key(record) for record in records}
-    left = [(task, [key for key in task.keys if key not in done]) for task in evaluation.tasks]
-    calls = [partial(task.run, keys) for task, keys in left if keys]
+    before = _to_resume(out, evaluation, execution.resume)
+    commands, rows = (before.metadata["commands"], before.frame.to_dict("records")) if before else ([], [])
     commands.append({"command": command_line(), "started": datetime.now().isoformat("T", "seconds")})
-    connect(execution.backend, execution.jobs)
+    asked = {key: position for position, key in enumerate(key for task in evaluation.tasks for key in task.keys)}
+    done, start = {_key(row) for row in rows}, time.perf_counter()
+    left = [task for task in evaluation.tasks if not done.issuperset(task.keys)]
+
+    def write_metadata() -> None:
+        head = {"kind": evaluation.kind, "commands": commands, "complete": done >= asked.keys()}
+        more = {"conditions": evaluation.conditions, **evaluation.about, "versions": versions()}
+        write_json(out / METADATA, head | more)
+
     out.mkdir(parents=True, exist_ok=True)
-    _write_metadata(out, evaluation, commands, complete=not calls)
-    start = time.perf_counter()
+    write_metadata()
     try:
-        for finished in _progress(calls, execution):
-            records = sorted([*records, *finished], key=lambda record: order.get(_key(record), len(order)))
-            _write_records(out, records)
+        finished = run_all([task.rows for task in left], execution.jobs)
+        for found in track(finished, "tasks", total=len(left)):
+            rows += [row for row in found if _key(row) not in done]
+            rows.sort(key=lambda row: asked.get(_key(row), len(asked)))
+            _write_rows(out, rows)
+            done |= {_key(row) for row in found}
     finally:
         commands[-1]["seconds"] = round(time.perf_counter() - start, 1)
-        _write_metadata(out, evaluation, commands, complete=order.keys() <= {_key(record) for record in records})
+        write_metadata()
     return read_results(out)
+
+
+def run_all(calls: Sequence[Callable[[], Result]], jobs: int) -> Iterator[Result]:
+    """The results of calls that can be pickled, as they finish, in any order; each on one thread."""
+    # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+    results: Iterator[Result] = parallel(joblib.delayed(_on_one_thread)(call) for call in calls)
+    return results
+
+
+def _on_one_thread(call: Callable[[], Any]) -> Any:
+    """Threads of BLAS and torch on top of the processes would only get in the way. Ctrl-C is for the parent."""
+    own_process = multiprocessing.parent_process() is not None
+    if own_process and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    with threadpool_limits(1):
+        return call()
+
+
+# -- the folder ----------------------------------------------------------------------------------------------------
 
 
 def read_results(folder: Path) -> Results:
     """What the folder of an evaluation holds. ValueError where there is none, or nothing finished yet."""
-    metadata = _read_metadata(folder)
-    if metadata is None:
+    results = _read(folder)
+    if results is None:
         raise ValueError(f"{folder} holds no results.json of an evaluation")
-    frame = _read_records(folder)
-    if frame.empty:
+    if results.frame.empty:
         raise ValueError(f"{folder} holds no finished episode yet")
-    return Results(metadata, frame)
+    return results
 
 
-def _read_metadata(folder: Path) -> dict[str, Any] | None:
-    """What results.json says, or None where there is none. ValueError names one that is damaged."""
+def _read(folder: Path) -> Results | None:
+    """Finished or not, and None where there is none. ValueError names a file that is damaged."""
     if not (folder / METADATA).exists():
         return None
     with undamaged(folder / METADATA):
@@ -147,60 +182,37 @@ def _read_metadata(folder: Path) -> dict[str, Any] | None:
         wrong = [name for name, kind in _TYPES.items() if not isinstance(metadata[name], kind)]
         if wrong or metadata["kind"] not in KINDS:
             raise ValueError(f"{(wrong or ['kind'])[0]} is not what an evaluation writes")
-    return metadata
+    if not (folder / TABLE).exists():
+        return Results(metadata, pd.DataFrame(columns=Key._fields))
+    with undamaged(folder / TABLE):
+        frame = pd.read_csv(folder / TABLE, dtype={"name": str, "setting": str, "model": str, "episode": int})
+        return Results(metadata, frame.set_index([*Key._fields]).reset_index().fillna({"model": ""}))
 
 
-def _write_metadata(out: Path, evaluation: Evaluation, commands: Sequence[dict[str, Any]], *, complete: bool) -> None:
-    head = {"kind": evaluation.kind, "commands": commands, "complete": complete}
-    write_json(out / METADATA, head | {"conditions": evaluation.conditions, **evaluation.about, "versions": versions()})
+def _write_rows(out: Path, rows: Sequence[Record]) -> None:
+    cells = [{key: json.dumps(v) if isinstance(v, list | dict) else v for key, v in row.items()} for row in rows]
+    with written_whole(out / TABLE) as partial:
+        pd.DataFrame(cells).set_index([*Key._fields]).to_csv(partial)
 
 
-def _read_records(folder: Path) -> pd.DataFrame:
-    """What results.csv holds: nothing where there is none. ValueError names one that is damaged."""
-    path = folder / "results.csv"
-    if not path.exists():
-        return pd.DataFrame(columns=Key._fields)
-    with undamaged(path):
-        frame = pd.read_csv(path, dtype={"name": str, "setting": str, "model": str, "episode": int})
-        return frame.set_index(list(Key._fields)).reset_index().fillna({"model": ""})
+def _key(row: Record) -> Key:
+    return Key(*(row[field] for field in Key._fields))
 
 
-def _write_records(out: Path, records: Sequence[Record]) -> None:
-    cells = [{key: json.dumps(v) if isinstance(v, list | dict) else v for key, v in r.items()} for r in records]
-    with written_whole(out / "results.csv") as partial:
-        pd.DataFrame(cells).set_index(list(Key._fields)).to_csv(partial)
-
-
-def _key(record: Record) -> Key:
-    return Key(*(record[field] for field in Key._fields))
-
-
-def _progress(calls: Sequence[Callable[[], list[Record]]], execution: Execution) -> Iterator[list[Record]]:
-    """Run the calls under a progress bar."""
-    clocks = (TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(TextColumn("tasks"), BarColumn(), MofNCompleteColumn(), *clocks) as progress:
-        bar = progress.add_task("", total=len(calls))
-        for records in run_all(calls, execution.jobs, execution.backend):
-            yield records
-            progress.advance(bar)
-
-
-def _to_go_on_from(
-    out: Path, evaluation: Evaluation, resume: bool
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Commands and records of the evaluation that is resumed; none of a new one. ValueError where the folder belongs to
-    something else."""
-    before = _read_metadata(out)
+def _to_resume(out: Path, evaluation: Evaluation, resume: bool) -> Results | None:
+    """The evaluation that is gone on with, if any. ValueError where the folder belongs to something else."""
+    before = _read(out)
     if before is None:
         if resume:
             raise ValueError(f"{out} holds no evaluation to resume")
         if out.is_dir() and any(out.iterdir()):
             raise ValueError(f"{out} is not empty: give another --out")
-        return [], []
-    was = before["conditions"] | {"evaluation": before["kind"], "slam_gym": before["versions"].get("slam_gym")}
+        return None
+    versions = before.metadata["versions"]
+    was = before.conditions | {"evaluation": before.metadata["kind"], "slam_gym": versions.get("slam_gym")}
     now = plain(evaluation.conditions) | {"evaluation": evaluation.kind, "slam_gym": slam_gym.__version__}
     if other := [f"{name} {was.get(name)!r}, not {now[name]!r}" for name in now if was.get(name) != now[name]]:
         raise ValueError(f"{out} holds the results of another command ({'; '.join(other)}): give another --out")
     if not resume:
         raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --out")
-    return before["commands"], _read_records(out).to_dict("records")
+    return before

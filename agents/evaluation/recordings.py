@@ -10,32 +10,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import pandas as pd
 from typer import Option
 
 from agents.evaluation.associators import contenders
-from agents.evaluation.mapped_log import map_log, measure, smoothed, write_mapped_log
-from agents.evaluation.pipeline import Evaluation, Results, Task
-from agents.evaluation.records import Key, Record
-from agents.evaluation.tables import Column, Table, by_setting, columns
+from agents.evaluation.mapped_log import FOLDER, map_log, measure, smoothed, write_mapped_log
+from agents.evaluation.pipeline import Evaluation, Key, Task
+from agents.evaluation.records import Record
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING
-
-COLUMNS = columns(
-    "precision", "recall", "f1", "features", "duplicates", "clutter_features", "ate", "ate_batch", "landmark_rmse",
-    "landmark_rmse_batch", "anees", "seconds",
-)  # fmt: skip
-FURTHER_COLUMNS = columns(
-    "ate_median", "ate_unaligned", "landmark_rmse_unaligned", "wrong", "clutter_share", "clutter_on_landmarks", "found",
-    "nodes", "microseconds", "step_microseconds", "limits",
-)  # fmt: skip
-CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; batch: by batch
-least squares with the same pairings; of the true ones, it is the best that could be had.
-feat.: confirmed features; dupl.: of a landmark that has one; clut.: of none.
-s: time of the whole log."""
-FOLDER = "runs"  # of trajectories and maps, within that of the evaluation
 
 
 @dataclass(frozen=True)
@@ -85,13 +69,11 @@ def surveyed(log: Recording) -> Recording:
     return replace(log, reference_times=log.times, reference_poses=best.poses * [1.0, 1.0, math.nan])
 
 
-def map_and_measure(
-    log: Recording, associator: str, relocation: str | None, folder: Path, wanted: Sequence[Key]
-) -> list[Record]:
-    """One log with one associator, and the search that finds a lost robot; trajectory and map go into a folder."""
+def map_and_measure(log: Recording, name: str, associator: str, relocation: str | None, folder: Path) -> list[Record]:
+    """One log with an associator, and the search that finds a lost robot; trajectory and map go into a folder."""
     mapped = map_log(log, associator, slam_for(log), relocation)
-    write_mapped_log(folder, wanted[0].name, mapped)
-    return [wanted[0]._asdict() | {"source": log.source} | measure(mapped)]
+    write_mapped_log(folder, name, mapped)
+    return [{"source": log.source} | measure(mapped)]
 
 
 def recording_evaluation(
@@ -106,35 +88,9 @@ def recording_evaluation(
     ValueError for an associator or a relocator that nobody knows.
     """
     tasks = [
-        Task((Key(name, log.name, 0),), partial(map_and_measure, log, *searches, out / FOLDER))
+        Task([Key(name, log.name, 0)], partial(map_and_measure, log, name, *searches, out / FOLDER))
         for log in logs
         for name, searches in contenders(associators, relocations).items()
     ]
     settings = {log.name: asdict(slam_for(log)) for log in logs}
     return Evaluation("recordings", tasks, conditions | {"relocation": list(relocations)}, {"settings": settings})
-
-
-def means(frame: pd.DataFrame) -> pd.DataFrame:
-    """Of each associator that was run over all logs, in the order of the frame; one row each."""
-    groups = frame.groupby("name", sort=False)
-    found = groups[[column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]].mean()
-    return found[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
-
-
-def table(frame: pd.DataFrame, shown: Sequence[Column], title: str = "", caption: str = "") -> Table:
-    """Of one log, or of the means, with the columns in which there is anything."""
-    kept = [column for column in shown if frame[column.key].notna().any()]
-    rows = frame.set_index("name")[[column.key for column in kept]].astype(float).to_dict("index")
-    return Table(title, "associator", kept, rows, caption)
-
-
-def tables(results: Results) -> list[Table]:
-    """One table a log, and that of their means where there are several."""
-    frames = {
-        f"{name}, {own['steps'].iloc[0]} scans, {own['true_features'].iloc[0]} labelled features": own
-        for name, own in by_setting(results.frame).items()
-    }
-    if len(frames) > 1:
-        frames["mean"] = means(results.frame)
-    found = [table(own, COLUMNS, title) for title, own in frames.items()]
-    return [*found[:-1], replace(found[-1], caption=CAPTION)]

@@ -15,24 +15,14 @@ from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import slam_gym
 
 Record = dict[str, Any]
-"""One episode: the fields of its `Key`, and its numbers; lists and dicts, such as curves over time, become JSON in a
-cell of the table."""
+"""Numbers of one episode; lists and dicts, such as curves over time, become JSON in a cell of the table."""
 
 PACKAGES = ("numpy", "scipy", "numba", "gymnasium", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "joblib")
-
-
-class Key(NamedTuple):
-    """What tells one record of an evaluation from another."""
-
-    name: str  # of the agent or associator
-    setting: str  # scenario, level of the suite or log
-    episode: int
-    model: str = ""  # file of a learned agent
 
 
 def stem(*names: str) -> str:

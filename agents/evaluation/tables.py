@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 from rich import box
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -35,7 +34,7 @@ class Column:
 
     key: str  # in the results
     title: str
-    digits: int
+    digits: int = 3
     better: str = ""  # "lower", "higher", or neither
     rare: bool = False  # happens so seldom that it takes the mean: an interquartile mean does not see it
 
@@ -43,7 +42,6 @@ class Column:
 _ALL = (
     # of a drive
     Column("map_error", "map error", 3, "lower"), Column("map_error_aligned", "aligned", 3, "lower"),
-    Column("local_error", "local error", 3, "lower"),
     Column("coverage", "coverage", 3, "higher"), Column("anees", "ANEES", 2),
     Column("map_lost", "lost", 3, "lower", rare=True), Column("duplicates", "dupl.", 1, "lower"),
     Column("ticks", "ticks", 0), Column("ticks_per_second", "ticks/s", 0),
@@ -54,6 +52,7 @@ _ALL = (
     Column("f1", "F1", 3, "higher"), Column("exact", "exact", 3, "higher"), Column("nodes", "nodes", 0),
     Column("microseconds", "µs/scan", 0, "lower"), Column("limits", "limit met", 1, "lower", rare=True),
     # of the suite
+    Column("score", "score", 3, "higher"),
     Column("spoiled", "spoiled", 3, "lower"), Column("refused", "refused", 3, "lower"),
     Column("promised", "promised", 3), Column("kept", "kept", 3),
     # of a log
@@ -83,6 +82,7 @@ class Table:
     rows: Rows
     caption: str = "interquartile mean, 95 % bootstrap interval"
     differences: bool = False  # of two each: told with their signs
+    detail: bool = False  # in the report only
 
     @property
     def bold(self) -> dict[str, set[str]]:
@@ -201,27 +201,27 @@ def print_table(table: Table, console: Console) -> None:
     """The table on the terminal, each interval under its estimate; where that is too wide, in pieces, one below the
     other."""
     console.print(table.title, style="bold", markup=False, highlight=False, soft_wrap=True)
-    unlimited, columns = console.options.update(max_width=10_000), list(table.columns)
-    while columns:
-        pieces = [_terminal_table(table, columns[:count]) for count in range(len(columns), 0, -1)]
-        fitting = [piece for piece in pieces if Measurement.get(console, unlimited, piece).maximum <= console.width]
-        piece = (fitting or pieces[-1:])[0]
-        console.print(piece)
-        columns = columns[len(piece.columns) - 1 :]
+    unlimited, left = console.options.update(max_width=10_000), list(table.columns)
+    while left:
+        count = len(left)
+        while count > 1 and console.measure(_grid(table, left[:count]), options=unlimited).maximum > console.width:
+            count -= 1
+        console.print(_grid(table, left[:count]))
+        left = left[count:]
     if table.caption:
         console.print(table.caption, style="dim", markup=False, highlight=False)
 
 
-def _terminal_table(table: Table, columns: Sequence[Column]) -> RichTable:
-    shown = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    shown.add_column(Text(table.corner), max_width=30)
+def _grid(table: Table, columns: Sequence[Column]) -> RichTable:
+    grid = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    grid.add_column(Text(table.corner), max_width=30)
     for column in columns:
-        shown.add_column(Text(column.title), justify="right", no_wrap=True)
+        grid.add_column(Text(column.title), justify="right", no_wrap=True)
     for name, row in table.rows.items():
         cells = []
         for column in columns:
             value, interval = cell(row.get(column.key), column.digits, table.differences)
             low, _, high = interval.partition(", ")
             cells.append(Text(value) if low == high else Text.assemble(value, "\n", (f"{low}–{high}", "dim")))
-        shown.add_row(Text(display_name(name)), *cells)
-    return shown
+        grid.add_row(Text(display_name(name)), *cells)
+    return grid

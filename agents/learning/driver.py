@@ -33,7 +33,7 @@ from agents.drivers.learned import (
     tokens_of,
 )
 from agents.evaluation.episodes import ExploreArguments, reset_arguments
-from agents.evaluation.parallel import run_all
+from agents.evaluation.pipeline import run_all
 from agents.learning.fitting import fit
 from agents.learning.sketch import Sketch, missed_by
 from slam_gym.types import Array, BoolArray

@@ -9,15 +9,14 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 
 from agents.drivers.base import Agent, make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.evaluation.pipeline import Evaluation, Task
-from agents.evaluation.records import Key, Record
+from agents.evaluation.pipeline import Evaluation, Key, Task
+from agents.evaluation.records import Record
 from agents.ranking.entry_process import EntryAgent, EntryError, EntryProcess, associate_in, relocate_in
 from agents.suite.worlds import associate, relocate
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
@@ -79,20 +78,16 @@ def column_of(setting: str) -> str:
     return setting.partition("/")[0]
 
 
-def lose(entry: str, role: Role, wanted: Sequence[Key]) -> list[Record]:
+def lose(entry: str, role: Role, setting: str, episode: int) -> list[Record]:
     """The record of one world of one setting: what the entry loses there, and how it failed if it did."""
-    (key,) = wanted
     try:
-        if "/" not in key.setting:
-            agent, env = _loop(entry, role, key.setting)
-            loss = float(run_episode(env, agent, key.episode)["map_error"])
-        else:
-            ask = relocate if role == "relocator" else associate
-            asked = {entry: _searcher(entry, role)}
-            loss = 1.0 - ask(key.setting, key.episode, asked, PROBLEMS, SPLIT)[entry]["score"]
+        if "/" not in setting:
+            agent, env = _loop(entry, role, setting)
+            return [{"loss": float(run_episode(env, agent, episode)["map_error"])}]
+        ask, asked = relocate if role == "relocator" else associate, {entry: _searcher(entry, role)}
+        return [{"loss": 1.0 - ask(setting, episode, asked, PROBLEMS, SPLIT)[entry]["score"]}]
     except EntryError as error:
-        return [key._asdict() | {"loss": LOST, "failed": str(error)}]
-    return [key._asdict() | {"loss": loss}]
+        return [{"loss": LOST, "failed": str(error)}]
 
 
 @functools.lru_cache(maxsize=4)
@@ -120,5 +115,5 @@ def _loop(name: str, role: Role, scenario: str) -> tuple[Agent, gym.Env[Any, Any
 def leaderboard_evaluation(name: str, chosen: Protocol) -> Evaluation:
     """An entry through the protocol."""
     keys = [Key(name, setting, FIRST + k) for setting, count in chosen.parts.items() for k in range(count)]
-    tasks = [Task((key,), functools.partial(lose, name, chosen.role)) for key in keys]
+    tasks = [Task([key], functools.partial(lose, name, chosen.role, key.setting, key.episode)) for key in keys]
     return Evaluation("leaderboard", tasks, {"entry": name} | chosen.about)

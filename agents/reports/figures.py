@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from agents.evaluation.tables import Column, Rows, display_name, estimate, estimate_of
+from agents.evaluation.tables import Column, display_name, estimate, estimate_of
 from slam_gym.metrics.statistics import Interval
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import SPURIOUS, Array
@@ -28,7 +28,7 @@ CURVE_POINTS = 61
 matplotlib.rcParams.update({
     "font.family": "DejaVu Sans", "font.size": 10, "axes.spines.top": False, "axes.spines.right": False,
     "axes.edgecolor": "#9aa5b1", "axes.labelcolor": "#3c4856", "xtick.color": "#5d6b7a", "ytick.color": "#5d6b7a",
-    "axes.grid": True, "grid.color": "#e6ebf0", "axes.axisbelow": True,
+    "axes.grid": True, "grid.color": "#e6ebf0", "axes.axisbelow": True, "legend.frameon": False,
 })  # fmt: skip
 
 
@@ -42,9 +42,9 @@ def colours(names: Sequence[str]) -> Colours:
     return {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(others)} | {CEILING: INK}
 
 
-def _figure(height: float, width: float = WIDTH) -> Figure:
+def _figure(height: float) -> Figure:
     """An empty figure of so many inches."""
-    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    return Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
 
 
 def _line(axis: Axes, x: Array, found: Iterable[Interval], name: str, colour: str, marker: str = "") -> None:
@@ -60,26 +60,22 @@ def _line(axis: Axes, x: Array, found: Iterable[Interval], name: str, colour: st
 
 def dot_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colour: Colours) -> Figure:
     """Every episode as a dot, with mean and interval of each name; `groups` are the episodes of each."""
-    figure = _figure(1.3 + 0.42 * len(groups))
+    figure, rng = _figure(1.3 + 0.42 * len(groups)), np.random.default_rng(0)
     axes = figure.subplots(1, len(shown), sharey=True)
-    rng = np.random.default_rng(0)
     for axis, column in zip(axes, shown):
         for row, (name, own) in enumerate(groups.items()):
+            values, middle = own[column.key], estimate_of(own, column.key)
             jitter = rng.uniform(-0.17, 0.17, len(own))
-            axis.scatter(own[column.key], row + jitter, s=16, color=colour[name], alpha=0.5, linewidths=0)
-            middle = estimate_of(own, column.key)
+            axis.scatter(values, row + jitter, s=16, color=colour[name], alpha=0.5, linewidths=0)
             axis.plot([middle.low, middle.high], [row, row], color=colour[name], lw=3, solid_capstyle="round")
             axis.plot(middle.estimate, row, "o", color="white", markeredgecolor=colour[name], ms=4.5, zorder=4)
         axis.set_xlabel(column.title)
         axis.grid(visible=False, axis="y")
-        times = pd.concat(own[column.key].dropna() for own in groups.values())
-        if column.key == "microseconds" and len(times):  # whole decades
-            ends = np.floor(np.log10(times.min())), np.ceil(np.log10(times.max()) + 1e-9)
-            axis.set(xscale="log", xlim=np.power(10.0, ends))
+        if column.key == "microseconds" and any(own[column.key].notna().any() for own in groups.values()):
+            axis.set_xscale("log")
             axis.xaxis.set_minor_formatter(NullFormatter())
-    # one row a name, the first on top
     axes[0].set_yticks(range(len(groups)), [display_name(name) for name in groups])
-    axes[0].set_ylim(len(groups) - 0.5, -0.5)
+    axes[0].set_ylim(len(groups) - 0.5, -0.5)  # the first on top
     return figure
 
 
@@ -97,29 +93,29 @@ def curve_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], col
             _line(axis, grid, [estimate(values, resamples=1000) for values in at_grid.T], name, colour[name])
         axis.set(xlabel="ticks", ylabel=column.title, xlim=(0.0, end), ylim=(0.0, None))
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6), frameon=False)
+    figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6))
     return figure
 
 
 # -- the suite ---------------------------------------------------------------------------------------------------------
 
 
-def capability_bars(scores: Rows, colour: Colours) -> Figure:
+def capability_bars(scores: Mapping[str, Mapping[str, Interval]], colour: Colours) -> Figure:
     """One group of bars per capability, one bar per name with its interval; the ceiling, near 1, is left out."""
     names = [name for name in scores if name != CEILING] or list(scores)
-    groups = list(scores[names[0]])
+    estimates, low, high = (
+        pd.DataFrame({name: {of: getattr(v, end) for of, v in scores[name].items()} for name in names})
+        for end in ("estimate", "low", "high")
+    )
     figure = _figure(4.2)
-    axis, width = figure.subplots(), 0.84 / len(names)
-    for i, name in enumerate(names):
-        x = np.arange(len(groups)) - 0.42 + (i + 0.5) * width
-        found = [scores[name][group] for group in groups]
-        axis.bar(x, [v.estimate for v in found], 0.92 * width, color=colour[name], label=display_name(name))
-        axis.vlines(x, [v.low for v in found], [v.high for v in found], color=INK, lw=0.9, alpha=0.8)
-    axis.set_xticks(range(len(groups)), groups)
+    axis = figure.subplots()
+    errors = np.abs(np.stack([estimates - low, high - estimates], axis=1)).transpose(2, 1, 0)  # (names, 2, groups)
+    style: dict[str, Any] = {"width": 0.84, "rot": 0, "legend": False, "ecolor": INK}
+    estimates.rename(columns=display_name).plot.bar(ax=axis, yerr=errors, color=[colour[n] for n in names], **style)
     axis.tick_params(axis="x", length=0)
     axis.grid(visible=False, axis="x")
     axis.set(ylim=(0.0, 1.02), ylabel="score (1 = no mistake)")
-    figure.legend(loc="outside upper left", ncols=4, frameon=False)
+    figure.legend(loc="outside upper left", ncols=4)
     return figure
 
 
@@ -132,20 +128,7 @@ def level_chart(curves: Mapping[str, Mapping[float, Interval]], label: str, colo
         _line(axis, x, curve.values(), name, colour[name], MARKERS[i % len(MARKERS)])
         axis.set_xticks(x, [f"{knob:g}" for knob in curve])
     axis.set(xlabel=label, ylabel="score", ylim=(-0.02, 1.04))
-    figure.legend(loc="outside right upper", frameon=False)
-    return figure
-
-
-def reliability_chart(found: Mapping[str, pd.DataFrame], colour: Colours) -> Figure:
-    """The rate at which decisions are right against what was predicted, on a scale of log-odds, one line per name."""
-    figure, ends = _figure(4.2, width=6.4), (1e-3, 1.0 - 1e-3)
-    axis = figure.subplots()
-    axis.plot(ends, ends, "--", color=INK, linewidth=0.9)
-    for i, (name, bins) in enumerate(found.items()):
-        x, y = bins["predicted"].clip(*ends), bins["right"].clip(*ends)
-        axis.plot(x, y, marker=MARKERS[i % len(MARKERS)], color=colour[name], label=display_name(name))
-    axis.set(xscale="logit", yscale="logit", xlabel="mean probability of the decisions", ylabel="rate right")
-    figure.legend(loc="outside right upper", frameon=False)
+    figure.legend(loc="outside right upper")
     return figure
 
 
@@ -162,37 +145,33 @@ def maps(
     `errors` and `features` are the files of each associator, see `agents.evaluation.mapped_log`; `landmarks` (L, 2) are
     the true places, if known.
     """
-    names = list(errors)
     drawn = [own[["x", "y"]] for own in errors.values()]
     drawn += [own[["reference_x", "reference_y"]] for own in errors.values()]
     drawn += [own[["aligned_x", "aligned_y"]] for own in features.values()]
     low, high = _bounds(np.concatenate(drawn), landmarks)
     shape = float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.35, 1.8))  # height / width of a panel
-    across = min(len(names), 3)
-    down = math.ceil(len(names) / across)
+    across = min(len(errors), 3)
+    down = math.ceil(len(errors) / across)
     figure = _figure(0.9 + down * (0.3 + (WIDTH / across - 0.35) * shape))
     axes = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
-    for axis in axes[len(names) :]:
-        axis.set_visible(False)
     handles: dict[str, Any] = {}
-    for axis, name in zip(axes, names):
-        error = errors[name]
+    for axis, (name, error) in zip(axes, errors.items()):
         axis.plot(error["reference_x"], error["reference_y"], color=_REFERENCE, linewidth=2.2, label="reference")
         axis.plot(error["x"], error["y"], color=colour[name], linewidth=0.9)
         _draw_features(axis, features[name], landmarks)
         axis.set_title(display_name(name), fontsize=10, loc="left", color=colour[name])
         axis.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-        for handle, label in zip(*axis.get_legend_handles_labels()):
-            handles.setdefault(label, handle)
-    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=6, frameon=False)
+        handles = dict(zip(*reversed(axis.get_legend_handles_labels()))) | handles
+    for axis in axes[len(errors) :]:
+        axis.set_visible(False)
+    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=6)
     return figure
 
 
 def _bounds(points: Array, landmarks: Array) -> tuple[Array, Array]:
     """Corners of what is drawn: the landmarks, and all but the outermost of the rest, since a GPS jumps."""
     low, high = np.quantile(points, [0.003, 0.997], axis=0)
-    if len(landmarks):
-        low, high = np.minimum(low, landmarks.min(axis=0)), np.maximum(high, landmarks.max(axis=0))
+    low, high = np.vstack([low, landmarks]).min(axis=0), np.vstack([high, landmarks]).max(axis=0)
     room = 0.05 * (high - low).max() + 1e-9
     return low - room, high + room
 
@@ -225,5 +204,5 @@ def errors_over_time(errors: Mapping[str, pd.DataFrame], colour: Colours) -> Fig
     far = every.max() > 4.0 * np.quantile(every, 0.95)  # a reference that jumps, or an associator that got lost
     axis.set(yscale="log" if far else "linear", ylim=(0.5 * np.quantile(every, 0.05) + 1e-9 if far else 0.0, None))
     axis.set(xlabel="time [s]", ylabel="position error [m]")
-    figure.legend(loc="outside upper left", ncols=4, frameon=False)
+    figure.legend(loc="outside upper left", ncols=4)
     return figure

@@ -13,8 +13,7 @@ import numpy as np
 
 from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.evaluation.parallel import run_all
-from agents.evaluation.pipeline import Execution
+from agents.evaluation.pipeline import run_all
 from agents.evaluation.records import stem
 
 FRAMES = 300
@@ -27,15 +26,13 @@ def film_path(out: Path, agent: str) -> Path:
     return out / "films" / f"{stem(agent)}.mp4"
 
 
-def make_films(
-    drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path, execution: Execution
-) -> None:
+def make_films(drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path, jobs: int) -> None:
     """One film per agent, of that episode, by its first model; those that are there already stay."""
     first = {driver.agent: driver for driver in reversed(drivers)}
     paths = {agent: film_path(out, agent) for agent in first}
     missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
     calls = [partial(film, arguments, first[agent], episode, paths[agent]) for agent in missing]
-    for picture in run_all(calls, execution.jobs, execution.backend):
+    for picture in run_all(calls, jobs):
         print(f"film: {picture.with_suffix('.mp4')}")
 
 

@@ -1,31 +1,80 @@
-"""The report of an evaluation: one page of HTML, made from its folder by the template of its kind.
+"""The report of an evaluation: one page of HTML, made from its folder.
 
-Pictures are inside the page; only films lie beside it.
+A page is a list of parts in their order: tables, pictures, films and paragraphs, made from results by the function of
+their kind. Pictures are inside the page; only films lie beside it. The terminal shows the tables of the same page.
 """
 
 from __future__ import annotations
 
 import base64
+import importlib
 import io
 import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from agents.evaluation.pipeline import read_results
+from agents.evaluation.pipeline import Results, read_results
 from agents.evaluation.records import undamaged, write_whole
-from agents.evaluation.tables import cell, display_name
-from agents.reports.contents import CONTENTS
+from agents.evaluation.tables import Table, cell, display_name
 from agents.reports.figures import colours
 
-_PAGES = Environment(
-    loader=FileSystemLoader(Path(__file__).with_name("templates")),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
+PAGES = {
+    "drivers": "agents.reports.drives:drives_page",
+    "associators": "agents.reports.drives:drives_page",
+    "suite": "agents.reports.suite:suite_page",
+    "recordings": "agents.reports.recordings:recordings_page",
+}
+"""By the kind of an evaluation: what makes its page of results and the folder that they are from."""
+
+
+class Picture(NamedTuple):
+    """A figure of a page, drawn when the page is written."""
+
+    alt: str
+    draw: Callable[[], Figure]
+
+
+class Film(NamedTuple):
+    """The first episode of an agent: the film, its last picture, and the error of the map."""
+
+    agent: str
+    path: Path  # .mp4; the picture beside it is .png
+    error: float
+
+
+Part = Table | Picture | Film | str
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a report shows; the terminal shows its tables, the headline last."""
+
+    title: str
+    subtitle: str
+    parts: Sequence[Part]
+    notes: str  # the template that explains the columns
+    headline: Sequence[Table] = ()  # what the report begins with
+
+    @property
+    def tables(self) -> list[Table]:
+        """Those of the terminal."""
+        return [*(part for part in self.parts if isinstance(part, Table) and not part.detail), *self.headline]
+
+
+def page_of(results: Results, folder: Path) -> Page:
+    """The page of an evaluation. ValueError where its kind makes its own, or numbers are none."""
+    kind = results.metadata["kind"]
+    if kind not in PAGES:
+        raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
+    module, _, name = PAGES[kind].partition(":")
+    with undamaged(f"results.csv or results.json of {folder}"):
+        page: Page = getattr(importlib.import_module(module), name)(results, folder)
+        return page
 
 
 def write_report(folder: Path) -> Path:
@@ -34,30 +83,36 @@ def write_report(folder: Path) -> Path:
     Raises ValueError where it holds none, or nothing finished yet.
     """
     results = read_results(folder)
-    kind = results.metadata["kind"]
-    if kind not in CONTENTS:
-        raise ValueError(f"{folder} belongs to the {kind}, which makes its own page")
-    template, content_of = CONTENTS[kind]
+    page = page_of(results, folder)
     with undamaged(f"results.csv or results.json of {folder}"):
-        page = _PAGES.get_template(template).render(
-            content_of(results, folder),
-            colours=colours(results.names),
+        text = _TEMPLATES.get_template("report.html").render(
+            page=page,
             complete=results.metadata["complete"],
             split=results.conditions.get("split"),
             provenance=json.dumps(results.metadata, indent=1, ensure_ascii=False),
+            colours=colours(results.names),
         )
-    write_whole(folder / "report.html", page)
+    write_whole(folder / "report.html", text)
     return folder / "report.html"
 
 
-def data_url(picture: Figure | Path) -> str:
+def data_url(picture: Picture | Path) -> str:
     """A figure, or a file .png, as the address of a picture inside the page."""
-    buffer = io.BytesIO()
-    if isinstance(picture, Figure):
-        picture.savefig(buffer, format="png")
-    png = buffer.getvalue() if isinstance(picture, Figure) else picture.read_bytes()
+    if isinstance(picture, Path):
+        png = picture.read_bytes()
+    else:
+        buffer = io.BytesIO()
+        picture.draw().savefig(buffer, format="png")
+        png = buffer.getvalue()
     return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
 
 
-_PAGES.filters |= {"display_name": display_name, "data_url": data_url}
-_PAGES.globals |= {"cell": cell}
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(Path(__file__).with_name("templates")),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+_TEMPLATES.filters |= {"display_name": display_name, "data_url": data_url}
+_TEMPLATES.globals |= {"cell": cell}

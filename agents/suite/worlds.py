@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
+import numpy as np
 import pandas as pd
 from typer import Option
 
 from agents.evaluation.associators import Metered, find_associator
-from agents.evaluation.pipeline import Evaluation, Task
-from agents.evaluation.records import Key, Record
+from agents.evaluation.pipeline import Evaluation, Key, Task
+from agents.evaluation.records import Record
 from agents.suite.problems import (
     OUTCOMES,
     Judgement,
@@ -25,7 +26,6 @@ from agents.suite.problems import (
     problems,
     relocation_problems,
 )
-from agents.suite.reliability import binned, promised
 from slam_gym.association import RELOCATORS, resolve_relocator
 from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
@@ -62,21 +62,20 @@ class Suite:
             for level in EXPERIMENTS[name].levels[:: 2 if self.quick else 1]:
                 for world in range(worlds):
                     names = relocators if name == RELOCATION else associators
-                    keys = tuple(Key(who, level.id, world) for who in names)
-                    tasks.append(Task(keys, partial(ask_all, count, split)))
+                    keys = [Key(who, level.id, world) for who in names]
+                    tasks.append(Task(keys, partial(ask_all, level.id, world, names, count, split)))
         size = {"worlds": worlds, "problems": count, "quick": self.quick, "split": split}
         return Evaluation("suite", tasks, size)
 
 
-def ask_all(count: int, split: str, wanted: Sequence[Key]) -> list[Record]:
-    """What those who are wanted make of one world of one level: relocators where it is about relocation."""
-    level, world, names = get_level(wanted[0].setting), wanted[0].episode, [key.name for key in wanted]
+def ask_all(setting: str, world: int, names: Sequence[str], count: int, split: str) -> list[Record]:
+    """What associators make of up to `count` problems in one world of one level; relocators where it is about that."""
+    level = get_level(setting)
     if level.experiment == RELOCATION:
-        found = relocate(level.id, world, {name: resolve_relocator(name) for name in names}, count, split)
+        found = relocate(setting, world, {name: resolve_relocator(name) for name in names}, count, split)
     else:
-        found = associate(level.id, world, {name: find_associator(name) for name in names}, count, split)
-    about = {"experiment": level.experiment, "knob": level.knob}
-    return [key._asdict() | about | found[key.name] for key in wanted]
+        found = associate(setting, world, {name: find_associator(name) for name in names}, count, split)
+    return [{"experiment": level.experiment, "knob": level.knob} | found[name] for name in names]
 
 
 def associate(
@@ -92,7 +91,7 @@ def associate(
             answers[name].append(meter(problem))
     return {
         name: association_record([judge(h.features, r) for h, r in zip(own, right)])
-        | meters[name].effort() | {"reliability": binned(own, right)} | promised(own, right)
+        | meters[name].effort() | promised(own, right)
         for name, own in answers.items()
     }  # fmt: skip
 
@@ -127,6 +126,19 @@ def association_record(judged: Sequence[Judgement]) -> Record:
         "precision": _ratio(right.sum(), right.sum() + wrong.sum()),
         "recall": _ratio(right.sum(), mapped.sum()),
     }
+
+
+def promised(answers: Sequence[Hypothesis], right: Sequence[IntArray]) -> Record:
+    """Of scans: the mean probability of the best hypothesis, and the rate at which it is right, `*` included; NaN where
+    nobody says how probable it is. Where the posterior is calibrated the two agree."""
+    p, hit = [], []
+    for hypothesis, of_truth in zip(answers, right):
+        if (posterior := hypothesis.posterior) is not None:
+            decided = posterior.probability >= posterior.runner_up_probability
+            best = hypothesis.features if decided else posterior.runner_up
+            p.append(max(posterior.probability, posterior.runner_up_probability))
+            hit.append(bool((best == of_truth).all()))
+    return {"promised": float(np.mean(p or math.nan)), "kept": float(np.mean(hit or math.nan))}
 
 
 def _ratio(part: float, whole: float) -> float:

@@ -48,12 +48,12 @@ from agents import evaluate
 from agents.evaluation import pipeline
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
-write = pipeline._write_records
+write = pipeline._write_rows
 def write_then_interrupt(out, records):
     write(out, records)
     if len(records) == 3:
         os.killpg(0, signal.SIGINT)  # as Ctrl-C does: the workers get it too
-pipeline._write_records = write_then_interrupt
+pipeline._write_rows = write_then_interrupt
 evaluate.app()
 """
     out = tmp_path / "cut"

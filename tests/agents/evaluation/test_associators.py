@@ -8,11 +8,11 @@ import pytest
 
 from agents.drivers.base import make_agent
 from agents.evaluation.associators import SHIPPED, Metered, find_associator, metered
-from agents.evaluation.drive_tables import associator_tables, headline
 from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import Execution, carry_out
 from agents.evaluation.tables import by_name
+from agents.reports.drives import drive_tables, headline
 from slam_gym.association import ASSOCIATORS, nearest_neighbour
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.types import Effort, Hypothesis
@@ -78,8 +78,7 @@ def test_associators_are_found_by_name_and_only_the_name_is_told_the_truth():
 
 
 def test_tables_are_those_of_the_results(finished):
-    table, *whose_map_survives = associator_tables(finished)
-    assert [shown.title.split()[0] for shown in whose_map_survives] == ["Map", "Map"]
+    (table,) = drive_tables(finished)
     for name, own in by_name(finished.frame).items():
         for key in ("precision", "f1", "duplicates", "map_error", "anees"):
             assert table.rows[name][key].estimate == pytest.approx(own[key].mean())  # of two episodes

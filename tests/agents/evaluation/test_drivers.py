@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from agents.evaluation.drive_tables import drive_tables
 from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
 from agents.evaluation.episodes import ExploreArguments
 from agents.evaluation.pipeline import Execution, carry_out
+from agents.reports.drives import drive_tables
 from slam_gym.metrics.statistics import interquartile_mean
 
 

@@ -7,11 +7,11 @@ from functools import partial
 
 import pandas as pd
 import pytest
+from threadpoolctl import threadpool_info
 
 from agents.evaluation.drives import Driver, associator_evaluation, driver_evaluation
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Evaluation, Execution, Task, carry_out, read_results
-from agents.evaluation.records import Key
+from agents.evaluation.pipeline import Evaluation, Execution, Key, Task, carry_out, read_results, run_all
 from agents.suite.worlds import Suite
 from tests.agents.evaluation import timeless
 
@@ -19,15 +19,15 @@ NEW, RESUMED = (Execution(jobs=1, resume=resume) for resume in (False, True))
 SMALL = ExploreArguments("office-small", (("budget", 60),))
 
 
-def count(fails, wanted):
+def count(episode, names, fails):
     if fails:
         raise KeyboardInterrupt
-    return [key._asdict() | {"value": 0.1 + 0.2 * key.episode, "curve": [1, 2]} for key in wanted]
+    return [{"value": 0.1 + 0.2 * episode, "curve": [1, 2]} for _ in names]
 
 
 def task(episode, names=("a", "b"), fails=False) -> Task:
-    """With one record for each name; in some episodes it fails, for it is not asked to get over with them."""
-    return Task(tuple(Key(name, "only", episode) for name in names), partial(count, fails))
+    """With one record for each name; some fail, for they are not asked for."""
+    return Task([Key(name, "only", episode) for name in names], partial(count, episode, names, fails))
 
 
 def counting(tasks, **conditions) -> Evaluation:
@@ -122,6 +122,18 @@ def test_damaged_results_are_refused_by_the_name_of_their_file(tmp_path, file, c
         read_results(tmp_path)
     with pytest.raises(ValueError, match=file):
         carry_out(counting([task(0)]), tmp_path, RESUMED)
+
+
+def square(number):
+    return number**2, os.getpid(), [pool["num_threads"] for pool in threadpool_info()]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_call_is_answered_once_on_one_thread(jobs):
+    found = list(run_all([partial(square, k) for k in range(10)], jobs))
+    assert sorted(value for value, _, _ in found) == [k**2 for k in range(10)]
+    assert (os.getpid() in {pid for _, pid, _ in found}) == (jobs == 1)
+    assert {count for _, _, threads in found for count in threads} <= {1}
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a disk that is full")

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.recordings import COLUMNS, FURTHER_COLUMNS, Recorded, map_and_measure, means, table
-from agents.evaluation.records import Key
+from agents.evaluation.recordings import Recorded, map_and_measure
+from agents.reports.recordings import COLUMNS, FURTHER_COLUMNS, means, tables
 from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.recordings import Recording, open_recordings
 from slam_gym.types import SPURIOUS
@@ -64,7 +64,7 @@ def test_of_several_logs_there_is_a_mean_and_columns_without_numbers_are_left_ou
     ])  # fmt: skip
     assert list(means(frame)["ate"]) == [2.0, 2.0] and list(means(frame)["name"]) == ["singles", "jcbb"]
     assert list(means(frame[1:])["name"]) == ["jcbb"]  # the only one that was run over both
-    assert [c.key for c in table(frame[:2], COLUMNS).columns] == [c.key for c in COLUMNS if c.key != "anees"]
+    assert [c.key for c in tables(frame[:2], "")[0].columns] == [c.key for c in COLUMNS if c.key != "anees"]
 
 
 def test_names_of_public_logs_stand_for_their_files(data_dir, tmp_path) -> None:
@@ -72,5 +72,5 @@ def test_names_of_public_logs_stand_for_their_files(data_dir, tmp_path) -> None:
     assert [log.name for log in found] == ["mrclam/MRCLAM_Dataset6/robot2", "mrclam/MRCLAM_Dataset6/robot4"]
     (log,) = Recorded(data_dir / "mrclam", [4], every=10).logs("mrclam")
     assert log.name == found[1].name
-    (record,) = map_and_measure(log, "jcbb", None, tmp_path, [Key("jcbb", log.name, 0)])
-    assert record["steps"] == math.ceil(len(found[1]) / 10) and record["setting"] == found[1].name
+    (record,) = map_and_measure(log, "jcbb", "jcbb", None, tmp_path)
+    assert record["steps"] == math.ceil(len(found[1]) / 10)

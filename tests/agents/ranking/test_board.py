@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from agents.evaluation.records import Key
 from agents.leaderboard import MARKS, app, with_tables
 from agents.ranking.board import BASELINES, Ranked, markdown, ranked, read_entries, rows, write_entry
 from agents.ranking.protocol import FIRST, PARTS, SPLIT, VERSION, Protocol, lose
@@ -52,7 +51,7 @@ def test_what_ships_can_be_read_and_is_of_this_protocol():
     [("associator", "true_association", "closure/0"), ("relocator", "gcbb", "kidnapped/0")],
 )
 def test_losses_lie_between_none_and_all(role, entry, setting):
-    (record,) = lose(entry, role, [Key(entry, setting, FIRST)])
+    (record,) = lose(entry, role, setting, FIRST)
     assert 0.0 <= record["loss"] <= 1.0 and (entry != "true_association" or record["loss"] == 0.0)
 
 

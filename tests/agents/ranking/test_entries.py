@@ -8,7 +8,6 @@ import pytest
 
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.evaluation.records import Key
 from agents.ranking import protocol
 from agents.ranking.entry_process import EntryAgent, EntryError, EntryProcess, associate_in, relocate_in
 from agents.ranking.protocol import FIRST, LOST, lose
@@ -79,7 +78,7 @@ def test_a_driver_that_fails_loses_the_episode_and_drives_the_next(monkeypatch, 
     monkeypatch.setattr(protocol, "process", lambda role, name: process)
     protocol._loop.cache_clear()
     for world in (FIRST, FIRST + 1):
-        (record,) = lose(name, "agent", [Key(name, "office-small", world)])
+        (record,) = lose(name, "agent", "office-small", world)
         assert record["loss"] == LOST and said in record["failed"] and name in record["failed"]
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Execution
 from agents.reports import film as filming
 
 SMALL = ExploreArguments("office-small")
@@ -34,6 +33,6 @@ def test_films_that_are_there_stay(tmp_path):
     path.parent.mkdir()
     path.with_suffix(".png").write_bytes(b"before")
     drivers = [Driver("agents.drivers.baselines:RandomAgent"), Driver("nearest_frontier")]
-    filming.make_films(drivers, SMALL, 0, tmp_path, Execution(jobs=1))
+    filming.make_films(drivers, SMALL, 0, tmp_path, jobs=1)
     assert path.with_suffix(".png").read_bytes() == b"before" and not path.exists()
     assert filming.film_path(tmp_path, "nearest_frontier").exists()

@@ -8,9 +8,8 @@ import pytest
 
 from agents import report
 from agents.evaluation.pipeline import KINDS
-from agents.reports.contents import CONTENTS
 from agents.reports.figures import colours
-from agents.reports.page import write_report
+from agents.reports.page import PAGES, write_report
 from tests.agents import typed
 from tests.agents.reports import PNG, Page
 
@@ -92,7 +91,7 @@ def test_conditions_that_are_missing_end_in_one_line(folder):
 
 
 def test_every_kind_of_evaluation_has_a_report_but_the_leaderboard():
-    assert {*CONTENTS, "leaderboard"} == set(KINDS)
+    assert {*PAGES, "leaderboard"} == set(KINDS)
 
 
 def test_a_name_keeps_its_colour_and_the_ceiling_has_its_own():

@@ -1,17 +1,14 @@
-"""Numbers of the suite: means over levels, then over worlds; decisions by their probability, counted and summed."""
+"""Numbers of the suite: means over levels, then over worlds; what best hypotheses promise, and what they keep."""
 
-import json
 import math
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.records import Key
-from agents.suite.numbers import by_role, by_world, leads, ranked, relocations, scores
+from agents.reports.suite import by_role, by_world, leads, relocations, scores
 from agents.suite.problems import OUTCOMES
-from agents.suite.reliability import EDGES, binned, promised, reliability, reliability_tables
-from agents.suite.worlds import ask_all
+from agents.suite.worlds import promised
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Posterior
 
 
@@ -35,7 +32,7 @@ def test_numbers_are_means_over_levels_then_over_worlds():
     assert worlds.loc["a", "closure"].to_dict() == pytest.approx({0: 0.8, 1: 0.6})
     assert worlds.loc["a", "all"].to_dict() == pytest.approx({0: 0.55, 1: 0.5})
     found = scores(frame)
-    assert ranked(frame) == list(found) == ["a", "b"] and list(found["a"]) == ["closure", "clutter", "all"]
+    assert list(found) == ["a", "b"] and list(found["a"]) == ["closure", "clutter", "all"]
     assert found["a"]["all"].estimate == pytest.approx(0.525)
     gap = leads(frame)["a"]["clutter"]
     assert (gap.estimate, gap.low, gap.high) == pytest.approx((0.1, 0.1, 0.1))  # paired: worlds do not blur it
@@ -44,7 +41,7 @@ def test_numbers_are_means_over_levels_then_over_worlds():
 def test_a_world_that_has_not_been_through_all_levels_does_not_count():
     frame = results({"a": {"closure": [[1.0, 0.8], [0.6, 0.4]]}, "b": {"closure": [[math.nan, 0.8]]}})
     assert by_world(frame[frame["name"] == "a"][:-1])["closure"].dropna().to_list() == pytest.approx([0.8])
-    assert math.isnan(scores(frame)["b"]["all"].estimate) and ranked(frame) == ["a", "b"]
+    assert math.isnan(scores(frame)["b"]["all"].estimate) and list(scores(frame)) == ["a", "b"]
 
 
 def test_relocators_have_numbers_of_their_own():
@@ -57,7 +54,7 @@ def test_relocators_have_numbers_of_their_own():
     assert rows["gcbb"]["score"].estimate == 0.4
 
 
-# -- reliability -------------------------------------------------------------------------------------------------------
+# -- promises ----------------------------------------------------------------------------------------------------------
 
 SILENT = Hypothesis(np.array([1]), 0.0, 2, Effort())
 
@@ -69,21 +66,6 @@ def answer(features, marginals, probability=0.5, runner_up=None, runner_up_proba
     return Hypothesis(np.array(features), 0.0, 0, Effort(), posterior)
 
 
-def test_every_decision_falls_into_one_bin():
-    answers = [answer([3, UNPAIRED, 5], [0.95, 0.2, 1.0]), answer([4, UNPAIRED], [0.95, 0.0])]
-    bins = binned(answers, [np.array([3, 2, 5]), np.array([6, UNPAIRED])])
-    assert len(bins["decisions"]) == len(EDGES) - 1 and sum(bins["decisions"]) == 5
-    frame = pd.DataFrame({"name": ["own", "own", "jcbb"], "reliability": [json.dumps(bins), json.dumps(bins), ""]})
-    frame.loc[2, "reliability"] = json.dumps(binned([SILENT], [np.array([1])]))
-    found = reliability(frame)
-    assert list(found) == ["own"]  # who says nothing has no bins
-    own = found["own"]
-    assert own.loc["0.9 to 0.97"].to_dict() == {"decisions": 4.0, "predicted": pytest.approx(0.95), "right": 0.5}
-    assert own["decisions"].sum() == 10 and own["right"].iloc[0] == own["right"].iloc[-1] == 1.0
-    (table,) = reliability_tables(frame)
-    assert list(table.rows) == ["0 to 0.1", "0.1 to 0.3", "0.9 to 0.97", "0.999 to 1"]
-
-
 def test_the_best_hypothesis_is_held_to_its_promise():
     """The best one may not be the one decided for: then it is the runner-up."""
     sure = answer([3, UNPAIRED], [0.9, 0.9])
@@ -93,12 +75,3 @@ def test_the_best_hypothesis_is_held_to_its_promise():
     assert promised([sure, refusing], [np.array([4, UNPAIRED]), right[1]])["kept"] == 0.5
     silent = promised([SILENT], [np.array([1])])
     assert all(math.isnan(value) for value in silent.values())
-
-
-def test_the_suite_counts_all_decisions_of_those_who_say_how_probable_they_are():
-    names = ("jcbb", "map_hypothesis", "marginal")
-    frame = pd.DataFrame(ask_all(4, "train", [Key(name, "clutter/1", 0) for name in names]))
-    found = reliability(frame.assign(reliability=frame["reliability"].map(json.dumps)))
-    assert list(found) == ["map_hypothesis", "marginal"]
-    for bins in found.values():  # most of what is all but sure is right
-        assert bins["decisions"].sum() > 20 and bins["right"].iloc[-1] > 0.9

@@ -1,0 +1,120 @@
+"""The page of drives: of drivers, or of associators whose map survives or does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+
+from agents.drivers.clairvoyant import Clairvoyant
+from agents.evaluation.associators import JOIN
+from agents.evaluation.episodes import LOST_MEANS
+from agents.evaluation.pipeline import Results
+from agents.evaluation.tables import (
+    Column,
+    Rows,
+    Table,
+    by_name,
+    by_setting,
+    columns,
+    counted,
+    difference,
+    display_name,
+    estimate_of,
+    estimates,
+)
+from agents.reports import figures
+from agents.reports.film import film_path
+from agents.reports.page import Film, Page, Part, Picture
+from slam_gym.metrics.statistics import mean
+from slam_gym.simulation.judged import CEILING
+
+COLUMNS = {
+    "drivers": columns(
+        "map_error", "map_error_aligned", "coverage", "precision", "recall", "anees", "map_lost", "ticks",
+        "ticks_per_second",
+    ),
+    "associators": columns(
+        "precision", "recall", "f1", "exact", "duplicates", "nodes", "microseconds", "limits", "map_error",
+        "map_error_aligned", "anees",
+    ),
+}  # fmt: skip
+RELOCATION_COLUMNS = columns("recovered", "relocations_wrong", "ticks_astray")
+PANELS = {
+    "drivers": columns("map_error", "coverage"),
+    "associators": columns("precision", "recall", "map_error", "microseconds"),
+}
+PAIRED = "paired over the episodes of all scenarios; negative: the row makes the better map; bold: not 0 by chance"
+
+
+def drives_page(results: Results, folder: Path) -> Page:
+    """Per scenario the table and the episodes behind it; all against all. Of drivers, their course over time, and the
+    films that `folder` may hold; of associators, whose map survives."""
+    kind, groups, colour = results.metadata["kind"], by_name(results.frame), figures.colours(results.names)
+    drivers, parts = kind == "drivers", list[Part]()
+    for table, own in zip(drive_tables(results), by_setting(results.frame).values()):
+        dots = partial(figures.dot_chart, by_name(own), PANELS[kind], colour)
+        parts += [table, Picture(f"each episode of {table.title}", dots)]
+    if drivers:
+        curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
+        parts += [Picture("Over time: interquartile mean over episodes and its interval", curves)]
+    if len(groups) > 1:
+        gaps: Rows = {
+            name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}
+            for name, own in groups.items()
+        }
+        others, corner = [Column(name, display_name(name)) for name in groups], "map error of … minus that of"
+        parts.append(Table("Against each other", corner, others, gaps, PAIRED, differences=True, detail=True))
+    for agent, own in groups.items():
+        if (path := film_path(folder, agent)).with_suffix(".png").exists():
+            parts.append(Film(agent, path, own.loc[own["episode"].idxmin(), "map_error"]))
+    title = "Drivers" if drivers else "Associators in the loop"
+    subtitle = f"slam_gym/Explore-v0: the same {results.conditions['split']} worlds and seeds for all"
+    return Page(title, subtitle, parts, "drives.html", [] if drivers else headline(results.frame))
+
+
+def drive_tables(results: Results) -> list[Table]:
+    """One table a scenario, of those who were evaluated in the order in which they were asked for.
+
+    Models of one agent are pooled. Where a robot was carried away, there are columns about relocation.
+    """
+    kind, found = results.metadata["kind"], []
+    for setting, own in by_setting(results.frame).items():
+        shown = COLUMNS[kind] + (RELOCATION_COLUMNS if own["kidnapped"].any() else [])
+        title = f"{setting}, {counted(own['episode'].nunique(), 'episode')}"
+        title += "" if kind == "drivers" else f", driven by {results.conditions['driver']}"
+        rows = {name: estimates(episodes, shown) for name, episodes in by_name(own).items()}
+        table = Table(title, kind.removesuffix("s"), shown, rows)
+        if Clairvoyant.name in rows:
+            table = replace(table, caption=f"{table.caption}; clairvoyant is shown the plan: the upper reference")
+        found.append(table)
+    return found
+
+
+def headline(frame: pd.DataFrame) -> list[Table]:
+    """Two tables: mean map errors and lost maps, and paired differences to the truth with the same relocation."""
+    groups, (lost,) = by_name(frame), columns("map_lost")
+    means = [Column(setting, setting, 3, "lower") for setting in (*by_setting(frame), "mean")]
+    errors: Rows = {}
+    gaps: Rows = {}
+    for name, own in groups.items():
+        settings = by_setting(own) | {"mean": own}
+        errors[name] = {setting: estimate_of(some, "map_error", mean) for setting, some in settings.items()}
+        errors[name] |= {"median": float(own["map_error"].median()), lost.key: estimate_of(own, lost.key, mean)}
+        associator, join, relocation = name.partition(JOIN)
+        truth = f"{CEILING}{join}{relocation}"
+        if associator != CEILING and truth in groups:
+            of_truth = by_setting(groups[truth]) | {"mean": groups[truth]}
+            gaps[name] = {
+                setting: difference(some, of_truth[setting], "map_error", mean) for setting, some in settings.items()
+            }
+    caption = f"mean map error, 95 % bootstrap interval; {LOST_MEANS}"
+    shown = [*means, Column("median", "median", 3, "lower"), lost]
+    found = [Table("Map error", "associator", shown, errors, caption)]
+    if gaps:
+        caption = "mean over the same episodes, 95 % bootstrap interval"
+        title = "Map error above that of true association with the same relocation"
+        found.append(Table(title, "associator", means, gaps, caption, differences=True))
+    return found

@@ -1,0 +1,79 @@
+"""The page of recordings: what each associator has made of each log, and the files behind it drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+
+from agents.evaluation.mapped_log import FOLDER
+from agents.evaluation.pipeline import Results
+from agents.evaluation.records import stem
+from agents.evaluation.tables import Table, by_setting, columns, counted
+from agents.reports import figures
+from agents.reports.figures import Colours
+from agents.reports.page import Page, Part, Picture
+
+COLUMNS = columns(
+    "precision", "recall", "f1", "features", "duplicates", "clutter_features", "ate", "ate_batch", "landmark_rmse",
+    "landmark_rmse_batch", "anees", "seconds",
+)  # fmt: skip
+FURTHER_COLUMNS = columns(
+    "ate_median", "ate_unaligned", "landmark_rmse_unaligned", "wrong", "clutter_share", "clutter_on_landmarks", "found",
+    "nodes", "microseconds", "step_microseconds", "limits",
+)  # fmt: skip
+CAPTION = """ATE, lm.: RMSE of positions, of landmarks [m], aligned; batch: by batch
+least squares with the same pairings; of the true ones, it is the best that could be had.
+feat.: confirmed features; dupl.: of a landmark that has one; clut.: of none.
+s: time of the whole log."""
+
+
+def recordings_page(results: Results, folder: Path) -> Page:
+    """Per log its tables, the maps over the reference, the errors over time; means where there are several."""
+    logs, colour, parts = by_setting(results.frame), figures.colours(results.names), list[Part]()
+    for name, own in logs.items():
+        about = own.iloc[0]
+        title = f"{name}, {about['steps']} scans, {about['true_features']} labelled features"
+        parts += [
+            *tables(own, title),
+            f"{about['measurements']} measurements, {about['clutter']} of them spurious. {about['source']}",
+        ]
+        parts += _pictures(name, own["name"], folder / FOLDER, colour)
+    if len(logs) > 1:
+        parts += tables(means(results.frame), "mean")
+    subtitle = f"EKF-SLAM over real logs, {counted(len(results.names), 'associator')}"
+    return Page("Associators on recordings", subtitle, parts, "recordings.html")
+
+
+def tables(frame: pd.DataFrame, title: str) -> list[Table]:
+    """The most important numbers of one log, or of the means, and further ones; columns in which there is anything."""
+    found = []
+    for shown in (COLUMNS, FURTHER_COLUMNS):
+        kept = [column for column in shown if frame[column.key].notna().any()]
+        rows = frame.set_index("name")[[column.key for column in kept]].astype(float).to_dict("index")
+        found.append(Table(title, "associator", kept, rows, CAPTION))
+    return [found[0], replace(found[1], title="", caption="", detail=True)]
+
+
+def means(frame: pd.DataFrame) -> pd.DataFrame:
+    """Of each associator that was run over all logs, in the order of the frame; one row each."""
+    groups = frame.groupby("name", sort=False)
+    found = groups[[column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]].mean()
+    return found[groups["setting"].nunique() == frame["setting"].nunique()].reset_index()
+
+
+def _pictures(log: str, names: pd.Series, folder: Path, colour: Colours) -> list[Part]:
+    """Maps and errors of the associators whose files are there, where the log has a reference."""
+    errors, features = {}, {}
+    for name in names:
+        files = [folder / f"{stem(log, name)}.{kind}.csv" for kind in ("errors", "map")]
+        if all(file.exists() for file in files) and len(found := pd.read_csv(files[0])):
+            errors[name], features[name] = found, pd.read_csv(files[1])
+    if not errors:
+        return []
+    landmarks = pd.read_csv(folder / f"{stem(log)}.landmarks.csv").to_numpy()
+    maps = partial(figures.maps, errors, features, landmarks, colour)
+    over_time = partial(figures.errors_over_time, errors, colour)
+    return [Picture(f"maps over the reference, {log}", maps), Picture(f"position errors over time, {log}", over_time)]
