@@ -13,7 +13,7 @@ Rows that the CSV has already are not driven again. `--quick` drives 60 ticks of
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ import pandas as pd
 from agents.drivers.baselines import InformationGain
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.mapped_log import final_ids
+from agents.evaluation.pipeline import run_all
 from benchmarks.common import Record, options, table
 from slam_gym import Odometry, Scan, smooth
 from slam_gym.geometry import transform
@@ -73,12 +74,11 @@ def drive_all(tasks: list[Task], out: Path, jobs: int) -> pd.DataFrame:
     """The rows of all tasks; those that `out` does not have are driven, and written as they are finished."""
     rows: list[Record] = pd.read_csv(out).to_dict("records") if out.exists() else []
     known = {tuple(row[key] for key in KEYS) for row in rows}
-    with ProcessPoolExecutor(jobs) as pool:
-        for row in pool.map(drive, [task for task in tasks if task not in known]):
-            rows.append(row)
-            pd.DataFrame(rows).to_csv(out, index=False)
-            print(*row.values(), flush=True)
-    return pd.DataFrame(rows)
+    for row in run_all([partial(drive, task) for task in tasks if task not in known], jobs):
+        rows.append(row)
+        pd.DataFrame(rows).to_csv(out, index=False)
+        print(*row.values(), flush=True)
+    return pd.DataFrame(rows).sort_values(KEYS)
 
 
 def differences(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:

@@ -29,9 +29,9 @@ from slam_gym import ASSOCIATORS, RELOCATORS, SCENARIOS, Scenario
 from slam_gym.scenarios import overridden
 from slam_gym.world.generators import OfficeGenerator
 
-NOISY = {f"odometry.{name}": 0.5 for name in ("forward", "lateral", "turn_per_radian", "turn_per_metre")}
-NOISY |= {"sensor.range_sigma": 0.6, "sensor.bearing_sigma": 0.2}
-QUIET = {f"odometry.{name}": 0.0 for name in ("forward", "lateral", "turn_per_radian", "turn_per_metre")}
+ODOMETRY = [f"odometry.{name}" for name in ("forward", "lateral", "turn_per_radian", "turn_per_metre")]
+NOISY = dict.fromkeys(ODOMETRY, 0.5) | {"sensor.range_sigma": 0.6, "sensor.bearing_sigma": 0.2}
+QUIET = dict.fromkeys(ODOMETRY, 0.0)
 QUIET |= {"odometry.floor": 1e-7, "sensor.range_sigma_ratio": 0.0, "sensor.detection": 1.0, "sensor.clutter": 0.0}
 QUIET |= {f"sensor.{name}": 1e-6 for name in ("range_sigma", "bearing_sigma", "size_sigma")}
 BUSY = {"sensor.clutter": 10.0, "sensor.detection": 0.1, "dynamics.people": 30}
@@ -46,12 +46,7 @@ EXTREMES: dict[str, dict[str, Any]] = {
     "all at once": NOISY | BUSY,
 }
 SOAK = NOISY | {"sensor.clutter": 10.0, "dynamics.people": 30}
-SHORTER = {
-    "noise × 20": 0.1,
-    "clutter": 0.2,
-    "all at once": 0.1,
-    "soak": 0.1,
-}  # a lost robot takes ten times as long for a tick
+SHORTER = {"noise × 20": 0.1, "clutter": 0.2, "all at once": 0.1, "soak": 0.1}  # a lost robot takes ten times as long
 ARGUMENTS: dict[str, dict[str, tuple[Any, ...]]] = {
     "Explore": {
         "action": ("goal", "twist"),
@@ -68,8 +63,6 @@ LONGEST = {"Explore": math.inf, "Associate": 300, "Relocate": 150}  # [ticks]
 KINDS = ("Explore",) * 7 + ("Associate",) * 2 + ("Relocate",)
 MIN_EPISODES = 100  # in which memory is judged: before, code is still being loaded
 GROWTH = 0.05  # of memory from the second to the last fifth of the episodes; more is a leak
-
-
 LONGEST_TICK = 1.0  # [s] of the processor, with an associator; the first episode, which may compile, is not timed
 
 

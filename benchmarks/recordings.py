@@ -1,20 +1,16 @@
-"""Relocation on real data: right, wrong and no answer, inside the map and outside of it.
+"""Relocation on Victoria Park: right, wrong and no answer, inside the map and outside of it.
 
-**Victoria Park.** The first half of the log makes the map, by SLAM with JCBB; the robot is kidnapped at scans of the
+The first half of the log makes the map, by SLAM with JCBB; the robot is kidnapped at scans of the
 second half. The reference is the least-squares trajectory of the whole log with the published identities, moved into
 the frame of the map by a rigid alignment of the labelled trunks within the laser's range of the scan, so that the map's
 own drift is no error. A scan is *inside* if three of its trunks at least are in the map; *outside* if the labels know
 the scan, none of its trunks is in the map, and no feature of the map lies within range ahead. Others are left out.
 
-**MR.CLAM, stationary groups.** The map is surveyed; landmarks are covisible if one group in every other pose saw both,
-and the groups of the remaining poses are searched for. Groups of another set, whose landmarks stand elsewhere, are
-*outside*.
-
 GCBB, random sampling and the feature index (built for each scan) search, with the trunk diameters that the laser
-measured and without. A pose is right within 1 m and 3° (room: 15°). Intervals are 95 %; scans of one log are not
+measured and without. A pose is right within 1 m and 3°. Intervals are 95 %; scans of one log are not
 independent, so that they are narrower than they should be.
 
-    SLAM_GYM_DATA=... python benchmarks/recordings.py       # eight minutes
+    SLAM_GYM_DATA=... python benchmarks/recordings.py       # five minutes
 """
 
 from __future__ import annotations
@@ -23,7 +19,7 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,9 +30,8 @@ from agents.evaluation.mapped_log import map_log
 from benchmarks.common import Tolerance, attempt, count_answers, data_folder, features_in_view, options, table
 from slam_gym import Landmarks, Locality, Scan, Slam, Smoothed, gcbb, indexed, random_sampling, smooth
 from slam_gym.geometry import compose, transform
-from slam_gym.mapping.locality import covisible, linked, within
+from slam_gym.mapping.locality import covisible, within
 from slam_gym.metrics.map_quality import align_se2
-from slam_gym.recordings.mrclam import stationary
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
 from slam_gym.scenarios.registry import slam_for
@@ -45,25 +40,18 @@ from slam_gym.types import Array, IntArray, Truth
 
 KNOWN = 3  # trunks in the map that a scan from inside has
 MISLABELLED = 5.0  # [m] a feature so far from its label's place was made of something else
-SETS = 5  # of MR.CLAM
-SURVEYED = 0.01  # [m] by which its landmarks are off, per axis
-STOOD_STILL = Tolerance(0.1, math.radians(5.0))
-ROOM_NEAR = Tolerance(1.0, math.radians(15.0))  # of three barcodes a metre apart, known to 15 cm each
-PARK_NEAR = Tolerance(1.0, math.radians(3.0))  # right answers err by centimetres, wrong ones by tens of metres
+NEAR = Tolerance(1.0, math.radians(3.0))  # right answers err by centimetres, wrong ones by tens of metres
 
 PlacedScan = tuple[Scan, Array, bool]
 """A scan, its pose (3,) in the frame of the map, and whether it is from inside the map."""
 
 
-@dataclass(frozen=True, eq=False)
-class Place:
+class Place(NamedTuple):
     """A map to be lost in."""
 
-    name: str
     landmarks: Landmarks
     localities: Mapping[str, Locality | None]
     scans: Sequence[PlacedScan]
-    near: Tolerance  # within which an answer is right
 
 
 class HalfMap(NamedTuple):
@@ -99,7 +87,7 @@ def park(folder: Path, scans: int, steps: int | None) -> Place:
         "distance": within(slam.map.positions, 2.0 * log.range),
         "everything": None,
     }
-    return Place("park", slam.map.landmarks(), localities, chosen, PARK_NEAR)
+    return Place(slam.map.landmarks(), localities, chosen)
 
 
 def placed_scan(log: Recording, k: int, optimum: Smoothed, mapped: HalfMap) -> PlacedScan | None:
@@ -128,70 +116,35 @@ def into_map(optimum: Smoothed, mapped: HalfMap, pose: Array, reach: float) -> A
     return align_se2(there[chosen], here[chosen])
 
 
-def room(folder: Path, scans: int) -> list[Place]:
-    """The five sets of stationary groups; at most so many scans inside and as many outside, over all of them."""
-    sets = [stationary(folder / f"mrclam{number + 1}.mat") for number in range(SETS)]
-    distinct = [poses_apart(groups.reference_poses) for groups in sets]
-    places = []
-    for number, groups in enumerate(sets):
-        other = (number + 2) % SETS  # sets 3 and 4 have the same landmarks
-        elsewhere = sets[other]
-        seen, asked = distinct[number][::2], distinct[number][1::2]
-        chosen = [(groups.scan(k), groups.reference_poses[k], True) for k in spread(asked, scans // SETS)]
-        chosen += [
-            (elsewhere.scan(k), elsewhere.reference_poses[k], False) for k in spread(distinct[other], scans // SETS)
-        ]
-        rows = {identity: row for row, identity in enumerate(groups.landmark_ids.tolist())}
-        together = [sorted({rows[identity] for identity in groups.sources_of(k).tolist()}) for k in seen]
-        pairs = {pair for group in together for pair in itertools.combinations(group, 2)}
-        links, count = np.array(sorted(pairs), np.int64).reshape(-1, 2), len(rows)
-        localities = {"covisibility": linked(count, links), "two hops": linked(count, links, 2), "everything": None}
-        surveyed = Landmarks.from_points(groups.landmarks, sigma=SURVEYED)
-        places.append(Place("room", surveyed, localities, chosen, ROOM_NEAR))
-    return places
-
-
-def poses_apart(poses: Array) -> list[int]:
-    """Rows of the poses (c, 3) that have moved since the one before in the list."""
-    kept = [0]
-    for case, pose in enumerate(poses):
-        if not STOOD_STILL.holds(pose, poses[kept[-1]]):
-            kept.append(case)
-    return kept
-
-
 def without_sizes(known: Any) -> Any:
     """The same scan or map with all sizes unknown."""
     unknown = np.full(len(known), math.nan)
     return replace(known, sizes=unknown, size_variances=unknown.copy())
 
 
-def attempts(places: Sequence[Place], node_limit: int) -> pd.DataFrame:
+def attempts(place: Place, node_limit: int) -> pd.DataFrame:
     """Every search under every locality on every scan, with sizes and without."""
     searches = {search.__name__: functools.partial(search, node_limit=node_limit)
                 for search in (gcbb, random_sampling, indexed)}  # fmt: skip
     rows = []
-    for place in places:
-        for sizes in (True, False) if np.isfinite(place.landmarks.sizes).any() else (False,):
-            landmarks = place.landmarks if sizes else without_sizes(place.landmarks)
-            for (name, search), (locality, local) in itertools.product(searches.items(), place.localities.items()):
-                key = {"place": place.name, "sizes": sizes, "search": name, "locality": locality}
-                for scan, pose, inside in place.scans:
-                    answer, record = attempt(search, scan if sizes else without_sizes(scan), landmarks, local)
-                    right = inside and place.near.holds(answer.pose, pose)
-                    rows.append({**key, **record, "inside": inside, "right": right})
+    for sizes, (name, search), locality in itertools.product((True, False), searches.items(), place.localities):
+        landmarks = place.landmarks if sizes else without_sizes(place.landmarks)
+        for scan, pose, inside in place.scans:
+            asked = scan if sizes else without_sizes(scan)
+            answer, record = attempt(search, asked, landmarks, place.localities[locality])
+            key = {"sizes": sizes, "search": name, "locality": locality, "inside": inside}
+            rows.append(key | record | {"right": inside and NEAR.holds(answer.pose, pose)})
     return pd.DataFrame(rows)
 
 
 def main() -> None:
-    a = options(__doc__, scans=120, groups=1000)
+    a = options(__doc__, scans=120)
     folder = data_folder()
     if folder is None:
         return
-    scans, groups, limit, steps = (3, 10, 2000, 1200) if a.quick else (a.scans, a.groups, 20_000, None)
-    places = [*room(folder / "mrclam" / "stationary", groups), park(folder / "victoria_park", scans, steps)]
-    found = attempts(places, limit)
-    rows, keys = [], ["place", "sizes", "search"]
+    scans, limit, steps = (3, 2000, 1200) if a.quick else (a.scans, 20_000, None)
+    found = attempts(park(folder / "victoria_park", scans, steps), limit)
+    rows, keys = [], ["sizes", "search"]
     for key, group in found[found["locality"] == "covisibility"].groupby(keys, sort=False):
         rows += [dict(zip(keys, key)) | count_answers(group, asked) for asked in (None, *range(3, 10))]
     table("Answers by the number of pairings asked for, covisibility", rows)

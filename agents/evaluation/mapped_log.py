@@ -23,7 +23,7 @@ from agents.evaluation.records import Record, stem, written_whole
 from slam_gym.association.prediction import Associator
 from slam_gym.geometry import compose, inverse, transform
 from slam_gym.mapping.smoothing import smooth
-from slam_gym.metrics.association import Identities, Tally
+from slam_gym.metrics.association import Tally
 from slam_gym.metrics.consistency import anees, pose_nees
 from slam_gym.metrics.map_quality import align_se2, ate, landmark_rmse
 from slam_gym.recordings.recording import Recording, interpolate, write_tum
@@ -52,11 +52,9 @@ class Comparison(NamedTuple):
 
     def frame(self) -> pd.DataFrame:
         """A row an instant: time [s], estimated position moved onto the reference, reference, their distance [m]."""
-        x, y = transform(self.alignment, np.ascontiguousarray(self.estimated[:, :2])).T
-        at_x, at_y = self.reference[:, 0], self.reference[:, 1]
-        error = np.hypot(x - at_x, y - at_y)
-        columns = {"time": self.times, "x": x, "y": y, "reference_x": at_x, "reference_y": at_y, "error": error}
-        return pd.DataFrame(columns)
+        moved, true = transform(self.alignment, np.ascontiguousarray(self.estimated[:, :2])), self.reference[:, :2]
+        rows = np.column_stack([self.times, moved, true, np.hypot(*(moved - true).T)])
+        return pd.DataFrame(rows, columns=["time", "x", "y", "reference_x", "reference_y", "error"])
 
 
 def compare(log: Recording, poses: Array) -> Comparison:
@@ -75,10 +73,9 @@ def compare(log: Recording, poses: Array) -> Comparison:
 
 def _close(times: Array, at: Array) -> BoolArray:
     """Which instants (k,) lie between two of `times` that are no more than MAX_GAP apart."""
-    inside = (at >= times[0]) & (at <= times[-1])
-    after = np.clip(np.searchsorted(times, at, side="left"), 0, len(times) - 1)
+    after = np.clip(np.searchsorted(times, at), 0, len(times) - 1)
     before = np.where(times[after] == at, after, np.maximum(after - 1, 0))
-    close: BoolArray = inside & (times[after] - times[before] <= MAX_GAP)
+    close: BoolArray = (at >= times[0]) & (at <= times[-1]) & (times[after] - times[before] <= MAX_GAP)
     return close
 
 
@@ -103,12 +100,12 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
     without having to be confirmed, and nothing else does. It is what is left of the error once no association is
     wrong, and never lost. Raises as `Slam.step`, and ValueError for a search that nobody knows.
     """
-    informed = associator == CEILING
+    informed, parts = associator == CEILING, {}
     if informed:
         spec = replace(spec, map=replace(spec.map, confirmations=1))
-    slam = Slam(spec)
-    if relocation is not None and not informed:
-        slam = Slam(spec, relocate=relocate_by(relocation), atlas=AtlasSpec())
+    elif relocation is not None:
+        parts = {"relocate": relocate_by(relocation), "atlas": AtlasSpec()}
+    slam = Slam(spec, **parts)  # type: ignore[arg-type]
     if (start := start_of(log)) is not None:
         slam.map.place(start, np.zeros((3, 3)))
     meter, associate = metered(associator)
@@ -122,28 +119,21 @@ def map_log(log: Recording, associator: str | Associator, spec: SlamSpec, reloca
         covariances.append(slam.map.pose_covariance)
         ids.append(step.ids)
         created.append(step.created)
-    feature, identities = np.concatenate(ids), judged.identities
+    feature, identities, m = np.concatenate(ids), judged.identities, slam.map
     measurements = pd.DataFrame({
         "source": log.sources,
         "paired": (feature != NO_ID) & ~np.concatenate(created),
         "feature": final_ids(slam, feature),
         "feature_source": np.where(feature == NO_ID, UNPAIRED, identities.source_of(np.maximum(feature, 0))),
     })  # fmt: skip
-    effort = meter.effort() | {"seconds": sum(seconds), "step_microseconds": 1e6 * float(np.median(seconds))}
-    features, tally = _features(slam, identities), identities.total
-    return MappedLog(
-        log, np.array(poses), np.array(covariances), measurements, features, tally, effort, start is not None
-    )
-
-
-def _features(slam: Slam, identities: Identities) -> pd.DataFrame:
-    m = slam.map
-    variances = m.covariances.reshape(-1, 4)
-    return pd.DataFrame({
+    features = pd.DataFrame({
         "id": m.ids, "identity": identities.source_of(m.ids), "confirmed": (~m.provisional).astype(int),
-        "seen": m.seen, "x": m.positions[:, 0], "y": m.positions[:, 1], "variance_x": variances[:, 0],
-        "covariance_xy": variances[:, 1], "variance_y": variances[:, 3], "size": m.sizes,
+        "seen": m.seen, "x": m.positions[:, 0], "y": m.positions[:, 1], "variance_x": m.covariances[:, 0, 0],
+        "covariance_xy": m.covariances[:, 0, 1], "variance_y": m.covariances[:, 1, 1], "size": m.sizes,
     })  # fmt: skip
+    effort = meter.effort() | {"seconds": sum(seconds), "step_microseconds": 1e6 * float(np.median(seconds))}
+    run = np.array(poses), np.array(covariances)
+    return MappedLog(log, *run, measurements, features, identities.total, effort, start is not None)
 
 
 def final_ids(slam: Slam, ids: IntArray) -> IntArray:
@@ -193,14 +183,13 @@ def measure(mapped: MappedLog) -> Record:
 
 def _associations(mapped: MappedLog) -> Record:
     """Over the measurements with an identity; what became of the spurious ones goes by itself."""
-    tally = mapped.tally
-    pairings = tally.tp + tally.fp_wrong + tally.fp_duplicate
+    tally = replace(mapped.tally, fp_spurious=0)
     spurious = mapped.measurements[mapped.measurements["source"] == SPURIOUS]
     accepted = spurious[spurious["paired"]]
     return {
-        "precision": tally.tp / pairings if pairings else math.nan,
+        "precision": tally.precision,
         "recall": tally.recall,
-        "f1": 2 * tally.tp / (pairings + tally.in_map) if pairings + tally.in_map else math.nan,
+        "f1": tally.f1,
         "wrong": tally.fp_wrong,
         "clutter": len(spurious),
         "clutter_accepted": len(accepted),
@@ -223,24 +212,20 @@ def _confirmed(mapped: MappedLog) -> Record:
 
 
 def _poses(mapped: MappedLog) -> Record:
-    compared = compare(mapped.log, mapped.poses)
-    known = mapped.in_world and len(compared.times) > 0
-    return {
+    """Errors of the positions; those without alignment, and ANEES, where the log began in the frame of the reference.
+    At the steps for which there is a reference, whose own uncertainty counts too."""
+    log, compared = mapped.log, compare(mapped.log, mapped.poses)
+    found = {
         "ate": ate(compared.estimated, compared.reference, aligned=True),
         "ate_median": float(compared.frame()["error"].median()),
-        "ate_unaligned": ate(compared.estimated, compared.reference) if known else math.nan,
-        "anees": _anees(mapped) if known else math.nan,
     }
-
-
-def _anees(mapped: MappedLog) -> float:
-    """Of the poses, at the steps for which there is a reference; its own uncertainty counts too."""
-    log = mapped.log
+    if not mapped.in_world or not len(compared.times):
+        return found | {"ate_unaligned": math.nan, "anees": math.nan}
     known = _close(log.reference_times, log.times)
     true = interpolate(log.reference_times, log.reference_poses, log.times[known])
     covariances = mapped.pose_covariances[known] + np.diag(np.square(REFERENCE_SIGMA))
-    triples = zip(mapped.poses[known], covariances, true)
-    return anees(np.array([pose_nees(pose, covariance, at) for pose, covariance, at in triples]), 3)
+    values = [pose_nees(pose, covariance, at) for pose, covariance, at in zip(mapped.poses[known], covariances, true)]
+    return found | {"ate_unaligned": ate(compared.estimated, compared.reference), "anees": anees(np.array(values), 3)}
 
 
 def _landmarks(mapped: MappedLog) -> Record:
