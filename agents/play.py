@@ -53,23 +53,21 @@ class Controls:
         import pygame  # extra `render`; the window delivers the keys
 
         self._pygame = pygame
-        self._keys = {
-            "forward": (pygame.K_UP, pygame.K_w), "backward": (pygame.K_DOWN, pygame.K_s),
-            "left": (pygame.K_LEFT, pygame.K_a), "right": (pygame.K_RIGHT, pygame.K_d),
-        }  # fmt: skip
+        directions = {(1, 0): ("UP", "w"), (-1, 0): ("DOWN", "s"), (0, 1): ("LEFT", "a"), (0, -1): ("RIGHT", "d")}
+        self._keys = {getattr(pygame, f"K_{key}"): way for way, keys in directions.items() for key in keys}
         self._wishes = {getattr(pygame, key): wish for wish, key in WISHES.items()}
-        self._down: set[int] = set()
-        self._sticks: dict[int, float] = {}
         self._pads: list[Any] = []
+        self.reset(0)
 
     def reset(self, seed: int) -> None:
-        self._down.clear()
-        self._sticks.clear()
+        self._down: set[int] = set()
+        self._sticks: dict[int, float] = {}
 
     def act(self, observation: Observation, info: Info) -> NDArray[np.float32]:
-        held = {name: bool(self._down.intersection(keys)) for name, keys in self._keys.items()}
-        forward, turn = float(held["forward"] - held["backward"]), float(held["left"] - held["right"])
-        return np.clip([forward - self._stick(1), turn - self._stick(0)], -1.0, 1.0).astype(np.float32)
+        held = {self._keys[key] for key in self._down & self._keys.keys()}
+        pushed = {axis: value for axis, value in self._sticks.items() if abs(value) > _IDLE}
+        sticks = (-pushed.get(1, 0.0), -pushed.get(0, 0.0))  # right and down are positive
+        return np.clip(np.sum([*held, sticks], axis=0), -1.0, 1.0).astype(np.float32)
 
     def poll(self) -> str | None:
         """Take in what happened since the last call; one of `WISHES` where that was asked for."""
@@ -87,11 +85,6 @@ class Controls:
             elif event.type == pygame.JOYAXISMOTION:
                 self._sticks[event.axis] = event.value
         return wish
-
-    def _stick(self, axis: int) -> float:
-        """Where a stick is, in [−1, 1]: right and down are positive."""
-        value = self._sticks.get(axis, 0.0)
-        return value if abs(value) > _IDLE else 0.0
 
 
 class Screen:

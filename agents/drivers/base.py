@@ -36,6 +36,19 @@ class Agent(Protocol):
         """The slot of a legal goal (action "goal"), or forward and turning speed in [−1, 1] (action "twist")."""
 
 
+class GoalDriver:
+    """What drivers that choose among goals have in common; one that remembers nothing has no `reset` of its own."""
+
+    name: str
+    action: ActionKind = "goal"
+
+    def __init__(self) -> None:
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode."""
+
+
 AGENTS: dict[str, str] = {
     "random": "agents.drivers.baselines:RandomAgent",
     "nearest_frontier": "agents.drivers.baselines:NearestFrontier",
@@ -81,9 +94,7 @@ def make_agent(name: str, model: Path | str | None = None, *, trust: bool = Fals
     if not hasattr(cls, "load"):
         return cast(Agent, cls())
     if model is None:
-        raise ValueError(
-            f"agent {name!r} is learned: give its model file (--model FILE; python -m agents.train makes one)"
-        )
+        raise ValueError(f"agent {name!r} is learned: give its file (--model FILE; python -m agents.train makes one)")
     return cast(Agent, cls.load(Path(model), trust=trust))
 
 

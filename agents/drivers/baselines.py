@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals
 from slam_gym.envs.observation import unsquash_goals
 from slam_gym.geometry import transform
 from slam_gym.simulation.goals import Tried
@@ -20,14 +20,10 @@ OVERHEAD = 5.0  # [ticks] to set off and to stop
 LOOK = 32.0  # [ticks] to turn round once
 
 
-class RandomAgent:
+class RandomAgent(GoalDriver):
     """One of the legal goals, uniformly."""
 
     name = "random"
-    action: ActionKind = "goal"
-
-    def __init__(self) -> None:
-        self.reset(0)
 
     def reset(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
@@ -36,15 +32,11 @@ class RandomAgent:
         return int(self._rng.choice(np.flatnonzero(legal_goals(info))))
 
 
-class NearestFrontier:
+class NearestFrontier(GoalDriver):
     """The legal frontier with the shortest path (Yamauchi, CIRA 1997). With no frontier left the floor counts as
     explored, and it stays."""
 
     name = "nearest_frontier"
-    action: ActionKind = "goal"
-
-    def reset(self, seed: int) -> None:
-        pass
 
     def act(self, observation: Observation, info: Info) -> int:
         goals = unsquash_goals(observation["goals"])
@@ -54,7 +46,7 @@ class NearestFrontier:
         return int(np.argmin(np.where(frontiers, goals["path"], np.inf)))
 
 
-class Lawnmower:
+class Lawnmower(GoalDriver):
     """Frontiers in the order of a lawn-mower (boustrophedon; Choset 2001): along the lane while it goes on ahead, else
     turn into the nearest lane.
 
@@ -63,10 +55,6 @@ class Lawnmower:
     """
 
     name = "lawnmower"
-    action: ActionKind = "goal"
-
-    def __init__(self) -> None:
-        self.reset(0)
 
     def reset(self, seed: int) -> None:
         self._direction = 1.0  # +1: lanes are driven towards +x of B
@@ -108,7 +96,7 @@ def rates(goals: dict[str, Array]) -> Array:
     return out
 
 
-class InformationGain:
+class InformationGain(GoalDriver):
     """The goal that takes the most uncertainty out of the map per tick: the greatest of
     (2 σ₀² · density · expected new area + expected trace reduction) / ticks.
 
@@ -118,10 +106,6 @@ class InformationGain:
     """
 
     name = "information_gain"
-    action: ActionKind = "goal"
-
-    def __init__(self) -> None:
-        self.reset(0)
 
     def reset(self, seed: int) -> None:
         self._looked, self._revisited = Tried(), Tried()

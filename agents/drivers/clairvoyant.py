@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals
 from agents.drivers.baselines import InformationGain
 from slam_gym._jit import compiled
 from slam_gym.envs.observation import unsquash_goals
@@ -39,21 +39,17 @@ Bits = NDArray[np.uint64]
 """(…, w) sets of features, one bit each, 64 to a word."""
 
 
-class Clairvoyant:
+class Clairvoyant(GoalDriver):
     """The goal from which the best tour over the true rooms, in the ticks that are left, maps most features.
 
     Where no goal leads to anything more, it drives as information gain does.
     """
 
     name = "clairvoyant"
-    action: ActionKind = "goal"
-
-    def __init__(self) -> None:
-        self._without_plan = InformationGain()
-        self._episode: Episode | None = None
+    _episode: Episode | None = None
 
     def reset(self, seed: int) -> None:
-        self._without_plan.reset(seed)
+        self._without_plan = InformationGain()
 
     def behold(self, episode: Episode) -> None:
         """Be shown the truth behind an episode that has just begun."""
@@ -74,47 +70,46 @@ class Clairvoyant:
         """
         if self._episode is None:
             raise RuntimeError("the clairvoyant driver has not been shown an episode: call behold(episode)")
-        goals, legal, here = unsquash_goals(observation["goals"]), legal_goals(info), self._episode.poses[-1]
+        episode, goals, legal = self._episode, unsquash_goals(observation["goals"]), legal_goals(info)
+        here, left = episode.poses[-1], float(episode.scenario.budget - episode.ticks)
         places = transform(here, np.column_stack([goals["x"], goals["y"]]))
         there, ways = self._views.nearest(places), self._views.ways_from(self._views.nearest(here[None, :2]))
         ticks = OVERHEAD + np.maximum(ways.lengths[0, there], goals["path"]) / SPEED
         ticks[LOOK_AROUND] = LOOK
-        known, worth = self._known(), self._worth()
+        known, worth = mapped_already(episode), worth_of(episode)
         values = np.full(len(legal), -np.inf)
         for k in np.flatnonzero(legal):
-            values[k] = self._value(int(there[k]), float(ticks[k]), ways, known, worth)
+            seen, rest = ways.seen[0, there[k]], left - ticks[k]
+            found = gained(known, seen, worth)
+            if rest > 0.0:
+                early = EARLY * rest / left
+                values[k] = found * (1.0 + early) + self._best_tour(there[k], rest, known | seen, worth, early)
+            else:
+                values[k] = found * left / ticks[k]
         return values
 
-    def _value(self, cell: int, ticks: float, way: Ways, known: Bits, worth: Array) -> float:
-        """What the way to a cell brings, and the best tour from there."""
-        assert self._episode is not None
+    def _best_tour(self, cell: np.int64, left: float, known: Bits, worth: Array, early: float) -> float:
+        """What the best tour from a cell brings, in the ticks that are left."""
         ways = self._views.ways
-        left = float(self._episode.scenario.budget - self._episode.ticks)
-        found = gained(known, way.seen[0, cell], worth)
-        if ticks >= left:
-            return found * left / ticks
-        early = EARLY * (left - ticks) / left
         start = OVERHEAD + ways.lengths[:, cell] / SPEED, np.ascontiguousarray(ways.seen[:, cell])
-        more = best_tour(start, self._between, left - ticks, known | way.seen[0, cell], worth, self._chance, early)
-        return found * (1.0 + early) + more
+        return best_tour(start, self._between, left, known, worth, self._chance, early)
 
-    def _known(self) -> Bits:
-        """The features that the map holds already."""
-        assert self._episode is not None
-        mapped = np.zeros(len(self._episode.site.plan.features), np.bool_)
-        for part in self._episode.slam.maps:
-            sources = self._episode.identities.source_of(part.ids[~part.provisional])
-            mapped[sources[sources >= 0]] = True
-        return bits_of(mapped)
 
-    def _worth(self) -> Array:
-        """(n,) by how much each feature lowers N · E where it is mapped from a pose that is as wrong as now: 1 at best,
-        −1 where it ends up so far off that it is missing still, and false besides."""
-        episode = self._episode
-        assert episode is not None
-        true = episode.site.plan.features.positions
-        mapped = transform(compose(episode.base, episode.estimates[-1]), observe(episode.poses[-1], true))
-        return 1.0 - np.minimum(np.hypot(*(mapped - true).T) / episode.scenario.prior_sigma, 2.0)
+def mapped_already(episode: Episode) -> Bits:
+    """The features that the map holds."""
+    mapped = np.zeros(len(episode.site.plan.features), np.bool_)
+    for part in episode.slam.maps:
+        sources = episode.identities.source_of(part.ids[~part.provisional])
+        mapped[sources[sources >= 0]] = True
+    return bits_of(mapped)
+
+
+def worth_of(episode: Episode) -> Array:
+    """(n,) by how much each feature lowers N · E where it is mapped from a pose that is as wrong as now: 1 at best, −1
+    where it ends up so far off that it is missing still, and false besides."""
+    true = episode.site.plan.features.positions
+    mapped = transform(compose(episode.base, episode.estimates[-1]), observe(episode.poses[-1], true))
+    return 1.0 - np.minimum(np.hypot(*(mapped - true).T) / episode.scenario.prior_sigma, 2.0)
 
 
 # -- tours: orienteering by many greedy tours that chance varies -------------------------------------------------------

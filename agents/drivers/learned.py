@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.drivers.base import LOOK_AROUND, ActionKind, Info, Observation, legal_goals
+from agents.drivers.base import LOOK_AROUND, GoalDriver, Info, Observation, legal_goals
 from agents.drivers.baselines import InformationGain, rates
 from slam_gym.envs.observation import METRES, PIXELS, unsquash_goals
 from slam_gym.simulation.goals import Tried
@@ -180,25 +180,22 @@ def _normed(arrays: Arrays, name: str, x: Any) -> Any:
 # -- the driver --------------------------------------------------------------------------------------------------------
 
 
-class LearnedDriver:
+class LearnedDriver(GoalDriver):
     """The frontier of the highest score, or once at one place to look around; with no frontier left, information gain.
 
     It sees the observation alone; it counts the ticks that it has driven, which tells how many are left.
     """
 
     name = "learned"
-    action: ActionKind = "goal"
 
     def __init__(self, weights: str | Path | Weights = "driver") -> None:
         """`weights`: as `load_driver` takes them, or themselves."""
         given = weights if isinstance(weights, Weights) else load_driver(weights)
         self._arrays = given.arrays
-        self._without_frontiers = InformationGain()
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        self._ticks, self._looked = 0.0, Tried()
-        self._without_frontiers.reset(seed)
+        self._ticks, self._looked, self._without_frontiers = 0.0, Tried(), InformationGain()
 
     def act(self, observation: Observation, info: Info) -> int:
         self._ticks += float(info["ticks"])

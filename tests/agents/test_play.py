@@ -7,11 +7,9 @@ import pytest
 
 from agents.evaluation.episodes import ExploreArguments
 from agents.play import WISHES, Controls, Game, Screen, app, play
-from slam_gym.association import jcbb, nearest_neighbour
-from slam_gym.slam.slam import Slam
-from slam_gym.types import UNPAIRED, Odometry, Scan
+from slam_gym.types import UNPAIRED
 from tests.agents import typed
-from tests.rollouts import differences, relocate
+from tests.rollouts import relocate
 
 pygame = pytest.importorskip("pygame")
 DOWN, UP = pygame.KEYDOWN, pygame.KEYUP
@@ -148,16 +146,6 @@ def test_the_picture_has_lines_below_it(screen):
     shown = pygame.surfarray.array3d(pygame.display.get_surface())
     assert shown.shape[0] == 300 and shown.shape[1] > 60 + 2 * 13
     assert (shown[:, :60] == 200).all() and shown[:, 70:].max() > 150 > shown[:, 70:].min()
-
-
-def test_an_associator_is_switched_from_one_scan_to_the_next():
-    game, slam = Game(SMALL, None, None, deque(["nearest_neighbour", "jcbb"]), relocating=False), Slam()
-    scan = Scan.from_points([[3.0, 0.0], [3.0, 0.4], [5.0, 1.0]], sigma=0.3)
-    slam.step(Odometry.from_motion([0, 0, 0], 0.1), scan, "jcbb")
-    prediction = slam.predict(Odometry.from_motion([0, 0, 0], 0.1), scan)
-    for same in (nearest_neighbour, jcbb, nearest_neighbour):
-        assert not differences(game.associate(scan, prediction).features, same(scan, prediction).features)
-        game.associators.rotate(-1)
 
 
 def test_a_search_finds_nothing_while_it_is_off():

@@ -24,24 +24,10 @@ def test_every_listed_agent_is_there_and_says_what_it_is(name):
     assert not any(is_learned(baseline) for baseline in BASELINES)
 
 
-def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(ValueError, match=r"nearest_frontier.*information_gain"):
-        make_agent("greedy")
-
-
 @pytest.mark.parametrize("name", ["agents.nowhere:Agent", "agents.drivers.baselines:Nobody"])
 def test_a_path_that_leads_nowhere_is_an_error_that_names_it(name):
     with pytest.raises(ValueError, match=name.split(":")[0]):
         make_agent(name)
-
-
-def test_an_agent_of_ones_own_needs_no_registration():
-    assert make_agent("agents.drivers.baselines:NearestFrontier").name == "nearest_frontier"
-
-
-def test_a_learned_agent_without_model_says_how_to_get_one():
-    with pytest.raises(ValueError, match=r"agents\.train"):
-        make_agent("ppo")
 
 
 def test_agents_see_nothing_that_is_measured_against_the_truth():
@@ -55,13 +41,6 @@ def test_those_that_ship_need_no_torch():
     code += "[make_agent(n) for n in (*BASELINES, 'learned')]; "
     code += "sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
-
-
-@pytest.mark.parametrize("name", BASELINES)
-def test_nothing_but_looking_around_on_offer(name):
-    agent = make_agent(name)
-    agent.reset(3)
-    assert agent.act(*offered()) == 0
 
 
 @pytest.mark.parametrize("name", BASELINES)

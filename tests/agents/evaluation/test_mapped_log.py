@@ -133,13 +133,6 @@ def test_files_hold_the_run(tmp_path, mapped) -> None:
     assert np.hypot(*(known[["aligned_x", "aligned_y"]].to_numpy() - landmarks).T).max() < 0.5
 
 
-def test_a_log_without_a_reference_has_no_errors(tmp_path, log) -> None:
-    nobody_knows = replace(log, reference_times=np.empty(0), reference_poses=np.empty((0, 3)))
-    write_mapped_log(tmp_path, "jcbb", map_log(nobody_knows, "jcbb", SPEC))
-    assert len(pd.read_csv(tmp_path / "drive.jcbb.errors.csv")) == 0
-    assert not (tmp_path / "drive.reference.tum").exists() and (tmp_path / "drive.jcbb.tum").exists()
-
-
 def test_evo_reads_the_trajectories_and_finds_the_same_error(tmp_path, mapped) -> None:
     pytest.importorskip("evo")
     from evo.core import metrics, sync

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from agents.suite.worlds import Suite, ask_all
+from agents.suite.worlds import ask_all
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION
 from slam_gym.types import UNPAIRED, Effort, Hypothesis, Relocation
 
@@ -73,19 +73,3 @@ def test_neither_silence_nor_eagerness_pays():
     quiet, loud = run("kidnapped/0", 0, names, 8)
     assert (quiet["score"], quiet["silent"], quiet["refused"]) == (0.0, 4, 4)
     assert (loud["score"], loud["correct"], loud["invented"]) == (0.0, 0, 4)
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"associators": ["nn"]}, "'nn'; known: .*jcbb"),
-        ({"relocators": ["gps"]}, "'gps'; known: .*gcbb"),
-        ({"experiments": ["fog"]}, "'fog'; known: closure"),
-    ],
-)
-def test_names_that_nobody_knows_are_refused_with_those_that_are(changes, said):
-    given = {"associators": ["jcbb"], "experiments": ["closure"]} | changes
-    with pytest.raises(ValueError, match=said):
-        Suite(experiments=given["experiments"], relocators=given.get("relocators"), worlds=1).evaluation(
-            given["associators"], "test"
-        )
