@@ -56,10 +56,10 @@ def drives_page(results: Results, folder: Path) -> Page:
     drivers, parts = kind == "drivers", list[Part]()
     for table, own in zip(drive_tables(results), by_setting(results.frame).values()):
         dots = partial(figures.dot_chart, by_name(own), PANELS[kind], colour)
-        parts += [table, Picture(f"each episode of {table.title}", dots)]
+        parts += [table, Picture(f"Each episode of {table.title}", dots)]
     if drivers:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
-        parts += [Picture("Over time: interquartile mean over episodes and its interval", curves)]
+        parts += [Picture("Over time: interquartile mean over episodes, 95 % bootstrap band", curves)]
     if len(groups) > 1:
         gaps: Rows = {
             name: {other: difference(own, groups[other], "map_error") for other in groups if other != name}

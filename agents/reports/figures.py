@@ -71,8 +71,10 @@ def dot_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], colou
             axis.plot(middle.estimate, row, "o", color="white", markeredgecolor=colour[name], ms=4.5, zorder=4)
         axis.set_xlabel(column.title)
         axis.grid(visible=False, axis="y")
-        if column.key == "microseconds" and any(own[column.key].notna().any() for own in groups.values()):
-            axis.set_xscale("log")
+        times = pd.concat(own[column.key].dropna() for own in groups.values())
+        if column.key == "microseconds" and len(times):  # whole decades
+            ends = np.floor(np.log10(times.min())), np.ceil(np.log10(times.max()) + 1e-9)
+            axis.set(xscale="log", xlim=np.power(10.0, ends))
             axis.xaxis.set_minor_formatter(NullFormatter())
     axes[0].set_yticks(range(len(groups)), [display_name(name) for name in groups])
     axes[0].set_ylim(len(groups) - 0.5, -0.5)  # the first on top

@@ -76,4 +76,4 @@ def _pictures(log: str, names: pd.Series, folder: Path, colour: Colours) -> list
     landmarks = pd.read_csv(folder / f"{stem(log)}.landmarks.csv").to_numpy()
     maps = partial(figures.maps, errors, features, landmarks, colour)
     over_time = partial(figures.errors_over_time, errors, colour)
-    return [Picture(f"maps over the reference, {log}", maps), Picture(f"position errors over time, {log}", over_time)]
+    return [Picture(f"Maps over the reference, {log}", maps), Picture(f"Position errors over time, {log}", over_time)]

@@ -31,7 +31,7 @@ def suite_page(results: Results, folder: Path) -> Page:
     if len(association):
         found = scores(association)
         parts.append(capabilities(association, f"Capabilities, {about}"))
-        parts.append(Picture("score per capability", partial(figures.capability_bars, found, colour)))
+        parts.append(Picture("Score per capability", partial(figures.capability_bars, found, colour)))
         if gaps := leads(association):
             ahead, caption = _scores_of(association), "paired over worlds; bold: the interval excludes 0"
             parts.append(Table("Ahead of the next", "ahead of the next by", ahead, gaps, caption, True, detail=True))
@@ -43,7 +43,7 @@ def suite_page(results: Results, folder: Path) -> Page:
             table = Table(experiment.name.capitalize(), "associator", DETAILS, details(own, DETAILS), "", detail=True)
         curves = {who: levels(own[own["name"] == who]) for who in table.rows}
         chart = partial(figures.level_chart, curves, experiment.axis, colour)
-        parts += [table, f"{experiment.question} {experiment.why}", Picture(f"score against {experiment.axis}", chart)]
+        parts += [table, f"{experiment.question} {experiment.why}", Picture(f"Score against {experiment.axis}", chart)]
     subtitle = f"{about}, of the {size['split']} split, the same for all: single scans against real SLAM maps"
     return Page("The association suite", subtitle, parts, "suite.html")
 

@@ -29,18 +29,6 @@ def test_true_association_makes_no_mistake_and_maps_every_post_once(seed) -> Non
     assert math.isnan(numbers["nodes"]) and numbers["landmark_rmse"] < 0.3
 
 
-def test_a_map_starts_where_the_reference_does_and_stays_close_to_it() -> None:
-    log = posts_log()
-    mapped = map_log(log, "jcbb", SPEC)
-    numbers = measure(mapped)
-    assert mapped.in_world
-    np.testing.assert_allclose(start_of(log), log.reference_poses[0], atol=1e-12)
-    assert numbers["ate"] <= numbers["ate_unaligned"] < 0.5 and numbers["anees"] < 5.0
-    times, estimated, reference = compare(log, mapped.poses)
-    assert numbers["ate_unaligned"] == pytest.approx(ate(estimated, reference))
-    np.testing.assert_array_equal(times, log.times)
-
-
 def test_a_stretch_of_the_park_with_jcbb(data_dir) -> None:
     log = victoria_park(data_dir / "victoria_park").part(0, 600)
     jcbb, truth = (measure(map_log(log, name, VICTORIA_PARK)) for name in ("jcbb", "true_association"))
@@ -65,6 +53,20 @@ def log() -> Recording:
     return posts_log()
 
 
+@pytest.fixture(scope="module")
+def mapped(log):
+    return map_log(log, "jcbb", SPEC)
+
+
+def test_a_map_starts_where_the_reference_does_and_stays_close_to_it(log, mapped) -> None:
+    numbers, (times, estimated, reference) = measure(mapped), compare(log, mapped.poses)
+    assert mapped.in_world
+    np.testing.assert_allclose(start_of(log), log.reference_poses[0], atol=1e-12)
+    assert numbers["ate"] <= numbers["ate_unaligned"] < 0.5 and numbers["anees"] < 5.0
+    assert numbers["ate_unaligned"] == pytest.approx(ate(estimated, reference))
+    np.testing.assert_array_equal(times, log.times)
+
+
 def test_numbers_agree_with_counts_by_hand(log) -> None:
     mapped = map_log(log, "nearest_neighbour", SPEC)
     numbers = measure(mapped)
@@ -80,13 +82,11 @@ def test_numbers_agree_with_counts_by_hand(log) -> None:
     assert numbers["features"] == numbers["duplicates"] + numbers["found"] + numbers["clutter_features"]
 
 
-def test_where_headings_are_unknown_only_alignment_compares() -> None:
+def test_where_headings_are_unknown_only_alignment_compares(mapped) -> None:
     log = posts_log(surveyed=False)
-    mapped = map_log(log, "jcbb", SPEC)
-    numbers = measure(mapped)
-    assert not mapped.in_world and start_of(log) is None
-    assert math.isnan(numbers["ate_unaligned"]) and math.isnan(numbers["anees"])
-    assert numbers["ate"] == pytest.approx(measure(map_log(posts_log(), "jcbb", SPEC))["ate"], rel=1e-6)
+    numbers = measure(map_log(log, "jcbb", SPEC))
+    assert start_of(log) is None and math.isnan(numbers["ate_unaligned"]) and math.isnan(numbers["anees"])
+    assert numbers["ate"] == pytest.approx(measure(mapped)["ate"], rel=1e-6)
 
 
 def test_batch_least_squares_with_the_same_pairings_stands_beside_the_filter() -> None:
@@ -115,11 +115,6 @@ def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identi
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def mapped(log):
-    return map_log(log, "jcbb", SPEC)
 
 
 def test_files_hold_the_run(tmp_path, mapped) -> None:

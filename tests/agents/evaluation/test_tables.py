@@ -15,7 +15,6 @@ from agents.evaluation.tables import (
     by_setting,
     cell,
     difference,
-    display_name,
     estimate,
     estimates,
     print_table,
@@ -85,11 +84,6 @@ def test_differences_are_bold_where_they_exclude_zero():
 )
 def test_values_as_text(value, digits, signed, told):
     assert cell(value, digits, signed) == told
-
-
-def test_names_in_tables_are_short():
-    assert display_name("a.b:my_way") == "my way" and display_name("/x/y/branches.zip") == "branches.zip"
-    assert display_name("jcbb") == "jcbb" and display_name("drift/0") == "drift/0"
 
 
 @pytest.mark.parametrize("width", [60, 80, 200])

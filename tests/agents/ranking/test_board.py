@@ -116,18 +116,10 @@ NO_ENTRIES = [
 
 
 @pytest.mark.parametrize("content", NO_ENTRIES, ids=lambda content: str(content)[-40:])
-def test_what_is_no_entry_is_named_and_the_others_are_read(tmp_path, content):
+def test_what_is_no_entry_is_named_and_the_rest_of_the_board_is_drawn(tmp_path, content):
     write_entry(tmp_path, Ranked(**GOOD))
     damaged = tmp_path / "agent-damaged.json"
     damaged.write_text(json.dumps(content) if isinstance(content, dict) else content, encoding="latin-1")
-    entries, (line,) = read_entries([tmp_path])
-    assert [entry.name for entry in entries] == ["good"] and line.startswith(str(damaged)) and "\n" not in line
-
-
-def test_the_rest_of_the_board_is_drawn(tmp_path):
-    write_entry(tmp_path, Ranked(**GOOD))
-    damaged = tmp_path / "agent-damaged.json"
-    damaged.write_text("")
     done = typed(app, "--board", tmp_path)
     assert done.exit_code == 0 and "| good |" in (tmp_path / "leaderboard.md").read_text()
     assert done.stderr.startswith(f"left out: {damaged}") and done.stderr.count("\n") == 1

@@ -92,21 +92,19 @@ def test_an_answer_is_judged_by_hand():
         judge(np.full(4, UNPAIRED), right)
 
 
-def answer(pose, pairings: int) -> Relocation:
-    features = np.arange(pairings)
-    return Relocation(features, np.array(pose), np.eye(3), 0.0, 2 * pairings - 3, 4, False, 0, Effort())
-
-
-def test_outcomes_of_a_kidnapping():
+@pytest.mark.parametrize(
+    ("off", "pairings", "inside", "outcome"),
+    [
+        ((0.9 * MAX_DISTANCE, 0.0, 2.0 * math.pi), 5, True, "correct"),
+        ((1.1 * MAX_DISTANCE, 0.0, 0.0), 5, True, "wrong"),
+        ((0.0, 0.0, 1.1 * MAX_TURN), 5, True, "wrong"), ((0.0, 0.0, 0.0), 3, True, "silent"),
+        ((0.0, 0.0, 0.0), 5, False, "invented"), ((0.0, 0.0, 0.0), 3, False, "refused"),
+    ],
+)  # fmt: skip
+def test_outcomes_of_a_kidnapping(off, pairings, inside, outcome):
     at = np.array([1.0, 2.0, 3.1])
-    aside, turned = np.array([MAX_DISTANCE, 0.0, 0.0]), np.array([0.0, 0.0, MAX_TURN])
-    assert judge_relocation(answer(at, 5), at) == "correct"
-    assert judge_relocation(answer(at + 0.9 * aside, 5), at) == "correct"
-    assert judge_relocation(answer(at + 1.1 * aside, 5), at) == "wrong"
-    assert judge_relocation(answer(at + 1.1 * turned, 5), at) == "wrong"
-    assert judge_relocation(answer((1.0, 2.0, 3.1 - 2.0 * math.pi), 5), at) == "correct"
-    assert judge_relocation(answer(at, 3), at) == "silent"
-    assert judge_relocation(answer(at, 5), None) == "invented" and judge_relocation(answer(at, 3), None) == "refused"
+    answer = Relocation(np.arange(pairings), at + off, np.eye(3), 0.0, 2 * pairings - 3, 4, False, 0, Effort())
+    assert judge_relocation(answer, at if inside else None) == outcome
 
 
 def test_kidnappings_are_half_inside_the_map_and_half_in_another_building():
