@@ -29,8 +29,17 @@ should. So one more is required, unless the pairings explain most of the scan, w
 a sixth of the right ones: many a room is its own mirror image.)
 
 With a prior on the pose the same is asked of old features, which the robot has not seen lately and so knows less well
-from where it is: how many others are expected in the gate of one. Those with too many are not offered to associators
-(`unambiguous_rows`), and pairings with the others stand once chance hardly brings them all (`reject_accidental`).
+from where it is. Those in whose gates too many others are expected are not offered to associators (`unambiguous_rows`).
+Pairings with the others stand once chance hardly brings them all. Where an old feature is paired, another one may be
+what was measured, one that is not mapped yet: a door has two jambs. How many others n_i there are on average in a
+circle as large as the gate of a pairing, √det S_i, the whole map tells; the features in reach would not, where little
+is mapped so far. Of l measurements that no feature seen lately accounts for, k meet others, all jointly compatible, in
+
+    (l over k) · V_{2k} γ_{2k}^k √det S · Π n_i / (π γ_2 √det S_i)
+
+hypotheses, S being the covariance of the old features' innovations given the pairings with those seen lately. One
+pairing is convincing where its gate is narrow, and a constellation of them even where the pose is poorly known: their
+errors have the pose in common, so that √det S is far below Π √det S_i.
 """
 
 from __future__ import annotations
@@ -40,10 +49,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.special import gammaln, logsumexp, xlogy
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.compatibility import chi2_gate, joint_gates
+from slam_gym.association.prediction import Prediction
 from slam_gym.association.relocation.arrays import Mapped, floats, integers, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import difference_covariance, unary_table
 from slam_gym.mapping.ekf import relative_covariance
@@ -275,46 +286,32 @@ def unambiguous_rows(rows: Rows, P: Array, per_area: float, most: float, kept: I
     return count
 
 
-@compiled
-def reject_accidental(
-    features: IntArray, rows: Rows, noise: Array, gate: float, confirmations: int, max_probability: float
-) -> int:
-    """Make the pairings (m,) with old features UNPAIRED if all of them may be accidental; returns how many that were.
+def are_accidental(scan: Scan, prediction: Prediction, features: IntArray, max_probability: float) -> BoolArray:
+    """(m,) which of the pairings of a scan with `features` (m,) are rejected: all those with old features, or none.
 
-    Where an old feature is paired, another one may be what was measured, one that is not mapped yet. How many others
-    are to be expected in the gate the map itself tells: it is how many stand so near each feature on average. That all
-    of the pairings are accidental has the product of these numbers for its probability, and they stand where it is at
-    most `max_probability`. Features seen in fewer scans than confirm one do not count.
+    They are where more than `max_probability` accidental hypotheses with as many of them are expected.
     """
-    probability, old = 1.0, np.full(len(features), UNPAIRED)
-    for i in range(len(features)):
-        for row in range(len(rows[0])):
-            if rows[0][row] == features[i] and not rows[1][row]:
-                old[i] = row
-        if old[i] != UNPAIRED:
-            probability *= min(1.0, _accidental_matches(old[i], rows, noise[i], gate, confirmations))
-    rejected = 0
-    if probability > max_probability:
-        for i in range(len(features)):
-            if old[i] != UNPAIRED:
-                features[i] = UNPAIRED
-                rejected += 1
-    return rejected
+    old = np.isin(features, prediction.features[~prediction.near])
+    if old.any() and log_expected_old(scan, prediction, features, old) <= math.log(max_probability):
+        old[:] = False
+    return old
 
 
-@compiled
-def _accidental_matches(row: int, rows: Rows, noise: Array, gate: float, confirmations: int) -> float:
-    """How many other features there are on average so near a feature as the gate of that in `row` is wide."""
-    _, _, positions, covariances, sightings = rows
-    xx, yy = covariances[row, 0, 0] + noise[0, 0], covariances[row, 1, 1] + noise[1, 1]
-    xy = covariances[row, 0, 1] + noise[0, 1]
-    limit, pairs, count = gate * (xx * yy - xy * xy), 0, 0
-    for a in range(len(positions)):
-        if sightings[a] < confirmations:
-            continue
-        count += 1
-        for b in range(a):
-            x, y = positions[a, 0] - positions[b, 0], positions[a, 1] - positions[b, 1]
-            near = x * x < gate * xx and yy * x * x - 2.0 * xy * x * y + xx * y * y < limit
-            pairs += 2 * (near and sightings[b] >= confirmations)
-    return pairs / max(count, 1)
+def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old: BoolArray) -> float:
+    """log of the number of accidental hypotheses, expected as the head of this file has it, with as many pairings as
+    there are `old` (m,) ones among those of a scan with `features` (m,); the others are given."""
+    given = np.flatnonzero(np.isin(features, prediction.features[prediction.near]))
+    paired, k = np.concatenate([given, np.flatnonzero(old)]), int(old.sum())
+    rows, noise, p = np.searchsorted(prediction.features, features[paired]), scan.covariances[paired], len(paired)
+    S = prediction.joint(rows)
+    S.reshape(p, 2, p, 2)[np.arange(p), :, np.arange(p), :] += noise
+    log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(given), : 2 * len(given)])[1]
+    gates, n, state = joint_gates(k, prediction.confidence), prediction.size[1], prediction.source[1]
+    sizes = np.sqrt(np.linalg.det((prediction.covariances[rows] + noise)[len(given) :]))
+    places = cKDTree(state[3 : 3 + 2 * n].reshape(n, 2))
+    others = places.count_neighbors(places, np.sqrt(gates[1] * sizes)) / n - 1.0
+    log_densities = np.log(np.maximum(others, 1.0 / n) / (math.pi * gates[1] * sizes))
+    left = len(features) - len(given)
+    log_choices = gammaln(left + 1) - gammaln(k + 1) - gammaln(left - k + 1)
+    log_volume = k * math.log(math.pi * gates[k]) - gammaln(k + 1) + 0.5 * log_det
+    return float(log_choices + log_volume + log_densities.sum())

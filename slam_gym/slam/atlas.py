@@ -34,8 +34,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slam_gym.association.acceptance import Rows, reject_accidental
-from slam_gym.association.compatibility import chi2_gate, plain
+from slam_gym.association.acceptance import are_accidental
+from slam_gym.association.compatibility import plain
 from slam_gym.association.prediction import Prediction, SlamStep, StartRule
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import StochasticMap
@@ -116,7 +116,7 @@ class Atlas:
         return math.inf if experience is not None and not self.starts_from_rejected else self.max_accidental_matches
 
     def accepted(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float) -> Accepted:
-        """The hypothesis without pairings with old features that may all be accidental: see `reject_accidental`.
+        """The hypothesis without pairings with old features that may all be accidental: see `are_accidental`.
 
         Who weighs all hypotheses has refused by itself what is ambiguous; with `starts_from_rejected` it only pairs,
         and new features start by the rule of the step, whose gate is `new_gate`.
@@ -124,11 +124,10 @@ class Atlas:
         weighs_all = hypothesis.experience is not None
         if self.max_chance_probability >= 1.0 or (weighs_all and not self.starts_from_rejected):
             return Accepted(hypothesis, StartRule.of(hypothesis))
-        features, gate = np.array(hypothesis.features), chi2_gate(2, prediction.confidence)
-        rows, confirmations, most = _rows_of(prediction), prediction.confirmations, self.max_chance_probability
-        rejected = reject_accidental(features, rows, scan.covariances, gate, confirmations, most)
-        dof, new = hypothesis.dof - 2 * rejected, None if weighs_all else hypothesis.new
-        if rejected and self.starts_from_rejected:
+        rejected = are_accidental(scan, prediction, hypothesis.features, self.max_chance_probability)
+        features, new = np.where(rejected, UNPAIRED, hypothesis.features), None if weighs_all else hypothesis.new
+        dof = hypothesis.dof - 2 * int(rejected.sum())
+        if rejected.any() and self.starts_from_rejected:
             new, near = np.empty(len(scan), np.bool_), prediction.near
             expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
             learn.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, new_gate, new)
@@ -197,12 +196,6 @@ class Atlas:
     def _recorded(self, kind: Literal["loop", "duplicates", "maps"], step: int, fusion: Fusion) -> Fusion:
         self.fusions.append(FusionRecord(kind, step, fusion.ids))
         return fusion
-
-
-def _rows_of(prediction: Prediction) -> Rows:
-    """The rows of a prediction as the rules of acceptance take them."""
-    (features, sightings), (positions, covariances, k) = prediction.counted, prediction.expected
-    return features, prediction.rows[2][:k], positions[:k], covariances[:k], sightings
 
 
 def _features_of(step: SlamStep, m: StochasticMap) -> IntArray:

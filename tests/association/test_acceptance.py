@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam_gym.association import gcbb
+from slam_gym.association import gcbb, jcbb
 from slam_gym.association.acceptance import (
     Rows,
+    are_accidental,
     crowding_of,
     extent,
     least_pairings,
     log_expected,
+    log_expected_old,
     min_pairings,
-    reject_accidental,
     unambiguous_rows,
 )
 from slam_gym.association.compatibility import plain
@@ -181,21 +182,51 @@ def test_an_old_feature_is_offered_unless_others_are_to_be_expected_in_its_gate(
 
 
 def test_pairings_with_old_features_stand_if_chance_hardly_brings_them_all() -> None:
+    """All or none; the expected number is the formula of the module, pairing by pairing conditioned on those before."""
     stood = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        _, (features, near, at, covariances, sightings) = old_and_near(rng)
-        paired = np.append(rng.permutation(len(features))[:4], UNPAIRED)
-        decisions = np.where(paired == UNPAIRED, UNPAIRED, features[paired])
-        noise = np.array([np.diag(rng.uniform(0.01, 0.4, 2)) ** 2 for _ in paired])
-        probability, old = 1.0, (paired != UNPAIRED) & ~near[paired]
-        for row, R in zip(paired[old], noise[old]):
-            W, apart = np.linalg.inv(covariances[row] + R), at[:, None] - at[None]
-            within = np.einsum("abi,ij,abj->ab", apart, W, apart) < GATE
-            probability *= min(1.0, (within.sum() - len(at)) / len(at))
-        stands, left = not old.any() or probability <= 0.05, decisions.copy()
-        rejected = reject_accidental(left, (features, near, at, covariances, sightings), noise, GATE, 1, 0.05)
-        assert rejected == (0 if stands else old.sum()), f"seed {seed}"
-        np.testing.assert_array_equal(left, np.where(old & (not stands), UNPAIRED, decisions))
-        stood.append(stands)
+        m, (features, near, *_) = old_and_near(rng)
+        p = predict(m, 30.0)
+        p.rows[2][: len(p)] = near
+        rows = rng.permutation(len(p))[: rng.integers(1, 8)]
+        decisions, sigma = np.append(features[rows], [UNPAIRED, UNPAIRED]), rng.uniform(0.01, 0.4)
+        scan = Scan.from_points(rng.uniform(-6.0, 6.0, (len(decisions), 2)), sigma=sigma)
+        old = np.append(~near[rows], [False, False])
+        rejected = are_accidental(scan, p, decisions, 0.05)
+        if not old.any():
+            assert not rejected.any()
+            continue
+        order, k = np.argsort(~near[rows], kind="stable"), int(old.sum())
+        S = p.joint(rows[order]) + sigma**2 * np.eye(2 * len(rows))
+        diagonal = np.diag(np.linalg.cholesky(S))[2 * (len(rows) - k) :]
+        gates = [chi2.ppf(p.confidence, 2 * count) for count in (1, k)]
+        expected = math.comb(k + 2, k) * math.pi**k / math.factorial(k) * gates[1] ** k * diagonal.prod()
+        apart = np.hypot(*(m.positions[:, None] - m.positions[None]).T)
+        for row in rows[order][len(rows) - k :]:
+            area = math.sqrt(np.linalg.det(p.covariances[row] + sigma**2 * np.eye(2)))
+            others = (apart <= math.sqrt(gates[0] * area)).sum() / m.n - 1.0
+            expected *= max(others, 1.0 / m.n) / (math.pi * gates[0] * area)
+        assert np.exp(log_expected_old(scan, p, decisions, old)) == pytest.approx(expected)
+        np.testing.assert_array_equal(rejected, old & (expected > 0.05))
+        stood.append(expected <= 0.05)
     assert 10 < sum(stood) < 50
+
+
+@pytest.mark.parametrize(("k", "uncertain"), [(1, 0.2), (2, 0.8)])
+def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, uncertain: float) -> None:
+    """Two measurements of nothing in the map, from a pose that is poorly known: how often k of them are paired."""
+    counted, expected = 0, 0.0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        m = StochasticMap(MapSpec())
+        m.add(Scan.from_points(rng.uniform(-20.0, 20.0, (200, 2)), sigma=0.05), np.arange(200))
+        m.predict(Odometry(np.zeros(3), np.diag([uncertain, uncertain, 0.01]) ** 2))
+        p = predict(m, 100.0)
+        p.rows[2][: len(p)] = False
+        scan = Scan.from_points(rng.uniform(-10.0, 10.0, (2, 2)), sigma=0.05)
+        counted += int((jcbb(scan, p).features != UNPAIRED).sum() >= k)
+        old = np.arange(2) < k
+        rows = rng.choice(np.flatnonzero(np.abs(p.positions).max(axis=1) < 10.0), 2, replace=False)
+        expected += np.exp(log_expected_old(scan, p, np.where(old, p.features[rows], UNPAIRED), old))
+    assert counted >= 20 and counted / 1.5 < expected < 1.5 * counted, f"{counted}, not {expected}"
