@@ -5,16 +5,19 @@ Wheels and scans are the same; only the decisions on which feature is which diff
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import gymnasium as gym
 import numpy as np
 from typer import Option
 
 from agents.cli import command
-from agents.drivers.base import make_agent, visible
-from slam_gym.types import Array
+from agents.options import Associators
+
+if TYPE_CHECKING:
+    from slam_gym.types import Array
 
 WORLD = 4  # of the train split
 ASSOCIATORS = ("nearest_neighbour", "learned")
@@ -22,6 +25,8 @@ ASSOCIATORS = ("nearest_neighbour", "learned")
 
 def one_drive(scenario: str, world: int) -> Array:
     """(t, 2) the speeds of a drive by information gain, in [−1, 1], whose robot knows every association."""
+    from agents.drivers.base import make_agent, visible
+
     arguments = {"scenario": scenario, "disable_env_checker": True, "associator": "true_association"}
     env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
     agent = make_agent("information_gain")
@@ -39,45 +44,49 @@ def one_drive(scenario: str, world: int) -> Array:
     return np.array(speeds)
 
 
-def mapped(scenario: str, world: int, speeds: Array, **arguments: Any) -> Any:
-    """The episode of the same drive, wheels and scans, with another SLAM."""
+def mapped(
+    scenario: str, world: int, speeds: Array, *, watch: Callable[[Any], None] | None = None, **arguments: Any
+) -> Any:
+    """The episode of the same drive, wheels and scans, with another SLAM; `watch(episode)` after each tick."""
     arguments |= {"scenario": scenario, "action": "twist", "disable_env_checker": True}
     env: Any = gym.make("slam_gym/Explore-v0", **arguments).unwrapped
     env.reset(seed=world, options={"world": world})
     for speed in speeds:
         env.step(speed)
+        if watch is not None:
+            watch(env.episode)
     return env.episode
 
 
 def main(
     scenario: Annotated[str, Option(metavar="NAME", help="See slam-gym list scenarios.")] = "drift-3",
-    world: Annotated[int, Option(min=0, metavar="K", help="Of the train split.")] = WORLD,
-    associators: Annotated[list[str] | None, Option(help=f"By default {' and '.join(ASSOCIATORS)}.")] = None,
+    seed: Annotated[int, Option(min=0, metavar="K", help="World k of the train split, with seed k.")] = WORLD,
+    associators: Associators = None,
     output: Annotated[Path, Option(metavar="FILE", help="The picture.")] = Path("demo.png"),
 ) -> None:
-    """Draw one drive on bad wheels as different associators map it. Example: slam-gym demo --associators jcbb ipjc"""
-    from matplotlib.figure import Figure  # which takes a second to import
+    """Draw one drive on bad wheels as different associators map it."""
+    from matplotlib.figure import Figure
 
     from slam_gym.rendering.plot import plot_episode
 
     names = associators or list(ASSOCIATORS)
-    print(f"driving through {scenario}, world {world} …", flush=True)
-    speeds = one_drive(scenario, world)
+    print(f"driving through {scenario}, world {seed} …", flush=True)
+    speeds = one_drive(scenario, seed)
     figure = Figure(figsize=(5.6 * len(names), 4.4), dpi=120, layout="constrained")
     figure.suptitle("true walls black, explored walls light, mapped features blue, true path grey, estimated path red")
     axes = figure.subplots(1, len(names), sharex=True, sharey=True, squeeze=False)[0]
     for ax, name in zip(axes, names):
         print(f"mapping {len(speeds)} scans with {name} …", flush=True)
-        episode = mapped(scenario, world, speeds, associator=name)
+        episode = mapped(scenario, seed, speeds, associator=name)
         error = episode.map_error()
         print(f"  map error {error:.2f} (0: a perfect map, 1: an empty one)")
         plot_episode(episode, ax).set(title=f"{name}: map error {error:.2f}", xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
     figure.savefig(output)
     print(f"picture: {output.resolve()}")
-    print("next: slam-gym evaluate-association --associators nearest_neighbour jcbb learned --scenarios drift-3")
+    print("next: slam-gym evaluate-association --scenario drift-3 --associators jcbb learned --episodes 4")
 
 
-app = command(main)
+app = command(main, "slam-gym demo --associators jcbb ipjc --output mine.png")
 if __name__ == "__main__":
     app()

@@ -1,6 +1,6 @@
-"""Evaluate agents on the same test worlds: `python -m agents.evaluate` compares those of `SHOWN` on `office`.
+"""`slam-gym evaluate`: drivers on the same test worlds.
 
-Writes into OUT: results.csv (one row per episode), results.json (what it depends on), report.html and films/.
+Writes into its folder: results.csv (one row per episode), results.json (what it depends on), report.html and films/.
 """
 
 from __future__ import annotations
@@ -10,10 +10,8 @@ from typing import Annotated
 
 from typer import Option
 
-from agents.cli import Episodes, World, command, evaluate
-from agents.drivers.base import AGENTS, SHOWN
-from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
-from agents.evaluation.pipeline import Execution
+from agents.cli import command, evaluate
+from agents.options import Episodes, Execution, Names, World
 
 EPISODES = 4  # a first look in a minute; tables need 40
 
@@ -22,27 +20,28 @@ def main(
     world: World,
     episodes: Episodes,
     execution: Execution,
-    agents: Annotated[list[str] | None, Option(help=f"Of {', '.join(AGENTS)}, or module:Class.")] = None,
+    agents: Annotated[Names, Option(metavar="NAME …", help="See slam-gym list drivers; or module:Class.")] = None,
     model: Annotated[list[Path] | None, Option(help="Of a learned agent; several are seeds of it, pooled.")] = None,
     trust: Annotated[bool, Option("--trust", help="Allow model files that can run code when read.")] = False,
     films: Annotated[bool, Option("--films/--no-films", help="Film the first episode of each agent.")] = True,
 ) -> None:
-    """Evaluate agents on the same test worlds."""
-    arguments, numbers = world.arguments("office", split="test"), episodes.range(EPISODES)
-    out = execution.folder(world_of(arguments.plain).split(".")[0])
-    drivers = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust)
+    """Evaluate drivers on the same test worlds."""
+    from agents.drivers.base import SHOWN
+    from agents.evaluation.drives import driver_evaluation, drivers_of, world_of
 
-    def make_films() -> None:
-        from agents.reports import film  # ffmpeg and pygame are needed for films only
+    loops, numbers = world.loops(["office"], split="test"), episodes.range(EPISODES)
+    out = execution.folder(world_of(loops[0].plain).split(".")[0])
+    drivers, filmed = drivers_of(agents or SHOWN, [str(file) for file in model or []], trust), []
+    evaluation = driver_evaluation(drivers, loops, numbers)
+    if films:
+        from agents.reports.film import films_of  # ffmpeg and pygame are needed for films only
 
-        film.make_films(drivers, arguments, episodes.first, out, execution.jobs)
-
-    evaluation = driver_evaluation(drivers, arguments, numbers)
-    evaluate(evaluation, execution, out, make_films if films else None)
+        filmed = films_of(drivers, loops[0], episodes.seed, out)
+    evaluate(evaluation, execution, out, filmed)
     if not episodes.episodes:
         print(f"next: --episodes 40 for intervals that tell drivers apart; open {out / 'report.html'}")
 
 
-app = command(main)
+app = command(main, "slam-gym evaluate --scenario office drift-2 --agents nearest_frontier learned --episodes 10")
 if __name__ == "__main__":
     app()

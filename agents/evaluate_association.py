@@ -1,38 +1,36 @@
-"""Evaluate associators: `python -m agents.evaluate_association` puts each into the loop on the same test worlds;
-`--suite` asks all of them about the same scans, one number per capability; `--recording` runs them over a real log.
+"""`slam-gym evaluate-association` puts each associator into the loop on the same test worlds; `--suite` asks all of
+them about the same scans, one number per capability; `--recording` runs them over a real log.
 
-Writes into OUT: results.csv (one row per episode), results.json (what it depends on) and report.html.
+Writes into its folder: results.csv (one row per episode), results.json (what it depends on) and report.html.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Option
 
-from agents.cli import (
+from agents.cli import command, evaluate
+from agents.options import (
     ON_A_FLOOR,
+    Associators,
     Episodes,
+    Execution,
     Floor,
+    Names,
     Overrides,
-    command,
-    evaluate,
+    Recorded,
+    Scenarios,
+    Suite,
     parsed_overrides,
-    search_or_none,
+    search_of,
 )
-from agents.drivers.base import AGENTS
-from agents.evaluation.associators import SHIPPED
-from agents.evaluation.drives import associator_evaluation
-from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Evaluation, Execution
-from agents.evaluation.recordings import Recorded, recording_evaluation
-from agents.suite.worlds import Names, Suite
-from slam_gym.association import RELOCATORS
-from slam_gym.recordings.catalogue import PUBLISHED
-from slam_gym.scenarios import SCENARIOS
-from slam_gym.slam.relocate import SEARCH
+
+if TYPE_CHECKING:
+    from agents.evaluation.episodes import ExploreArguments
+    from agents.evaluation.pipeline import Evaluation
 
 LOOPS = ("office-small", "hall", "crowd")
 EPISODES = 30
@@ -42,16 +40,18 @@ EPISODES = 30
 class Loop(Floor, Episodes):
     """Drives through scenarios."""
 
-    scenarios: Annotated[Names, Option(help=f"Of {', '.join(SCENARIOS)}, or levels such as clutter/2.")] = None
+    scenario: Scenarios = None
     overrides: Overrides = None
-    driver: Annotated[str, Option(help=f"Of {', '.join(AGENTS)}, or module:Class.")] = "information_gain"
+    driver: Annotated[str, Option(metavar="NAME", help="See slam-gym list drivers.")] = "information_gain"
 
     def arguments(self, split: str) -> list[ExploreArguments]:
         """Of the environment of each scenario."""
+        from agents.evaluation.episodes import ExploreArguments
+
         changes = parsed_overrides(self.overrides)
         return [
             ExploreArguments(name, changes, split, floor_plan=self.file, resolution=self.resolution)
-            for name in dict.fromkeys(self.scenarios or ([ON_A_FLOOR] if self.file else LOOPS))
+            for name in dict.fromkeys(self.scenario or ([ON_A_FLOOR] if self.file else LOOPS))
         ]
 
 
@@ -59,18 +59,22 @@ class Loop(Floor, Episodes):
 class Candidates:
     """Who is evaluated: associators, and the searches that find a lost robot."""
 
-    associators: Annotated[Names, Option(help=f"Of {', '.join(SHIPPED)}, module:function or a model file.")] = None
-    relocation: Annotated[Names, Option(help=f"Of {', '.join(RELOCATORS)}, module:function or none.")] = None
+    associators: Associators = None
+    relocation: Annotated[
+        Names, Option(metavar="NAME …", help="See slam-gym list relocators; or module:function, none.")
+    ] = None
     split: Annotated[Literal["train", "test"], Option(help="Of the worlds; tune on train.")] = "test"
 
     @property
     def names(self) -> list[str]:
         """Of the associators."""
+        from agents.evaluation.associators import SHIPPED
+
         return self.associators or list(SHIPPED)
 
     def searches(self, default: list[str]) -> list[str | None]:
         """Each search once."""
-        return [search_or_none(name) for name in dict.fromkeys(self.relocation or default)]
+        return [search_of(name) for name in dict.fromkeys(self.relocation or default)]
 
 
 def main(
@@ -81,7 +85,7 @@ def main(
     recorded: Recorded,
     suite: Annotated[bool, Option("--suite", help="One number per capability instead of drives.")] = False,
     recording: Annotated[
-        str | None, Option(help=f"A log: {', '.join(PUBLISHED)}, or .csv, .npz, .g2o, .txt (iSAM).")
+        str | None, Option(metavar="LOG", help="See slam-gym list recordings; or .csv, .npz, .g2o, .txt (iSAM).")
     ] = None,
 ) -> None:
     """Evaluate associators on the same drives, over the suite, or on a recording."""
@@ -91,20 +95,28 @@ def main(
     _refuse_what_does_not_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
     out = execution.folder(kind)
     if suite:
+        from agents.suite.worlds import suite_evaluation
+
         if candidates.relocation:
             raise ValueError("--relocation is not for --suite, whose searches --relocators names")
-        evaluate(suite_options.evaluation(candidates.names, candidates.split), execution, out)
+        evaluate(suite_evaluation(suite_options, candidates.names, candidates.split), execution, out)
     elif recording:
         evaluate(_on_logs(candidates, recorded, recording, out), execution, out)
     else:
+        from agents.evaluation.drives import associator_evaluation
+        from slam_gym.slam.relocate import SEARCH
+
         arguments, searches = loop.arguments(candidates.split), candidates.searches(["none", SEARCH])
         episodes = loop.range(EPISODES)
-        evaluation = associator_evaluation(candidates.names, arguments, loop.driver, episodes, searches)
+        evaluation = associator_evaluation(candidates.names, arguments, loop.driver, episodes, searches, out)
         evaluate(evaluation, execution, out)
 
 
 def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Path) -> Evaluation:
-    logs = recorded.logs(recording)
+    from agents.evaluation.recordings import logs_of, recording_evaluation
+    from slam_gym.slam.relocate import SEARCH
+
+    logs = logs_of(recorded, recording)
     for log in logs:
         print(f"{log.name}: {log.source} {log.terms}")
     conditions = {"recording": recording} | recorded.conditions
@@ -122,6 +134,6 @@ def _refuse_what_does_not_apply(kind: str, groups: dict[str, Loop | Suite | Reco
                 raise ValueError(f"--{option} {meant}{instead}")
 
 
-app = command(main)
+app = command(main, "slam-gym evaluate-association --scenario drift-2 --associators jcbb learned --episodes 4")
 if __name__ == "__main__":
     app()

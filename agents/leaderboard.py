@@ -1,4 +1,4 @@
-"""Put an entry through the frozen protocol, and rank it: `python -m agents.leaderboard --entry jcbb`.
+"""`slam-gym leaderboard --entry jcbb` puts an entry through the frozen protocol, and ranks it.
 
 An entry is an agent, an associator or a relocator, by name, `module:Class`, `module:function` or model file. It runs in
 a process of its own, and sees observations only. Writes into --board: ROLE-NAME.json, and leaderboard.md, which ranks
@@ -12,21 +12,17 @@ import sys
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Option
 
 from agents.cli import command
-from agents.drivers.base import AGENTS
-from agents.evaluation.pipeline import METADATA, Execution, carry_out
-from agents.evaluation.records import command_line, write_whole
-from agents.ranking.board import BASELINES, markdown, ranked, read_entries, write_entry
-from agents.ranking.entry_process import EntryError
-from agents.ranking.protocol import Protocol, Role, leaderboard_evaluation, process
-from slam_gym.association import ASSOCIATORS, RELOCATORS
-from slam_gym.simulation.judged import CEILING
+from agents.options import Execution
 
-MARKS = "<!-- the tables: python -m agents.leaderboard --page FILE -->", "<!-- end of the tables -->"
+if TYPE_CHECKING:
+    from agents.ranking.protocol import Role
+
+MARKS = "<!-- the tables: slam-gym leaderboard --page FILE -->", "<!-- end of the tables -->"
 """Between these a page gets its tables."""
 
 
@@ -43,6 +39,9 @@ def main(
     page: Annotated[Path | None, Option(metavar="FILE", help="Put the tables between the marks of this page.")] = None,
 ) -> None:
     """Rank an entry by the frozen protocol, or rank all once more."""
+    from agents.evaluation.records import write_whole
+    from agents.ranking.board import BASELINES, markdown, read_entries
+
     if entry:
         _evaluate(entry, role or _role_of(entry), quick, board, execution)
     entries, refused = read_entries([BASELINES, board])
@@ -58,6 +57,13 @@ def main(
 
 def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execution) -> None:
     """Put the entry through the protocol, or through what is left of it, and write its file."""
+    from agents.evaluation.pipeline import METADATA, carry_out
+    from agents.evaluation.records import command_line
+    from agents.ranking.board import ranked, write_entry
+    from agents.ranking.entry_process import EntryError
+    from agents.ranking.protocol import Protocol, leaderboard_evaluation, process
+    from slam_gym.simulation.judged import CEILING
+
     if entry != CEILING:  # which no process is told of
         try:
             process(role, entry)  # refuses what is none before anything is written
@@ -65,7 +71,7 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
             raise ValueError(str(error)) from None
     chosen = Protocol(role, quick)
     stem = f"{role}-{Path(entry).name.replace(':', '.')}{'-quick' if quick else ''}"
-    out = execution.out or board / "runs" / stem
+    out = execution.output or board / "runs" / stem
     resumed = replace(execution, resume=execution.resume or (out / METADATA).exists())
     records = carry_out(leaderboard_evaluation(entry, chosen), out, resumed).frame.to_dict("records")
     failed = [record["failed"] for record in records if isinstance(record.get("failed"), str)]
@@ -80,6 +86,9 @@ def _role_of(entry: str) -> Role:
         from agents.learning.models import read_about  # torch is imported for learned entries only
 
         return "associator" if read_about(Path(entry)).action == "branch" else "agent"
+    from agents.drivers.base import AGENTS
+    from slam_gym.association import ASSOCIATORS, RELOCATORS
+
     tables: dict[Role, Collection[str]] = {"agent": AGENTS, "associator": ASSOCIATORS, "relocator": RELOCATORS}
     roles = [role for role, table in tables.items() if entry in table]
     if len(roles) > 1:
@@ -96,7 +105,7 @@ def with_tables(page: str, tables: str) -> str:
     return f"{before}{begin}\n\n{tables}\n\n{end}{after}"
 
 
-app = command(main)
+app = command(main, "slam-gym leaderboard --entry jcbb --quick")
 
 if __name__ == "__main__":
     app()

@@ -1,214 +1,32 @@
-"""Drive the robot yourself and watch its map grow: `python -m agents.play`. Or watch an agent: `--agent NAME`."""
+"""`slam-gym play`: drive the robot yourself and watch its map grow. Or watch an agent: `--agent NAME`."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import gymnasium as gym
-import numpy as np
-from numpy.typing import NDArray
 from typer import Option
 
-from agents.cli import World, command
-from agents.drivers.base import AGENTS, ActionKind, Agent, Info, Observation, make_agent, visible
-from agents.evaluation.associators import SIMPLEST_FIRST, find_associator
-from agents.evaluation.episodes import ExploreArguments, begin_episode, run_episode
-from slam_gym.association import resolve_relocator
-from slam_gym.association.prediction import Prediction
-from slam_gym.simulation.judged import CEILING
-from slam_gym.slam.relocate import SEARCH
-from slam_gym.types import UNPAIRED, Effort, Hypothesis, Landmarks, Locality, Relocation, Scan
-
-HELP = """\
-  ↑ ↓ or W S   forward, backward        N   next world
-  ← → or A D   turn                     R   this world again
-  left stick   both                     C   another associator, from the next scan on
-  Esc          quit                     L   relocation on or off
-
-You see the truth in the background. The robot knows only what it has drawn over it: the floor that its range finder
-has swept, and features with their ellipses of uncertainty. Drive where it has not been, to map more; come back to
-where it has been, to make the ellipses shrink. At the end you are held against information gain, in the same world."""
-KEYS = "arrows or WASD drive   C associator   L relocation   R again   N next world   Esc quit"
-RIVAL = "information_gain"
-
-WISHES = {"quit": "K_ESCAPE", "next": "K_n", "again": "K_r", "associator": "K_c", "relocation": "K_l"}
-"""What can be asked for, and its key, as pygame calls it."""
-
-_IDLE = 0.15  # of a gamepad's stick: less is its rest position
-_BAR, _INK, _PALE = (28, 32, 38), (240, 240, 240), (170, 178, 188)
-_LINE = 18  # [pixels]
-
-
-class Controls:
-    """The human's hands: which keys are down or where the sticks are, and what they ask for."""
-
-    name = "you"
-    action: ActionKind = "twist"
-
-    def __init__(self) -> None:
-        import pygame  # extra `render`; the window delivers the keys
-
-        self._pygame = pygame
-        directions = {(1, 0): ("UP", "w"), (-1, 0): ("DOWN", "s"), (0, 1): ("LEFT", "a"), (0, -1): ("RIGHT", "d")}
-        self._keys = {getattr(pygame, f"K_{key}"): way for way, keys in directions.items() for key in keys}
-        self._wishes = {getattr(pygame, key): wish for wish, key in WISHES.items()}
-        self._pads: list[Any] = []
-        self.reset(0)
-
-    def reset(self, seed: int) -> None:
-        self._down: set[int] = set()
-        self._sticks: dict[int, float] = {}
-
-    def act(self, observation: Observation, info: Info) -> NDArray[np.float32]:
-        held = {self._keys[key] for key in self._down & self._keys.keys()}
-        pushed = {axis: value for axis, value in self._sticks.items() if abs(value) > _IDLE}
-        sticks = (-pushed.get(1, 0.0), -pushed.get(0, 0.0))  # right and down are positive
-        return np.clip(np.sum([*held, sticks], axis=0), -1.0, 1.0).astype(np.float32)
-
-    def poll(self) -> str | None:
-        """Take in what happened since the last call; one of `WISHES` where that was asked for."""
-        pygame, wish = self._pygame, None
-        for event in pygame.event.get():
-            if event.type == pygame.QUIT:
-                return "quit"
-            if event.type == pygame.KEYDOWN:
-                self._down.add(event.key)
-                wish = self._wishes.get(event.key, wish)
-            elif event.type == pygame.KEYUP:
-                self._down.discard(event.key)
-            elif event.type == pygame.JOYDEVICEADDED:
-                self._pads.append(pygame.joystick.Joystick(event.device_index))
-            elif event.type == pygame.JOYAXISMOTION:
-                self._sticks[event.axis] = event.value
-        return wish
-
-
-class Screen:
-    """The environment's picture, and lines of text below it, in a window of any size."""
-
-    def __init__(self, fps: float) -> None:
-        from slam_gym.rendering.canvas import Window  # extra `render`
-
-        self.window = Window("slam_gym", fps, resizable=True)
-
-    def show(self, pixels: NDArray[np.uint8], lines: Sequence[str]) -> None:
-        """Show a picture (h, w, 3); the last line is pale."""
-        from slam_gym.rendering.canvas import pygame, text
-
-        height, width, _ = pixels.shape
-        surface = pygame.Surface((width, height + _LINE * (len(lines) + 1)), depth=32)
-        surface.fill(_BAR)
-        surface.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
-        for k, line in enumerate(lines):
-            colour = _PALE if k == len(lines) - 1 else _INK
-            surface.blit(text(line, 13, colour), (_LINE // 2, height + _LINE // 2 + k * _LINE))
-        self.window.show(surface)
-
-
-@dataclass
-class Game:
-    """What is played, and what the player may switch while it runs."""
-
-    arguments: ExploreArguments
-    agent: Agent
-    controls: Controls
-    associators: deque[str]  # the first associates; none where the truth does, which nothing may stand in for
-    relocating: bool
-    rivals: dict[int, float] = field(default_factory=dict)  # world → map error of information gain
-
-    def make(self) -> gym.Env[Any, Any]:
-        """The environment, in which the player decides who associates and whether a lost robot is searched for."""
-        associator = self.associate if self.associators else None
-        return self.arguments.make(self.agent.action, "rgb_array", associator=associator, relocation=self.relocate)
-
-    def associate(self, scan: Scan, prediction: Prediction) -> Hypothesis:
-        """By the associator that is switched on."""
-        return find_associator(self.associators[0])(scan, prediction)
-
-    def relocate(self, scan: Scan, landmarks: Landmarks, locality: Locality | None) -> Relocation:
-        """Nothing is found while relocation is off."""
-        if self.relocating:
-            return resolve_relocator(self.arguments.relocation or SEARCH)(scan, landmarks, locality)
-        nowhere = np.full(len(scan), UNPAIRED)
-        return Relocation(nowhere, np.full(3, np.nan), np.full((3, 3), np.nan), 0.0, 0, 1, False, 0, Effort())
-
-    def rival(self, world: int) -> float:
-        """What information gain makes of a world, with the scenario's associator."""
-        if world not in self.rivals:
-            rival = make_agent(RIVAL)
-            env = self.arguments.make(rival.action)
-            self.rivals[world] = float(run_episode(env, rival, world)["map_error"])
-            env.close()
-        return self.rivals[world]
-
-    def lines(self, env: gym.Env[Any, Any], verdict: str = "") -> list[str]:
-        """What stands under the picture."""
-        episode: Any = env.unwrapped.episode  # type: ignore[attr-defined]
-        associator = self.associators[0] if self.associators else CEILING
-        relocation = "on" if self.relocating else "off"
-        now = (
-            f"tick {episode.ticks} of {episode.scenario.budget}   map error {episode.map_error():.2f}   "
-            f"coverage {episode.coverage():.0%}   {associator}   relocation {relocation}"
-        )
-        return [now, *([verdict] if verdict else []), KEYS]
-
-
-def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: int | None = None) -> str:
-    """One world; the wish that ended it. At the end of the budget the picture stays until a key tells what is next."""
-    observation, info = begin_episode(env, game.agent, world)
-    _show(game, env, screen)
-    if not screen.window.is_visible:
-        print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
-    taken, ended, verdict = 0, False, ""
-    while steps is None or taken < steps:
-        wish = game.controls.poll()
-        if wish == "associator":
-            game.associators.rotate(-1)
-        elif wish == "relocation":
-            game.relocating = not game.relocating
-        elif wish is not None:
-            return wish
-        if ended:
-            _show(game, env, screen, verdict)
-            continue
-        observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
-        taken += 1
-        if ended:
-            verdict = _verdict(game, world, info)
-            print(verdict)
-        _show(game, env, screen, verdict)
-    return "quit"
-
-
-def _show(game: Game, env: gym.Env[Any, Any], screen: Screen, verdict: str = "") -> None:
-    picture: Any = env.render()
-    screen.show(picture, game.lines(env, verdict))
-
-
-def _verdict(game: Game, world: int, info: Info) -> str:
-    quality, rival = info["map_quality"], game.rival(world)
-    own = float(quality["map_error"])
-    who = "you beat it" if own < rival else "it is ahead" if own > rival else "a draw"
-    return (
-        f"world {world}: map error {own:.3f} (0 is perfect), coverage {quality['coverage']:.0%}, "
-        f"{quality['precision']:.1%} of the pairings right; information gain {rival:.3f}: {who}"
-    )
+from agents.cli import command
+from agents.options import World
 
 
 def main(
     world_options: World,
     agent: Annotated[
-        str | None, Option(metavar="NAME", help=f"Watch one of {', '.join(AGENTS)}, or module:Class.")
+        str | None, Option(metavar="NAME", help="Watch a driver: see slam-gym list drivers; or module:Class.")
     ] = None,
     model: Annotated[Path | None, Option(metavar="FILE", help="Model of a learned agent.")] = None,
-    world: Annotated[int, Option(metavar="K", help="Of the training worlds.")] = 0,
+    seed: Annotated[int, Option(min=0, metavar="K", help="World k of the train split, with seed k.")] = 0,
     steps: Annotated[int | None, Option(metavar="N", help="Stop after so many steps.")] = None,
 ) -> None:
     """Drive the robot, or watch an agent drive."""
+    from agents.drivers.base import make_agent
+    from agents.evaluation.associators import SIMPLEST_FIRST
+    from agents.game import HELP, KEYS, Controls, Game, Screen, play
+    from slam_gym.simulation.judged import CEILING
+
     watched = make_agent(agent, model) if agent else None
     arguments, controls = world_options.arguments("office", split="train"), Controls()
     probe: Any = arguments.make("twist").unwrapped  # refuses what nobody knows; has the scenario's associator
@@ -216,7 +34,7 @@ def main(
     game = Game(arguments, watched or controls, controls, deque(names), arguments.relocation is not None)
     env, screen = game.make(), Screen(float(probe.metadata["render_fps"]))
     print(HELP if watched is None else f"watching {watched.name}: {KEYS}")
-    wish = "again"
+    wish, world = "again", seed
     try:
         while wish != "quit":
             world += wish == "next"
@@ -226,6 +44,6 @@ def main(
         screen.window.close()
 
 
-app = command(main)
+app = command(main, "slam-gym play --scenario office-small --associator jcbb")
 if __name__ == "__main__":
     app()

@@ -1,4 +1,4 @@
-"""The report of a finished evaluation, made again from its folder: `python -m agents.report results/office-…`."""
+"""`slam-gym report`: the report of a finished evaluation, made again from its folder."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import Annotated
 from typer import Argument
 
 from agents.cli import command
-from agents.reports.page import write_report
 
 
 def main(folder: Annotated[Path, Argument(metavar="DIR", help="That an evaluation wrote into.")]) -> None:
     """Make the report of an evaluation again."""
+    from agents.reports.page import write_report
+
     print(write_report(folder))
 
 
-app = command(main)
+app = command(main, "slam-gym report results/office-20260101-120000")
 if __name__ == "__main__":
     app()

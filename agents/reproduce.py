@@ -1,4 +1,4 @@
-"""Train what ships from nothing: `python -m agents.reproduce driver|associator [--quick] [--out DIR]`.
+"""`slam-gym reproduce driver|associator` trains from nothing what ships.
 
 Writes DIR/NAME.npz and its card, and shows each figure of the training beside that of the card that ships, with the
 interval that it should lie in; exit status 1 where one lies outside. `--quick` takes a small part of the worlds: it
@@ -14,22 +14,22 @@ from typing import Annotated, Any, Literal
 from typer import Argument, Option
 
 from agents.cli import command
-from agents.evaluation.pipeline import results_folder
-from slam_gym import weights
-from slam_gym.weights import Weights
+from agents.evaluation.records import results_folder
 
 
 def main(
     target: Annotated[Literal["associator", "driver"], Argument(help="What to train.")],
     quick: Annotated[bool, Option("--quick", help="A few worlds, a few minutes: that it runs and learns.")] = False,
-    out: Annotated[Path | None, Option(metavar="DIR", help="By default results/reproduce-TIME.")] = None,
+    output: Annotated[Path | None, Option(metavar="DIR", help="By default results/reproduce-TIME.")] = None,
 ) -> int:
     """Train from nothing what ships, and compare."""
+    from slam_gym import weights
+
     module = importlib.import_module(f"agents.learning.{target}")
-    found: Weights = module.reproduce(
-        quick, f"python -m agents.reproduce {target}", lambda text: print(text, flush=True)
+    found: weights.Weights = module.reproduce(
+        quick, f"slam-gym reproduce {target}", lambda text: print(text, flush=True)
     )
-    path = (out or results_folder("reproduce", resume=False)) / f"{target}.npz"
+    path = (output or results_folder("reproduce", resume=False)) / f"{target}.npz"
     weights.write(path, found)
     print(f"wrote {path}")
     lines, outside = compared(found.card.metrics, {} if quick else weights.card_of(target).metrics)
@@ -54,7 +54,7 @@ def compared(found: dict[str, Any], shipped: dict[str, Any]) -> tuple[list[str],
     return lines, outside
 
 
-app = command(main)
+app = command(main, "slam-gym reproduce associator --quick")
 
 if __name__ == "__main__":
     app()

@@ -8,23 +8,27 @@ LOG.png         features with ellipses of two standard deviations, and the path
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-import pandas as pd
 from typer import Argument, Option
 
-from agents.cli import command, search_or_none
-from slam_gym.recordings import Recording, open_recordings, write_tum
-from slam_gym.scenarios.registry import slam_for
-from slam_gym.slam.atlas import AtlasSpec
-from slam_gym.slam.relocate import SEARCH, relocate_by
-from slam_gym.slam.slam import Slam
-from slam_gym.types import Array
+from agents.cli import command
+from agents.options import search_of
+
+if TYPE_CHECKING:
+    from slam_gym.recordings import Recording
+    from slam_gym.slam.slam import Slam
+    from slam_gym.types import Array
 
 
 def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, Array]:
     """The SLAM after a log, and its poses (T, 3) [m, m, rad]."""
+    from slam_gym.scenarios.registry import slam_for
+    from slam_gym.slam.atlas import AtlasSpec
+    from slam_gym.slam.relocate import relocate_by
+    from slam_gym.slam.slam import Slam
+
     parts = {} if relocation is None else {"relocate": relocate_by(relocation), "atlas": AtlasSpec()}
     slam = Slam(slam_for(log), **parts)  # type: ignore[arg-type]
     poses = np.empty((len(log), 3))
@@ -35,20 +39,24 @@ def run(log: Recording, associator: str, relocation: str | None) -> tuple[Slam, 
 
 
 def main(
-    log: Annotated[str, Argument(metavar="LOG", help="A .csv, .npz, .g2o or iSAM's .txt, or the name of a known log.")],
+    log: Annotated[
+        str, Argument(metavar="LOG", help="A .csv, .npz, .g2o or iSAM's .txt, or see slam-gym list recordings.")
+    ],
     associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "jcbb",
-    relocation: Annotated[str, Option(metavar="SEARCH", help="Finds a lost robot: a name, or none.")] = SEARCH,
-    output: Annotated[Path, Option(metavar="FOLDER", help="Where the files go.")] = Path("."),
+    relocation: Annotated[str | None, Option(metavar="NAME", help="Finds a lost robot; or none.")] = None,
+    output: Annotated[Path, Option(metavar="DIR", help="Where the files go.")] = Path("."),
 ) -> None:
-    """Map a log: features, path, picture. Example: slam-gym slam mine.csv --associator learned"""
-    from matplotlib.figure import Figure  # which takes a second to import
+    """Map a log: features, path, picture."""
+    import pandas as pd
+    from matplotlib.figure import Figure
 
+    from slam_gym.recordings import open_recordings, write_tum
     from slam_gym.rendering.plot import plot_map, plot_path
 
     output.mkdir(parents=True, exist_ok=True)
     for recording in open_recordings(log):
         print(f"mapping {len(recording)} steps, {len(recording.points)} measurements with {associator} …", flush=True)
-        slam, poses = run(recording, associator, search_or_none(relocation))
+        slam, poses = run(recording, associator, search_of(relocation))
         files = [output / f"{recording.name}{ending}" for ending in (".map.csv", ".path.tum", ".png")]
         m = slam.map
         deviations = np.sqrt(np.diagonal(m.covariances, axis1=1, axis2=2))
@@ -64,6 +72,6 @@ def main(
         print("\n".join(str(file) for file in files))
 
 
-app = command(main)
+app = command(main, "slam-gym slam mine.csv --associator learned --output mapped")
 if __name__ == "__main__":
     app()

@@ -1,7 +1,7 @@
-"""Train a driver: `python -m agents.train --scenario office-small --timesteps 50000 --seed 0 --out runs/demo`.
+"""`slam-gym train`: a driver by reinforcement learning.
 
-Writes into OUT: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/ (from the last
-of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir OUT`).
+Writes into its folder: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/ (from
+the last of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from typer import Option
 
-from agents.cli import World, command
-from agents.learning.training import Training, train
+from agents.cli import command
+from agents.options import Training, World
 
 
 def main(
@@ -21,13 +21,15 @@ def main(
     reward: Annotated[str, Option(help="map_error, a_opt, d_opt or entropy.")] = "map_error",
 ) -> None:
     """Train an agent to drive, by reinforcement learning."""
+    from agents.learning.training import train
+
     arguments = world.arguments("office-small", "train", reward)
     model = train(action, arguments, training, "runs/ppo")
     print(f"wrote {model}; evaluate it beside the baselines with\n"
-          f"  python -m agents.evaluate --model {model} --scenario {arguments.scenario}")  # fmt: skip
+          f"  slam-gym evaluate --model {model} --scenario {arguments.scenario}")  # fmt: skip
 
 
-app = command(main)
+app = command(main, "slam-gym train --scenario office-small --timesteps 50000 --output runs/mine")
 
 if __name__ == "__main__":
     app()

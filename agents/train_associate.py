@@ -1,26 +1,28 @@
-"""Train an associator: `python -m agents.train_associate --scenario office-small --timesteps 300000 --out runs/assoc`.
+"""`slam-gym train-associate`: an associator by reinforcement learning.
 
-MaskablePPO walks the interpretation tree of Associate-v0, while a baseline drives. Writes into OUT what `agents.train`
-writes. The model file is an associator wherever a command takes one by file (`python -m agents.evaluate_association`),
-and in Python through `agents.learning.models.load_associator`.
+MaskablePPO walks the interpretation tree of Associate-v0, while a baseline drives. Writes into its folder what
+`slam-gym train` writes. The model file is an associator wherever a command takes one by file, and in Python through
+`agents.learning.models.load_associator`.
 """
 
 from __future__ import annotations
 
-from agents.cli import AssociateWorld, command
-from agents.learning.training import Training, train
-from slam_gym.simulation.association_runs import LOGS
+from agents.cli import command
+from agents.options import AssociateWorld, Training
 
 
 def main(training: Training, world: AssociateWorld) -> None:
     """Train an agent to associate, by reinforcement learning."""
+    from agents.learning.training import train
+    from slam_gym.simulation.association_runs import LOGS
+
     model = train("branch", world.arguments("train"), training, "runs/assoc")
-    where = f" --scenarios {world.scenario}" if world.scenario not in LOGS else ""  # nobody can drive in a log
+    where = f" --scenario {world.scenario}" if world.scenario not in LOGS else ""  # nobody can drive in a log
     print(f"wrote {model}; compare it with the classical associators by\n"
-          f"  python -m agents.evaluate_association --associators singles jcbb {model}{where}")  # fmt: skip
+          f"  slam-gym evaluate-association --associators singles jcbb {model}{where}")  # fmt: skip
 
 
-app = command(main)
+app = command(main, "slam-gym train-associate --scenario office-small --timesteps 300000 --output runs/mine")
 
 if __name__ == "__main__":
     app()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,11 @@ import numpy as np
 from PIL import Image
 
 import slam_gym  # noqa: F401 (registers the environments)
-from agents.demo import WORLD, mapped, one_drive
+from agents.demo import ASSOCIATORS, WORLD, mapped, one_drive
 from agents.drivers.base import make_agent, visible
 from slam_gym.association import jcbb, nearest_neighbour
+from slam_gym.geometry import compose, transform
+from slam_gym.metrics.association import Decision
 from slam_gym.rendering.plot import plot_episode, plot_scan
 from slam_gym.scenarios import SCENARIOS
 from slam_gym.slam.slam import Slam, SlamSpec
@@ -114,15 +117,10 @@ def compatibility() -> None:
 
 def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     """An associator that draws what nearest neighbour and JCBB make of the scan, whose right features are `right`."""
-    place = dict(zip(prediction.features.tolist(), prediction.positions))
     answers = {"nearest neighbour": nearest_neighbour(scan, prediction), "JCBB": jcbb(scan, prediction)}
     _, axes = plt.subplots(1, 2, figsize=(11.5, 4.9), sharex=True, sharey=True, layout="constrained")
     for ax, (name, answer) in zip(axes, answers.items()):
-        plot_scan(scan, prediction, ax=ax)
-        for i in np.flatnonzero(answer.features != UNPAIRED):
-            colour = GREEN if answer.features[i] == right[i] else RED
-            arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.8, "connectionstyle": "arc3,rad=-0.35"}
-            ax.annotate("", scan.points[i], place[int(answer.features[i])], arrowprops=arrow)
+        plot_scan(scan, prediction, answer, ax, right=replace(answer, features=right))
         wrong = int((answer.features != right).sum())
         ax.set(title=f"{name}: {wrong} of {len(scan)} wrong", xlabel="ahead [m]", xlim=(-0.45, 4.5), ylim=(-0.95, 3.3))
         ax.set_aspect("equal")
@@ -130,7 +128,7 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     axes[0].plot([], [], "o", mfc="white", color=INK, ms=4.5, label="predicted feature, with its 99 % gate")
     axes[0].plot([], [], "x", color=INK, ms=6, mew=1.6, label="measurement")
     axes[0].plot([], [], color=GREEN, lw=2, label="paired rightly")
-    axes[0].plot([], [], color=RED, lw=2, label="paired wrongly")
+    axes[0].plot([], [], color=RED, lw=2, ls="--", label="paired wrongly")
     axes[0].legend(frameon=False, loc="upper right")
     return answers["JCBB"]
 
@@ -152,6 +150,61 @@ def drift() -> None:
         ax.set_title(f"{name}: map error {episode.map_error():.2f}")
         ax.set(aspect="equal", xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
+
+
+def film() -> list[Image.Image]:
+    """The same drive, wheels and scans, mapped by nearest neighbour and by the default, side by side: frames."""
+    speeds, every = one_drive("drift-3", WORLD), 5
+    panels = [panels_of(speeds, name, every) for name in ASSOCIATORS]
+    width = max(panel.width for side in panels for panel in side)
+    frames = []
+    for left, right in zip(*panels):
+        frame = Image.new("RGB", (2 * width, left.height), "white")
+        frame.paste(left, (0, 0))
+        frame.paste(right, (width, 0))
+        frames.append(frame)
+    return frames
+
+
+def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
+    """What an associator makes of a drive, one picture every so many ticks: its map so far, and the present scan, green
+    where it is paired rightly, red and thick where it is not."""
+    panels = []
+
+    def watch(episode: Any) -> None:
+        if episode.ticks % every and episode.ticks != len(speeds):
+            return
+        figure, ax = plt.subplots(figsize=(4.4, 3.75), dpi=100)
+        figure.subplots_adjust(0.01, 0.01, 0.99, 0.86)
+        plot_episode(episode, ax)
+        here = compose(episode.base, episode.estimates[-1])
+        for point, decision in zip(transform(here, episode.scan.points), episode.identities.decisions):
+            if decision in (Decision.RIGHT, Decision.WRONG):
+                wrong = decision == Decision.WRONG
+                ax.plot(*np.stack([here[:2], point]).T, color=RED if wrong else GREEN, lw=2.2 if wrong else 0.8)
+        ax.plot(*here[:2], marker=(3, 0, np.degrees(here[2]) - 90.0), color=RED, ms=10)
+        x0, y0, x1, y1 = episode.site.plan.bounds
+        ax.set(xticks=[], yticks=[], xlim=(x0 - 1.0, x1 + 3.0), ylim=(y0 - 1.5, y1 + 2.0))
+        ax.spines[:].set_visible(False)
+        name = "nearest neighbour" if associator == ASSOCIATORS[0] else "the default"
+        figure.text(0.5, 0.94, name, ha="center", fontsize=12, weight="bold")
+        wrong = episode.identities.total.fp
+        told = f"map error {episode.map_error():.2f}, {wrong} of {episode.identities.total.tp + wrong} pairings wrong"
+        figure.text(0.5, 0.88, told, ha="center", fontsize=9.5)
+        figure.canvas.draw()
+        panels.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy()))  # type: ignore[attr-defined]
+        plt.close(figure)
+
+    mapped("drift-3", WORLD, speeds, watch=watch, associator=associator)
+    return panels
+
+
+def save_film(name: str, frames: list[Image.Image]) -> None:
+    """Write a film that runs again and again, in the colours of its last frame, which is held for three seconds."""
+    last = frames[-1].quantize(48, Image.Quantize.MAXCOVERAGE, 2, dither=Image.Dither.NONE)
+    few = [frame.quantize(palette=last, dither=Image.Dither.NONE) for frame in frames]
+    durations = [90] * (len(few) - 1) + [3000]  # [ms]
+    few[0].save(FOLDER / f"{name}.gif", save_all=True, append_images=few[1:], duration=durations, loop=0, optimize=True)
 
 
 def locality() -> None:
@@ -196,10 +249,12 @@ def main(names: list[str]) -> int:
     wanted = [
         name for name in PICTURES if not names or name in names or (name[:9] == "scenario_" and "scenarios" in names)
     ]
-    if unknown := set(names) - set(wanted) - {"scenarios"}:
-        print(f"unknown: {', '.join(sorted(unknown))}; known: scenarios, {', '.join(PICTURES)}", file=sys.stderr)
+    if unknown := set(names) - set(wanted) - {"scenarios", "film"}:
+        print(f"unknown: {', '.join(sorted(unknown))}; known: film, scenarios, {', '.join(PICTURES)}", file=sys.stderr)
         return 2
     with plt.rc_context(STYLE):
+        if not names or "film" in names:
+            save_film("film", film())
         for name in wanted:
             save(name, PICTURES[name]())
             print(f"{FOLDER / name}.png: {(FOLDER / f'{name}.png').stat().st_size // 1000} kB")

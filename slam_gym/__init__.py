@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Hypothesis, Landmarks, Locality, Odometry, Relocation, Scan
     from slam_gym.world.floor_plan import FloorPlan
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _MODULES = (
     "types.measured", "types.mapped", "types.decided", "association", "association.prediction",

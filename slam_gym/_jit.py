@@ -21,11 +21,12 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import event
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -33,9 +34,42 @@ _PACKAGE = Path(__file__).parent
 _DIGESTS = "digests.json"  # size and checksum of every cached file, as the process that wrote it left it
 _ROOM = 1 << 26  # bytes that must be free on the disk
 _STALE_AFTER = 3 * 24 * 3600  # [s] folders of other versions are removed when untouched for so long
-_PERIOD = 5.0  # [s] between two words on how far a compilation is
 _config: Any = numba.config  # whose attributes are set as numba is imported
-_announced = False
+
+
+class _Progress(event.Listener):
+    """Says on stderr what is compiled, and how far that is, whenever a loop that is needed is not cached."""
+
+    def __init__(self) -> None:
+        self.loops: list[Any] = []  # of the modules imported so far, not all of which are needed
+        self.names: list[str] = []  # of what is being compiled, callers first; empty for what is not of this package
+        self.speaker = threading.Thread()
+
+    def on_start(self, event: Any) -> None:
+        function = event.data["dispatcher"].py_func
+        self.names.append(function.__name__.strip("_") if function.__module__.startswith("slam_gym") else "")
+        if self.names[0] and not self.speaker.is_alive():
+            self.speaker = threading.Thread(target=self._speak, daemon=True)
+            self.speaker.start()
+
+    def on_end(self, event: Any) -> None:
+        self.names.pop()
+
+    def _speak(self) -> None:
+        """Until nothing has been compiled for a while."""
+        quiet, end = 0, "\r" if sys.stderr.isatty() else "\n"
+        kept = "at every start, as nothing can be kept" if _folder() is None else "once"
+        while quiet < 3:
+            if names := [name for name in self.names if name]:
+                ready, known = sum(bool(loop.signatures) for loop in self.loops), len(self.loops)
+                told = f"slam_gym compiles its inner loops, {kept}: {'━' * (24 * ready // known):╌<24} "
+                print(f"{told}{ready} of up to {known}, {names[-1]:<24}", end=end, file=sys.stderr, flush=True)
+            time.sleep(0.2 if end == "\r" else 4.0)
+            quiet = 0 if names else quiet + 1
+
+
+_progress = _Progress()
+cast(Any, event).register("numba:compile", _progress)
 
 
 def compiled(function: F) -> F:
@@ -53,9 +87,14 @@ def inlined(function: F) -> F:
 
 
 def _compiled(function: F, inline: bool) -> F:
-    with _caching_into(_folder()) as cached:
-        decorate = numba.njit(nogil=True, error_model="numpy", forceinline=inline, cache=cached)
-        return cast(F, decorate(function))
+    folder, before = _folder(), _config.CACHE_DIR
+    _config.CACHE_DIR = str(folder or before)  # where numba keeps what is decorated meanwhile
+    try:
+        loop: Any = numba.njit(nogil=True, error_model="numpy", forceinline=inline, cache=folder is not None)(function)
+    finally:
+        _config.CACHE_DIR = before
+    _progress.loops.append(loop)
+    return cast(F, loop)
 
 
 def cache_folder() -> Path:
@@ -84,16 +123,6 @@ def _folder() -> Path | None:
         return None
     atexit.register(_record, folder)
     return folder
-
-
-@contextlib.contextmanager
-def _caching_into(folder: Path | None) -> Iterator[bool]:
-    """While a function is decorated, numba takes `folder` for the one that caches are in; whether there is one."""
-    before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder or _config.CACHE_DIR)
-    try:
-        yield folder is not None
-    finally:
-        _config.CACHE_DIR = before
 
 
 def _cached(folder: Path) -> list[Path]:
@@ -149,36 +178,7 @@ def _record(folder: Path) -> None:
         fresh = folder / f"{_DIGESTS}.{os.getpid()}"
         fresh.write_text(json.dumps(digests), encoding="utf-8")
         os.replace(fresh, folder / _DIGESTS)
-
-
-def announce_compilation() -> bool:
-    """Say once, on stderr, that loops are about to be compiled, and then how far that is; silent when they are cached.
-
-    Returns whether it was said and what is compiled will be kept.
-    """
-    global _announced
-    if _announced or _config.DISABLE_JIT:
-        return False
-    _announced = True
-    folder = _folder()
-    if folder is not None and _cached(folder):
-        return False
-    kept = "at every start: nothing can be kept in the cache folder" if folder is None else "once, then cached"
-    print(f"slam_gym: compiling its inner loops, a minute or two ({kept}) …", file=sys.stderr, flush=True)
-    if folder is not None:
-        threading.Thread(target=_report_progress, args=(folder,), daemon=True).start()
-        _forget_old_versions(folder)
-    return folder is not None
-
-
-def _report_progress(folder: Path) -> None:
-    """Say how many loops are compiled, as long as there are more and more."""
-    before = -1
-    while (count := len(list(folder.rglob("*.nbi")))) > before:
-        if before >= 0:
-            print(f"slam_gym: {count} loops compiled …", file=sys.stderr, flush=True)
-        before = count
-        time.sleep(_PERIOD)
+    _forget_old_versions(folder)
 
 
 def _forget_old_versions(current: Path) -> None:

@@ -119,7 +119,9 @@ def check_command(command: list[str], complete: bool = True) -> None:
             pass
         case ["slam-gym", name, *arguments]:
             assert name in COMMANDS, name
-            check_command(["python", "-m", f"agents.{name.replace('-', '_')}", *arguments], complete)
+            if arguments or complete:
+                module = importlib.import_module(f"agents.{name.replace('-', '_')}")
+                get_command(module.app).make_context(name, list(arguments))
         case ["evo_ape" | "evo_rpe" | "evo_traj", "tum", first, *rest]:
             assert all(path.endswith(".tum") for path in (first, *rest) if "/" in path), rest
         case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:
@@ -205,6 +207,13 @@ def test_commands_parse(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
                 pytest.fail(f"{of(page)}: {shlex.join(command)}: {error} {capsys.readouterr().err}")
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_example_of_a_command_parses(name: str) -> None:
+    example = get_command(importlib.import_module(f"agents.{name.replace('-', '_')}").app).epilog
+    check_command(shlex.split(example.removeprefix("Example: ")))
+    assert example.startswith(f"Example: slam-gym {name} ")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=of)
 def test_files_and_names_exist(page: Path) -> None:
     for code in inline_code(text_of(page)):
@@ -275,7 +284,7 @@ def test_every_environment_and_scenario_has_its_picture() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["python benchmarks/corridor.py --no-such-option", "python -m agents.evaluate --episodes many", "rm -r results",
+    ["python benchmarks/corridor.py --no-such-option", "slam-gym evaluate --episodes many", "rm -r results",
      "pip install -e .[nothing]", "pytest tests/no_such_test.py", "python benchmarks/nothing.py"],
 )  # fmt: skip
 def test_wrong_commands_are_refused(command: str) -> None:

@@ -15,9 +15,6 @@ print(linear_algebra.cholesky(4.0 * np.eye(3)))
 """
 
 
-SAY = "from slam_gym._jit import announce_compilation as say\n"
-
-
 def run(code: str, cache: Path) -> tuple[str, str]:
     """What a fresh process prints and says on stderr."""
     command, environment = [sys.executable, "-c", code], os.environ | {"NUMBA_CACHE_DIR": str(cache)}
@@ -38,19 +35,24 @@ def cache(compiled: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(compiled, tmp_path / "cache"))
 
 
-def test_an_empty_cache_is_announced_once(tmp_path: Path) -> None:
-    said, announced = run(SAY + "print(say(), say())", tmp_path)
-    assert said == "True False\n"
-    assert announced.count("compiling") == 1 and "once, then cached" in announced
+def test_what_is_compiled_is_told(tmp_path: Path) -> None:
+    said, told = run(STEP, tmp_path)
+    assert said == "True\n"
+    assert "compiles its inner loops, once: " in told and " 0 of up to " in told and ", cholesky" in told
 
 
-def test_so_it_is_for_those_who_call_slam_themselves(tmp_path: Path) -> None:
-    _, announced = run("from slam_gym import Slam\nSlam(), Slam()", tmp_path)
-    assert announced.count("compiling") == 1
+def test_so_it_is_where_only_some_of_what_is_needed_is_cached(cache: Path) -> None:
+    _, told = run(STEP + "print(linear_algebra.is_covariance(np.eye(3)))", cache)
+    assert "compiles its inner loops" in told and ", is_covariance" in told
 
 
-def test_what_is_cached_is_not_announced(cache: Path) -> None:
-    assert run(SAY + "print(say())", cache) == ("False\n", "")
+def test_what_is_cached_is_not_told(cache: Path) -> None:
+    assert run(STEP, cache) == ("True\n", "")
+
+
+def test_nor_is_what_others_compile(cache: Path) -> None:
+    own = "import numba\n@numba.njit\ndef twice(x):\n    return 2 * x\n"
+    assert run(own + STEP + "print(twice(2))", cache) == ("True\n4\n", "")
 
 
 @pytest.mark.parametrize(
@@ -62,14 +64,14 @@ def test_what_is_cached_is_not_announced(cache: Path) -> None:
     ],
     ids=["empty", "cut", "overwritten"],
 )
-def test_a_damaged_file_costs_one_line_and_a_compilation(cache: Path, suffix: str, damaged) -> None:
+def test_a_damaged_file_costs_a_line_and_a_compilation(cache: Path, suffix: str, damaged) -> None:
     files = list(cache.rglob(f"*.{suffix}"))
     for file in files:
         file.write_bytes(damaged(file.read_bytes()))
         os.utime(file, (0, 0))
-    said, line = run(STEP, cache)
+    said, told = run(STEP, cache)
     assert said == "True\n"
-    assert line.count("\n") == 1 and f"{len(files)} damaged files" in line
+    assert f"{len(files)} damaged files" in told and "compiles its inner loops" in told
     assert run(STEP, cache) == ("True\n", "")
 
 
@@ -82,8 +84,8 @@ def test_damaged_records_of_files_cost_nothing(cache: Path, content: bytes) -> N
 
 def test_where_nothing_can_be_kept_loops_are_compiled_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "slam_gym").write_text("a file where the folder should be")
-    said, announced = run(STEP + SAY + "print(say())", tmp_path)
-    assert said == "True\nFalse\n" and "nothing can be kept" in announced
+    said, told = run(STEP, tmp_path)
+    assert said == "True\n" and "at every start, as nothing can be kept" in told
 
 
 def test_without_compilation_an_episode_is_the_same_but_for_rounding() -> None:

@@ -94,7 +94,7 @@ def make_agent(name: str, model: Path | str | None = None, *, trust: bool = Fals
     if not hasattr(cls, "load"):
         return cast(Agent, cls())
     if model is None:
-        raise ValueError(f"agent {name!r} is learned: give its file (--model FILE; python -m agents.train makes one)")
+        raise ValueError(f"agent {name!r} is learned: give its file (--model FILE; slam-gym train makes one)")
     return cast(Agent, cls.load(Path(model), trust=trust))
 
 

@@ -15,7 +15,7 @@ from agents.drivers.base import Agent, is_learned, make_agent
 from agents.evaluation.associators import Metered, contenders, metered
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
 from agents.evaluation.pipeline import Evaluation, Key, Task
-from agents.evaluation.records import Record
+from agents.evaluation.records import Record, stem
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,11 @@ def drivers_of(names: Sequence[str], models: Sequence[str], trust: bool) -> list
     return [Driver(name, file, trust) for name in names for file in (is_learned(name) and files) or [""]]
 
 
-def drive(driver: Driver, arguments: ExploreArguments, associator: str | None, episode: int) -> list[Record]:
+def drive(
+    driver: Driver, arguments: ExploreArguments, associator: str | None, episode: int, picture: Path | None = None
+) -> list[Record]:
     """One drive through one world. An associator that is evaluated stands in for that of the arguments; its decisions
-    and its effort are recorded too."""
+    and its effort are recorded too, and its last map is drawn into a `picture`."""
     agent = _agent(driver)
     env, meter = _loop(arguments, agent.action, associator)
     if meter is None:
@@ -49,6 +51,12 @@ def drive(driver: Driver, arguments: ExploreArguments, associator: str | None, e
     meter.reset()
     record = run_episode(env, agent, episode)
     del record["curve"]
+    if picture is not None:
+        from agents.reports.figures import final_map
+
+        written = final_map(env.unwrapped.episode)  # type: ignore[attr-defined]
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        written.savefig(picture)
     tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
     return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
 
@@ -66,17 +74,23 @@ def _loop(arguments: ExploreArguments, action: str, associator: str | None) -> t
     return arguments.make(action, associator=associate), meter
 
 
-def driver_evaluation(drivers: Sequence[Driver], arguments: ExploreArguments, episodes: Sequence[int]) -> Evaluation:
-    """Every driver in every episode, checked. ValueError for whatever nobody knows; models are loaded for that."""
-    for action in sorted({driver.make().action for driver in drivers}):
-        _warm_up(arguments.make(action), episodes[0])
+def driver_evaluation(
+    drivers: Sequence[Driver], loops: Sequence[ExploreArguments], episodes: Sequence[int]
+) -> Evaluation:
+    """Every driver in every episode of every loop, checked. ValueError for whatever nobody knows; models are loaded for
+    that."""
+    tasks, actions = [], sorted({driver.make().action for driver in drivers})
+    for loop in loops:
+        for action in actions:
+            _warm_up(loop.make(action), episodes[0])
+        setting = world_of(loop.plain)
+        tasks += [
+            Task([Key(driver.agent, setting, k, driver.model)], partial(drive, driver, loop, None, k))
+            for k in episodes for driver in drivers
+        ]  # fmt: skip
     models = {driver.model: _describe(Path(driver.model)) for driver in drivers if driver.model}
-    setting = world_of(arguments.plain)
-    tasks = [
-        Task([Key(driver.agent, setting, k, driver.model)], partial(drive, driver, arguments, None, k))
-        for k in episodes for driver in drivers
-    ]  # fmt: skip
-    return Evaluation("drivers", tasks, arguments.plain, {"models": models})
+    several = {"scenario": [loop.scenario for loop in loops]} if len(loops) > 1 else {}
+    return Evaluation("drivers", tasks, loops[0].plain | several, {"models": models})
 
 
 def _warm_up(env: gym.Env[Any, Any], episode: int) -> None:
@@ -104,14 +118,20 @@ def world_of(conditions: Mapping[str, Any]) -> str:
     return Path(floor).name if floor else str(conditions["scenario"])
 
 
+def map_path(out: Path, setting: str, name: str) -> Path:
+    """Where the last map of an associator lies, of its first episode in a setting."""
+    return out / "maps" / f"{stem(setting, name)}.png"
+
+
 def associator_evaluation(
     associators: Sequence[str],
     loops: Sequence[ExploreArguments],
     driver: str,
     episodes: Sequence[int],
     relocations: Sequence[str | None],
+    out: Path | None = None,
 ) -> Evaluation:
-    """Every associator in every loop, with each of the `relocations`, checked.
+    """Every associator in every loop, with each of the `relocations`, checked; first maps are drawn into `out`.
 
     ValueError for an associator, scenario, driver or relocator that nobody knows.
     """
@@ -120,7 +140,13 @@ def associator_evaluation(
         _loop(loop, _agent(by).action, associators[0])
         setting = world_of(loop.plain)
         tasks += [
-            Task([Key(name, setting, k)], partial(drive, by, replace(loop, relocation=relocation), associator, k))
+            Task(
+                [Key(name, setting, k)],
+                partial(
+                    drive, by, replace(loop, relocation=relocation), associator, k,
+                    map_path(out, setting, name) if out and k == episodes[0] else None,
+                ),
+            )
             for k in episodes for name, (associator, relocation) in who.items()
         ]  # fmt: skip
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}

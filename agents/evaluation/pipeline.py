@@ -17,16 +17,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import joblib
 import pandas as pd
 from rich.progress import track
 from threadpoolctl import threadpool_limits
-from typer import Option
 
 import slam_gym
-from agents.evaluation.records import Record, command_line, plain, stem, undamaged, versions, write_json, written_whole
+from agents.evaluation.records import Record, command_line, plain, undamaged, versions, write_json, written_whole
+from agents.options import Execution
 from slam_gym._files import content_of, json_of
 
 KINDS = ("drivers", "associators", "suite", "recordings", "leaderboard")
@@ -64,30 +64,6 @@ class Evaluation:
     tasks: Sequence[Task]
     conditions: dict[str, Any]  # what may not change when the evaluation is resumed
     about: dict[str, Any] = field(default_factory=dict)  # for results.json as well, and may change
-
-
-@dataclass(frozen=True)
-class Execution:
-    """How it is done, and where its files go."""
-
-    jobs: Annotated[int, Option(min=1, metavar="J", help="Processes.")] = joblib.cpu_count()
-    out: Annotated[Path | None, Option(metavar="DIR", help="By default a new folder in results/.")] = None
-    resume: Annotated[bool, Option("--resume", help="Go on where an evaluation was interrupted.")] = False
-
-    def folder(self, name: str) -> Path:
-        """Where the files go. ValueError where there is nothing to resume."""
-        return self.out or results_folder(name, self.resume)
-
-
-def results_folder(name: str, resume: bool) -> Path:
-    """A new folder under results/ of the current directory, or the latest one of that name."""
-    results, name = Path("results"), stem(name)
-    if not resume:
-        return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-    folders = sorted(results.glob(f"{name}-[0-9]*"))
-    if not folders:
-        raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its --out")
-    return folders[-1]
 
 
 class Results(NamedTuple):
@@ -129,7 +105,7 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
     write_metadata()
     try:
         finished = run_all([task.rows for task in left], execution.jobs)
-        for found in track(finished, "tasks", total=len(left)):
+        for found in track(finished, "episodes", total=len(left)):
             rows += [row for row in found if _key(row) not in done]
             rows.sort(key=lambda row: asked.get(_key(row), len(asked)))
             _write_rows(out, rows)
@@ -140,11 +116,12 @@ def carry_out(evaluation: Evaluation, out: Path, execution: Execution) -> Result
     return read_results(out)
 
 
-def run_all(calls: Sequence[Callable[[], Result]], jobs: int) -> Iterator[Result]:
-    """The results of calls that can be pickled, as they finish, in any order; each on one thread."""
+def run_all(calls: Sequence[Callable[[], Result]], jobs: int | None) -> Iterator[Result]:
+    """The results of calls that can be pickled, as they finish, in any order; by so many processes or one a core, each
+    on one thread."""
     # A worker grows when it first imports torch; loky takes that for a leak, replaces the worker and warns.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
-    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+    parallel = joblib.Parallel(n_jobs=jobs or joblib.cpu_count(), return_as="generator_unordered", batch_size=1)
     results: Iterator[Result] = parallel(joblib.delayed(_on_one_thread)(call) for call in calls)
     return results
 
@@ -206,13 +183,13 @@ def _to_resume(out: Path, evaluation: Evaluation, resume: bool) -> Results | Non
         if resume:
             raise ValueError(f"{out} holds no evaluation to resume")
         if out.is_dir() and any(out.iterdir()):
-            raise ValueError(f"{out} is not empty: give another --out")
+            raise ValueError(f"{out} is not empty: give another --output")
         return None
     versions = before.metadata["versions"]
     was = before.conditions | {"evaluation": before.metadata["kind"], "slam_gym": versions.get("slam_gym")}
     now = plain(evaluation.conditions) | {"evaluation": evaluation.kind, "slam_gym": slam_gym.__version__}
     if other := [f"{name} {was.get(name)!r}, not {now[name]!r}" for name in now if was.get(name) != now[name]]:
-        raise ValueError(f"{out} holds the results of another command ({'; '.join(other)}): give another --out")
+        raise ValueError(f"{out} holds the results of another command ({'; '.join(other)}): give another --output")
     if not resume:
-        raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --out")
+        raise ValueError(f"{out} holds an evaluation already: give --resume to go on with it, or another --output")
     return before

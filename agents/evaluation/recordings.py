@@ -4,51 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from typer import Option
 
 from agents.evaluation.associators import contenders
 from agents.evaluation.mapped_log import FOLDER, map_log, measure, smoothed, write_mapped_log
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
+from agents.options import Recorded
 from slam_gym.recordings.catalogue import open_recordings
 from slam_gym.recordings.recording import Recording
 from slam_gym.scenarios.registry import slam_for
 from slam_gym.simulation.judged import CEILING
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """What is done to a recording before it is mapped."""
+def logs_of(options: Recorded, recording: str) -> list[Recording]:
+    """All logs that a recording's name stands for, as they are to be mapped.
 
-    data: Annotated[Path | None, Option(help="Recording: its files, by default under SLAM_GYM_DATA.")] = None
-    robots: Annotated[list[int] | None, Option(help="Recording: of mrclam, by default all.")] = None
-    every: Annotated[int, Option(min=1, help="Recording: only each so many-th scan.")] = 1
-    merge: Annotated[float, Option(min=0.0, help="Recording: landmarks no farther apart [m] are one.")] = 0.0
-    clean: Annotated[bool, Option("--clean", help="Recording: leave out spurious measurements.")] = False
-    reference: Annotated[bool, Option("--reference", help="Recording: vertices of a .g2o are the truth.")] = False
-
-    @property
-    def conditions(self) -> dict[str, Any]:
-        """What may not change when an evaluation is resumed."""
-        return {name: getattr(self, name) for name in ("every", "merge", "clean", "reference")}
-
-    def logs(self, recording: str) -> list[Recording]:
-        """All logs that a recording's name stands for, as they are to be mapped.
-
-        Raises as `open_recordings`; ValueError for robots of another recording than mrclam.
-        """
-        if self.robots and recording != "mrclam":
-            raise ValueError(f"--robots is for mrclam, not for {recording}")
-        logs = open_recordings(recording, self.data, self.robots, reference=self.reference)
-        logs = [log.without_spurious() for log in logs] if self.clean else logs
-        logs = [log.merged(self.merge) for log in logs] if self.merge > 0.0 else logs
-        return [surveyed(log.every(self.every) if self.every > 1 else log) for log in logs]
+    Raises as `open_recordings`; ValueError for robots of another recording than mrclam.
+    """
+    if options.robots and recording != "mrclam":
+        raise ValueError(f"--robots is for mrclam, not for {recording}")
+    logs = open_recordings(recording, options.data, options.robots, reference=options.reference)
+    logs = [log.without_spurious() for log in logs] if options.clean else logs
+    logs = [log.merged(options.merge) for log in logs] if options.merge > 0.0 else logs
+    return [surveyed(log.every(options.every) if options.every > 1 else log) for log in logs]
 
 
 def surveyed(log: Recording) -> Recording:

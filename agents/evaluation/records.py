@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,17 @@ PACKAGES = ("numpy", "scipy", "numba", "gymnasium", "pymunk", "torch", "stable-b
 def stem(*names: str) -> str:
     """A file's name for things whose names may be paths, levels of the suite, or `module:name`."""
     return ".".join(re.sub(r"[^\w\-]+", "-", name).strip("-") for name in names)
+
+
+def results_folder(name: str, resume: bool) -> Path:
+    """A new folder under results/ of the current directory, or the latest one of that name."""
+    results, name = Path("results"), stem(name)
+    if not resume:
+        return results / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+    folders = sorted(results.glob(f"{name}-[0-9]*"))
+    if not folders:
+        raise ValueError(f"there is no evaluation of {name} to resume in {results.resolve()}: give its --output")
+    return folders[-1]
 
 
 @contextmanager
@@ -78,10 +90,10 @@ def plain(value: Any) -> Any:
 
 
 def command_line() -> str:
-    """The command that runs, as it was typed: `slam-gym train …`, or `python -m agents.train …`."""
+    """The command that runs, as it would be typed: `slam-gym train …`."""
     program = Path(sys.argv[0])
-    name = "slam-gym" if program.stem in ("slam-gym", "__main__") else f"python -m agents.{program.stem}"
-    return f"{name} {shlex.join(sys.argv[1:])}"
+    command = [] if program.stem in ("slam-gym", "__main__") else [program.stem.replace("_", "-")]
+    return shlex.join(["slam-gym", *command, *sys.argv[1:]])
 
 
 def versions() -> dict[str, str]:

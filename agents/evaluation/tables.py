@@ -19,6 +19,7 @@ from slam_gym.metrics.statistics import Interval, Statistic, bootstrap_interval,
 from slam_gym.simulation.judged import CEILING
 
 Value = Interval | float | int
+FEWEST = 10  # episodes that an interval can be told from
 Rows = dict[str, dict[str, Value]]
 """Name of an agent or associator → key of a column → value."""
 
@@ -102,7 +103,7 @@ def estimate(
     """The statistic of values (n,) and its 95 % bootstrap interval, resampled within each of the strata (n,).
 
     Values that are not finite are left out; all NaN where none is left. The same values always give the same interval.
-    Where each stratum has but one value, nothing tells how they vary, and there is no interval.
+    Of fewer than `FEWEST`, or where each stratum has but one value, too little tells how they vary for an interval.
     """
     values = np.asarray(values, np.float64)
     groups = np.zeros(len(values), np.int64) if strata is None else np.asarray(strata)
@@ -110,7 +111,7 @@ def estimate(
     values, groups = values[finite], groups[finite]
     if not len(values):
         return Interval(math.nan, math.nan, math.nan)
-    if len(values) == len(np.unique(groups)):
+    if len(values) < FEWEST or len(values) == len(np.unique(groups)):
         return Interval(float(statistic(values)), math.nan, math.nan)
     rng = np.random.default_rng(0)
     return bootstrap_interval(values, rng, strata=groups, resamples=resamples, statistic=statistic)

@@ -170,7 +170,7 @@ class BestBranch:
 
 
 def load_associator(path: Path | str) -> Associator:
-    """The associator of a model file that `python -m agents.train_associate` wrote; reading it runs no code from it.
+    """The associator of a model file that `slam-gym train-associate` wrote; reading it runs no code from it.
 
     It walks the tree as it was trained to: same K, order and compatibility. Raises ValueError that names the file where
     it is missing, damaged, or no associator.

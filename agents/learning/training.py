@@ -9,10 +9,10 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -23,12 +23,12 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback,
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
-from typer import Option
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import command_line, plain, versions
 from agents.learning.models import About, read_about
 from agents.learning.policies import CHOICES, HYPERPARAMETERS, Decision, load_hyperparameters, make_algorithm
+from agents.options import Training
 
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
@@ -38,21 +38,6 @@ LOGGED = {"goal": ("map_error", "coverage"), "twist": ("map_error", "coverage"),
 
 MODEL, CHECKPOINTS = "model.zip", "checkpoints"
 _MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resumed
-
-
-@dataclass(frozen=True)
-class Training:
-    """How long, from which seed and with what a policy is trained: what every training command takes."""
-
-    timesteps: Annotated[int, Option(min=1, metavar="N", help="Decisions, rounded up to whole rollouts.")] = 100_000
-    seed: Annotated[int, Option(min=0)] = 0
-    out: Annotated[Path | None, Option(metavar="DIR", help="By default a folder in runs/.")] = None
-    resume: Annotated[bool, Option("--resume", help="Go on in DIR, up to --timesteps.")] = False
-    hyperparameters: Annotated[Path, Option(metavar="FILE", help="TOML.")] = HYPERPARAMETERS
-    envs: Annotated[int | None, Option(min=1, metavar="N", help="Environments; by default as in FILE.")] = None
-    processes: Annotated[bool, Option("--processes", help="Give each environment a process of its own.")] = False
-    eval_every: Annotated[int, Option(min=1, metavar="N", help="Decisions between evaluations.")] = 10_000
-    eval_episodes: Annotated[int, Option(min=1, metavar="N", help="Held-out worlds.")] = 10
 
 
 class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
@@ -86,11 +71,12 @@ def train(
     Raises ValueError where the folder holds a training and is not to be resumed, or one of something else, and as
     `load_hyperparameters`.
     """
-    out, hyper = training.out or Path(folder), load_hyperparameters(decision, training.hyperparameters)
+    out = training.output or Path(folder)
+    hyper = load_hyperparameters(decision, training.hyperparameters or HYPERPARAMETERS)
     hyper = replace(hyper, envs=training.envs or hyper.envs)
     last = _last_model(out)
     if last is not None and not training.resume:
-        raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --out")
+        raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --output")
     if last is None and training.resume:
         raise ValueError(f"{out} holds no training to resume")
     torch.set_num_threads(1)  # the networks are small, and the environments need the other cores

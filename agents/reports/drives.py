@@ -10,6 +10,7 @@ import pandas as pd
 
 from agents.drivers.clairvoyant import Clairvoyant
 from agents.evaluation.associators import JOIN
+from agents.evaluation.drives import map_path
 from agents.evaluation.episodes import LOST_MEANS
 from agents.evaluation.pipeline import Results
 from agents.evaluation.tables import (
@@ -57,6 +58,10 @@ def drives_page(results: Results, folder: Path) -> Page:
     for table, own in zip(drive_tables(results), by_setting(results.frame).values()):
         dots = partial(figures.dot_chart, by_name(own), PANELS[kind], colour)
         parts += [table, Picture(f"Each episode of {table.title}", dots)]
+        shown = {name: path for name in groups if (path := map_path(folder, table.title.split(",")[0], name)).exists()}
+        if shown:
+            final = partial(figures.side_by_side, shown)
+            parts.append(Picture(f"Maps at the end of the first episode of {table.title}", final))
     if drivers:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)
         parts += [Picture("Over time: interquartile mean over episodes, 95 % bootstrap band", curves)]

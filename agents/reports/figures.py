@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-import matplotlib
+import matplotlib.image
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -16,6 +17,8 @@ from matplotlib.ticker import NullFormatter
 
 from agents.evaluation.tables import Column, display_name, estimate, estimate_of
 from slam_gym.metrics.statistics import Interval
+from slam_gym.rendering.plot import plot_episode
+from slam_gym.simulation.episode import Episode
 from slam_gym.simulation.judged import CEILING
 from slam_gym.types import SPURIOUS, Array
 
@@ -96,6 +99,31 @@ def curve_chart(groups: Mapping[str, pd.DataFrame], shown: Sequence[Column], col
         axis.set(xlabel="ticks", ylabel=column.title, xlim=(0.0, end), ylim=(0.0, None))
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=min(len(groups), 6))
+    return figure
+
+
+def final_map(episode: Episode) -> Figure:
+    """The map of an episode at its end: true walls black, true features grey, mapped ones blue, the path red, and red
+    lines from where features are to where the map has them."""
+    figure = Figure(figsize=(5.2, 4.2), dpi=DPI, layout="constrained")
+    axis = plot_episode(episode, figure.subplots(), errors=True)
+    axis.set(xticks=[], yticks=[])
+    axis.set_title(f"map error {episode.map_error():.2f}", fontsize=10)
+    axis.spines[:].set_visible(False)
+    return figure
+
+
+def side_by_side(pictures: Mapping[str, Path]) -> Figure:
+    """Files .png by name, at most three in a row."""
+    across = min(len(pictures), 3)
+    down = math.ceil(len(pictures) / across)
+    figure = _figure(0.3 + 0.88 * down * WIDTH / across)
+    axes = figure.subplots(down, across, squeeze=False).ravel()
+    for axis in axes:
+        axis.axis("off")
+    for axis, (name, path) in zip(axes, pictures.items()):
+        axis.imshow(matplotlib.image.imread(path), interpolation="antialiased")
+        axis.set_title(display_name(name), fontsize=11)
     return figure
 
 

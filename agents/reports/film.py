@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ import numpy as np
 
 from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments, run_episode
-from agents.evaluation.pipeline import run_all
 from agents.evaluation.records import stem
 
 FRAMES = 300
@@ -26,14 +25,14 @@ def film_path(out: Path, agent: str) -> Path:
     return out / "films" / f"{stem(agent)}.mp4"
 
 
-def make_films(drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path, jobs: int) -> None:
-    """One film per agent, of that episode, by its first model; those that are there already stay."""
+def films_of(
+    drivers: Sequence[Driver], arguments: ExploreArguments, episode: int, out: Path
+) -> list[Callable[[], Path]]:
+    """Calls that film that episode, one per agent, by its first model; those that are there already stay."""
     first = {driver.agent: driver for driver in reversed(drivers)}
     paths = {agent: film_path(out, agent) for agent in first}
     missing = [agent for agent, path in paths.items() if not path.with_suffix(".png").exists()]
-    calls = [partial(film, arguments, first[agent], episode, paths[agent]) for agent in missing]
-    for picture in run_all(calls, jobs):
-        print(f"film: {picture.with_suffix('.mp4')}")
+    return [partial(film, arguments, first[agent], episode, paths[agent]) for agent in missing]
 
 
 def film(arguments: ExploreArguments, driver: Driver, episode: int, path: Path) -> Path:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Annotated
 
 import numpy as np
 import pandas as pd
-from typer import Option
 
 from agents.evaluation.associators import Metered, find_associator
 from agents.evaluation.pipeline import Evaluation, Key, Task
 from agents.evaluation.records import Record
+from agents.options import Suite
 from agents.suite.problems import (
     OUTCOMES,
     Judgement,
@@ -34,38 +32,27 @@ from slam_gym.validation import one_of
 
 WORLDS, PROBLEMS = 24, 12  # of a level; of a world, at most
 QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
-Names = list[str] | None
 
 
-@dataclass(frozen=True)
-class Suite:
-    """How much of the association suite is run."""
-
-    quick: Annotated[bool, Option("--quick", help="Suite: every second level, few worlds.")] = False
-    experiments: Annotated[Names, Option(help=f"Suite: of {', '.join(EXPERIMENTS)}; by default all.")] = None
-    relocators: Annotated[Names, Option(help="Suite: whom kidnapped asks; by default all that ship.")] = None
-    worlds: Annotated[int | None, Option(min=1, help=f"Suite: of a level; by default {WORLDS}.")] = None
-    problems: Annotated[int | None, Option(min=1, help=f"Suite: of a world; by default {PROBLEMS}.")] = None
-
-    def evaluation(self, associators: Sequence[str], split: str) -> Evaluation:
-        """Everybody asked about every level, checked. ValueError for names that nobody knows."""
-        worlds = self.worlds or (QUICK_WORLDS if self.quick else WORLDS)
-        count = self.problems or (QUICK_PROBLEMS if self.quick else PROBLEMS)
-        relocators = self.relocators or list(RELOCATORS)
-        for name in associators:
-            find_associator(name)
-        for name in relocators:
-            resolve_relocator(name)
-        tasks = []
-        for name in dict.fromkeys(self.experiments or EXPERIMENTS):
-            one_of("experiment", name, EXPERIMENTS)
-            for level in EXPERIMENTS[name].levels[:: 2 if self.quick else 1]:
-                for world in range(worlds):
-                    names = relocators if name == RELOCATION else associators
-                    keys = [Key(who, level.id, world) for who in names]
-                    tasks.append(Task(keys, partial(ask_all, level.id, world, names, count, split)))
-        size = {"worlds": worlds, "problems": count, "quick": self.quick, "split": split}
-        return Evaluation("suite", tasks, size)
+def suite_evaluation(options: Suite, associators: Sequence[str], split: str) -> Evaluation:
+    """Everybody asked about every level, checked. ValueError for names that nobody knows."""
+    worlds = options.worlds or (QUICK_WORLDS if options.quick else WORLDS)
+    count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
+    relocators = options.relocators or list(RELOCATORS)
+    for name in associators:
+        find_associator(name)
+    for name in relocators:
+        resolve_relocator(name)
+    tasks = []
+    for name in dict.fromkeys(options.experiments or EXPERIMENTS):
+        one_of("experiment", name, EXPERIMENTS)
+        for level in EXPERIMENTS[name].levels[:: 2 if options.quick else 1]:
+            for world in range(worlds):
+                names = relocators if name == RELOCATION else associators
+                keys = [Key(who, level.id, world) for who in names]
+                tasks.append(Task(keys, partial(ask_all, level.id, world, names, count, split)))
+    size = {"worlds": worlds, "problems": count, "quick": options.quick, "split": split}
+    return Evaluation("suite", tasks, size)
 
 
 def ask_all(setting: str, world: int, names: Sequence[str], count: int, split: str) -> list[Record]:

@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterable
 from concurrent.futures.process import BrokenProcessPool
 from enum import StrEnum
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import typer
+from typer.main import get_command
 
 import slam_gym
 
@@ -30,6 +31,7 @@ COMMANDS: dict[str, str] = {
     "evaluate-association": "Associators in the loop, over the suite, on logs.",
     "train": "A driver by reinforcement learning.",
     "train-associate": "An associator by reinforcement learning.",
+    "record-decisions": "An associator's decisions, as a Minari data set.",
     "leaderboard": "An entry through the frozen protocol, ranked among all.",
     "reproduce": "Train from nothing what ships.",
     "report": "The report of a finished evaluation, once more.",
@@ -48,7 +50,21 @@ class Topic(StrEnum):
     RECORDINGS = "recordings"
 
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+class _Commands(typer.core.TyperGroup):
+    """A command of `agents` is imported when it is called, or asked for its options; this list knows its name."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name, command, rest = super().resolve_command(ctx, args)
+        if name in COMMANDS:
+            _find_agents()
+            if "" not in sys.path:
+                sys.path.append("")  # as `python -m` has it: "mymodule:MyDriver" is looked for where one stands
+            module = ended(lambda: importlib.import_module(f"agents.{name.replace('-', '_')}"))
+            command = get_command(module.app)
+        return name, command, rest
+
+
+app = typer.Typer(cls=_Commands, pretty_exceptions_enable=False)
 
 
 @app.callback(invoke_without_command=True, no_args_is_help=True)
@@ -59,24 +75,11 @@ def about(version: bool = typer.Option(False, "--version", "-V", help="Show the 
         raise typer.Exit()
 
 
-def _add(name: str, summary: str) -> None:
-    passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
-
-    @app.command(name, help=summary, add_help_option=False, context_settings=passed_on)
-    def run(context: typer.Context) -> None:
-        _find_agents()
-        if "" not in sys.path:
-            sys.path.append("")  # as `python -m` has it: "mymodule:MyDriver" is looked for where the command is given
-        module = f"agents.{name.replace('-', '_')}"
-        command = ended(lambda: importlib.import_module(module).app)
-        command(context.args, prog_name=f"slam-gym {name}")
-
-
 for _name, _summary in COMMANDS.items():
-    _add(_name, _summary)
+    app.command(_name, help=_summary)(lambda: None)
 
 
-@app.command("list")
+@app.command("list", epilog="Example: slam-gym list scenarios")
 def list_names(topic: Topic) -> None:
     """The names that other commands take."""
     from slam_gym.association import ASSOCIATORS, RELOCATORS
@@ -95,7 +98,7 @@ def list_names(topic: Topic) -> None:
     print("\n".join(names[topic.value]))
 
 
-@app.command()
+@app.command(epilog="Example: slam-gym doctor")
 def doctor() -> None:
     """What is installed, compiled and cached, and where data are looked for."""
     from slam_gym.commands.doctor import report  # which imports numba

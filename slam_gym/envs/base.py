@@ -13,7 +13,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._jit import announce_compilation
 from slam_gym.scenarios import SPLITS, Scenario, from_floor_plan, get_scenario, overridden, world_generator, world_seed
 from slam_gym.scenarios.overrides import Plain
 from slam_gym.simulation.episode import Site, survey
@@ -128,7 +127,6 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._episode_generator = self.np_random
         state: Any = copy.deepcopy(self.np_random.bit_generator.state)
         self._snapshot, self._failed, self._frames = Snapshot(state, self._series, options, []), False, []
-        announce_compilation()
         return self._begin(self._draw_world(options)), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:

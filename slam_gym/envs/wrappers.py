@@ -1,4 +1,4 @@
-"""Observations in the form that other libraries expect: one flat vector, the mask within, or the image alone.
+"""Observations in the form that other libraries expect: one flat vector, the mask within, the image alone.
 
 They wrap any of the three environments, and each other: `MaskInObservation(FlatObservation(env))` is the form of
 RLlib's and TorchRL's masked policies. Whatever they change, `action_masks()` is still found by sb3-contrib.
@@ -81,6 +81,18 @@ class ImageOnly(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstruct
     def observation(self, observation: Any) -> NDArray[np.uint8]:
         image: NDArray[np.uint8] = observation[self._name]
         return image
+
+
+class RecordEveryTick(gym.wrappers.RecordVideo):
+    """Gymnasium's RecordVideo, which takes one picture a step, for goals, whose steps are many ticks long.
+
+    Takes what RecordVideo takes, and an environment with `render_mode="rgb_array_list"`, which has a picture of every
+    tick since it was asked last.
+    """
+
+    def _capture_frame(self) -> None:
+        frames: Any = self.env.render()
+        self.recorded_frames += frames
 
 
 def _parts(env: gym.Env[Any, Any], wrapper: str) -> dict[str, spaces.Box]:

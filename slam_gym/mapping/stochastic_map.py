@@ -7,12 +7,16 @@ are removed, and known by an id that is never given twice.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
-from typing import ClassVar
+import importlib
+import json
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slam_gym._files import array_of, content_of, zip_members
 from slam_gym.geometry import wrap_angle
 from slam_gym.mapping import ekf
 from slam_gym.mapping.ekf import MapArrays
@@ -298,6 +302,31 @@ class StochasticMap:
         m._counted[:, :n], m._sized[:, :n] = state.counted, state.sized
         m.n, m.step, m.next_id = n, state.step, state.next_id
         return m
+
+    def save(self, path: str | Path) -> None:
+        """Write all that the map knows, and its settings, into a file .npz."""
+        parts = {field.name: getattr(self.state, field.name) for field in fields(MapState)}
+        np.savez_compressed(path, spec=json.dumps(asdict(self.spec)), **parts)
+
+    @classmethod
+    def load(cls, path: str | Path) -> StochasticMap:
+        """The map that `save` wrote. ValueError names a file that is damaged or holds something else, OSError one that
+        cannot be read."""
+        try:
+            members = zip_members(content_of(Path(path)))
+            state: dict[str, Any] = {
+                field.name: array_of(members[f"{field.name}.npy"], "fi") for field in fields(MapState)
+            }
+            state |= {name: int(state[name]) for name in ("step", "next_id")}
+            spec = MapSpec(**json.loads(str(array_of(members["spec.npy"], "U"))))
+            return cls.of_state(spec, MapState(**state))
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise ValueError(f"{path}: no map that can be read ({error})") from error
+
+    def plot(self, ax: Any = None) -> Any:
+        """The map as `slam_gym.rendering.plot.plot_map` draws it, into axes of matplotlib; the axes."""
+        plot = importlib.import_module("slam_gym.rendering.plot")  # of a room above: nothing here depends on it
+        return plot.plot_map(self, ax)
 
     def successor(self) -> StochasticMap:
         """An empty map whose base is where the robot stands now; ids and steps go on from those of this map."""

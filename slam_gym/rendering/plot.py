@@ -1,17 +1,21 @@
-"""Maps, paths and scans as matplotlib plots, for notebooks and papers: `pip install 'slam_gym[agents]'` has matplotlib.
+"""Maps, paths, scans and interpretation trees as matplotlib plots: `pip install 'slam_gym[agents]'` has matplotlib.
 
 Every function draws into `ax`, by default a new one, and returns it. Lengths are metres in the frame of what is drawn.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from itertools import count
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
 
 from slam_gym.association.compatibility import chi2_gate, individual
 from slam_gym.association.prediction import Prediction
+from slam_gym.association.tree import Node, Tree, branches, extend, root
 from slam_gym.geometry import transform
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.navigation.explored_grid import WALL
@@ -22,7 +26,10 @@ if TYPE_CHECKING:
 
     from slam_gym.simulation.episode import Episode
 
-INK, GREY, LIGHT, BLUE, RED = "#2f3640", "#b8bec6", "#c3ccd6", "#2b6ca3", "#c8553d"
+INK, GREY, LIGHT, BLUE, RED, GREEN, YELLOW = "#2f3640", "#b8bec6", "#c3ccd6", "#2b6ca3", "#c8553d", "#3a8a5c", "#e0a030"
+Path = tuple[int, ...]  # the rows of a prediction that lead from the root of a tree to a node
+_EDGE = 0.3  # of a wall in the smoothed grid
+_MOST_BRANCHES = 400  # of a tree that somebody can still look at
 
 
 def plot_map(stochastic_map: StochasticMap, ax: Axes | None = None, *, sigmas: float = 2.0) -> Axes:
@@ -45,9 +52,19 @@ def plot_path(poses: ArrayLike, ax: Axes | None = None, **line: Any) -> Axes:
     return ax
 
 
-def plot_scan(scan: Scan, prediction: Prediction, hypothesis: Hypothesis | None = None, ax: Axes | None = None) -> Axes:
+def plot_scan(
+    scan: Scan,
+    prediction: Prediction,
+    hypothesis: Hypothesis | None = None,
+    ax: Axes | None = None,
+    *,
+    right: Hypothesis | None = None,
+) -> Axes:
     """A scan in R: measurements as crosses, predicted features as circles with the gates of the pairings that are
-    individually compatible, and the pairings of a hypothesis as arrows from feature to measurement."""
+    individually compatible, and the pairings of a hypothesis as arrows from feature to measurement.
+
+    Where the `right` hypothesis is known, right pairings are green, and wrong ones red and dashed.
+    """
     ax = _axes(ax)
     candidates = individual(scan, prediction)
     rows = candidates.rows[candidates.slots]
@@ -58,32 +75,120 @@ def plot_scan(scan: Scan, prediction: Prediction, hypothesis: Hypothesis | None 
     if hypothesis is not None:
         place = dict(zip(prediction.features.tolist(), prediction.positions))
         for i in np.flatnonzero(hypothesis.features != UNPAIRED):
-            arrow = {"arrowstyle": "-|>", "color": BLUE, "lw": 1.6, "shrinkA": 3.0, "shrinkB": 3.0}
+            wrong = right is not None and hypothesis.features[i] != right.features[i]
+            arrow: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.6, "shrinkA": 2.0, "shrinkB": 2.0}
+            arrow |= {"color": RED if wrong else BLUE if right is None else GREEN, "ls": "--" if wrong else "-"}
+            arrow |= {"connectionstyle": "arc3,rad=-0.35", "mutation_scale": 8.0}
             ax.annotate("", scan.points[i], place[int(hypothesis.features[i])], arrowprops=arrow)
     return ax
 
 
-def plot_episode(episode: Episode, ax: Axes | None = None) -> Axes:
+def plot_tree(tree: Tree, answers: Mapping[str, Hypothesis] | None = None, ax: Axes | None = None) -> Axes:
+    """The jointly compatible branches of an interpretation tree, level by level from the root on top, and those that
+    are not, which end it, dotted; the path of each of the `answers` in a colour, dotted where it has left the tree.
+
+    Raises ValueError where there are more branches than anybody could look at.
+    """
+    legal: dict[Path, bool] = {}
+    _grow(tree, root(tree), (), legal)
+    row = dict(zip(tree.prediction.features.tolist(), range(len(tree.prediction.features)))) | {UNPAIRED: UNPAIRED}
+    paths = {
+        name: tuple(row[feature] for feature in answer.features[tree.candidates.measurements].tolist())
+        for name, answer in (answers or {}).items()
+    }
+    for path in paths.values():
+        legal |= {path[:k]: False for k in range(1, len(path) + 1) if path[:k] not in legal}
+    place: dict[Path, float] = {}
+    _lay_out((), legal, place, count())
+    ax = _axes(ax, aspect="auto")
+
+    def line(path: Path, colour: str, width: float) -> None:
+        ends = [place[path[:-1]], place[path]], [1 - len(path), -len(path)]
+        ax.plot(*ends, "-" if legal[path] else ":", color=colour, lw=width, zorder=width)
+
+    for path, fits in legal.items():
+        line(path, GREY, 0.8)
+        ax.plot(place[path], -len(path), "o", ms=11, mfc="white", mec=GREY if fits else RED, mew=0.8, zorder=6)
+        name = "*" if path[-1] == UNPAIRED else str(tree.prediction.features[path[-1]])
+        ax.text(place[path], -len(path), name, ha="center", va="center", fontsize=7, color=INK, zorder=7)
+    for k, ((name, path), colour) in enumerate(zip(paths.items(), (RED, GREEN, BLUE, YELLOW, INK))):
+        for end in range(1, len(path) + 1):
+            line(path[:end], colour, 4.5 - 1.3 * k)  # those below stay visible
+        ax.plot([], [], color=colour, lw=2.5, label=name)
+    levels = [f"$z_{{{i}}}$" for i in tree.candidates.measurements.tolist()]
+    ax.set(xticks=[], xlabel="", ylabel="measurement", yticks=-1 - np.arange(tree.levels), yticklabels=levels)
+    ax.spines[:].set_visible(False)
+    if paths:
+        ax.legend(frameon=False)
+    return ax
+
+
+def _grow(tree: Tree, node: Node, path: Path, legal: dict[Path, bool]) -> None:
+    """Enter every branch below a node, by the rows of its path: whether it is jointly compatible."""
+    if node.level == tree.levels:
+        return
+    if len(legal) > _MOST_BRANCHES:
+        raise ValueError(f"the tree has more than {_MOST_BRANCHES} branches: take fewer of its measurements")
+    offer = branches(tree, node)
+    for row, fits in zip([*offer.rows.tolist(), UNPAIRED], [*offer.legal.tolist(), True]):
+        legal[(*path, row)] = fits
+        if fits:
+            _grow(tree, extend(tree, node, row), (*path, row), legal)
+
+
+def _lay_out(
+    path: Path,
+    legal: dict[Path, bool],
+    place: dict[Path, float],
+    leaves: Iterator[int],
+) -> float:
+    """Leaves side by side in the order of the search, parents in the middle above their children."""
+    below = [_lay_out(other, legal, place, leaves) for other in legal if other[:-1] == path]
+    place[path] = (below[0] + below[-1]) / 2.0 if below else float(next(leaves))
+    return place[path]
+
+
+def plot_error(poses: ArrayLike, truth: ArrayLike, ax: Axes | None = None, **line: Any) -> Axes:
+    """Distance [m] of poses (t, 2 or 3) from the true ones, step by step; other arguments are those of `Axes.plot`."""
+    ax = _axes(ax, aspect="auto")
+    error = np.hypot(*(np.asarray(poses, np.float64)[:, :2] - np.asarray(truth, np.float64)[:, :2]).T)
+    ax.plot(error, **{"lw": 1.1} | line)
+    ax.set(xlabel="step", ylabel="position error [m]")
+    return ax
+
+
+def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = False) -> Axes:
     """An exploration in W: true walls black, true features grey dots; what the robot made of them on top, explored
-    walls light, features of its map blue, its path red beside the true one in grey."""
-    ax, grid, plan = _axes(ax), episode.grid, episode.site.plan
-    rows, columns = np.nonzero(grid.cells == WALL)
-    cells = grid.origin + grid.resolution * (np.column_stack([columns, rows]) + 0.5)
-    ax.plot(*transform(episode.base, cells).T, "s", ms=2.6, color=LIGHT, mew=0)
+    walls light, features of its map blue, its path red beside the true one in grey.
+
+    With `errors`, red lines lead from true features to where the map has them.
+    """
+    ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
+    rows, columns = np.indices(grid.cells.shape)
+    cells = grid.origin + grid.resolution * (np.stack([columns, rows], axis=2).reshape(-1, 2) + 0.5)
+    x, y = transform(episode.base, cells).T.reshape(2, *rows.shape)
+    walls = gaussian_filter((grid.cells == WALL).astype(np.float64), 0.7)
+    if walls.max() > _EDGE:
+        ax.contourf(x, y, walls, levels=[_EDGE, 2.0], colors=[LIGHT])
     ax.plot(*plan.walls.reshape(-1, 2, 2).transpose(2, 1, 0), color=INK, lw=0.8)
     ax.plot(*plan.features.positions[episode.site.observable].T, ".", ms=3, color=GREY)
     ax.plot(*episode.landmarks.T, "o", ms=3.2, mfc="none", mec=BLUE, mew=0.9)
+    if errors:
+        sources, mapped = episode.identities.source_of(slam.map.ids), transform(episode.base, slam.map.positions)
+        known = (sources >= 0) & ~slam.map.provisional
+        ends = np.stack([plan.features.positions[sources[known]], mapped[known]])
+        ax.plot(*ends.transpose(2, 0, 1), color=RED, lw=0.7)
     plot_path(np.array(episode.poses), ax, color=GREY)
-    return plot_path(transform(episode.base, np.array(episode.estimates)[:, :2]), ax, lw=0.9)
+    return plot_path(transform(episode.base, np.array(episode.estimates)[:, :2]), ax, lw=1.3)
 
 
-def _axes(ax: Axes | None) -> Axes:
+def _axes(ax: Axes | None, aspect: Literal["equal", "auto"] = "equal") -> Axes:
     if ax is None:
         import matplotlib.pyplot as plt
 
         ax = plt.subplots(layout="constrained")[1]
         ax.set(xlabel="x [m]", ylabel="y [m]")
-    ax.set_aspect("equal")
+    ax.set_aspect(aspect)
     return ax
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam_gym._jit import announce_compilation, compiled
+from slam_gym._jit import compiled
 from slam_gym.association import resolve_associator
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import (
@@ -91,7 +91,6 @@ class Slam:
         relocate: Relocate | None = None,
         atlas: AtlasSpec | None = None,
     ) -> None:
-        announce_compilation()  # whose loops every step calls
         self.spec = spec or SlamSpec()
         self.view_from, self.relocator = view_from, relocate
         self.tracker: Tracker | None = None

@@ -8,9 +8,11 @@ from typing import Annotated
 import pytest
 import typer
 
-from agents.cli import AssociateWorld, Episodes, World, command
+from agents.cli import command
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
-from agents.evaluation.pipeline import Execution, results_folder
+from agents.evaluation.records import results_folder
+from agents.options import AssociateWorld, Episodes, Execution, World
+from slam_gym.commands.run import COMMANDS
 from tests.agents import typed
 
 
@@ -21,7 +23,7 @@ def parsed(*words, group=World):
     def main(options: group, names: Annotated[list[str] | None, typer.Option()] = None, quick: bool = False) -> None:
         found.append((options, names, quick))
 
-    result = typed(command(main), *words)
+    result = typed(command(main, "slam-gym try"), *words)
     assert result.exit_code == 0, result.output
     return found[0]
 
@@ -30,7 +32,7 @@ def test_without_options_the_arguments_are_the_defaults():
     assert parsed()[0].arguments("office", "test") == ExploreArguments()
     assert parsed(group=AssociateWorld)[0].arguments("train") == AssociateArguments()
     assert parsed(group=Episodes)[0].range(7) == range(7)
-    assert parsed("--first", 3, "--episodes", 2, group=Episodes)[0].range(7) == range(3, 5)
+    assert parsed("--seed", 3, "--episodes", 2, group=Episodes)[0].range(7) == range(3, 5)
 
 
 def test_options_change_the_arguments():
@@ -41,6 +43,13 @@ def test_options_change_the_arguments():
     assert parsed("--floor-plan", "a.json")[0].arguments("office", "test").scenario == "building"
     own = parsed("--candidates", 3, "--set", "budget=5", group=AssociateWorld)[0].arguments("test")
     assert own == AssociateArguments(candidates=3, split="test", overrides=(("budget", 5),))
+
+
+def test_several_scenarios_are_several_loops_and_one_too_many_where_one_is_asked_for():
+    found = parsed("--scenario", "hall", "crowd", "--scenario", "hall")[0]
+    assert [loop.scenario for loop in found.loops(["office"], "test")] == ["hall", "crowd"]
+    with pytest.raises(ValueError, match="hall and crowd"):
+        found.arguments("office", "train")
 
 
 def test_an_option_takes_several_values_in_a_row():
@@ -60,7 +69,7 @@ def test_what_ends_a_command_is_told_in_one_line(raised, code, said):
     def main(execution: Execution) -> None:
         raise raised
 
-    result = typed(command(main))
+    result = typed(command(main, "slam-gym try"))
     assert result.exit_code == code and result.stderr.startswith(said) and result.stderr.count("\n") <= 1
 
 
@@ -74,8 +83,10 @@ def test_resume_without_folder_means_the_latest_of_this_name(tmp_path, monkeypat
         results_folder("hall", resume=True)
 
 
-def test_help_needs_no_learning_library():
-    code = "import sys; import agents.evaluate, agents.evaluate_association, agents.play; "
-    code += "sys.exit(bool({'torch', 'matplotlib', 'pygame'} & set(sys.modules)))"
+def test_options_are_known_before_anything_that_takes_time_is_imported():
+    modules = ", ".join(f"agents.{name.replace('-', '_')}" for name in COMMANDS)
+    slow = {"torch", "matplotlib", "pygame", "numba", "scipy", "pandas"}
+    code = f"import sys, {modules}; print({slow} & set(sys.modules))"
     root = Path(__file__).parents[2]
-    assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
+    assert done.stdout == "set()\n", done.stderr

@@ -12,7 +12,7 @@ from tests.agents import typed
 
 
 def test_the_demo_maps_one_drive_by_each_associator_and_leaves_a_picture(tmp_path):
-    options = ("--scenario", "office-small", "--world", 0, "--output", tmp_path / "demo.png")
+    options = ("--scenario", "office-small", "--seed", 0, "--output", tmp_path / "demo.png")
     result = typed(demo.app, *options, "--associators", "nearest_neighbour", "true_association")
     assert result.exit_code == 0, result.output
     assert result.stdout.count("map error") == 2 and f"picture: {tmp_path / 'demo.png'}" in result.stdout

@@ -21,7 +21,7 @@ LINE = ["--scenario", "office-small", "--agents", "random", "nearest_frontier", 
 
 def test_the_command_leaves_a_table_files_and_a_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = typed(app, *LINE, "--first", 7, "--jobs", 1, "--set", "budget=60", "--set", "sensor.range=4")
+    result = typed(app, *LINE, "--seed", 7, "--jobs", 1, "--set", "budget=60", "--set", "sensor.range=4")
     assert result.exit_code == 0, result.output
     (out,) = (tmp_path / "results").glob("office-small-*")
     metadata = json.loads((out / "results.json").read_text())
@@ -57,7 +57,7 @@ pipeline._write_rows = write_then_interrupt
 evaluate.app()
 """
     out = tmp_path / "cut"
-    line = [*LINE, "--set", "budget=40", "--out", str(out)]
+    line = [*LINE, "--set", "budget=40", "--output", str(out)]
     done = subprocess.run(
         [sys.executable, "-c", cut, *line, "--jobs", "2"],
         cwd=ROOT, capture_output=True, text=True, start_new_session=True, timeout=300,
@@ -83,11 +83,11 @@ evaluate.app()
         (["--floor-plan", "nowhere.json"], ("nowhere.json",)),
         (["--episodes", "0"], ("--episodes", "equal to 1")),
         (["--set", "sensor.range"], ("sensor.range", "NAME=VALUE")),
-        (["--resume", "--out", "nowhere"], ("nowhere", "resume")),
+        (["--resume", "--output", "nowhere"], ("nowhere", "resume")),
     ],
 )
 def test_bad_input_is_told_with_its_name_and_leaves_nothing(tmp_path, monkeypatch, line, said):
     monkeypatch.chdir(tmp_path)
-    result = typed(app, *line, "--no-films", *([] if "--out" in line else ["--out", "out"]))
+    result = typed(app, *line, "--no-films", *([] if "--output" in line else ["--output", "out"]))
     assert result.exit_code == 2 and all(word in result.stderr for word in said)
     assert not (tmp_path / "out").exists()

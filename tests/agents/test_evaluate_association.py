@@ -23,8 +23,8 @@ def mine(scan, prediction):
 
 def test_the_command_in_the_loop(tmp_path):
     own, out = f"{__name__}:mine", tmp_path / "out"
-    line = ["--associators", own, "true_association", "--scenarios", "office-small", "clutter/1", "--episodes", "2"]
-    result = typed(app, *line, "--set", "budget=60", "--jobs", 1, "--out", out)
+    line = ["--associators", own, "true_association", "--scenario", "office-small", "clutter/1", "--episodes", "2"]
+    result = typed(app, *line, "--set", "budget=60", "--jobs", 1, "--output", out)
     assert result.exit_code == 0, result.output
     page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
     assert len(page.pictures) == 2
@@ -38,7 +38,7 @@ def test_the_command_of_the_suite(tmp_path):
     out = tmp_path / "out"
     line = ["--suite", "--quick", "--experiments", "closure", "kidnapped", "--worlds", "1", "--problems", "4"]
     line += ["--associators", "nearest_neighbour", "marginal", "true_association", "--relocators", "gcbb"]
-    result = typed(app, *line, "--jobs", 1, "--out", out)
+    result = typed(app, *line, "--jobs", 1, "--output", out)
     assert result.exit_code == 0, result.output
     page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
     assert len(page.pictures) == 3
@@ -52,15 +52,15 @@ def test_the_command_of_the_suite(tmp_path):
 def test_the_command_on_a_log(tmp_path):
     save(posts_log(), tmp_path / "drive.npz")
     line = ["--recording", tmp_path / "drive.npz", "--associators", "jcbb", "true_association", "--jobs", "1"]
-    result = typed(app, *line, "--out", tmp_path / "out")
+    result = typed(app, *line, "--output", tmp_path / "out")
     assert result.exit_code == 0, result.output
     page = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
     assert len(page.pictures) == 2 and "120 scans" in page.text and "drive, 120 scans" in result.output
     frame = pd.read_csv(tmp_path / "out" / "results.csv").set_index("name")
     assert frame.loc["true_association", "precision"] == 1.0 and f"{frame.loc['jcbb', 'ate']:.2f}" in result.output
-    refused = typed(app, *line, "--out", tmp_path / "out")
+    refused = typed(app, *line, "--output", tmp_path / "out")
     assert refused.exit_code == 2 and "holds an evaluation already" in refused.stderr
-    other = typed(app, *line, "--out", tmp_path / "out", "--resume", "--every", 2)
+    other = typed(app, *line, "--output", tmp_path / "out", "--resume", "--every", 2)
     assert other.exit_code == 2 and "another command (every 1, not 2)" in other.stderr
 
 
@@ -68,7 +68,7 @@ def test_associators_are_compared_on_a_floor_plan(tmp_path):
     plan = tmp_path / "two.json"
     save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(1)), plan)
     line = ["--floor-plan", plan, "--associators", "jcbb", "--relocation", "none", "--episodes", "1"]
-    result = typed(app, *line, "--set", "budget=30", "--jobs", 1, "--out", tmp_path / "out")
+    result = typed(app, *line, "--set", "budget=30", "--jobs", 1, "--output", tmp_path / "out")
     metadata = json.loads((tmp_path / "out" / "results.json").read_text())
     assert metadata["conditions"]["floor_plan"] == str(plan) and set(
         pd.read_csv(tmp_path / "out" / "results.csv")["setting"]
@@ -81,8 +81,8 @@ def test_associators_are_compared_on_a_floor_plan(tmp_path):
     [
         (["--associators", "nn"], ("nn", "jcbb", "nearest_neighbour")),
         (["--associators", "nowhere.zip"], ("nowhere.zip",)),
-        (["--scenarios", "offic"], ("unknown scenario 'offic'", "office-small")),
-        (["--scenarios", "closure/9"], ("closure/9", "closure/0 … closure/4")),
+        (["--scenario", "offic"], ("unknown scenario 'offic'", "office-small")),
+        (["--scenario", "closure/9"], ("closure/9", "closure/0 … closure/4")),
         (["--driver", "nobody"], ("nobody", "nearest_frontier")),
         (["--relocation", "gps"], ("gps", "gcbb")),
         (["--suite", "--worlds", "0"], ("--worlds", "equal to 1")),
@@ -104,6 +104,6 @@ def test_associators_are_compared_on_a_floor_plan(tmp_path):
 def test_bad_input_is_told_with_its_name_and_leaves_nothing(tmp_path, monkeypatch, line, said):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
-    result = typed(app, *line, "--out", "out")
+    result = typed(app, *line, "--output", "out")
     assert result.exit_code == 2 and all(word in result.stderr for word in said), result.output
     assert not (tmp_path / "out").exists()

@@ -12,7 +12,7 @@ from slam_gym.weights import figure
 
 
 def test_the_associator_is_trained_from_nothing(tmp_path):
-    done = CliRunner().invoke(app, ["associator", "--quick", "--out", str(tmp_path)])
+    done = CliRunner().invoke(app, ["associator", "--quick", "--output", str(tmp_path)])
     assert done.exit_code == 0, done.output
     said = done.output
     assert "seed 1: cross-entropy" in said and "wrote" in said
@@ -37,5 +37,5 @@ def test_figures_are_held_against_the_card():
 
 def test_the_recordings_have_to_be_there(monkeypatch, tmp_path):
     monkeypatch.delenv("SLAM_GYM_DATA", raising=False)
-    done = CliRunner().invoke(app, ["associator", "--out", str(tmp_path)])
+    done = CliRunner().invoke(app, ["associator", "--output", str(tmp_path)])
     assert done.exit_code == 2 and "SLAM_GYM_DATA is not set" in done.output

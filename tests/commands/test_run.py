@@ -71,7 +71,9 @@ def test_a_module_of_ones_own_is_found_where_the_command_is_given(tmp_path):
 
 
 def test_it_runs_in_a_folder_without_agents(tmp_path):
-    line = "evaluate --agents random --scenario office-small --set budget=20 --episodes 1 --no-films --jobs 1 --out out"
+    line = (
+        "evaluate --agents random --scenario office-small --set budget=20 --episodes 1 --no-films --jobs 1 --output out"
+    )
     command = [sys.executable, "-m", "slam_gym", *line.split()]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

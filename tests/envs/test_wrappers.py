@@ -6,7 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from slam_gym.envs.wrappers import FlatObservation, ImageOnly, MaskInObservation
+from slam_gym.envs.wrappers import FlatObservation, ImageOnly, MaskInObservation, RecordEveryTick
 from tests.rollouts import bare
 
 IDS = ("Explore-v0", "Associate-v0", "Relocate-v0")
@@ -74,3 +74,20 @@ def test_masks_are_found_through_wrappers_and_made_from_specs_again():
 def test_what_cannot_be_wrapped_is_refused_by_name(wrap, name, options, said):
     with pytest.raises(ValueError, match=said):
         wrap(bare(name, scenario="office-small", **options))
+
+
+def test_a_film_of_goals_has_a_picture_of_every_tick(tmp_path):
+    pytest.importorskip("pygame")
+    pytest.importorskip("moviepy")
+    env = gym.make("slam_gym/Explore-v0", render_mode="rgb_array_list", **SMALL)
+    film = RecordEveryTick(env, str(tmp_path), episode_trigger=lambda episode: True)
+    _, info = film.reset(seed=0)
+    ticks = 0
+    for _ in range(2):
+        _, _, over, _, info = film.step(int(info["action_mask"].nonzero()[0][-1]))
+        ticks += info["ticks"]
+        if over:
+            break
+    assert len(film.recorded_frames) == 1 + ticks > 3
+    film.close()
+    assert list(tmp_path.glob("*.mp4"))

@@ -3,6 +3,7 @@
 import copy
 import pickle
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -326,3 +327,24 @@ def test_a_map_that_cannot_start_says_why(arguments: dict[str, object]) -> None:
 def test_settings_out_of_range_are_refused(field: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(field))):
         MapSpec(**field)
+
+
+def test_a_saved_map_comes_back_as_it_was(tmp_path: Path) -> None:
+    m = StochasticMap(MapSpec(confirmations=3), pose=[1.0, 2.0, 0.5])
+    m.add(Scan.from_points([[3.0, 1.0], [4.0, -2.0]], sigma=0.1, sizes=[0.2, np.nan]), np.arange(2))
+    m.end_of_step()
+    m.save(tmp_path / "map.npz")
+    back = StochasticMap.load(tmp_path / "map.npz")
+    assert back.spec == m.spec and back.numbers == m.numbers
+    for name in ("mean", "covariance", "counted", "sized"):
+        np.testing.assert_array_equal(getattr(back.state, name), getattr(m.state, name))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x93NUMPY"])
+def test_a_file_that_holds_no_map_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "map.npz").write_bytes(content)
+    with pytest.raises(ValueError, match=r"map\.npz: no map"):
+        StochasticMap.load(tmp_path / "map.npz")
+    np.savez(tmp_path / "other.npz", mean=np.zeros(3))
+    with pytest.raises(ValueError, match=r"other\.npz: no map"):
+        StochasticMap.load(tmp_path / "other.npz")

@@ -1,11 +1,16 @@
 """Plots for users: what is in the map, the scan and the hypothesis is in the picture, at its place."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from slam_gym import Odometry, Scan, Slam
-from slam_gym.rendering.plot import plot_episode, plot_map, plot_path, plot_scan
+from slam_gym.association.compatibility import individual
+from slam_gym.association.prediction import Prediction
+from slam_gym.association.tree import interpretation_tree
+from slam_gym.rendering.plot import plot_episode, plot_error, plot_map, plot_path, plot_scan, plot_tree
 
 POSTS = np.array([[8.0, 1.0], [6.0, -2.0], [7.0, 3.0]])
 
@@ -57,3 +62,39 @@ def test_an_exploration_is_drawn_in_the_frame_of_the_world():
     ax, episode = plot_episode(env.episode), env.episode
     assert np.allclose(ax.lines[-2].get_xydata(), np.array(episode.poses)[:, :2])
     assert np.hypot(*(ax.lines[-1].get_xydata()[-1] - episode.poses[-1][:2])) < 0.2
+
+
+def test_pairings_that_are_wrong_are_told_by_their_lines_too(slam):
+    _, step = slam
+    scan = Scan.from_points(POSTS - [3.0, 0.0], sigma=0.05)
+    right = replace(step.hypothesis, features=step.hypothesis.features[[1, 0, 2]])
+    drawn = plot_scan(scan, step.prediction, step.hypothesis, right=right).texts
+    assert [text.arrow_patch.get_linestyle() for text in drawn] == ["--", "--", "-"]
+
+
+def test_a_tree_is_drawn_with_every_branch_and_the_paths_of_answers(slam):
+    _, step = slam
+    scan = Scan.from_points(POSTS - [3.0, 0.0], sigma=0.05)
+    tree = interpretation_tree(scan, step.prediction, individual(scan, step.prediction))
+    nothing = replace(step.hypothesis, features=np.full(3, -1))
+    ax = plot_tree(tree, {"answer": step.hypothesis, "nothing": nothing})
+    names = [text.get_text() for text in ax.texts]
+    assert names.count("*") == 7 and len(names) == 14  # two branches a node: its feature, or nothing
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["answer", "nothing"]
+
+
+def test_a_tree_that_nobody_could_look_at_is_refused():
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (9, 2))
+    scan = Scan.from_points(points, sigma=0.1)
+    prediction = Prediction.from_gaussian(points, 0.1 * np.eye(18))
+    with pytest.raises(ValueError, match="more than 400 branches"):
+        plot_tree(interpretation_tree(scan, prediction, individual(scan, prediction)))
+
+
+def test_the_error_of_a_path_is_its_distance_from_the_truth():
+    ax = plot_error([[0.0, 0.0, 1.0], [3.0, 4.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]])
+    assert ax.lines[0].get_ydata().tolist() == [0.0, 5.0] and ax.get_aspect() == "auto"
+
+
+def test_a_map_draws_itself(slam):
+    assert np.array_equal(points(slam[0].map.plot()), points(plot_map(slam[0].map)))

@@ -2,7 +2,7 @@
 
 The search, the joint density of the innovations and the decision by marginals stay what they are. A small network adds
 what that model does not know: whether sizes and kinds agree, how much else competes, how often a feature was seen, how
-much of the scan is strange. Its weights ship (`slam_gym.weights`); `python -m agents.reproduce associator` trains them.
+much of the scan is strange. Its weights ship (`slam_gym.weights`); `slam-gym reproduce associator` trains them.
 """
 
 from __future__ import annotations

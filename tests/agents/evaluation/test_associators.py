@@ -10,8 +10,9 @@ from agents.drivers.base import make_agent
 from agents.evaluation.associators import SHIPPED, Metered, find_associator, metered
 from agents.evaluation.drives import associator_evaluation
 from agents.evaluation.episodes import ExploreArguments, reset_arguments, run_episode
-from agents.evaluation.pipeline import Execution, carry_out
+from agents.evaluation.pipeline import carry_out
 from agents.evaluation.tables import by_name
+from agents.options import Execution
 from agents.reports.drives import headline
 from slam_gym.association import ASSOCIATORS, nearest_neighbour
 from slam_gym.envs.explore import ExploreEnv

@@ -6,7 +6,8 @@ import pytest
 
 from agents.evaluation.drives import Driver, driver_evaluation, drivers_of
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Execution, carry_out
+from agents.evaluation.pipeline import carry_out
+from agents.options import Execution
 from agents.reports.drives import drive_tables
 from slam_gym.metrics.statistics import interquartile_mean
 
@@ -14,7 +15,7 @@ from slam_gym.metrics.statistics import interquartile_mean
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     drivers = drivers_of(["random", "nearest_frontier"], [], False)
-    evaluation = driver_evaluation(drivers, ExploreArguments("office-small", (("budget", 80),)), range(3))
+    evaluation = driver_evaluation(drivers, [ExploreArguments("office-small", (("budget", 80),))], range(3))
     return carry_out(evaluation, tmp_path_factory.mktemp("drivers"), Execution(jobs=1))
 
 

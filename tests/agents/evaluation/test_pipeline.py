@@ -11,8 +11,9 @@ from threadpoolctl import threadpool_info
 
 from agents.evaluation.drives import Driver, associator_evaluation, driver_evaluation
 from agents.evaluation.episodes import ExploreArguments
-from agents.evaluation.pipeline import Evaluation, Execution, Key, Task, carry_out, read_results, run_all
-from agents.suite.worlds import Suite
+from agents.evaluation.pipeline import Evaluation, Key, Task, carry_out, read_results, run_all
+from agents.options import Execution, Suite
+from agents.suite.worlds import suite_evaluation
 from tests.agents.evaluation import timeless
 
 NEW, RESUMED = (Execution(jobs=1, resume=resume) for resume in (False, True))
@@ -37,9 +38,9 @@ def counting(tasks, **conditions) -> Evaluation:
 @pytest.mark.parametrize(
     "evaluation",
     [
-        lambda: driver_evaluation([Driver("random"), Driver("nearest_frontier")], SMALL, range(2)),
+        lambda: driver_evaluation([Driver("random"), Driver("nearest_frontier")], [SMALL], range(2)),
         lambda: associator_evaluation(["nearest_neighbour", "true_association"], [SMALL], "random", range(2), [None]),
-        lambda: Suite(True, ["closure"], worlds=1, problems=3).evaluation(["jcbb", "singles"], "test"),
+        lambda: suite_evaluation(Suite(True, ["closure"], worlds=1, problems=3), ["jcbb", "singles"], "test"),
     ],
 )
 def test_resumed_is_the_same_as_uninterrupted(tmp_path, evaluation):

@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.recordings import Recorded, map_and_measure
+from agents.evaluation.recordings import logs_of, map_and_measure
+from agents.options import Recorded
 from agents.reports.recordings import COLUMNS, FURTHER_COLUMNS, means, tables
 from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.recordings import Recording, open_recordings
@@ -70,7 +71,7 @@ def test_of_several_logs_there_is_a_mean_and_columns_without_numbers_are_left_ou
 def test_names_of_public_logs_stand_for_their_files(data_dir, tmp_path) -> None:
     found = open_recordings("mrclam", data_dir / "mrclam", [2, 4])
     assert [log.name for log in found] == ["mrclam/MRCLAM_Dataset6/robot2", "mrclam/MRCLAM_Dataset6/robot4"]
-    (log,) = Recorded(data_dir / "mrclam", [4], every=10).logs("mrclam")
+    (log,) = logs_of(Recorded(data_dir / "mrclam", [4], every=10), "mrclam")
     assert log.name == found[1].name
     (record,) = map_and_measure(log, "jcbb", "jcbb", None, tmp_path)
     assert record["steps"] == math.ceil(len(found[1]) / 10)

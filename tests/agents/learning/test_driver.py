@@ -121,7 +121,7 @@ def test_it_learns_to_choose_what_the_teacher_values_and_the_same_each_time():
 
 
 def test_from_worlds_to_weights_that_drive(tmp_path):
-    found = reproduce(True, "python -m agents.reproduce driver", lambda text: None)
+    found = reproduce(True, "slam-gym reproduce driver", lambda text: None)
     metrics = found.card.metrics
     assert found.card.scenarios == ("office-small", "hall") and metrics["states"]["estimate"] > 20
     learned = metrics["regret held out [.01 E]"]

@@ -19,7 +19,8 @@ from agents.drivers.base import make_agent
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
 from agents.learning.models import load_associator, load_policy, read_about
 from agents.learning.policies import HYPERPARAMETERS, load_hyperparameters
-from agents.learning.training import HELD_OUT, Training, train
+from agents.learning.training import HELD_OUT, train
+from agents.options import Training
 from slam_gym.envs.observation import GOAL_FIELDS
 from slam_gym.scenarios import SPLITS
 
@@ -196,6 +197,6 @@ def test_hyperparameters_that_cannot_be_are_refused_by_name(tmp_path, old, new, 
     ],
 )
 def test_bad_input_of_the_commands_is_told_and_nothing_is_written(tmp_path, app, line, said):
-    done = CliRunner().invoke(app, [*line, "--out", str(tmp_path / "out")])
+    done = CliRunner().invoke(app, [*line, "--output", str(tmp_path / "out")])
     assert done.exit_code == 2 and said in done.output
     assert not (tmp_path / "out").exists()

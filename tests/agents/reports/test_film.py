@@ -33,6 +33,7 @@ def test_films_that_are_there_stay(tmp_path):
     path.parent.mkdir()
     path.with_suffix(".png").write_bytes(b"before")
     drivers = [Driver("agents.drivers.baselines:RandomAgent"), Driver("nearest_frontier")]
-    filming.make_films(drivers, SMALL, 0, tmp_path, jobs=1)
+    picture = filming.film_path(tmp_path, "nearest_frontier").with_suffix(".png")
+    assert [call() for call in filming.films_of(drivers, SMALL, 0, tmp_path)] == [picture]
     assert path.with_suffix(".png").read_bytes() == b"before" and not path.exists()
     assert filming.film_path(tmp_path, "nearest_frontier").exists()

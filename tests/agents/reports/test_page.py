@@ -15,7 +15,7 @@ from tests.agents.reports import PNG, Page
 
 METADATA = {
     "kind": "drivers",
-    "commands": [{"command": "python -m agents.evaluate --x '<&>'", "started": "now", "seconds": 3}],
+    "commands": [{"command": "slam-gym evaluate --x '<&>'", "started": "now", "seconds": 3}],
     "complete": True,
     "conditions": {
         "split": "test", "scenario": "<hall>", "floor_plan": None, "associator": None,
