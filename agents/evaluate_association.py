@@ -14,7 +14,6 @@ from typer import Option
 
 from agents.cli import command, evaluate
 from agents.options import (
-    ON_A_FLOOR,
     Associators,
     Episodes,
     Execution,
@@ -24,7 +23,7 @@ from agents.options import (
     Recorded,
     Scenarios,
     Suite,
-    parsed_overrides,
+    World,
     search_of,
 )
 
@@ -46,13 +45,7 @@ class Loop(Floor, Episodes):
 
     def arguments(self, split: str) -> list[ExploreArguments]:
         """Of the environment of each scenario."""
-        from agents.evaluation.episodes import ExploreArguments
-
-        changes = parsed_overrides(self.overrides)
-        return [
-            ExploreArguments(name, changes, split, floor_plan=self.file, resolution=self.resolution)
-            for name in dict.fromkeys(self.scenario or ([ON_A_FLOOR] if self.file else LOOPS))
-        ]
+        return World(self.floor_plan, self.resolution, self.scenario, self.overrides).loops(LOOPS, split)
 
 
 @dataclass(frozen=True)
@@ -119,7 +112,7 @@ def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Pa
     logs = logs_of(recorded, recording)
     for log in logs:
         print(f"{log.name}: {log.source} {log.terms}")
-    conditions = {"recording": recording} | recorded.conditions
+    conditions = {"recording": recording} | {k: getattr(recorded, k) for k in ("every", "merge", "clean", "reference")}
     return recording_evaluation(candidates.names, logs, conditions, out, candidates.searches([SEARCH]))
 
 

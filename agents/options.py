@@ -54,17 +54,12 @@ class World(Floor):
         """Arguments of the environment for each scenario; of these where the options name none."""
         from agents.evaluation.episodes import ExploreArguments
 
-        shared: dict[str, Any] = {
-            "overrides": parsed_overrides(self.overrides),
-            "split": split,
-            "associator": self.associator,
-            "reward": reward,
-            "floor_plan": self.file,
-            "resolution": self.resolution,
-            "relocation": search_of(self.relocation),
-        }
-        names = self.scenario or ([ON_A_FLOOR] if self.file else scenarios)
-        return [ExploreArguments(name, **shared) for name in dict.fromkeys(names)]
+        names, changes = self.scenario or ([ON_A_FLOOR] if self.file else scenarios), parsed_overrides(self.overrides)
+        world, search = (self.file, self.resolution), search_of(self.relocation)
+        return [
+            ExploreArguments(name, changes, split, self.associator, reward, *world, search)
+            for name in dict.fromkeys(names)
+        ]
 
     def arguments(self, scenario: str, split: str, reward: str = "map_error") -> ExploreArguments:
         """Of the one scenario. ValueError where several are named."""
@@ -141,11 +136,6 @@ class Recorded:
     merge: Annotated[float, Option(min=0.0, help="Recording: landmarks no farther apart [m] are one.")] = 0.0
     clean: Annotated[bool, Option("--clean", help="Recording: leave out spurious measurements.")] = False
     reference: Annotated[bool, Option("--reference", help="Recording: vertices of a .g2o are the truth.")] = False
-
-    @property
-    def conditions(self) -> dict[str, Any]:
-        """What may not change when an evaluation is resumed."""
-        return {name: getattr(self, name) for name in ("every", "merge", "clean", "reference")}
 
 
 @dataclass(frozen=True)

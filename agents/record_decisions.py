@@ -30,23 +30,25 @@ class Decided(NamedTuple):
 
 
 def decisions(env: gym.Env[Any, Any], associator: str | Callable[..., Any], worlds: range) -> Iterator[Decided]:
-    """Each world's episode of Associate-v0, decided by an associator.
+    """Each world's episode of Associate-v0, decided by an associator; `true_association` is told the truth.
 
     A feature that is not on offer is left unpaired. ValueError for an associator that nobody knows.
     """
     from agents.evaluation.episodes import reset_arguments
     from slam_gym.association import resolve_associator
+    from slam_gym.simulation.judged import CEILING
 
-    associate, bare = resolve_associator(associator), env.unwrapped
+    associate, bare, told = resolve_associator(associator), env.unwrapped, associator == CEILING
     for world in worlds:
         observation, info = env.reset(**reset_arguments(world))
         seen, steps, look, over, answer = [observation], [], -1, False, None
         while not over:
-            if info["look"] != look:
-                look, answer = info["look"], associate(bare.run.scan, bare.run.prediction)  # type: ignore[attr-defined]
-            action = bare.action_of(answer)  # type: ignore[attr-defined]
-            action = bare.K if action is None else action  # type: ignore[attr-defined]
             mask, right = info["action_mask"], info["truth"]["action"]
+            if not told and info["look"] != look:
+                look, answer = info["look"], associate(bare.run.scan, bare.run.prediction)  # type: ignore[attr-defined]
+            action = right if told else bare.action_of(answer)  # type: ignore[attr-defined]
+            if action is None or action < 0:
+                action = bare.K  # type: ignore[attr-defined]
             observation, reward, terminated, truncated, info = env.step(action)
             over = terminated or truncated
             seen.append(observation)
@@ -70,12 +72,8 @@ def main(
     buffers = []
     for own in decisions(env, associator, episodes.range(EPISODES)):
         ends = np.arange(1, len(own.actions) + 1) == len(own.actions)
-        infos = {"action_mask": own.masks, "right": own.right}
-        buffers.append(
-            EpisodeBuffer(
-                own.world, own.world, None, own.observations, own.actions, own.rewards, ends, np.zeros_like(ends), infos
-            )
-        )
+        taken, infos = (own.observations, own.actions, own.rewards), {"action_mask": own.masks, "right": own.right}
+        buffers.append(EpisodeBuffer(own.world, own.world, None, *taken, ends, np.zeros_like(ends), infos))
         print(
             f"world {own.world}: {len(ends)} decisions, {np.mean(own.actions == own.right):.0%} as the truth has them"
         )

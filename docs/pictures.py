@@ -133,25 +133,6 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
     return answers["JCBB"]
 
 
-def drift() -> None:
-    """One drive on bad wheels, mapped four times: what was explored, and where features came to lie."""
-    scenario = "drift-3"
-    speeds = one_drive(scenario, WORLD)
-    kinds = {
-        "nearest neighbour": {"associator": "nearest_neighbour", "relocation": None},
-        "JCBB": {"associator": "jcbb", "relocation": None},
-        "learned, found again when lost (the default)": {},
-        "true association": {"associator": "true_association", "relocation": None},
-    }
-    _, axes = plt.subplots(2, 2, figsize=(10.5, 6.8), layout="constrained", sharex=True, sharey=True)
-    for ax, (name, arguments) in zip(axes.flat, kinds.items()):
-        episode = mapped(scenario, WORLD, speeds, **arguments)
-        plot_episode(episode, ax)
-        ax.set_title(f"{name}: map error {episode.map_error():.2f}")
-        ax.set(aspect="equal", xticks=[], yticks=[])
-        ax.spines[:].set_visible(False)
-
-
 def film() -> list[Image.Image]:
     """The same drive, wheels and scans, mapped by nearest neighbour and by the default, side by side: frames."""
     speeds, every = one_drive("drift-3", WORLD), 5
@@ -239,7 +220,6 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "relocate": relocate,
     "compatibility": compatibility,
     "locality": locality,
-    "drift": drift,
 } | {f"scenario_{name}": partial(driven, name, scenario.budget, world=1) for name, scenario in SCENARIOS.items()}
 PICTURES["scenario_kidnapped"] = partial(driven, "kidnapped", 800, world=1, relocation="gcbb")
 

@@ -122,6 +122,8 @@ def check_command(command: list[str], complete: bool = True) -> None:
             if arguments or complete:
                 module = importlib.import_module(f"agents.{name.replace('-', '_')}")
                 get_command(module.app).make_context(name, list(arguments))
+        case ["python", "-m", "rl_zoo3.train", *_]:
+            pass
         case ["evo_ape" | "evo_rpe" | "evo_traj", "tum", first, *rest]:
             assert all(path.endswith(".tum") for path in (first, *rest) if "/" in path), rest
         case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:
@@ -271,6 +273,11 @@ def test_pictures_are_small_and_shown() -> None:
     for picture in (ROOT / "docs" / "pictures").glob("*.png"):
         assert picture.stat().st_size < LARGEST_PICTURE, picture.name
         assert picture.name in pages or picture.name.startswith(("scenario_", "suite_")) or picture.stem in pages
+
+
+def test_the_film_is_small_and_shown_first() -> None:
+    film = ROOT / "docs" / "pictures" / "film.gif"
+    assert film.stat().st_size < 2_000_000 and film.name in text_of(ROOT / "README.md")
 
 
 def test_every_environment_and_scenario_has_its_picture() -> None:

@@ -54,9 +54,8 @@ def drive(
     if picture is not None:
         from agents.reports.figures import final_map
 
-        written = final_map(env.unwrapped.episode)  # type: ignore[attr-defined]
         picture.parent.mkdir(parents=True, exist_ok=True)
-        written.savefig(picture)
+        final_map(env.unwrapped.episode).savefig(picture)  # type: ignore[attr-defined]
     tally: Any = env.unwrapped.episode.identities.total  # type: ignore[attr-defined]
     return [record | {"f1": tally.f1, "exact": tally.exact} | asdict(tally) | meter.effort()]
 
@@ -139,15 +138,10 @@ def associator_evaluation(
     for loop in loops:
         _loop(loop, _agent(by).action, associators[0])
         setting = world_of(loop.plain)
-        tasks += [
-            Task(
-                [Key(name, setting, k)],
-                partial(
-                    drive, by, replace(loop, relocation=relocation), associator, k,
-                    map_path(out, setting, name) if out and k == episodes[0] else None,
-                ),
-            )
-            for k in episodes for name, (associator, relocation) in who.items()
-        ]  # fmt: skip
+        for k in episodes:
+            for name, (associator, relocation) in who.items():
+                picture = map_path(out, setting, name) if out and k == episodes[0] else None
+                call = partial(drive, by, replace(loop, relocation=relocation), associator, k, picture)
+                tasks.append(Task([Key(name, setting, k)], call))
     shared = {name: loops[0].plain[name] for name in ("split", "overrides", "floor_plan", "resolution")}
     return Evaluation("associators", tasks, {"driver": driver, "relocation": list(relocations)} | shared)

@@ -107,9 +107,7 @@ def final_map(episode: Episode) -> Figure:
     lines from where features are to where the map has them."""
     figure = Figure(figsize=(5.2, 4.2), dpi=DPI, layout="constrained")
     axis = plot_episode(episode, figure.subplots(), errors=True)
-    axis.set(xticks=[], yticks=[])
-    axis.set_title(f"map error {episode.map_error():.2f}", fontsize=10)
-    axis.spines[:].set_visible(False)
+    axis.set(xticks=[], yticks=[], title=f"map error {episode.map_error():.2f}")
     return figure
 
 

@@ -38,7 +38,7 @@ def test_models_of_one_agent_are_pooled_and_resampled_each_on_its_own():
 def test_differences_are_paired_over_episodes_and_settings():
     frame = pd.DataFrame([
         {"name": name, "setting": setting, "episode": k, "f1": base + 0.1 * k + (0.05 if name == "a" else 0.0)}
-        for name in ("a", "b") for setting, base in (("x", 0.0), ("y", 0.5)) for k in range(4)
+        for name in ("a", "b") for setting, base in (("x", 0.0), ("y", 0.5)) for k in range(5)
     ])  # fmt: skip
     found = by_name(frame)
     gap = difference(found["a"], found["b"], "f1")
@@ -47,12 +47,12 @@ def test_differences_are_paired_over_episodes_and_settings():
     assert math.isnan(difference(found["a"], frame[:0], "f1").estimate)
 
 
-def test_one_value_of_each_stratum_has_no_interval_and_is_told_from_nothing() -> None:
-    alone, apart = estimate([0.7]), estimate([0.2, 0.4], [0, 1])
+def test_a_few_values_have_no_interval_and_are_told_from_nothing() -> None:
+    alone, apart = estimate([0.7]), estimate([0.1, 0.5] * 4 + [0.3])
     assert (alone.estimate, apart.estimate) == pytest.approx((0.7, 0.3)) and cell(alone, 3) == ("0.700", "")
     assert np.isnan([alone.low, alone.high, apart.low, apart.high]).all()
     assert best_names({"a": alone, "b": apart}, LOWER) == set()
-    assert np.isfinite(estimate([0.2, 0.3, 0.4], [0, 0, 1]).low)
+    assert np.isfinite(estimate([0.2, 0.4] * 5).low) and np.isnan(estimate(np.arange(12), np.arange(12)).low)
 
 
 def test_the_ceiling_is_never_the_best_and_what_is_not_told_apart_shares_the_place():

@@ -1,0 +1,40 @@
+"""Recorded decisions are those of the associator, in the episodes that seeds tell; a data set where Minari is there."""
+
+import numpy as np
+import pytest
+
+from agents.evaluation.episodes import AssociateArguments
+from agents.record_decisions import app, decisions
+from tests.agents import typed
+
+SHORT = AssociateArguments(overrides=(("budget", 30),))
+
+
+def test_decisions_are_legal_and_can_be_played_again():
+    env = SHORT.make()
+    (own, other) = decisions(env, "jcbb", range(3, 5))
+    t = len(own.actions)
+    assert (own.world, other.world) == (3, 4) and t > 10
+    assert own.masks.shape == (t, env.action_space.n) and own.masks[np.arange(t), own.actions].all()
+    assert all(len(part) == t + 1 for part in own.observations.values())
+    assert np.mean(own.actions == own.right) > 0.9
+    observation, _ = env.reset(seed=3, options={"world": 3})
+    for step, action in enumerate(own.actions):
+        assert all(np.array_equal(part[step], observation[name]) for name, part in own.observations.items())
+        observation, reward, over, _, _ = env.step(action)
+        assert reward == own.rewards[step]
+    assert over
+
+
+def test_another_associator_decides_otherwise():
+    (good,), (bad,) = (list(decisions(SHORT.make(), name, range(1))) for name in ("true_association", "singles"))
+    assert (good.actions == good.right)[good.right >= 0].all() and (bad.actions != bad.right).any()
+
+
+def test_they_become_a_data_set(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    result = typed(app, "--episodes", 2, "--set", "budget=20", "--associator", "singles")
+    assert result.exit_code == 0, result.output
+    episodes = list(minari.load_dataset("slam_gym/office-small/singles-v0").iterate_episodes())
+    assert len(episodes) == 2 and episodes[0].terminations[-1] and len(episodes[0].infos["right"]) > 5
