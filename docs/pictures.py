@@ -155,8 +155,8 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
     def watch(episode: Any) -> None:
         if episode.ticks % every and episode.ticks != len(speeds):
             return
-        figure, ax = plt.subplots(figsize=(4.4, 3.75), dpi=100)
-        figure.subplots_adjust(0.01, 0.01, 0.99, 0.86)
+        figure, ax = plt.subplots(figsize=(4.4, 3.3), dpi=100)
+        figure.subplots_adjust(0.01, 0.01, 0.99, 0.87)
         plot_episode(episode, ax)
         here = compose(episode.base, episode.estimates[-1])
         for point, decision in zip(transform(here, episode.scan.points), episode.identities.decisions):
@@ -168,7 +168,7 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
         ax.set(xticks=[], yticks=[], xlim=(x0 - 1.0, x1 + 3.0), ylim=(y0 - 1.5, y1 + 2.0))
         ax.spines[:].set_visible(False)
         name = "nearest neighbour" if associator == ASSOCIATORS[0] else "the default"
-        figure.text(0.5, 0.94, name, ha="center", fontsize=12, weight="bold")
+        figure.text(0.5, 0.945, name, ha="center", fontsize=12, weight="bold")
         wrong = episode.identities.total.fp
         told = f"map error {episode.map_error():.2f}, {wrong} of {episode.identities.total.tp + wrong} pairings wrong"
         figure.text(0.5, 0.88, told, ha="center", fontsize=9.5)

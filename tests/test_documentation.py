@@ -94,7 +94,7 @@ def check_command(command: list[str], complete: bool = True) -> None:
     A command that is merely mentioned, not `complete`, may leave out all of its arguments.
     """
     match command:
-        case ["python", "-m", "venv", _] | [".", _]:
+        case ["python", "-m", "venv" | "rl_zoo3.train", *_] | [".", _]:
             pass
         case ["python", "-m", name, *_] if name.startswith("tests."):
             importlib.import_module(name)
@@ -115,15 +115,13 @@ def check_command(command: list[str], complete: bool = True) -> None:
             assert all((ROOT / path).exists() for path in arguments if path.startswith("tests")), arguments
         case ["jupyter", "nbconvert", *arguments]:
             assert all((ROOT / path).is_file() for path in arguments if path.endswith(".ipynb")), arguments
-        case ["slam-gym", "doctor" | "--help"] | ["slam-gym", "list", *_]:
+        case ["slam-gym", "doctor" | "--help" | "--install-completion"] | ["slam-gym", "list", *_]:
             pass
         case ["slam-gym", name, *arguments]:
             assert name in COMMANDS, name
             if arguments or complete:
                 module = importlib.import_module(f"agents.{name.replace('-', '_')}")
                 get_command(module.app).make_context(name, list(arguments))
-        case ["python", "-m", "rl_zoo3.train", *_]:
-            pass
         case ["evo_ape" | "evo_rpe" | "evo_traj", "tum", first, *rest]:
             assert all(path.endswith(".tum") for path in (first, *rest) if "/" in path), rest
         case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:

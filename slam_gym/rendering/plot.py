@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 INK, GREY, LIGHT, BLUE, RED, GREEN, YELLOW = "#2f3640", "#b8bec6", "#c3ccd6", "#2b6ca3", "#c8553d", "#3a8a5c", "#e0a030"
 Path = tuple[int, ...]  # the rows of a prediction that lead from the root of a tree to a node
-_EDGE = 0.3  # of a wall in the smoothed grid
+_EDGE = 0.4  # of a wall in the smoothed grid
 _MOST_BRANCHES = 400  # of a tree that somebody can still look at
 
 
@@ -164,12 +164,16 @@ def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = Fal
     With `errors`, red lines lead from true features to where the map has them.
     """
     ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
-    rows, columns = np.indices(grid.cells.shape)
-    cells = grid.origin + grid.resolution * (np.stack([columns, rows], axis=2).reshape(-1, 2) + 0.5)
-    x, y = transform(episode.base, cells).T.reshape(2, *rows.shape)
-    walls = gaussian_filter((grid.cells == WALL).astype(np.float64), 0.7)
-    if walls.max() > _EDGE:
-        ax.contourf(x, y, walls, levels=[_EDGE, 2.0], colors=[LIGHT])
+    walls = grid.cells == WALL
+    if walls.any():
+        rows, columns = (
+            np.arange(max(k.min() - 2, 0), min(k.max() + 3, n)) for k, n in zip(walls.nonzero(), walls.shape)
+        )
+        cells = np.stack(np.meshgrid(columns, rows), axis=2).reshape(-1, 2)
+        centres = transform(episode.base, grid.origin + grid.resolution * (cells + 0.5))
+        x, y = centres.T.reshape(2, len(rows), len(columns))
+        smooth = gaussian_filter(walls[np.ix_(rows, columns)].astype(np.float64), 0.7)
+        ax.contourf(x, y, smooth, levels=[_EDGE, 2.0], colors=[LIGHT])
     ax.plot(*plan.walls.reshape(-1, 2, 2).transpose(2, 1, 0), color=INK, lw=0.8)
     ax.plot(*plan.features.positions[episode.site.observable].T, ".", ms=3, color=GREY)
     ax.plot(*episode.landmarks.T, "o", ms=3.2, mfc="none", mec=BLUE, mew=0.9)

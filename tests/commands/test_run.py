@@ -27,8 +27,8 @@ def test_the_version_is_that_of_the_package():
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (["evaluat"], "No such command 'evaluat'"),
-        (["evaluate", "--scenario", "offic"], "error: unknown scenario 'offic'"),
+        (["evaluat"], "No such command 'evaluat'. Did you mean 'evaluate'?"),
+        (["evaluate", "--scenario", "offic"], "error: unknown scenario 'offic'; did you mean 'office'?"),
         (["evaluate", "--no-such-option"], "No such option: --no-such-option"),
         (["doctor", "now"], "unexpected extra argument"),
     ],
@@ -44,7 +44,7 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "torch", None)
     for name in [name for name in sys.modules if name.startswith("agents.") and "drivers" not in name]:
         monkeypatch.delitem(sys.modules, name)
-    result = typed(run.app, "play")
+    result = typed(run.app, "report", "results")
     assert (result.exit_code, result.stderr) == (2, "error: pandas is missing: pip install 'slam_gym[agents]'\n")
     with pytest.raises(typer.Exit):
         run.ended(lambda: importlib.import_module("torch"))

@@ -331,7 +331,7 @@ def test_settings_out_of_range_are_refused(field: dict[str, float]) -> None:
 
 def test_a_saved_map_comes_back_as_it_was(tmp_path: Path) -> None:
     m = StochasticMap(MapSpec(confirmations=3), pose=[1.0, 2.0, 0.5])
-    m.add(Scan.from_points([[3.0, 1.0], [4.0, -2.0]], sigma=0.1, sizes=[0.2, np.nan]), np.arange(2))
+    m.add(Scan.from_points([[3.0, 1.0], [4.0, -2.0]], sigma=0.1, sizes=[0.2, np.nan], size_sigma=0.05), np.arange(2))
     m.end_of_step()
     m.save(tmp_path / "map.npz")
     back = StochasticMap.load(tmp_path / "map.npz")

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from slam_gym import Odometry, Scan, Slam
+from slam_gym import Odometry, Scan, Slam, jcbb
 from slam_gym.association.compatibility import individual
 from slam_gym.association.prediction import Prediction
 from slam_gym.association.tree import interpretation_tree
@@ -73,11 +73,10 @@ def test_pairings_that_are_wrong_are_told_by_their_lines_too(slam):
 
 
 def test_a_tree_is_drawn_with_every_branch_and_the_paths_of_answers(slam):
-    _, step = slam
     scan = Scan.from_points(POSTS - [3.0, 0.0], sigma=0.05)
-    tree = interpretation_tree(scan, step.prediction, individual(scan, step.prediction))
-    nothing = replace(step.hypothesis, features=np.full(3, -1))
-    ax = plot_tree(tree, {"answer": step.hypothesis, "nothing": nothing})
+    prediction = slam[0].predict(Odometry.from_motion([0.0, 0.0, 0.0], sigmas=[0.1, 0.1, 0.1]), scan)
+    tree, answer = interpretation_tree(scan, prediction, individual(scan, prediction)), jcbb(scan, prediction)
+    ax = plot_tree(tree, {"answer": answer, "nothing": replace(answer, features=np.full(3, -1))})
     names = [text.get_text() for text in ax.texts]
     assert names.count("*") == 7 and len(names) == 14  # two branches a node: its feature, or nothing
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["answer", "nothing"]

@@ -34,7 +34,8 @@ def test_numbers_are_means_over_levels_then_over_worlds():
     found = scores(frame)
     assert list(found) == ["a", "b"] and list(found["a"]) == ["closure", "clutter", "all"]
     assert found["a"]["all"].estimate == pytest.approx(0.525)
-    gap = leads(frame)["a"]["clutter"]
+    many = pd.concat(frame.assign(episode=frame["episode"] + 2 * k) for k in range(5))
+    gap = leads(many)["a"]["clutter"]
     assert (gap.estimate, gap.low, gap.high) == pytest.approx((0.1, 0.1, 0.1))  # paired: worlds do not blur it
 
 
