@@ -13,22 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Option
 
 from agents.cli import command, evaluate
-from agents.options import (
-    Associators,
-    Episodes,
-    Execution,
-    Floor,
-    Names,
-    Overrides,
-    Recorded,
-    Scenarios,
-    Suite,
-    World,
-    search_of,
-)
+from agents.options import Associators, Episodes, Execution, Names, Recorded, Scenes, Suite, search_of
 
 if TYPE_CHECKING:
-    from agents.evaluation.episodes import ExploreArguments
     from agents.evaluation.pipeline import Evaluation
 
 LOOPS = ("office-small", "hall", "crowd")
@@ -36,16 +23,10 @@ EPISODES = 30
 
 
 @dataclass(frozen=True)
-class Loop(Floor, Episodes):
+class Loop(Scenes, Episodes):
     """Drives through scenarios."""
 
-    scenario: Scenarios = None
-    overrides: Overrides = None
     driver: Annotated[str, Option(metavar="NAME", help="See slam-gym list drivers.")] = "information_gain"
-
-    def arguments(self, split: str) -> list[ExploreArguments]:
-        """Of the environment of each scenario."""
-        return World(self.floor_plan, self.resolution, self.scenario, self.overrides).loops(LOOPS, split)
 
 
 @dataclass(frozen=True)
@@ -89,19 +70,19 @@ def main(
     out = execution.folder(kind)
     if suite:
         from agents.suite.worlds import suite_evaluation
+        from slam_gym.association import RELOCATORS
 
-        if candidates.relocation:
-            raise ValueError("--relocation is not for --suite, whose searches --relocators names")
-        evaluate(suite_evaluation(suite_options, candidates.names, candidates.split), execution, out)
+        relocators = candidates.relocation or list(RELOCATORS)
+        evaluate(suite_evaluation(suite_options, candidates.names, relocators, candidates.split), execution, out)
     elif recording:
         evaluate(_on_logs(candidates, recorded, recording, out), execution, out)
     else:
         from agents.evaluation.drives import associator_evaluation
         from slam_gym.slam.relocate import SEARCH
 
-        arguments, searches = loop.arguments(candidates.split), candidates.searches(["none", SEARCH])
+        loops, searches = loop.loops(LOOPS, candidates.split), candidates.searches(["none", SEARCH])
         episodes = loop.range(EPISODES)
-        evaluation = associator_evaluation(candidates.names, arguments, loop.driver, episodes, searches, out)
+        evaluation = associator_evaluation(candidates.names, loops, loop.driver, episodes, searches, out)
         evaluate(evaluation, execution, out)
 
 
@@ -112,7 +93,7 @@ def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Pa
     logs = logs_of(recorded, recording)
     for log in logs:
         print(f"{log.name}: {log.source} {log.terms}")
-    conditions = {"recording": recording} | {k: getattr(recorded, k) for k in ("every", "merge", "clean", "reference")}
+    conditions = {"recording": recording, "every": recorded.every, "reference": recorded.reference}
     return recording_evaluation(candidates.names, logs, conditions, out, candidates.searches([SEARCH]))
 
 

@@ -157,11 +157,14 @@ class Game:
 def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: int | None = None) -> str:
     """One world; the wish that ended it. At the end of the budget the picture stays until a key tells what is next."""
     observation, info = begin_episode(env, game.agent, world)
-    _show(game, env, screen)
-    if not screen.window.is_visible:
-        print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
     taken, ended, verdict = 0, False, ""
-    while steps is None or taken < steps:
+    while True:
+        picture: Any = env.render()
+        screen.show(picture, game.lines(env, verdict))
+        if taken == 0 and not screen.window.is_visible:
+            print("there is no display here, so there is no window to see and no key to press (Ctrl-C ends it)")
+        if taken == steps:
+            return "quit"
         wish = game.controls.poll()
         if wish == "associator":
             game.associators.rotate(-1)
@@ -169,21 +172,12 @@ def play(game: Game, env: gym.Env[Any, Any], screen: Screen, world: int, steps: 
             game.relocating = not game.relocating
         elif wish is not None:
             return wish
-        if ended:
-            _show(game, env, screen, verdict)
-            continue
-        observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
-        taken += 1
-        if ended:
-            verdict = _verdict(game, world, info)
-            print(verdict)
-        _show(game, env, screen, verdict)
-    return "quit"
-
-
-def _show(game: Game, env: gym.Env[Any, Any], screen: Screen, verdict: str = "") -> None:
-    picture: Any = env.render()
-    screen.show(picture, game.lines(env, verdict))
+        if not ended:
+            observation, _, ended, _, info = env.step(game.agent.act(observation, visible(info)))
+            taken += 1
+            if ended:
+                verdict = _verdict(game, world, info)
+                print(verdict)
 
 
 def _verdict(game: Game, world: int, info: Info) -> str:

@@ -29,41 +29,38 @@ Associators = Annotated[
 
 
 @dataclass(frozen=True)
-class Floor:
-    """A floor plan file to drive on."""
-
-    floor_plan: Annotated[Path | None, Option(metavar="FILE", help="Drive here instead: JSON, or an image.")] = None
-    resolution: Annotated[float | None, Option(metavar="M", help="Metres per pixel of an image.")] = None
-
-    @property
-    def file(self) -> str | None:
-        """The path of the plan, from the root."""
-        return str(self.floor_plan.resolve()) if self.floor_plan else None
-
-
-@dataclass(frozen=True)
-class World(Floor):
-    """What chooses the worlds of Explore-v0 and their SLAM."""
+class Scenes:
+    """The scenarios that are driven through, or a floor plan file."""
 
     scenario: Scenarios = None
     overrides: Overrides = None
+    floor_plan: Annotated[Path | None, Option(metavar="FILE", help="Drive here instead: JSON, or an image.")] = None
+    resolution: Annotated[float | None, Option(metavar="M", help="Metres per pixel of an image.")] = None
+
+    def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> list[ExploreArguments]:
+        """Arguments of Explore-v0 for each scenario; of these where the options name none."""
+        from agents.evaluation.episodes import ExploreArguments
+
+        floor = str(self.floor_plan.resolve()) if self.floor_plan else None
+        names, changes = self.scenario or ([ON_A_FLOOR] if floor else scenarios), parsed_overrides(self.overrides)
+        shared = {"floor_plan": floor, "resolution": self.resolution, **others}
+        return [ExploreArguments(name, changes, split, **shared) for name in dict.fromkeys(names)]
+
+
+@dataclass(frozen=True)
+class World(Scenes):
+    """Scenes, and the SLAM in them."""
+
     associator: Annotated[str | None, Option(metavar="NAME", help="By default that of the scenario.")] = None
     relocation: Annotated[str | None, Option(metavar="NAME", help="Finds a lost robot; or none.")] = None
 
-    def loops(self, scenarios: Sequence[str], split: str, reward: str = "map_error") -> list[ExploreArguments]:
-        """Arguments of the environment for each scenario; of these where the options name none."""
-        from agents.evaluation.episodes import ExploreArguments
-
-        names, changes = self.scenario or ([ON_A_FLOOR] if self.file else scenarios), parsed_overrides(self.overrides)
-        world, search = (self.file, self.resolution), search_of(self.relocation)
-        return [
-            ExploreArguments(name, changes, split, self.associator, reward, *world, search)
-            for name in dict.fromkeys(names)
-        ]
+    def loops(self, scenarios: Sequence[str], split: str, **others: Any) -> list[ExploreArguments]:
+        slam = {"associator": self.associator, "relocation": search_of(self.relocation)}
+        return super().loops(scenarios, split, **slam, **others)
 
     def arguments(self, scenario: str, split: str, reward: str = "map_error") -> ExploreArguments:
         """Of the one scenario. ValueError where several are named."""
-        loops = self.loops([scenario], split, reward)
+        loops = self.loops([scenario], split, reward=reward)
         if len(loops) > 1:
             raise ValueError(f"--scenario: one is enough here, not {' and '.join(loop.scenario for loop in loops)}")
         return loops[0]
@@ -121,7 +118,6 @@ class Suite:
 
     quick: Annotated[bool, Option("--quick", help="Suite: every second level, few worlds.")] = False
     experiments: Annotated[Names, Option(metavar="NAME …", help="Suite: such as clutter; by default all.")] = None
-    relocators: Annotated[Names, Option(metavar="NAME …", help="Suite: whom kidnapped asks; by default all.")] = None
     worlds: Annotated[int | None, Option(min=1, metavar="N", help="Suite: of a level; by default 24.")] = None
     problems: Annotated[int | None, Option(min=1, metavar="N", help="Suite: of a world; by default 12.")] = None
 
@@ -133,8 +129,6 @@ class Recorded:
     data: Annotated[Path | None, Option(help="Recording: its files, by default under SLAM_GYM_DATA.")] = None
     robots: Annotated[list[int] | None, Option(help="Recording: of mrclam, by default all.")] = None
     every: Annotated[int, Option(min=1, help="Recording: only each so many-th scan.")] = 1
-    merge: Annotated[float, Option(min=0.0, help="Recording: landmarks no farther apart [m] are one.")] = 0.0
-    clean: Annotated[bool, Option("--clean", help="Recording: leave out spurious measurements.")] = False
     reference: Annotated[bool, Option("--reference", help="Recording: vertices of a .g2o are the truth.")] = False
 
 

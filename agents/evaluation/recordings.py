@@ -30,8 +30,6 @@ def logs_of(options: Recorded, recording: str) -> list[Recording]:
     if options.robots and recording != "mrclam":
         raise ValueError(f"--robots is for mrclam, not for {recording}")
     logs = open_recordings(recording, options.data, options.robots, reference=options.reference)
-    logs = [log.without_spurious() for log in logs] if options.clean else logs
-    logs = [log.merged(options.merge) for log in logs] if options.merge > 0.0 else logs
     return [surveyed(log.every(options.every) if options.every > 1 else log) for log in logs]
 
 

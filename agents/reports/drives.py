@@ -55,12 +55,11 @@ def drives_page(results: Results, folder: Path) -> Page:
     films that `folder` may hold; of associators, whose map survives."""
     kind, groups, colour = results.metadata["kind"], by_name(results.frame), figures.colours(results.names)
     drivers, parts = kind == "drivers", list[Part]()
-    for table, own in zip(drive_tables(results), by_setting(results.frame).values()):
+    for table, (setting, own) in zip(drive_tables(results), by_setting(results.frame).items()):
         dots = partial(figures.dot_chart, by_name(own), PANELS[kind], colour)
         parts += [table, Picture(f"Each episode of {table.title}", dots)]
-        shown = {name: path for name in groups if (path := map_path(folder, table.title.split(",")[0], name)).exists()}
-        if shown:
-            final = partial(figures.side_by_side, shown)
+        if drawn := {name: path for name in groups if (path := map_path(folder, setting, name)).exists()}:
+            final = partial(figures.side_by_side, drawn)
             parts.append(Picture(f"Maps at the end of the first episode of {table.title}", final))
     if drivers:
         curves = partial(figures.curve_chart, groups, PANELS[kind], colour)

@@ -24,7 +24,7 @@ from agents.suite.problems import (
     problems,
     relocation_problems,
 )
-from slam_gym.association import RELOCATORS, resolve_relocator
+from slam_gym.association import resolve_relocator
 from slam_gym.association.prediction import Associator
 from slam_gym.scenarios.suite import EXPERIMENTS, RELOCATION, get_level
 from slam_gym.types import Hypothesis, IntArray, Relocator
@@ -34,11 +34,10 @@ WORLDS, PROBLEMS = 24, 12  # of a level; of a world, at most
 QUICK_WORLDS, QUICK_PROBLEMS = 4, 8
 
 
-def suite_evaluation(options: Suite, associators: Sequence[str], split: str) -> Evaluation:
+def suite_evaluation(options: Suite, associators: Sequence[str], relocators: Sequence[str], split: str) -> Evaluation:
     """Everybody asked about every level, checked. ValueError for names that nobody knows."""
     worlds = options.worlds or (QUICK_WORLDS if options.quick else WORLDS)
     count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
-    relocators = options.relocators or list(RELOCATORS)
     for name in associators:
         find_associator(name)
     for name in relocators:

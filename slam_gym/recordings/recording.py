@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial.distance import cdist
 
 from slam_gym._files import array_of, content_of, zip_members
 from slam_gym.geometry import compose, compose_jacobians, wrap_angles
@@ -134,37 +132,9 @@ class Recording:
             **self._measurements(rows),
         )
 
-    def without_spurious(self) -> Recording:
-        """Without the measurements that are known to come from no feature."""
-        kept = self.sources != SPURIOUS
-        return replace(self, starts=starts_of(kept)[self.starts], **self._measurements(kept))
-
     def _measurements(self, rows: slice | BoolArray) -> dict[str, Any]:
         """The fields with a row for each measurement, in some of their rows."""
         return {name: getattr(self, name)[rows] for name in _PER_MEASUREMENT}
-
-    def merged(self, distance: float) -> Recording:
-        """With landmarks that are no farther than `distance` [m] from each other taken for one, in their middle.
-
-        For marks that are closer than the sensor can tell apart. The one has the lowest identity of those that it
-        stands for, and every measurement becomes less certain by the mean variance of marks about their middle. Raises
-        ValueError where no landmark has a place.
-        """
-        if len(self.landmarks) == 0:
-            raise ValueError(f"recording {self.name!r}: no landmark has a place, so that none can be merged")
-        near = cdist(self.landmarks, self.landmarks) <= distance
-        group = connected_components(near, directed=False)[1]
-        ids = np.array([self.landmark_ids[group == g].min() for g in range(group.max() + 1)])
-        places = np.array([self.landmarks[group == g].mean(axis=0) for g in range(len(ids))])
-        spread = 0.5 * ((self.landmarks - places[group]) ** 2).sum(axis=1).mean()
-        one = dict(zip(self.landmark_ids.tolist(), ids[group].tolist()))
-        return replace(
-            self,
-            sources=np.array([one.get(source, source) for source in self.sources.tolist()], dtype=np.int64),
-            landmark_ids=ids,
-            landmarks=places,
-            covariances=self.covariances + spread * np.eye(2),
-        )
 
 
 def save(recording: Recording, path: str | Path) -> None:

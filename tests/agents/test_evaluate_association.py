@@ -37,7 +37,7 @@ def test_the_command_in_the_loop(tmp_path):
 def test_the_command_of_the_suite(tmp_path):
     out = tmp_path / "out"
     line = ["--suite", "--quick", "--experiments", "closure", "kidnapped", "--worlds", "1", "--problems", "4"]
-    line += ["--associators", "nearest_neighbour", "marginal", "true_association", "--relocators", "gcbb"]
+    line += ["--associators", "nearest_neighbour", "marginal", "true_association", "--relocation", "gcbb"]
     result = typed(app, *line, "--jobs", 1, "--output", out)
     assert result.exit_code == 0, result.output
     page, frame = Page((out / "report.html").read_text(encoding="utf-8")), pd.read_csv(out / "results.csv")
@@ -87,14 +87,13 @@ def test_associators_are_compared_on_a_floor_plan(tmp_path):
         (["--relocation", "gps"], ("gps", "gcbb")),
         (["--suite", "--worlds", "0"], ("--worlds", "equal to 1")),
         (["--suite", "--experiments", "fog"], ("fog", "closure")),
-        (["--suite", "--relocators", "gps"], ("gps", "gcbb")),
+        (["--suite", "--relocation", "gps"], ("gps", "gcbb")),
         (["--suite", "--set", "budget=9"], ("--set", "--suite")),
         (["--suite", "--floor-plan", "a.json"], ("--floor-plan is about drives",)),
         (["--resolution", "0.1"], ("resolution=0.1 goes with a floor_plan",)),
         (["--suite", "--recording", "mrclam"], ("give one of them",)),
         (["--experiments", "closure"], ("--experiments belongs to --suite, which was not asked for",)),
         (["--recording", "mrclam", "--worlds", "2"], ("--worlds belongs to --suite, not to --recording",)),
-        (["--suite", "--relocation", "gcbb"], ("--relocation", "--suite")),
         (["--recording", "victoria_park"], ("not part of this package", "SLAM_GYM_DATA", "Cite: Guivant")),
         (["--recording", "park"], ("unknown recording 'park'; known: victoria_park, mrclam, dlr, FILE",)),
         (["--recording", "park.npz"], ("park.npz: not there",)),

@@ -66,11 +66,9 @@ def test_held_keys_drive_the_robot(play_with):
     assert np.hypot(*env.unwrapped.episode.slam.map.pose[:2]) > 0.05
 
 
-@pytest.mark.parametrize(("key", "wish"), [(pygame.K_n, "next"), (pygame.K_r, "again"), (pygame.K_ESCAPE, "quit")])
-def test_keys_end_the_world(play_with, key, wish):
-    controls = Script((2, [(DOWN, key)]))
-    assert play_with(controls, 50)[0] == wish
-    assert len(controls.actions) == 2
+def test_a_key_ends_the_world(play_with):
+    controls = Script((2, [(DOWN, pygame.K_r)]))
+    assert play_with(controls, 50)[0] == "again" and len(controls.actions) == 2
 
 
 def test_associator_and_relocation_are_switched_while_the_robot_drives(play_with):

@@ -79,12 +79,14 @@ def test_associators_are_found_by_name_and_only_the_name_is_told_the_truth():
 
 
 def test_relocations_are_compared_under_names_of_their_own():
-    evaluation = associator_evaluation(["jcbb", "true_association"], [SMALL], "random", range(2), [None, "gcbb"])
+    both, one = (
+        associator_evaluation(["jcbb", "true_association"], [SMALL], "random", range(1), relocations).tasks
+        for relocations in ([None, "gcbb"], ["gcbb"])
+    )
     names = ["jcbb", "jcbb + gcbb", "true_association", "true_association + gcbb"]
-    assert [task.keys[0].name for task in evaluation.tasks] == 2 * names
-    assert [task.run.args[1].relocation for task in evaluation.tasks[:4]] == [None, "gcbb"] * 2
-    one = associator_evaluation(["jcbb"], [SMALL], "random", range(1), ["gcbb"])
-    assert one.tasks[0].keys[0].name == "jcbb" and one.tasks[0].run.args[1].relocation == "gcbb"
+    assert [task.keys[0].name for task in both] == names
+    assert [task.run.args[1].relocation for task in both] == [None, "gcbb"] * 2
+    assert [task.keys[0].name for task in one] == names[::2] and one[0].run.args[1].relocation == "gcbb"
 
 
 # -- the headline ------------------------------------------------------------------------------------------------------

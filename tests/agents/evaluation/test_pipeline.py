@@ -40,7 +40,7 @@ def counting(tasks, **conditions) -> Evaluation:
     [
         lambda: driver_evaluation([Driver("random"), Driver("nearest_frontier")], [SMALL], range(2)),
         lambda: associator_evaluation(["nearest_neighbour", "true_association"], [SMALL], "random", range(2), [None]),
-        lambda: suite_evaluation(Suite(True, ["closure"], worlds=1, problems=3), ["jcbb", "singles"], "test"),
+        lambda: suite_evaluation(Suite(True, ["closure"], worlds=1, problems=3), ["jcbb", "singles"], [], "test"),
     ],
 )
 def test_resumed_is_the_same_as_uninterrupted(tmp_path, evaluation):

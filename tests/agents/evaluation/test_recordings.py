@@ -1,7 +1,6 @@
 """Logs: what is done to one before it is mapped, who is run over which, and means over several."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,6 @@ from agents.options import Recorded
 from agents.reports.recordings import COLUMNS, FURTHER_COLUMNS, means, tables
 from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.recordings import Recording, open_recordings
-from slam_gym.types import SPURIOUS
 from tests.agents.evaluation import posts_log
 
 
@@ -40,21 +38,6 @@ def test_every_kth_step_compounds_the_odometry_of_the_others(log, count) -> None
         before = step
     with pytest.raises(ValueError, match="every 0th step"):
         log.every(0)
-
-
-def test_what_is_spurious_can_be_left_out_and_neighbours_be_one(log) -> None:
-    clean = log.without_spurious()
-    assert (clean.sources != SPURIOUS).all() and len(clean.points) == (log.sources != SPURIOUS).sum()
-    for k in (0, 50, len(log) - 1):
-        np.testing.assert_array_equal(clean.scan(k).points, log.scan(k).points[log.sources_of(k) != SPURIOUS])
-    np.testing.assert_array_equal(log.merged(0.0).sources, log.sources)
-    one = log.merged(100.0)
-    assert one.landmark_ids.tolist() == [0] and set(one.sources.tolist()) == {0, SPURIOUS}
-    np.testing.assert_allclose(one.landmarks[0], log.landmarks.mean(axis=0))
-    grown = one.covariances[0] - log.covariances[0]
-    np.testing.assert_allclose(grown, 0.5 * np.trace(np.cov(log.landmarks.T, bias=True)) * np.eye(2), atol=1e-12)
-    with pytest.raises(ValueError, match="no landmark has a place"):
-        replace(log, landmark_ids=np.empty(0, np.int64), landmarks=np.empty((0, 2))).merged(1.0)
 
 
 def test_of_several_logs_there_is_a_mean_and_columns_without_numbers_are_left_out() -> None:
