@@ -54,6 +54,8 @@ class _Progress(event.Listener):
 
     def on_end(self, event: Any) -> None:
         self.names.pop()
+        if not self.names and sys.stderr.isatty():
+            print("\033[2K\r", end="", file=sys.stderr, flush=True)  # what comes next begins an empty line
 
     def _speak(self) -> None:
         """Until nothing has been compiled for a while."""
@@ -78,10 +80,8 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """The same for a small function that the innermost loops of others call: it is compiled into its callers.
-
-    A call with a few arrays pushes some forty numbers onto the stack: left to itself, the step that conditions a
-    candidate of the interpretation tree takes two to four times as long.
+    """The same for a small function of innermost loops, compiled into its callers: a call with a few arrays pushes some
+    forty numbers onto the stack, and the step that conditions a candidate of a tree takes two to four times as long.
     """
     return _compiled(function, inline=True)
 
