@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import typer
 
 from agents.options import Execution
-from slam_gym.commands.run import ended
+from slam_gym.commands import ended
 
 if TYPE_CHECKING:
     from agents.evaluation.pipeline import Evaluation

@@ -40,7 +40,7 @@ COPIES = {
 """Pages of the site that are files of the repository."""
 
 ROOMS = {
-    "slam_gym": "Geometry, checks of arguments",
+    "slam_gym": "Geometry, checks of arguments, commands",
     "slam_gym.types": "The data that flows",
     "slam_gym.world": "The truth: floor plans, physics, sensors",
     "slam_gym.mapping": "The stochastic map",
@@ -49,7 +49,6 @@ ROOMS = {
     "slam_gym.association.tracking": "Searches with a prior on the pose",
     "slam_gym.association.relocation": "Searches without one",
     "slam_gym.slam": "One step of SLAM; losing and finding the robot; several maps",
-    "slam_gym.commands": "`slam-gym`: every command by one name",
     "slam_gym.metrics": "What is measured against the truth",
     "slam_gym.recordings": "Real logs",
     "slam_gym.scenarios": "Named configurations",

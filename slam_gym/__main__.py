@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slam_gym.commands.run import app
+from slam_gym.commands import app
 
 if __name__ == "__main__":
     app()

@@ -9,13 +9,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "geometry", "_jit", "_arrays", "_files", "validation", "weights"}
+BASE = {"types", "geometry", "_jit", "_files", "validation", "weights"}
 ESTIMATE = BASE | {"mapping", "navigation", "association"}
 SIMULATION = ESTIMATE | {"world", "slam", "metrics", "recordings", "scenarios"}
 ALLOWED = {
     "types": set(),
     "_jit": set(),
-    "_arrays": {"types", "_jit"},
     "_files": set(),
     "weights": {"_files"},
     "geometry": {"types", "_jit"},
@@ -31,7 +30,8 @@ ALLOWED = {
     "simulation": SIMULATION,
     "rendering": SIMULATION | {"simulation"},
     "envs": SIMULATION | {"simulation", "rendering"},
-    "commands": {"__init__", "_jit", "association", "recordings", "scenarios", "validation"},
+    "commands": {"__init__", "association", "doctor", "recordings", "scenarios"},
+    "doctor": {"__init__", "_jit", "recordings"},
     "__main__": {"commands"},
     "__init__": SIMULATION,
 }

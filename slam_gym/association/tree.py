@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._arrays import fill_from
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import Candidates, joint_gates, plain
 from slam_gym.association.prediction import Prediction
@@ -285,10 +284,11 @@ def add_pairing(pairings: Pairings, node: Node, d: int, following: int) -> Node:
     p, count, slots = len(node.path), len(pairings.slots), pairings.slots
     path, innovations, added = np.empty(p + 1, np.int64), np.empty((count, 5)), np.empty(count)
     w, pivot = np.empty((count, 2 * p + 4, 2)), pivot_of(slots[d], read(node.innovations, d))
-    fill_from(path, node.path)
+    for q in range(p):
+        path[q] = node.path[q]
     path[p] = d
     for q in range(p + 1):
-        fill_from(innovations[path[q]], node.innovations[path[q]])
+        store(innovations, path[q], read(node.innovations, path[q]))
         _fill_rows(w[path[q]], node.w[path[q]], 2 * p)
     for c in range(following, count):
         _fill_rows(w[c], node.w[c], 2 * p)

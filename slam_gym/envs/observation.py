@@ -9,7 +9,6 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from slam_gym._arrays import ascending
 from slam_gym._jit import compiled
 from slam_gym.association.prediction import Prediction
 from slam_gym.geometry import observe as seen_from
@@ -146,7 +145,7 @@ def _encode(points: Array, covariances: Array, sizes: Array, out: Float32Array) 
 
     What comes after them is left as it is. An unknown size, NaN, shows as 0.
     """
-    order = ascending(points[:, 0] ** 2 + points[:, 1] ** 2)
+    order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2, kind="mergesort")
     for place in range(min(len(out) // 7, points.shape[0])):
         i, at = order[place], 7 * place
         sx, sy = math.sqrt(max(covariances[i, 0, 0], 0.0)), math.sqrt(max(covariances[i, 1, 1], 0.0))

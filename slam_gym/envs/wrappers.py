@@ -1,4 +1,4 @@
-"""Observations in the form that other libraries expect: one flat vector, the mask within, the image alone.
+"""Observations in the form that other libraries expect: one flat vector, or the mask within; films of every tick.
 
 They wrap any of the three environments, and each other: `MaskInObservation(FlatObservation(env))` is the form of
 RLlib's and TorchRL's masked policies. Whatever they change, `action_masks()` is still found by sb3-contrib.
@@ -62,25 +62,6 @@ class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordC
     def observation(self, observation: Any) -> dict[str, Any]:
         mask = self.get_wrapper_attr("action_masks")().astype(np.int8)
         return (dict(observation) if self._is_dict else {REST: observation}) | {MASK: mask}
-
-
-class ImageOnly(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """The image and nothing else, (c, h, w) uint8: for convolutional networks. Of Explore, which has one.
-
-    It does not show the goals on offer, so that it goes with `action="twist"`, or with a mask.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self)
-        super().__init__(env)
-        images = {name: box for name, box in _parts(env, "ImageOnly").items() if _is_image(box)}
-        if len(images) != 1:
-            raise ValueError(f"ImageOnly: expected one image in the observation, found {len(images)}")
-        ((self._name, self.observation_space),) = images.items()
-
-    def observation(self, observation: Any) -> NDArray[np.uint8]:
-        image: NDArray[np.uint8] = observation[self._name]
-        return image
 
 
 class RecordEveryTick(gym.wrappers.RecordVideo):

@@ -89,7 +89,6 @@ class Identities:
     def __init__(self) -> None:
         self.decisions: IntArray = np.empty(0, np.int64)  # (m,) `Decision` of each measurement of the last step
         self._counts: IntArray = np.zeros(len(Tally.__slots__), np.int64)
-        self._last_counts = self._counts.copy()
         self._source: IntArray = np.full(64, UNLABELLED)  # indexed by id; also of features no longer in the map
         self._oldest: IntArray = np.full(64, NO_ID)  # indexed by source: id of the oldest feature the map has of it
         self._in_map: dict[int, list[int]] = {}  # source -> ids of the features the map has of it, oldest first
@@ -105,19 +104,9 @@ class Identities:
         """Tally of all steps so far."""
         return Tally(*self._counts.tolist())
 
-    @property
-    def last(self) -> Tally:
-        """Tally of the last step."""
-        return Tally(*self._last_counts.tolist())
-
     def source_of(self, ids: IntArray) -> IntArray:
         """True feature (k,) behind map features (k,) given by id: SPURIOUS = created by a spurious measurement."""
         return self._source[ids]
-
-    def update(self, step: SlamStep, truth: Truth) -> Tally:
-        """As `judge`. Returns the tally of this step."""
-        self.judge(step, truth)
-        return self.last
 
     def judge(self, step: SlamStep, truth: Truth) -> None:
         """Judge the decisions of one step, then learn what it created and removed.
@@ -128,7 +117,7 @@ class Identities:
             raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
         self.decisions = np.empty(len(step.ids), np.int64)
         started = _judge(
-            step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions, self._last_counts,
+            step.ids, step.created, truth.sources, self._source, self._oldest, self.decisions,
             self._counts,
         )  # fmt: skip
         if started:
@@ -176,12 +165,10 @@ def _judge(
     source_of: IntArray,
     oldest: IntArray,
     decisions: IntArray,
-    counts: IntArray,
     total: IntArray,
 ) -> int:
-    """Enter the `Decision` (m,) on each measurement, count the fields of their Tally (12,), and add them to the `total`
-    (12,); how many are started."""
-    counts[:] = 0
+    """Enter the `Decision` (m,) on each measurement, and add their Tally to the `total` (12,); how many are started."""
+    counts = np.zeros(len(total), np.int64)
     decisions[:], started = _UNJUDGED, 0
     for i in range(len(ids)):
         started += created[i]

@@ -58,33 +58,17 @@ def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Arr
     return path[at.segment :].copy(), path[:0].copy()
 
 
-@compiled
 def points_ahead(path: Array, position: Array, spacing: float) -> Array:
     """Points (q, 2) along the path (p, 2), p ≥ 1, from the waypoint nearest to `position` on, some `spacing` [m] apart.
 
     The last waypoint alone is itself.
     """
-    first, least = 0, math.inf
-    for i in range(path.shape[0]):
-        squared = (path[i, 0] - position[0]) ** 2 + (path[i, 1] - position[1]) ** 2
-        if squared < least:
-            first, least = i, squared
-    if first == path.shape[0] - 1:
-        return path[first:].copy()
-    starts = np.zeros(path.shape[0] - first)  # [m] of the waypoints, along the path from the first of them
-    for i in range(first, path.shape[0] - 1):
-        length = math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1])
-        starts[i + 1 - first] = starts[i - first] + length
-    count = math.ceil(starts[-1] / spacing)
-    points, k = np.empty((count, 2)), 0
-    for q in range(count):
-        while k < len(starts) - 2 and starts[k + 1] <= q * spacing:
-            k += 1
-        length = max(starts[k + 1] - starts[k], 1e-12)
-        for axis in range(2):
-            before, after = path[first + k, axis], path[first + k + 1, axis]
-            points[q, axis] = before + (after - before) / length * (q * spacing - starts[k])
-    return points
+    left = path[np.square(path - position).sum(axis=1).argmin() :]
+    if len(left) == 1:
+        return left.copy()
+    starts = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(left, axis=0).T))])  # [m] of the waypoints
+    at = spacing * np.arange(math.ceil(starts[-1] / spacing))
+    return np.column_stack([np.interp(at, starts, left[:, 0]), np.interp(at, starts, left[:, 1])])
 
 
 class PursuitSpec(NamedTuple):

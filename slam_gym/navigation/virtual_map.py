@@ -13,9 +13,8 @@ import math
 
 import numpy as np
 
-from slam_gym._jit import compiled
 from slam_gym.navigation.explored_grid import shape_of
-from slam_gym.types import Array, Beams
+from slam_gym.types import Array, Beams, BoolArray
 
 
 class VirtualMap:
@@ -41,70 +40,50 @@ class VirtualMap:
         sensor's; it is kept where its trace is the smaller. In view is what the nearest beam reaches. Returns how many
         landmarks became better known; a covariance with NaN makes none so.
         """
-        seen = beams.bearings, beams.ranges, beams.max_range
-        return _observe(self.covariances, self.origin, self.cell, pose, pose_covariance, sigma * sigma, seen)
+        (h, w), reach = self.covariances.shape[:2], beams.max_range
+        (left, low), (right, high) = (
+            np.clip((pose[:2] + side * reach - self.origin) / self.cell, -1.0, max(h, w) + 1.0) for side in (-1.0, 1.0)
+        )
+        rows = slice(max(0, math.floor(low)), max(0, math.ceil(high)))
+        columns = slice(max(0, math.floor(left)), max(0, math.ceil(right)))
+        dy, dx = np.meshgrid(np.arange(h)[rows], np.arange(w)[columns], indexing="ij")
+        dx = self.origin[0] + (dx + 0.5) * self.cell - pose[0]
+        dy = self.origin[1] + (dy + 0.5) * self.cell - pose[1]
+        P = pose_covariance
+        xx = P[0, 0] - 2.0 * dy * P[0, 2] + dy * dy * P[2, 2] + sigma * sigma
+        xy = P[0, 1] + dx * P[0, 2] - dy * P[1, 2] - dx * dy * P[2, 2]
+        yy = P[1, 1] + 2.0 * dx * P[1, 2] + dx * dx * P[2, 2] + sigma * sigma
+        kept = self.covariances[rows, columns]
+        better = (xx + yy < np.trace(kept, axis1=2, axis2=3)) & _in_view(dx, dy, pose[2], beams)
+        kept[better] = np.stack([xx, xy, xy, yy], axis=-1)[better].reshape(-1, 2, 2)
+        return int(np.count_nonzero(better))
 
     def a_opt(self) -> float:
         """A-optimality tr(P)/l [m²] of all l = 2hw coordinates together: the mean λ, σ₀² before any observation."""
-        return _mean_eigenvalues(self.covariances)[0]
+        return 0.5 * float(np.trace(self.covariances, axis1=2, axis2=3).mean())
 
     def d_opt(self) -> float:
         """D-optimality exp(mean log λ) [m²], σ₀² before any observation."""
-        return math.exp(_mean_eigenvalues(self.covariances)[1])
+        return math.exp(self._mean_log())
 
     def entropy(self) -> float:
         """Differential entropy per coordinate, mean over λ of ½ log(2πe λ) [nat]."""
-        return 0.5 * (math.log(2.0 * math.pi * math.e) + _mean_eigenvalues(self.covariances)[1])
+        return 0.5 * (math.log(2.0 * math.pi * math.e) + self._mean_log())
+
+    def _mean_log(self) -> float:
+        """Mean of log λ over the eigenvalues of all covariances, from their determinants."""
+        c = self.covariances
+        return 0.5 * float(np.log(c[..., 0, 0] * c[..., 1, 1] - c[..., 0, 1] * c[..., 1, 0]).mean())
 
 
-@compiled
-def _observe(
-    covariances: Array, origin: Array, cell: float, pose: Array, P: Array, variance: float,
-    beams: tuple[Array, Array, float],
-) -> int:  # fmt: skip
-    bearings, ranges, max_range = beams
-    h, w = covariances.shape[0], covariances.shape[1]
-    directions = np.empty((bearings.shape[0], 2))
-    for b in range(bearings.shape[0]):
-        directions[b, 0], directions[b, 1] = math.cos(pose[2] + bearings[b]), math.sin(pose[2] + bearings[b])
-    # a beam speaks for half the gap between the first two on either side
-    spread = math.cos(0.5 * (bearings[1] - bearings[0])) if bearings.shape[0] > 1 else 1.0
-    improved = 0
-    left, right = (pose[0] - origin[0] - max_range) / cell, (pose[0] - origin[0] + max_range) / cell
-    low, high = (pose[1] - origin[1] - max_range) / cell, (pose[1] - origin[1] + max_range) / cell
-    for row in range(max(0, math.floor(low)), min(h, math.ceil(high))):
-        for column in range(max(0, math.floor(left)), min(w, math.ceil(right))):
-            dx, dy = origin[0] + (column + 0.5) * cell - pose[0], origin[1] + (row + 0.5) * cell - pose[1]
-            xx = P[0, 0] - 2.0 * dy * P[0, 2] + dy * dy * P[2, 2] + variance
-            xy = P[0, 1] + dx * P[0, 2] - dy * P[1, 2] - dx * dy * P[2, 2]
-            yy = P[1, 1] + 2.0 * dx * P[1, 2] + dx * dx * P[2, 2] + variance
-            kept = covariances[row, column]
-            if xx + yy < kept[0, 0] + kept[1, 1] and _in_view(dx, dy, directions, ranges, max_range, spread):
-                kept[0, 0], kept[0, 1], kept[1, 0], kept[1, 1] = xx, xy, xy, yy
-                improved += 1
-    return improved
-
-
-@compiled
-def _in_view(dx: float, dy: float, directions: Array, ranges: Array, max_range: float, spread: float) -> bool:
-    """The beam nearest in direction to a point at (dx, dy) from the sensor speaks for it, and reaches as far."""
-    distance = math.hypot(dx, dy)
-    nearest, best = -1, -math.inf
-    for b in range(directions.shape[0]):
-        along = directions[b, 0] * dx + directions[b, 1] * dy
-        if along > best:
-            nearest, best = b, along
-    return nearest >= 0 and best >= spread * distance - 1e-9 and distance <= min(ranges[nearest], max_range)
-
-
-@compiled
-def _mean_eigenvalues(covariances: Array) -> tuple[float, float]:
-    """Means of λ [m²] and of log λ over the eigenvalues of all covariances, from traces and determinants."""
-    h, w = covariances.shape[0], covariances.shape[1]
-    traces, logs = 0.0, 0.0
-    for row in range(h):
-        for column in range(w):
-            c = covariances[row, column]
-            traces += c[0, 0] + c[1, 1]
-            logs += math.log(c[0, 0] * c[1, 1] - c[0, 1] * c[1, 0])
-    return traces / (2 * h * w), logs / (2 * h * w)
+def _in_view(dx: Array, dy: Array, heading: float, beams: Beams) -> BoolArray:
+    """Which points at (dx, dy) from the sensor the beam nearest in direction reaches. A beam speaks for half the gap
+    between the first two on either side."""
+    angles, spread = heading + beams.bearings, 1.0
+    if len(angles) > 1:
+        spread = math.cos(0.5 * (angles[1] - angles[0]))
+    along = np.cos(angles) * dx[..., None] + np.sin(angles) * dy[..., None]
+    nearest, distance = along.argmax(axis=-1), np.hypot(dx, dy)
+    speaks = along.max(axis=-1) >= spread * distance - 1e-9
+    seen: BoolArray = speaks & (distance <= np.minimum(beams.ranges, beams.max_range)[nearest])
+    return seen

@@ -22,14 +22,10 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.navigation.explored_grid import UNKNOWN, WALL, Cells, ExploredCells, border_crossings
 from slam_gym.types import Array
-from slam_gym.types._arguments import floats
 
 _QUANTILES = (-1.2815515655446004, -0.5244005127080407, 0.0, 0.5244005127080407, 1.2815515655446004)
 _SHORT = 2.0  # [cells] lines of sight end so much before the feature: it may stand on a wall
 _BLUR = 1.0  # [cells] σ of where the wall lies that a cell shows
-_NOTHING_EXPLORED = ExploredCells(np.empty((0, 0), np.uint8), np.zeros(2), 1.0)
-_NOWHERE = np.zeros(3)
-
 
 SensorFigures = tuple[float, float, float, float]  # half the field of view [rad], near and far [m], `unknown`
 SightArrays = tuple[SensorFigures, tuple[Cells, Array, float]]  # and explored space: cells, origin [m], resolution [m]
@@ -64,36 +60,6 @@ class FieldOfView:
     def figures(self) -> SensorFigures:
         """As compiled functions take them."""
         return 0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown)
-
-    def in_view(
-        self, positions: Array, covariances: Array, explored: ExploredCells | None = None, pose: Array | None = None
-    ) -> Array:
-        """Probability (k,) that each predicted feature is in view.
-
-        Arguments:
-            positions: (k, 2) [m] of the features in R (`Prediction.positions`).
-            covariances: (k, 2, 2) [m²] of those positions.
-            explored: space in which walls hide features; without it nothing hides one.
-            pose: (3,) [m, m, rad] of the robot in B, the frame of `explored`.
-
-        Raises ValueError for arrays of other shapes, where a position or the pose is not finite, a variance is negative
-        or not finite, or explored space comes without a pose.
-        """
-        positions = floats("positions", positions, (-1, 2))
-        covariances = floats("covariances", covariances, (len(positions), 2, 2))
-        at = _NOWHERE if pose is None else floats("pose", pose, (3,))
-        if explored is not None and (pose is None or not np.isfinite(at).all()):
-            raise ValueError(f"pose: expected three finite numbers to look into explored space, got {pose}")
-        cells, origin, resolution = explored or _NOTHING_EXPLORED
-        out, fault = probabilities_in_view(
-            positions, covariances, self.figures, (cells, np.array(origin), resolution), at
-        )
-        if fault >= 0:
-            raise ValueError(
-                f"feature {fault}: position {positions[fault].tolist()} or covariance {covariances[fault].tolist()} is "
-                "not finite, or a variance is negative"
-            )
-        return out
 
 
 @dataclass(frozen=True, slots=True)

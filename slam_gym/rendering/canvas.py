@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_gym._jit import compiled
+from slam_gym.geometry import transform
 from slam_gym.types import Array
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
@@ -126,31 +126,16 @@ class Canvas:
 
         `pose` (3,) is that of its lower left corner, `colours[code]` the colour of a cell.
         """
-        palette = np.array([self.surface.map_rgb(colour) for colour in colours], np.uint32)
-        pixels = pygame.surfarray.pixels2d(self.surface)
-        _paint(pixels, codes, palette, self._low, 1.0 / (self.scale * SUPERSAMPLING), pose, resolution)
-
-
-@compiled
-def _paint(
-    pixels: NDArray[np.uint32],
-    codes: NDArray[np.uint8],
-    palette: NDArray[np.uint32],
-    low: Array,
-    metres: float,
-    pose: Array,
-    resolution: float,
-) -> None:
-    """Colour each of pixels (width, height), y down, `metres` wide, by the cell (h, w) in which its centre lies."""
-    width, height = pixels.shape
-    c, s = math.cos(pose[2]) / resolution, math.sin(pose[2]) / resolution
-    for j in range(height):
-        y = low[1] + metres * (height - j - 0.5) - pose[1]
-        for i in range(width):
-            x = low[0] + metres * (i + 0.5) - pose[0]
-            column, row = math.floor(c * x + s * y), math.floor(-s * x + c * y)
-            if 0 <= row < codes.shape[0] and 0 <= column < codes.shape[1]:
-                pixels[i, j] = palette[codes[row, column]]
+        border = np.pad(np.diff(codes.astype(np.int16), axis=1) != 0, ((0, 0), (1, 1)), constant_values=True)
+        rows, edges = np.nonzero(border)  # each row is cut into runs of one colour
+        starts, ends = edges[:-1], edges[1:]
+        runs = np.flatnonzero(starts < ends)
+        low, left, right = rows[runs], starts[runs], ends[runs]
+        corners = np.stack([left, low, right, low, right, low + 1, left, low + 1], axis=1).reshape(-1, 2)
+        shapes = transform(pose, resolution * corners).reshape(-1, 4, 2)
+        drawn = codes[low, left]
+        for code, colour in enumerate(colours):
+            self.polygons(shapes[drawn == code], colour)
 
 
 @functools.lru_cache(maxsize=16)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._arrays import fill_from
 from slam_gym._jit import compiled
 from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
@@ -116,7 +115,7 @@ def drive_freely(
         after[VX] += x * (1.0 / figures.mass) * step
         after[VY] += y * (1.0 / figures.mass) * step
         after[TURNING] += torque * (1.0 / figures.moment) * step
-    fill_from(state, after)
+    state[:] = after
     end_of_tick(state, motion)
     return True
 
@@ -140,7 +139,7 @@ def end_of_tick(state: Array, motion: Array) -> None:
     """Enter the pose of `state`, and the motion since that which `motion` (3, 3) has held so far, in its first rows."""
     before = motion[0].copy()
     motion[0, 0], motion[0, 1], motion[0, 2] = state[X], state[Y], wrap_angle(state[HEADING])
-    fill_from(motion[1], relative(before, motion[0]))
+    motion[1] = relative(before, motion[0])
 
 
 @compiled

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -81,31 +80,31 @@ def _parse(path: Path) -> FloorPlan:
     except (ValueError, OSError) as error:
         raise FloorPlanError("file", f"is not JSON ({error})") from None
     keys = ("format", "version", "name", "walls", "features", "rooms", "doors", "furniture")
-    format_, version, name, walls, *parts = _values("file", document, keys)
+    format_, version, name, walls, features, rooms, doors, furniture = _values("file", document, keys)
     if (format_, version) != (FORMAT, VERSION):
         raise FloorPlanError("format, version", f"{_short(format_)}, {_short(version)}: expected {FORMAT!r}, {VERSION}")
-    features = list(_rows("features", parts[0], ("position", "kind", "size")))
-    names = [kind.name.lower() for kind in Kind]
-    if unknown := [f"features[{i}].kind" for i, (_, kind, _) in enumerate(features) if kind not in names]:
-        raise FloorPlanError(unknown[0], f"known are {', '.join(names)}")
-    furniture = _rows("furniture", parts[3], ("position", "length", "width", "heading"))
+    positions, names, sizes = _columns("features", features, ("position", "kind", "size"))
+    known = [kind.name.lower() for kind in Kind]
+    if unknown := [f"features[{i}].kind" for i, kind in enumerate(names) if kind not in known]:
+        raise FloorPlanError(unknown[0], f"known are {', '.join(known)}")
+    places, *measures = _columns("furniture", furniture, ("position", "length", "width", "heading"))
     return FloorPlan(
         _text("name", name),
         walls,
         Features(
-            checked_array("features.positions", [position for position, _, _ in features], 2),
-            np.array([names.index(kind) for _, kind, _ in features], dtype=np.int64),
-            checked_array("features.sizes", [size for _, _, size in features]),
+            checked_array("features.positions", positions, 2),
+            np.array([known.index(kind) for kind in names], np.int64),
+            checked_array("features.sizes", sizes),
         ),
-        tuple(Room(_text("room: name", name), ring) for name, ring in _rows("rooms", parts[1], ("name", "polygon"))),
+        tuple(Room(_text("room: name", n), p) for n, p in zip(*_columns("rooms", rooms, ("name", "polygon")))),
         tuple(
-            Door(position, width, _pair(rooms))
-            for position, width, rooms in _rows("doors", parts[2], ("position", "width", "rooms"))
+            Door(position, width, _pair(joined))
+            for position, width, joined in zip(*_columns("doors", doors, ("position", "width", "rooms")))
         ),
-        np.array(
+        np.column_stack(
             [
-                [*checked_array("furniture: position", [position], 2)[0], *checked_array("furniture: sizes", sizes)]
-                for position, *sizes in furniture
+                checked_array("furniture: position", places, 2),
+                *(checked_array("furniture: sizes", measure) for measure in measures),
             ]
         ),
     )
@@ -120,11 +119,12 @@ def _values(where: str, record: Any, keys: tuple[str, ...]) -> list[Any]:
     return [record[key] for key in keys]
 
 
-def _rows(where: str, records: Any, keys: tuple[str, ...]) -> Iterator[list[Any]]:
-    """The values of each object of a JSON list."""
+def _columns(where: str, records: Any, keys: tuple[str, ...]) -> list[list[Any]]:
+    """By key, the values of the objects of a JSON list."""
     if not isinstance(records, list):
         raise FloorPlanError(where, "is not a list")
-    return (_values(f"{where}[{i}]", record, keys) for i, record in enumerate(records))
+    rows = [_values(f"{where}[{i}]", record, keys) for i, record in enumerate(records)]
+    return [[row[k] for row in rows] for k in range(len(keys))]
 
 
 def _pair(rooms: Any) -> tuple[str, str]:

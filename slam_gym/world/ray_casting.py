@@ -86,7 +86,7 @@ class WallIndex:
         """
         origin, targets = floats("origin", origin, (2,)), floats("targets", targets, (-1, 2))
         pull_back = floats("pull_back", pull_back, (len(targets),))
-        return _visible(self.packed, origin, targets, pull_back, _movers(discs, segments))
+        return seen_from(self.packed, origin[None], targets, pull_back, math.inf, _movers(discs, segments))
 
 
 def _movers(discs: Array, segments: Array) -> tuple[Array, Array]:
@@ -115,70 +115,47 @@ def wall_grid(walls: Array, cell: float = 1.0) -> Packed:
     while np.prod(extent // cell + 1.0) > _MAX_CELLS:
         cell *= 2.0
     columns, rows = (extent // cell).astype(int) + 1
-    placed = (float(low[0]), float(low[1]), float(cell), int(columns), int(rows))
-    nothing = np.empty(0, np.int64)
-    starts, members = _enter_walls((walls, nothing, nothing, *placed))
-    return (walls, starts, members, *placed)
+    starts, members = _enter_walls(walls, low, cell, columns, rows)
+    return walls, starts, members, float(low[0]), float(low[1]), float(cell), int(columns), int(rows)
 
 
-@compiled
-def _enter_walls(packed: Packed) -> tuple[IntArray, IntArray]:
-    """Which walls touch which cell: `starts` and `members` of the grid, by counting, then filling."""
-    grid = Grid(*packed)
-    pad, cells = _PADDING * grid.cell, grid.rows * grid.columns
-    starts, filled = np.zeros(cells + 1, np.int64), np.zeros(cells, np.int64)
-    members = np.empty(0, np.int64)
-    for filling in range(2):
-        for w in range(grid.walls.shape[0]):
-            low, high = min(grid.walls[w, 0], grid.walls[w, 2]), max(grid.walls[w, 0], grid.walls[w, 2])
-            first = max(math.floor((low - pad - grid.xmin) / grid.cell), 0)
-            last = min(math.floor((high + pad - grid.xmin) / grid.cell), grid.columns - 1)
-            for column in range(first, last + 1):
-                bottom, top = _rows_of(grid, w, column)
-                for row in range(bottom, top + 1):
-                    c = row * grid.columns + column
-                    if filling == 1:
-                        members[starts[c] + filled[c]] = w
-                        filled[c] += 1
-                    else:
-                        starts[c + 1] += 1
-        if filling == 0:
-            for c in range(cells):
-                starts[c + 1] += starts[c]
-            members = np.empty(starts[cells], np.int64)
-    return starts, members
-
-
-@compiled
-def _rows_of(grid: Grid, wall: int, column: int) -> tuple[int, int]:
-    """First and last row of the cells of `column` that a wall touches."""
-    x, y = grid.walls[wall, 0], grid.walls[wall, 1]
-    dx, dy = grid.walls[wall, 2] - x, grid.walls[wall, 3] - y
-    pad = _PADDING * grid.cell
-    enter, leave = 0.0, 1.0
-    if abs(dx) > pad:
-        left = (grid.xmin + column * grid.cell - pad - x) / dx
-        right = (grid.xmin + (column + 1) * grid.cell + pad - x) / dx
-        enter, leave = max(0.0, min(left, right)), min(1.0, max(left, right))
+def _enter_walls(walls: Array, low: Array, cell: float, columns: int, rows: int) -> tuple[IntArray, IntArray]:
+    """Which walls touch which cell of a grid: its `starts` and `members`."""
+    pad, (xmin, ymin) = _PADDING * cell, low
+    x, y, dx, dy = walls[:, 0], walls[:, 1], walls[:, 2] - walls[:, 0], walls[:, 3] - walls[:, 1]
+    first = np.maximum(np.floor((np.minimum(x, x + dx) - pad - xmin) / cell), 0).astype(np.int64)
+    last = np.minimum(np.floor((np.maximum(x, x + dx) + pad - xmin) / cell), columns - 1).astype(np.int64)
+    wall, column = _ranges(first, last)
+    x, y, dx, dy = x[wall], y[wall], dx[wall], dy[wall]
+    upright = np.abs(dx) <= pad
+    along = np.where(upright, 1.0, dx)
+    left, right = (xmin + column * cell - pad - x) / along, (xmin + (column + 1) * cell + pad - x) / along
+    enter = np.where(upright, 0.0, np.maximum(np.minimum(left, right), 0.0))
+    leave = np.where(upright, 1.0, np.minimum(np.maximum(left, right), 1.0))
     y1, y2 = y + enter * dy, y + leave * dy
-    first = math.floor((min(y1, y2) - pad - grid.ymin) / grid.cell)
-    last = math.floor((max(y1, y2) + pad - grid.ymin) / grid.cell)
-    return max(first, 0), min(last, grid.rows - 1)
+    bottom = np.maximum(np.floor((np.minimum(y1, y2) - pad - ymin) / cell), 0).astype(np.int64)
+    top = np.minimum(np.floor((np.maximum(y1, y2) + pad - ymin) / cell), rows - 1).astype(np.int64)
+    entry, row = _ranges(bottom, top)
+    cells = row * columns + column[entry]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(cells, minlength=rows * columns))])
+    return starts, wall[entry][np.argsort(cells, kind="stable")]
 
 
-@compiled
+def _ranges(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
+    """All pairs (k, i) with first[k] ≤ i ≤ last[k], in order: the k and the i."""
+    counts = np.maximum(last - first + 1, 0)
+    k = np.repeat(np.arange(len(counts)), counts)
+    return k, first[k] + np.arange(len(k)) - (np.cumsum(counts) - counts)[k]
+
+
 def outlines(boxes: Array) -> Array:
     """Sides (4f, 4) [m] `x1 y1 x2 y2` of boxes (f, 5), counter-clockwise."""
-    sides = np.empty((4 * boxes.shape[0], 4))
-    for f in range(boxes.shape[0]):
-        c, s = math.cos(boxes[f, 4]), math.sin(boxes[f, 4])
-        for k in range(4):
-            a = 0.5 * boxes[f, 2] * (1.0 if k == 0 or k == 3 else -1.0)
-            b = 0.5 * boxes[f, 3] * (1.0 if k < 2 else -1.0)
-            x, y = boxes[f, 0] + c * a - s * b, boxes[f, 1] + s * a + c * b
-            sides[4 * f + k, 0], sides[4 * f + k, 1] = x, y
-            sides[4 * f + (k + 3) % 4, 2], sides[4 * f + (k + 3) % 4, 3] = x, y
-    return sides
+    headings = boxes[:, 4].tolist()
+    c, s = (np.array([of(heading) for heading in headings]).reshape(-1, 1) for of in (math.cos, math.sin))
+    a = 0.5 * boxes[:, 2:3] * np.array([1.0, -1.0, -1.0, 1.0])
+    b = 0.5 * boxes[:, 3:4] * np.array([1.0, 1.0, -1.0, -1.0])
+    corners = np.stack([boxes[:, :1] + c * a - s * b, boxes[:, 1:2] + s * a + c * b], axis=2)
+    return np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 4)
 
 
 @compiled
@@ -331,11 +308,15 @@ def cast(packed: Packed, origin: Array, angles: Array, max_range: float, moving:
 
 
 @compiled
-def _visible(packed: Packed, origin: Array, targets: Array, pull_back: Array, moving: tuple[Array, Array]) -> BoolArray:
-    grid, x, y, reach = Grid(*packed), origin[0], origin[1], 0.0
+def seen_from(
+    packed: Packed, places: Array, targets: Array, pull_back: Array, reach: float, moving: tuple[Array, Array]
+) -> BoolArray:
+    """(k,) which of `targets` (k, 2) at least one of `places` (c, 2) sees from `reach` [m]: see `WallIndex.visible`."""
+    grid, movers, seen = Grid(*packed), Movers(*moving), np.zeros(targets.shape[0], np.bool_)
     for i in range(targets.shape[0]):
-        reach = max(reach, math.hypot(targets[i, 0] - x, targets[i, 1] - y))
-    movers, seen = movers_near(x, y, reach, Movers(*moving)), np.empty(targets.shape[0], np.bool_)
-    for i in range(targets.shape[0]):
-        seen[i] = sees(grid, movers, x, y, targets[i, 0] - x, targets[i, 1] - y, pull_back[i])
+        for c in range(places.shape[0]):
+            x, y, dx, dy = places[c, 0], places[c, 1], targets[i, 0] - places[c, 0], targets[i, 1] - places[c, 1]
+            if dx * dx + dy * dy <= reach * reach and sees(grid, movers, x, y, dx, dy, pull_back[i]):
+                seen[i] = True
+                break
     return seen

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from slam_gym._jit import compiled
 from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_SEGMENTS, Grid, Movers, Packed, WallIndex, box_distance, pull_back, sees
+from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, box_distance, pull_back, seen_from
 
 _START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture around it
 
@@ -81,7 +80,8 @@ def observable(plan: FloorPlan, index: WallIndex, cells: Array, max_range: float
     Only walls hide: furniture and people move.
     """
     features = plan.features
-    return _seen_from(index.packed, features.positions, pull_back(features), np.ascontiguousarray(cells), max_range)
+    cells, nothing = np.ascontiguousarray(cells), (NO_DISCS, NO_SEGMENTS)
+    return seen_from(index.packed, cells, features.positions, pull_back(features), max_range, nothing)
 
 
 def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearance: float = _START_CLEARANCE) -> Array:
@@ -113,17 +113,3 @@ def _block(free: BoolArray, origin: Array, cell: float, segments: Array, radius:
 def _between(low: float, high: float, cell: float) -> slice:
     """The cells with centres from `low` to `high` [m] beyond that of the first cell."""
     return slice(max(math.ceil(low / cell), 0), max(math.floor(high / cell) + 1, 0))
-
-
-@compiled
-def _seen_from(packed: Packed, positions: Array, pull_backs: Array, cells: Array, max_range: float) -> BoolArray:
-    """`observable`, feature by feature until the first cell that sees it."""
-    grid, seen = Grid(*packed), np.zeros(positions.shape[0], np.bool_)
-    nothing = Movers(np.empty((0, 3)), np.empty((0, 4)))
-    for i in range(positions.shape[0]):
-        for c in range(cells.shape[0]):
-            x, y, dx, dy = cells[c, 0], cells[c, 1], positions[i, 0] - cells[c, 0], positions[i, 1] - cells[c, 1]
-            if dx * dx + dy * dy <= max_range * max_range and sees(grid, nothing, x, y, dx, dy, pull_backs[i]):
-                seen[i] = True
-                break
-    return seen

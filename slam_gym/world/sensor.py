@@ -12,23 +12,29 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from slam_gym._jit import compiled
+from slam_gym.geometry import wrap_angle
 from slam_gym.types import SPURIOUS, UNKNOWN_KIND, Array, Beams, IntArray, Odometry, Scan, Truth
 from slam_gym.validation import check_settings
-from slam_gym.world.detection import (
-    PackedSettings,
-    PackedWheels,
-    in_sight,
-    measure,
-    noisy_ranges,
-    report,
-    report_and_in_sight,
-    room_for,
-)
 from slam_gym.world.floor_plan import FloorPlan
-from slam_gym.world.ray_casting import NO_DISCS, NO_SEGMENTS, WallIndex, pull_back
+from slam_gym.world.ray_casting import (
+    NO_DISCS,
+    NO_SEGMENTS,
+    Grid,
+    Movers,
+    Packed,
+    WallIndex,
+    cast,
+    movers_near,
+    pull_back,
+    range_along,
+    sees,
+)
 
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
+
+_SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,6 @@ class SensorSpec:
     clutter: float = 0.3  # mean number of spurious measurements a scan (Poisson), anywhere in sight
     person_detection: float = 0.5  # probability that a person in sight yields a spurious measurement
     max_features: int = 20  # measurements in a scan; the nearest are kept
-    kinds: bool = False  # the detector tells corners from door jambs and pillars
 
     @property
     def sigma_halfway(self) -> float:
@@ -119,10 +124,10 @@ class Sensor:
         self.spec = sensor or SensorSpec()
         self.beam_spec = beams or BeamSpec()
         self.odometry_spec = odometry or OdometrySpec()
-        *reals, max_features, _ = astuple(self.spec)
-        self._settings: PackedSettings = (*map(float, reals), int(max_features))  # type: ignore[assignment]
+        *reals, max_features = astuple(self.spec)
+        self._settings: _PackedSettings = (*map(float, reals), int(max_features))  # type: ignore[assignment]
         self._finder = (float(self.beam_spec.range), float(self.beam_spec.sigma))
-        self._wheels: PackedWheels = tuple(map(float, astuple(self.odometry_spec)))  # type: ignore[assignment]
+        self._wheels: _PackedWheels = tuple(map(float, astuple(self.odometry_spec)))  # type: ignore[assignment]
         self._walls = index.packed
         self._features = plan.features
         self._targets = plan.features.positions, pull_back(plan.features)
@@ -139,11 +144,10 @@ class Sensor:
         people: Array = NO_DISCS,
         furniture: Array = NO_SEGMENTS,
     ) -> Senses:
-        """All that a tick has to tell, from the random numbers that `odometry`, `scan` and `beams` would draw; but the
-        kinds of measurements are drawn last."""
+        """All that a tick has to tell, from the random numbers that `odometry`, `scan` and `beams` would draw."""
         moving, out, room = (people, furniture), np.empty((4, 3)), self._room_in_sight(people)
         wheels = (self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
-        k = report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, room)
+        k = _report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, room)
         scan, truth, ranges = self._measured(pose, (k, *room), moving, self._bearings, rng)
         swept = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
         return Senses(Odometry(out[0], out[1:]), scan, truth, swept)
@@ -154,10 +158,10 @@ class Sensor:
         """One look from `pose`: a sweep of measurements by rising bearing, spurious ones among them.
 
         Furniture and people hide features, and a person is now and then taken for one (at their near side). Neither
-        order nor attributes tell which measurements are spurious: their sizes are those of features of the plan.
+        order nor sizes tell which measurements are spurious: their sizes are those of features of the plan.
         """
         moving, room = (people, furniture), self._room_in_sight(people)
-        k = in_sight(self._walls, pose, self._targets, moving, self._settings, room)
+        k = _in_sight(self._walls, pose, self._targets, moving, self._settings, room)
         return self._measured(pose, (k, *room), moving, self._bearings[:0], rng)[:2]
 
     def _measured(
@@ -168,38 +172,237 @@ class Sensor:
         bearings: Array,
         rng: np.random.Generator,
     ) -> tuple[Scan, Truth, Array]:
-        """The scan of what is `seen` (see `in_sight`), the truth behind it, and the ranges (b,) of beams."""
+        """The scan of what is `seen` (see `_in_sight`), the truth behind it, and the ranges (b,) of beams."""
         n, beams = seen[0] + rng.poisson(self.spec.clutter), len(bearings)  # measurements that there may be
-        noise, room, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), room_for(n), np.empty(beams)
+        noise, room, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), _room_for(n), np.empty(beams)
         out = room, (bearings, self._finder, ranges)
-        m = measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
+        m = _measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
         points, covariances, sizes, size_variances, sources = room
-        kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
-        scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
+        scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], self._unknown_kinds[:m].copy())
         return scan, Truth(pose.copy(), sources[:m]), ranges
 
     def _room_in_sight(self, people: Array) -> tuple[Array, IntArray]:
-        """For what `in_sight` finds."""
+        """For what `_in_sight` finds."""
         most = len(self._features) + len(people)
         return np.empty((most, 2)), np.empty(most, np.int64)
-
-    def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
-        """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""
-        known = self._features.kinds
-        if len(known) == 0:
-            return np.full(len(sources), UNKNOWN_KIND)
-        return np.where(sources == SPURIOUS, known[rng.integers(len(known), size=len(sources))], known[sources])
 
     def beams(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> Beams:
         """One sweep of the range finder from `pose`: noisy ranges to what comes first, the full range for nothing."""
         noise, ranges = rng.standard_normal(self.beam_spec.count), np.empty(self.beam_spec.count)
-        noisy_ranges(self._walls, pose, self._bearings, self._finder, (people, furniture), noise, ranges)
+        _noisy_ranges(self._walls, pose, self._bearings, self._finder, (people, furniture), noise, ranges)
         return Beams(self._bearings.copy(), ranges, self.beam_spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
         """The wheels' report of one tick. Its covariance grows with the motion, and more so in contact."""
         out = np.empty((4, 3))
-        report(self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
+        _report(self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
         return Odometry(out[0], out[1:])
+
+
+class _Settings(NamedTuple):
+    """A `SensorSpec`, field by field, for compiled functions."""
+
+    range: float
+    min_range: float
+    field_of_view: float
+    range_sigma: float
+    range_sigma_ratio: float
+    bearing_sigma: float
+    size_sigma: float
+    detection: float
+    clutter: float
+    person_detection: float
+    max_features: int
+
+
+_Moving = tuple[Array, Array]
+"""`Movers`, as a plain tuple."""
+
+_PackedSettings = tuple[float, float, float, float, float, float, float, float, float, float, int]
+"""`_Settings` as a plain tuple, which crosses from Python to compiled functions faster."""
+
+
+@compiled
+def _in_sight(
+    walls: Packed,
+    pose: Array,
+    features: tuple[Array, Array],
+    moving: _Moving,
+    packed: _PackedSettings,
+    out: tuple[Array, IntArray],
+) -> int:
+    """How many of the features (positions and pull-backs) are in sight, and people (at their near side).
+
+    The first array of `out` (N + p, 2) receives their true ranges and bearings, the second (N + p,) what they are.
+    """
+    grid, settings, (positions, pull_backs), (polar, sources) = Grid(*walls), _Settings(*packed), features, out
+    x, y = pose[0], pose[1]
+    people, movers = moving[0], movers_near(x, y, settings.range, Movers(*moving))
+    k = 0
+    for i in range(positions.shape[0] + people.shape[0]):
+        person = i - positions.shape[0]
+        if person < 0:
+            dx, dy, surface = positions[i, 0] - x, positions[i, 1] - y, 0.0
+            short = pull_backs[i]
+        else:
+            dx, dy, surface = people[person, 0] - x, people[person, 1] - y, people[person, 2]
+            short = surface + _SURFACE
+        if abs(dx) > settings.range + surface or abs(dy) > settings.range + surface:
+            continue
+        distance = math.hypot(dx, dy) - surface
+        if not settings.min_range <= distance <= settings.range:
+            continue
+        bearing = wrap_angle(math.atan2(dy, dx) - pose[2])
+        if abs(bearing) > 0.5 * settings.field_of_view:
+            continue
+        if not sees(grid, movers, x, y, dx, dy, short):
+            continue
+        polar[k, 0], polar[k, 1] = distance, bearing
+        sources[k] = i if person < 0 else SPURIOUS
+        k += 1
+    return k
+
+
+_Measured = tuple[Array, Array, Array, Array, IntArray]
+"""Room for a scan of up to n measurements: points (n, 2) [m] in R, covariances (n, 2, 2) [m²], sizes (n,) [m], their
+variances (n,) [m²], sources (n,)."""
+
+
+def _room_for(n: int) -> _Measured:
+    """For n measurements."""
+    return np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
+
+
+_Finder = tuple[float, float]
+"""Reach [m] and sigma [m] of a `BeamSpec`, for compiled functions."""
+
+
+@compiled
+def _noisy_ranges(
+    walls: Packed, pose: Array, bearings: Array, finder: _Finder, moving: _Moving, noise: Array, out: Array
+) -> None:
+    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach], entered in `out`."""
+    reach, sigma = finder
+    free = cast(walls, pose, pose[2] + bearings, reach, moving)
+    for b in range(len(bearings)):
+        out[b] = min(max(free[b] + sigma * noise[b], 0.0), reach) if free[b] < reach else reach
+
+
+@compiled
+def _measure(
+    walls: Packed,
+    pose: Array,
+    seen: tuple[int, Array, IntArray],
+    sizes: Array,
+    moving: _Moving,
+    noise: tuple[Array, Array],
+    packed: _PackedSettings,
+    out: tuple[_Measured, tuple[Array, _Finder, Array]],
+) -> int:
+    """A scan of what is `seen`, the answer of `_in_sight` and its arrays, and the ranges of beams; length of the scan.
+
+    `sizes` are those of all features, from which those of spurious measurements are drawn. `noise` are uniform and
+    normal random numbers: three of each for each thing in sight, then for each piece of clutter, and normal ones for
+    the beams. `out` receives the scan, and the ranges along the bearings in it (see `_noisy_ranges`).
+    """
+    grid, settings, movers = Grid(*walls), _Settings(*packed), Movers(*moving)
+    (k, polar, sources), (uniform, normal), (scan, (bearings, finder, ranges)) = seen, noise, out
+    _noisy_ranges(walls, pose, bearings, finder, moving, normal[len(uniform) :], ranges)
+    draws = len(uniform) // 3
+    measured, origins = np.empty((3, draws)), np.empty(draws, np.int64)  # range, bearing, size; source
+    n = 0
+    for i in range(draws):
+        size = sizes[int(uniform[3 * i + 2] * len(sizes))]
+        source = sources[i] if i < k else SPURIOUS
+        if i < k:
+            if uniform[3 * i] >= (settings.detection if source >= 0 else settings.person_detection):
+                continue
+            sigma = math.hypot(settings.range_sigma, settings.range_sigma_ratio * polar[i, 0])
+            distance = max(polar[i, 0] + sigma * normal[3 * i], settings.min_range)
+            bearing = wrap_angle(polar[i, 1] + settings.bearing_sigma * normal[3 * i + 1])
+            if source >= 0:
+                size = sizes[source]
+        else:  # uniform over the thin sector from the nearest range to the first surface
+            bearing = settings.field_of_view * (uniform[3 * i] - 0.5)
+            free = range_along(grid, pose[0], pose[1], pose[2] + bearing, settings.range, movers)
+            low = settings.min_range**2
+            distance = math.sqrt(low + uniform[3 * i + 1] * max(free * free - low, 0.0))
+        measured[0, n], measured[1, n] = distance, bearing
+        measured[2, n] = max(size + settings.size_sigma * normal[3 * i + 2], 0.0)
+        origins[n] = source
+        n += 1
+    return _sweep(measured, origins, int(n), settings, scan)  # int: not the literal 0 as well
+
+
+@compiled
+def _sweep(measured: Array, origins: IntArray, count: int, settings: _Settings, out: _Measured) -> int:
+    """The nearest `max_features` of the first `count` measurements (3, …), by rising bearing, made Cartesian."""
+    points, covariances, sizes, size_variances, sources = out
+    nearest = np.argsort(measured[0, :count], kind="mergesort")[: settings.max_features]
+    order = nearest[np.argsort(measured[1][nearest], kind="mergesort")]
+    for i in range(len(order)):
+        r, bearing = measured[0, order[i]], measured[1, order[i]]
+        c, s = math.cos(bearing), math.sin(bearing)
+        along = settings.range_sigma**2 + (settings.range_sigma_ratio * r) ** 2
+        across = (settings.bearing_sigma * r) ** 2
+        points[i, 0], points[i, 1] = r * c, r * s
+        covariances[i, 0, 0] = c * c * along + s * s * across
+        covariances[i, 1, 1] = s * s * along + c * c * across
+        covariances[i, 0, 1] = covariances[i, 1, 0] = c * s * (along - across)
+        sizes[i], size_variances[i] = measured[2, order[i]], settings.size_sigma**2
+        sources[i] = origins[order[i]]
+    return len(order)
+
+
+class _Wheels(NamedTuple):
+    """An `OdometrySpec`, field by field, for compiled functions."""
+
+    forward: float
+    lateral: float
+    turn_per_radian: float
+    turn_per_metre: float
+    floor: float
+    slip_forward: float
+    slip_lateral: float
+    slip_turn: float
+    slip_floor: float
+
+
+_PackedWheels = tuple[float, float, float, float, float, float, float, float, float]
+"""`_Wheels` as a plain tuple."""
+
+
+@compiled
+def _report(packed: _PackedWheels, way: Array, contact: bool, noise: Array, out: Array) -> None:
+    """The wheels' report of one tick, with three normal random numbers: rows of `out` (4, 3), motion and covariance."""
+    spec, dx, dy, turn = _Wheels(*packed), way[0], way[1], way[2]
+    distance = math.hypot(dx, dy)
+    forward = spec.floor**2 + spec.forward**2 * distance
+    lateral = spec.floor**2 + spec.lateral**2 * distance
+    heading = spec.floor**2 + spec.turn_per_radian**2 * abs(turn) + spec.turn_per_metre**2 * distance
+    out[0, 0] = dx + math.sqrt(forward) * noise[0]
+    out[0, 1] = dy + math.sqrt(lateral) * noise[1]
+    out[0, 2] = turn + math.sqrt(heading) * noise[2]
+    if contact:  # what may have slipped is in the way of the wheels already
+        forward += (spec.slip_forward * distance) ** 2 + spec.slip_floor**2
+        lateral += (spec.slip_lateral * distance) ** 2 + spec.slip_floor**2
+        heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2
+    out[1:] = 0.0
+    out[1, 0], out[2, 1], out[3, 2] = forward, lateral, heading
+
+
+@compiled
+def _report_and_in_sight(
+    wheels: tuple[_PackedWheels, Array, bool, Array, Array],
+    walls: Packed,
+    pose: Array,
+    features: tuple[Array, Array],
+    moving: _Moving,
+    packed: _PackedSettings,
+    out: tuple[Array, IntArray],
+) -> int:
+    """`_report` and `_in_sight` in one call from Python."""
+    _report(*wheels)
+    return _in_sight(walls, pose, features, moving, packed, out)

@@ -6,8 +6,7 @@ import pytest
 from PIL import Image
 
 from agents import demo, slam
-from slam_gym import ASSOCIATORS
-from slam_gym.commands import run
+from slam_gym import ASSOCIATORS, commands
 from tests.agents import typed
 
 
@@ -50,5 +49,5 @@ def test_a_log_that_is_not_there_is_named(tmp_path):
     ],
 )
 def test_names_are_listed_one_a_line(topic, name):
-    names = typed(run.app, "list", topic).output.split()
+    names = typed(commands.app, "list", topic).output.split()
     assert name in names and (topic != "associators" or names == list(ASSOCIATORS))

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from slam_gym.envs.wrappers import FlatObservation, ImageOnly, MaskInObservation, RecordEveryTick
+from slam_gym.envs.wrappers import FlatObservation, MaskInObservation, RecordEveryTick
 from tests.rollouts import bare
 
 IDS = ("Explore-v0", "Associate-v0", "Relocate-v0")
@@ -48,13 +48,6 @@ def test_checkers_are_content(how):
     sb3_check_env(WRAPPED[how](bare("Explore-v0", **SMALL)))
 
 
-def test_the_image_alone_is_an_image_for_convolutions():
-    env = ImageOnly(bare("Explore-v0", action="twist", **SMALL))
-    image, _ = env.reset(seed=0)
-    assert image.shape == (3, 48, 48) and image.dtype == np.uint8 and env.observation_space.contains(image)
-    sb3_check_env(env)
-
-
 def test_masks_are_found_through_wrappers_and_made_from_specs_again():
     env = MaskInObservation(FlatObservation(gym.make("slam_gym/Explore-v0", **SMALL), image=False))
     env.reset(seed=0)
@@ -66,7 +59,6 @@ def test_masks_are_found_through_wrappers_and_made_from_specs_again():
 @pytest.mark.parametrize(
     ("wrap", "name", "options", "said"),
     [
-        (ImageOnly, "Associate-v0", {}, "expected one image in the observation, found 0"),
         (MaskInObservation, "Explore-v0", {"action": "twist"}, "masks are for discrete actions"),
         (lambda env: FlatObservation(FlatObservation(env)), "Explore-v0", {}, "expected a Dict of Boxes"),
     ],

@@ -1,6 +1,6 @@
 """Association metrics against hand-counted scenes, a plain re-count of random runs, and the laws between the counts."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -22,11 +22,18 @@ def truth(*sources):
     return Truth(np.zeros(3), np.array(sources, np.int64))
 
 
+def update(identities, taken, labels):
+    """The tally of a step that is judged."""
+    before = astuple(identities.total)
+    identities.judge(taken, labels)
+    return Tally(*(now - then for now, then in zip(astuple(identities.total), before)))
+
+
 def mapped(*sources):
     """A run that has mapped features 0, 1, 2 … with these sources, one scan each."""
     identities = Identities()
     for feature, source in enumerate(sources):
-        identities.update(step([feature], [True]), truth(source))
+        update(identities, step([feature], [True]), truth(source))
     return identities
 
 
@@ -49,7 +56,7 @@ def test_every_verdict_of_one_scan():
         (NO_ID, False, UNLABELLED, Decision.UNJUDGED),
     ]
     ids, created, sources, decisions = zip(*scan)
-    tally = identities.update(step(ids, created), truth(*sources))
+    tally = update(identities, step(ids, created), truth(*sources))
     assert identities.decisions.tolist() == list(decisions)
     assert tally == Tally(
         tp=1,
@@ -71,16 +78,16 @@ def test_every_verdict_of_one_scan():
 
 def test_when_the_oldest_is_removed_its_duplicate_becomes_the_right_feature():
     identities = mapped(7, 7)
-    assert identities.update(step([1], removed=[0]), truth(7)).fp_duplicate == 1
-    assert identities.update(step([1], removed=[1]), truth(7)).tp == 1
-    gone = identities.update(step([NO_ID]), truth(7))
+    assert update(identities, step([1], removed=[0]), truth(7)).fp_duplicate == 1
+    assert update(identities, step([1], removed=[1]), truth(7)).tp == 1
+    gone = update(identities, step([NO_ID]), truth(7))
     assert (gone.tn, gone.fn, gone.not_in_map, gone.in_map) == (1, 0, 1, 0)
     assert identities.source_of(np.array([0, 1])).tolist() == [7, 7]  # still known after they have gone
 
 
 def test_lengths_must_agree():
     with pytest.raises(ValueError, match=r"2 measurements, truth\.sources 1"):
-        Identities().update(step([NO_ID, NO_ID]), truth(3))
+        update(Identities(), step([NO_ID, NO_ID]), truth(3))
 
 
 def random_run(rng, steps=250, features=12):
@@ -109,7 +116,7 @@ def random_run(rng, steps=250, features=12):
 def test_counts_agree_with_a_plain_recount(seed):
     identities, source_of, alive, total = Identities(), {}, [], Tally()
     for taken, labels in random_run(np.random.default_rng(seed)):
-        tally = identities.update(taken, labels)
+        tally = update(identities, taken, labels)
         total = total + tally
         expected = dict.fromkeys(("tp", "fp", "fn", "tn", "in_map", "not_in_map", "new_right"), 0)
         for feature, new, source in zip(taken.ids.tolist(), taken.created.tolist(), labels.sources.tolist()):
@@ -133,10 +140,10 @@ def test_counts_agree_with_a_plain_recount(seed):
 
 def test_features_that_are_back_are_judged_as_if_they_had_never_left():
     identities = mapped(7, 8)
-    identities.update(step([], removed=[0, 1]), truth())
-    begun_anew = identities.update(step([2], [True]), truth(7))
+    update(identities, step([], removed=[0, 1]), truth())
+    begun_anew = update(identities, step([2], [True]), truth(7))
     assert begun_anew.new_right == 1  # in the other map it is no duplicate
     joined = replace(step([2], removed=[2]), returned=np.array([0, 1]))
-    identities.update(joined, truth(7))
-    again = identities.update(step([0, 1]), truth(7, 8))
+    update(identities, joined, truth(7))
+    again = update(identities, step([0, 1]), truth(7, 8))
     assert again.tp == 2 and again.fp == 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from slam_gym.association.prediction import Prediction
 from slam_gym.navigation.explored_grid import ExploredCells
-from slam_gym.navigation.visibility import FieldOfView, ViewsFrom
+from slam_gym.navigation.visibility import FieldOfView, ViewsFrom, probabilities_in_view
 from slam_gym.types import UNPAIRED, Array, IntArray, Scan
 from tests.oracles.association import compatible, problem
 
@@ -66,6 +66,21 @@ def fit(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> flo
     return float(-0.5 * nu @ np.linalg.solve(S, nu) - 0.5 * np.linalg.slogdet(2.0 * np.pi * S)[1])
 
 
+def in_view(
+    field: FieldOfView,
+    positions: Array,
+    covariances: Array,
+    explored: ExploredCells | None = None,
+    pose: Array | None = None,
+) -> Array:
+    """(k,) probability that each feature, given in R, is in view from `pose` (3,); nothing hides it unless explored."""
+    cells, origin, side = (np.empty((0, 0), np.uint8), np.zeros(2), 1.0) if explored is None else explored
+    at, grid = np.zeros(3) if pose is None else pose, (cells, np.array(origin), side)
+    found, fault = probabilities_in_view(positions, covariances, field.figures, grid, at)
+    assert fault == -1
+    return found
+
+
 def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]]) -> Array | None:
     """v_j of every row, from where the hypothesis puts the robot; None where nobody knows."""
     fixed = prediction.visibility()
@@ -79,7 +94,7 @@ def visibilities(scan: Scan, prediction: Prediction, pairs: list[tuple[int, int]
         gain = P[:, entries] @ np.linalg.inv(S)
         positions, P = positions + gain @ nu, P - gain @ P[entries]
     blocks = np.array([P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] for j in range(n)]).reshape(n, 2, 2)
-    return SIGHT.field.in_view(positions.reshape(n, 2), blocks)
+    return in_view(SIGHT.field, positions.reshape(n, 2), blocks)
 
 
 def every_hypothesis(

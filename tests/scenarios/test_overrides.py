@@ -15,7 +15,7 @@ OFFICE = get_scenario("office")
 def test_fields_are_changed_at_any_depth_and_nothing_else_is() -> None:
     overrides = {
         "sensor.range": 4,
-        "sensor.kinds": True,
+        "wall_compass": True,
         "odometry.turn_per_metre": 0.1,
         "dynamics.people": 3,
         "budget": 500,
@@ -29,7 +29,8 @@ def test_fields_are_changed_at_any_depth_and_nothing_else_is() -> None:
     contents = replace(OFFICE.generator.contents, pillars=2.0)
     assert changed == replace(
         OFFICE,
-        sensor=replace(OFFICE.sensor, range=4.0, kinds=True),
+        sensor=replace(OFFICE.sensor, range=4.0),
+        wall_compass=True,
         odometry=replace(OFFICE.odometry, turn_per_metre=0.1),
         dynamics=replace(OFFICE.dynamics, people=3),
         budget=500,
@@ -71,7 +72,7 @@ def test_the_order_of_changes_does_not_matter() -> None:
         ({"sensor.range": False}, r"'sensor.range': expected a finite number, got False"),
         ({"sensor.range": math.nan}, r"'sensor.range': expected a finite number, got nan"),
         ({"sensor.range": 10**400}, r"'sensor.range': expected a finite number"),
-        ({"sensor.kinds": 1}, r"'sensor.kinds': expected true or false, got 1"),
+        ({"wall_compass": 1}, r"'wall_compass': expected true or false, got 1"),
         ({"sensor": {"range": 4.0}}, r"'sensor': expected a bool, a number, a string or None"),
         ({"sensor.range": -4.0}, r"sensor.range: SensorSpec.range=-4.0: expected a number from 0.01"),
         ({"slam.map.confidence": 2.0}, r"slam.map.confidence: MapSpec.confidence=2.0: expected a number"),
@@ -87,7 +88,7 @@ def test_what_cannot_be_is_refused_by_name(overrides, said) -> None:
     [
         ("sensor.range=4", "sensor.range", 4),
         ("sensor.range=4.5e0", "sensor.range", 4.5),
-        (" sensor.kinds =true", "sensor.kinds", True),
+        (" wall_compass =true", "wall_compass", True),
         ("slam.new_confidence=null", "slam.new_confidence", None),
         ("name=a = b", "name", "a = b"),
         ("name=[1]", "name", "[1]"),

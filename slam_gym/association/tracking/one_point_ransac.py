@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from slam_gym._arrays import ascending
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.prediction import Prediction
@@ -87,7 +86,7 @@ def _nearest_first(distances: Array, slots: IntArray, measured: IntArray, gate: 
     for c in before:
         taken_slots[slots[c]], taken[measured[c]] = True, True
     out, count = np.empty(len(slots), np.int64), 0
-    for c in ascending(distances):
+    for c in np.argsort(distances, kind="mergesort"):
         if not distances[c] < gate:
             break
         if not taken[measured[c]] and not taken_slots[slots[c]]:

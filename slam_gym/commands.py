@@ -21,7 +21,7 @@ from typer.main import get_command
 import slam_gym
 
 _INSTALLED = Path(__file__).parent / "shipped"  # where a wheel has the folder `agents`
-_CHECKOUT = Path(__file__).parents[2]  # … and where a checkout has it
+_CHECKOUT = Path(__file__).parents[1]  # … and where a checkout has it
 _LEARNING = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard")  # packages of the extra `learn`
 
 COMMANDS: dict[str, str] = {
@@ -101,7 +101,7 @@ def list_names(topic: Topic) -> None:
 @app.command(epilog="Example: slam-gym doctor")
 def doctor() -> None:
     """What is installed, compiled and cached, and where data are looked for."""
-    from slam_gym.commands.doctor import report  # which imports numba
+    from slam_gym.doctor import report  # which imports numba
 
     print("\n".join(report()))
 

@@ -4,7 +4,7 @@ from importlib.metadata import PackageNotFoundError
 
 import numpy as np
 
-from slam_gym.commands import doctor
+from slam_gym import doctor
 
 
 def test_versions_are_those_installed_and_what_is_missing_is_told_with_its_extra(monkeypatch):

@@ -10,18 +10,18 @@ import typer
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 import slam_gym
-from slam_gym.commands import run
+from slam_gym import commands
 from tests.agents import typed
 
 
 def test_every_command_is_a_module_with_an_app_and_is_told_about():
-    shown = typed(run.app, "--help").output
-    for name in run.COMMANDS:
+    shown = typed(commands.app, "--help").output
+    for name in commands.COMMANDS:
         assert callable(importlib.import_module(f"agents.{name.replace('-', '_')}").app) and f" {name} " in shown
 
 
 def test_the_version_is_that_of_the_package():
-    assert typed(run.app, "--version").output == f"slam_gym {slam_gym.__version__}\n"
+    assert typed(commands.app, "--version").output == f"slam_gym {slam_gym.__version__}\n"
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_the_version_is_that_of_the_package():
 )
 def test_bad_input_is_named(line, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = typed(run.app, *line)
+    result = typed(commands.app, *line)
     assert result.exit_code == 2 and said in result.stderr
 
 
@@ -44,10 +44,10 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "torch", None)
     for name in [name for name in sys.modules if name.startswith("agents.") and "drivers" not in name]:
         monkeypatch.delitem(sys.modules, name)
-    result = typed(run.app, "report", "results")
+    result = typed(commands.app, "report", "results")
     assert (result.exit_code, result.stderr) == (2, "error: pandas is missing: pip install 'slam_gym[agents]'\n")
     with pytest.raises(typer.Exit):
-        run.ended(lambda: importlib.import_module("torch"))
+        commands.ended(lambda: importlib.import_module("torch"))
     assert capsys.readouterr().err == "error: torch is missing: pip install 'slam_gym[learn]'\n"
 
 
@@ -56,14 +56,14 @@ def test_a_worker_that_was_killed_is_told_in_one_line(capsys):
         raise TerminatedWorkerError("exit codes of the workers are {SIGKILL(-9)}")
 
     with pytest.raises(typer.Exit) as end:
-        run.ended(command)
+        commands.ended(command)
     assert end.value.exit_code == 2 and capsys.readouterr().err.startswith("error: a worker process was killed")
 
 
 def test_a_module_of_ones_own_is_found_where_the_command_is_given(tmp_path):
     """By the script that pip puts on the path, which leaves the current folder out of Python's."""
     (tmp_path / "mine.py").write_text("class Still:\n    name, action = 'still', 'twist'\n")
-    script = "import sys; sys.path.pop(0); from slam_gym.commands.run import app; app()"
+    script = "import sys; sys.path.pop(0); from slam_gym.commands import app; app()"
     line = "evaluate --agents mine:Still yours:Still"
     done = subprocess.run([sys.executable, "-c", script, *line.split()], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
