@@ -47,36 +47,30 @@ def small(name, **options):
 OPTIONS = [  # every value of every option at least once
     ("Explore-v0", dict(scenario="office-small", action="goal", reward="map_error", associator="jcbb", split="train")),
     ("Explore-v0", dict(action="twist", reward="a_opt", associator="true_association", split="test")),
-    ("Explore-v0", dict(scenario="office", action="twist", reward="map_error", associator="nearest_neighbour")),
     ("Explore-v0", dict(scenario="aliased", reward="d_opt", associator="singles", locality=None)),
-    ("Explore-v0", dict(scenario="hall", action="twist", reward="entropy", associator=jcbb, locality="covisibility")),
     ("Explore-v0", dict(scenario="crowd", reward="entropy", associator="slam_gym.association:nearest_neighbour")),
-    ("Explore-v0", dict(scenario="closure/0", action="twist", overrides={"sensor.range": 4.0})),
-    ("Explore-v0", dict(scenario=short(40, "hall"), action="twist", reward="d_opt", render_mode="human")),
+    ("Explore-v0", dict(scenario="closure/0", action="twist", associator=jcbb, overrides={"sensor.range": 4.0})),
+    ("Explore-v0", dict(scenario=short(40, "hall"), action="twist", locality="covisibility", render_mode="human")),
     ("Explore-v0", dict(floor_plan="plan.json", reward="a_opt", render_mode="rgb_array", render_covisibility=True)),
     ("Associate-v0", dict(split="train", driver="nearest_frontier", reward="truth", candidates=5)),
     ("Associate-v0", dict(split="test", driver="random", reward="map_error", candidates=1, order="nearest_first")),
     ("Associate-v0", dict(scenario="corridor", order="fewest_candidates", compatibility="individual", wrong_cost=1.0)),
-    ("Associate-v0", dict(scenario="corridor", split="test", reward="map_error", compatibility="joint")),
     ("Associate-v0", dict(scenario=short(30, "hall"), driver=nearest_frontier, render_mode="human", candidates=3)),
-    ("Associate-v0", dict(scenario=CORRIDOR, render_mode="rgb_array")),
+    ("Associate-v0", dict(scenario=CORRIDOR, split="test", compatibility="joint", render_mode="rgb_array")),
     ("Associate-v0", dict(scenario=short(1), reward="map_error", overrides={"dynamics.people": 1})),
-    ("Relocate-v0", dict(split="train", scenario=SMALL, locality="covisibility", order="fewest_candidates")),
-    (
-        "Relocate-v0",
-        dict(scenario=SMALL, split="test", locality="two-hop covisibility", sizes=False),
-    ),
-    ("Relocate-v0", dict(scenario=SMALL, locality="distance", order="nearest_first", candidates=1, outside=1.0)),
-    ("Relocate-v0", dict(scenario=SMALL, locality=None, order="as_scanned", candidates=200, outside=0.0)),
-    ("Relocate-v0", dict(scenario=SMALL, associator="true_association", node_limit=1, kidnappings_per_map=1)),
-    ("Relocate-v0", dict(scenario=SMALL, associator=jcbb, position_tolerance=1.0, heading_tolerance=0.3)),
-    ("Relocate-v0", dict(scenario=SMALL, render_mode="human", node_cost=0.5, wrong_cost=5.0)),
-    ("Relocate-v0", dict(scenario=SMALL, render_mode="rgb_array", overrides={"sensor.clutter": 1.0})),
+    ("Relocate-v0", dict(split="train", locality="covisibility", order="fewest_candidates")),
+    ("Relocate-v0", dict(split="test", locality="two-hop covisibility", sizes=False, render_mode="human")),
+    ("Relocate-v0", dict(locality="distance", order="nearest_first", candidates=1, outside=1.0, node_limit=1)),
+    ("Relocate-v0", dict(locality=None, order="as_scanned", candidates=200, outside=0.0, position_tolerance=1.0)),
+    ("Relocate-v0", dict(associator="true_association", kidnappings_per_map=1, heading_tolerance=0.3, node_cost=0.5)),
+    ("Relocate-v0", dict(associator=jcbb, wrong_cost=5.0, render_mode="rgb_array", overrides={"sensor.clutter": 1.0})),
 ]
 
 
 @pytest.mark.parametrize(("name", "options"), OPTIONS, ids=[f"{name}-{k}" for k, (name, _) in enumerate(OPTIONS)])
 def test_the_checkers_of_gymnasium_and_sb3_find_nothing_to_warn_of(name, options, tmp_path, monkeypatch) -> None:
+    if name == "Relocate-v0":
+        options = {"scenario": SMALL} | options
     if "floor_plan" in options:
         monkeypatch.chdir(tmp_path)
         save_floor_plan(OfficeGenerator(rooms=2)(np.random.default_rng(0)), "plan.json")

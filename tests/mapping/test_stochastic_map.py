@@ -314,21 +314,6 @@ def test_a_map_that_cannot_start_says_why(arguments: dict[str, object]) -> None:
         StochasticMap(**arguments)
 
 
-@pytest.mark.parametrize(
-    "field",
-    [
-        {"confidence": 1.0},
-        {"confidence": 0.0},
-        {"unconfirmed_age": -1},
-        {"iterations": 0},
-        {"confirmations": 0},
-    ],
-)
-def test_settings_out_of_range_are_refused(field: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(field))):
-        MapSpec(**field)
-
-
 def test_a_saved_map_comes_back_as_it_was(tmp_path: Path) -> None:
     m = StochasticMap(MapSpec(confirmations=3), pose=[1.0, 2.0, 0.5])
     m.add(Scan.from_points([[3.0, 1.0], [4.0, -2.0]], sigma=0.1, sizes=[0.2, np.nan], size_sigma=0.05), np.arange(2))

@@ -127,10 +127,6 @@ def test_pushing_furniture_moves_it_and_makes_the_wheels_slip():
         (lambda: world_in(HALL, np.nan, 1), "start must be a finite pose"),
         (lambda: world_in(HALL, 1, 1).tick(np.nan, 0), "is not a number"),
         (lambda: world_in(plan_of((0, 0, 3, 3)), 1, 1, people=50), r"room for \d+ people, not for 50"),
-        (lambda: RobotSpec(radius=0), r"RobotSpec\.radius"),
-        (lambda: RobotSpec(mass=np.inf), r"RobotSpec\.mass"),
-        (lambda: DynamicsSpec(tick=-0.1), r"DynamicsSpec\.tick"),
-        (lambda: DynamicsSpec(people=-1), r"DynamicsSpec\.people"),
     ],
 )
 def test_bad_input_is_refused_by_name(build, message):
@@ -177,18 +173,19 @@ def test_motion_between_contacts_and_in_them_is_that_of_pymunk(seed):
     worlds = [
         kind(TWO_ROOMS, start, RobotSpec(), DynamicsSpec(), np.random.default_rng(0)) for kind in (World, ByPymunk)
     ]
+    traces: tuple[list, list] = ([], [])
     for tick in range(ticks):
         if tick == 700:
             for world in worlds:
                 world.place(start)
         action = action_of(rng, tick, heading)
-        ours, theirs = (world.tick(*action) for world in worlds)
-        np.testing.assert_allclose(worlds[0].pose, worlds[1].pose, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(ours.moved, theirs.moved, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(ours.wheels, theirs.wheels, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(worlds[0].furniture, worlds[1].furniture, rtol=0, atol=1e-12)
-        assert ours.contact == theirs.contact
+        for world, trace in zip(worlds, traces):
+            motion = world.tick(*action)
+            trace.append(np.concatenate([world.pose, motion.moved, motion.wheels, [motion.contact]]))
+            trace.append(world.furniture.ravel())
         free += not worlds[0]._body_knows
+    ours, theirs = (np.concatenate(trace) for trace in traces)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
     assert 0.3 * ticks < free < 0.97 * ticks, "both ways were taken"
 
 
