@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag, eigh
 
 from slam_gym.association import indexed, resolve_relocator
 from slam_gym.association.compatibility import chi2_gate
@@ -125,10 +126,7 @@ def as_scan(m: StochasticMap, group: IntArray) -> Scan:
     shape = _shape_covariance(points, m.covariance_of(group))
     g = np.arange(len(group))
     blocks = shape.reshape(len(group), 2, len(group), 2)[g, :, g, :] + _FLOOR * np.eye(2)
-    roots = np.linalg.cholesky(blocks)
-    whitened = np.linalg.solve(roots, shape.reshape(len(group), 2, -1)).reshape(len(shape), -1)
-    whitened = np.linalg.solve(roots, whitened.T.reshape(len(group), 2, -1)).reshape(len(shape), -1)
-    kappa = max(1.0, float(np.linalg.eigvalsh(0.5 * (whitened + whitened.T))[-1]))
+    kappa = max(1.0, float(eigh(0.5 * (shape + shape.T), block_diag(*blocks), eigvals_only=True)[-1]))
     covariances = kappa * 0.5 * (blocks + blocks.transpose(0, 2, 1))
     return Scan(points, covariances, m.sizes[group], m.size_variances[group], m.kinds[group])
 
