@@ -162,8 +162,7 @@ class RelocateEnv(BaseEnv):
     def right_action(self) -> int:
         """What the truth would decide now: K (`*`) for what is spurious or not mapped, and at a leaf; −1 where the
         right feature is not on offer."""
-        i = self.walk.measurement
-        action = self.walk_spec.star if i is None else self.walk.action_of(int(self.kidnapped.features[i]))
+        action = self.action_of(self.kidnapped.features)
         return NOT_OFFERED if action is None else action
 
     def action_of(self, features: IntArray) -> int | None:

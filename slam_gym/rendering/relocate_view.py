@@ -34,20 +34,14 @@ _KEY = (
 
 def draw(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figures: Figures) -> Any:
     """A surface with the walk: left the whole map, in a corner the scan as the robot sees it, right the tree."""
-    codes = _codes(walk, kidnapped)
-    picture = picture_with(_panel(walk, kidnapped.features, codes, figures))
+    features, right = walk.node.hypothesis, kidnapped.features
+    codes = np.where(features == right, int(Decision.RIGHT), int(Decision.WRONG))  # (m,) by measurement
+    codes[features == UNPAIRED] = Decision.DISCARDED
+    codes[~walk.node.decided] = UNDECIDED
+    picture = picture_with(_panel(walk, right, codes, figures))
     _draw_map(picture, walk, mapped, kidnapped, codes)
     _draw_scan(picture, (10, MAP[1] - _INSET - 10), walk, codes)
     return picture
-
-
-def _codes(walk: RelocationWalk, kidnapped: Kidnapped) -> IntArray:
-    """(m,) `Decision` on each measurement, or UNDECIDED."""
-    features, right = walk.node.hypothesis, kidnapped.features
-    codes = np.where(features == right, int(Decision.RIGHT), int(Decision.WRONG))
-    codes[features == UNPAIRED] = Decision.DISCARDED
-    codes[~walk.node.decided] = UNDECIDED
-    return codes
 
 
 def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, codes: IntArray) -> None:
@@ -56,28 +50,25 @@ def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped
     scale = float(min(room[0] / (x1 - x0), room[1] / (y1 - y0)))
     low = 0.5 * (x0 + x1) - 0.5 * MAP[0] / scale, 0.5 * (y0 + y1) - (0.5 * room[1] + _INSET) / scale
     canvas = Canvas(MAP, (float(low[0]), float(low[1])), scale, symbols.PAPER)
-    landmarks = transform(mapped.base, mapped.landmarks.positions)
+    landmarks, provisional = (
+        transform(mapped.base, mapped.landmarks.positions),
+        np.zeros(len(mapped.landmarks), np.bool_),
+    )
     canvas.segments(mapped.site.plan.walls, symbols.LINE, 1.6)
     spread = rotate_covariances(mapped.base[2], mapped.landmarks.covariances)
-    symbols.uncertainties(canvas, landmarks, spread, np.zeros(len(landmarks), np.bool_))
-    symbols.landmarks(canvas, landmarks, np.zeros(len(landmarks), np.bool_), 2.3)
-    if walk.node.path.features.size:
-        first = int(walk.node.path.features[0])
-        local = mapped.landmarks.positions[:0] if walk.locality is None else walk.locality.of(first)
-        canvas.discs(landmarks[local.astype(np.int64).ravel()], 4.6, None, symbols.PROVISIONAL, 0.9)
+    symbols.uncertainties(canvas, landmarks, spread, provisional)
+    symbols.landmarks(canvas, landmarks, provisional, 2.3)
+    if walk.node.pairings and walk.locality is not None:
+        local = walk.locality.of(int(walk.node.path.features[0]))
+        canvas.discs(landmarks[local], 4.6, None, symbols.PROVISIONAL, 0.9)
     if kidnapped.inside:
         symbols.robot_body(canvas, kidnapped.true_pose, 0.2)
     _draw_hypothesis(canvas, walk, mapped, landmarks, codes)
-    shown = _on_offer(walk)
-    canvas.discs(landmarks[shown], 5.4, None, symbols.PLAN, 1.8)
+    canvas.discs(landmarks[walk.shown], 5.4, None, symbols.PLAN, 1.8)
     picture.blit(canvas.picture(), (0, 0))
-    badges(picture, canvas.places(landmarks[shown]))
+    badges(picture, canvas.places(landmarks[walk.shown]))
     where = "the robot is not in this map" if not kidnapped.inside else mapped.site.plan.name
     picture.blit(text(where, 13, symbols.MUTED), (14, 10))
-
-
-def _on_offer(walk: RelocationWalk) -> IntArray:
-    return np.empty(0, np.int64) if walk.offer is None else walk.offer.features[: walk.spec.candidates]
 
 
 def _draw_hypothesis(
@@ -140,24 +131,19 @@ def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> Le
         taken = STAR if action == star else action
         return Level(f"z{i}", branches, taken=taken, colour=symbols.DECISIONS[int(codes[i])])
     alive = int(walk.node.alive[i].sum())
-    if k > walk.level or walk.offer is None:
+    if k > walk.level or walk.at_leaf:
         return Level(f"z{i}", alive)
-    action_of_truth = walk.action_of(int(right[i]))
-    return Level(
-        f"z{i}",
-        alive,
-        on_offer=frozenset(range(min(len(walk.offer.features), star))),
-        right=STAR if action_of_truth == star else action_of_truth,
-    )
+    of_truth = walk.action_of(int(right[i]))
+    return Level(f"z{i}", alive, frozenset(range(len(walk.shown))), right=STAR if of_truth == star else of_truth)
 
 
 def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
     """What may be chosen: action, feature, what it could come to, D² of its distances to the pairings of the path."""
-    offer, i, star = walk.offer, walk.measurement, walk.spec.star
+    offer, i = walk.offer, walk.measurement
     assert offer is not None and i is not None
     m, gate, k = len(walk.order), walk.problem.scan.gates.one, walk.node.pairings
     choices = []
-    for action, feature in enumerate(offer.features[:star].tolist()):
+    for action, feature in enumerate(walk.shown.tolist()):
         bound, worst = k + 1 + int(offer.support[action]), float(offer.worst[action])
         cells = (str(feature), (str(bound), bound / m), (f"{worst:.1f}", worst / gate))
         choices.append(Choice(str(action), feature == right[i], cells if k else cells[:2]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,17 +84,9 @@ def map_arrays(landmarks: Landmarks) -> Mapped:
 
 def unchecked_map(landmarks: Landmarks) -> Mapped:
     """The arrays of a map as they are."""
-    return Mapped(
-        floats(landmarks.positions),
-        floats(landmarks.covariances),
-        floats(landmarks.sizes),
-        floats(landmarks.size_variances),
-        integers(landmarks.kinds),
-        floats(landmarks.covariance),
-        integers(landmarks.block_starts),
-        integers(landmarks.block_columns),
-        floats(landmarks.blocks),
-    )
+    given: list[Any] = [getattr(landmarks, name) for name in Mapped._fields]
+    taken: list[Any] = [integers(array) if array.dtype.kind == "i" else floats(array) for array in given]
+    return Mapped(*taken)
 
 
 def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArray]:

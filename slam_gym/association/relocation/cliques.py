@@ -15,12 +15,23 @@ import time
 import networkx as nx
 import numpy as np
 
-from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as by_rule
-from slam_gym.association.relocation.answer import Best, answer_of, nothing_found, offer
-from slam_gym.association.relocation.constraints import Path, binary_test
+from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, UNARY, Problem, problem_of
+from slam_gym.association.relocation.problem import (
+    JOINT,
+    LEAVES,
+    LIMIT,
+    NODES,
+    UNARY,
+    Best,
+    Problem,
+    answer_of,
+    nothing_found,
+    offer,
+    problem_of,
+)
+from slam_gym.association.relocation.tree import keep_what_follows
 from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
 
 _CLIQUES = 256  # largest cliques looked at
@@ -44,12 +55,11 @@ def max_clique(
     of these limits was met. Raises ValueError as `gcbb` does.
     """
     began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
-    pairings, edges = _consistent(problem, node_limit)
+    nodes, edges = _consistent(problem, node_limit)
     cliques, complete = largest_cliques(edges)
     if not complete:
         problem.effort[LIMIT] = 1
-    members = np.sort(cliques, axis=1)
-    best = _best_of(problem, Path(pairings.measurements[members], pairings.features[members]))
+    best = _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques])
     if min_pairings is None:
         min_pairings = by_rule(scan, landmarks, confidence=confidence)
     return answer_of(best, problem, min_pairings, time.perf_counter() - began)
@@ -67,54 +77,34 @@ def largest_cliques(edges: IntArray) -> tuple[IntArray, bool]:
     return np.array(found[:_CLIQUES], np.int64), complete and len(found) <= _CLIQUES
 
 
-@compiled
 def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
     """Pairings that pass the unary constraints, and edges (e, 2) between those that agree.
 
     Without edges where there would be too many nodes or edges.
     """
-    scan, mapped, effort = problem.scan, problem.mapped, problem.effort
-    allowed, starts, of_each = problem.allowed, problem.starts, problem.members
-    measurements, features = np.nonzero(allowed)
-    nodes, (m, n), number = len(features), allowed.shape, np.full(allowed.shape, -1)
-    effort[UNARY], effort[NODES] = m * n, nodes
-    edges, count = np.empty((1024, 2), np.int64), 0
-    if nodes > node_limit:
-        effort[LIMIT] = 1
-        nodes = 0
-    for a in range(nodes):
-        number[measurements[a], features[a]] = a
-    for a in range(nodes):
-        i, j = measurements[a], features[a]
-        begin, end = (starts[j], starts[j + 1]) if len(starts) > 0 else (0, n)
-        for k in range(i + 1, m):
-            for position in range(begin, end):
-                l = of_each[position] if len(starts) > 0 else position
-                if l == j or number[k, l] < 0:
-                    continue
-                effort[BINARY] += 1
-                if not binary_test(scan, mapped, i, j, k, l):
-                    continue
-                if count == _EDGES:
-                    effort[LIMIT] = 1
-                    return Path(measurements, features), edges[:0]
-                if count == len(edges):
-                    edges = np.concatenate((edges, edges))
-                edges[count, 0], edges[count, 1] = a, number[k, l]
-                count += 1
-    return Path(measurements, features), edges[:count]
+    nodes, effort, none = Path(*np.nonzero(problem.allowed)), problem.effort, np.empty((0, 2), np.int64)
+    number, edges, count = np.zeros(problem.allowed.shape, np.int64), [none], 0
+    number[nodes] = np.arange(len(nodes.features))
+    effort[UNARY], effort[NODES] = number.size, len(nodes.features)
+    for a, (i, j) in enumerate(zip(*nodes) if len(nodes.features) <= node_limit else ()):
+        agreeing = problem.allowed.copy()
+        agreeing[: i + 1] = False
+        keep_what_follows(problem, agreeing, Path(np.array([i]), np.array([j])))
+        edges.append(np.column_stack(np.broadcast_arrays(a, number[agreeing])))
+        count += len(edges[-1])
+        if count > _EDGES:
+            break
+    effort[LIMIT] = len(nodes.features) > node_limit or count > _EDGES
+    return nodes, none if effort[LIMIT] else np.concatenate(edges)
 
 
-@compiled
-def _best_of(problem: Problem, hypotheses: Path) -> Best:
-    """The best of the hypotheses, one a row of each array; where none holds, of what they shrink to."""
-    best, holds = nothing_found(len(problem.allowed)), False
-    for c in range(len(hypotheses.features)):
+def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:
+    """The best of the hypotheses; where none holds, of what they shrink to."""
+    best = nothing_found(len(problem.allowed))
+    for path in hypotheses:
         problem.effort[LEAVES] += 1
-        path = Path(hypotheses.measurements[c].copy(), hypotheses.features[c].copy())
-        holds = offer(best, problem, path, len(path.features)) or holds
-    for c in range(len(hypotheses.features) if not holds else 0):
-        path = Path(hypotheses.measurements[c].copy(), hypotheses.features[c].copy())
+        offer(best, problem, path, len(path.features))
+    for path in [] if best.state[1] > 0 else hypotheses:
         while len(path.features) > 2 and not offer(best, problem, path, len(path.features)):
             path = _without_the_worst(problem, path)
         if len(path.features) == 2:
@@ -122,15 +112,13 @@ def _best_of(problem: Problem, hypotheses: Path) -> Best:
     return best
 
 
-@compiled
 def _without_the_worst(problem: Problem, path: Path) -> Path:
     """The pairings without the one whose absence leaves the least D²."""
-    scan, pose, covariance, least = problem.scan, np.empty(3), np.empty((3, 3)), math.inf
-    kept = path
-    for a in range(len(path.features)):
+    scan, k, distances = problem.scan, len(path.features) - 1, []
+    rests = [Path(np.delete(path.measurements, a), np.delete(path.features, a)) for a in range(k + 1)]
+    for rest in rests:
         problem.effort[JOINT] += 1
-        rest, k = Path(np.delete(path.measurements, a), np.delete(path.features, a)), len(path.features) - 1
-        distance = locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, pose, covariance)
-        if distance < least or a == 0:
-            least, kept = min(distance, least), rest
-    return kept
+        distances.append(
+            locate_pairings(scan.points, scan.noise, problem.mapped, rest, k, np.empty(3), np.empty((3, 3)))
+        )
+    return rests[int(np.nan_to_num(distances, nan=math.inf).argmin())]

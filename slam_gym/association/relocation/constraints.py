@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slam_gym._jit import compiled
+from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import Mapped, ScanArrays, map_arrays, scan_arrays
 from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Scan
@@ -33,6 +33,9 @@ class Measured(NamedTuple):
 
     points: Array  # (m, 2) [m] in R
     noise: Array  # (m, 2, 2) [m²]
+    sizes: Array  # (m,) [m], NaN where unknown
+    size_variances: Array  # (m,) [m²]
+    kinds: IntArray  # (m,)
     distances: Array  # (m, m) [m] between measurements
     variances: Array  # (m, m) [m²] of those, uᵀ(R_i + R_k)u
     spreads: Array  # (m, m) [m²] largest eigenvalue of R_i + R_k
@@ -61,9 +64,9 @@ def gates_at(confidence: float) -> Gates:
 
 
 @compiled
-def measured(points: Array, noise: Array, gates: Gates) -> Measured:
-    """Distances between all measurements, with their variances."""
-    m = len(points)
+def measured(scan: ScanArrays, gates: Gates) -> Measured:
+    """A scan with the distances between all measurements and their variances."""
+    points, noise, m = scan.points, scan.noise, len(scan.points)
     distances, variances, spreads = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
     for i in range(m):
         for k in range(m):
@@ -73,7 +76,7 @@ def measured(points: Array, noise: Array, gates: Gates) -> Measured:
             square = x * x + y * y
             distances[i, k], spreads[i, k] = math.sqrt(square), largest_eigenvalue(xx, xy, yy)
             variances[i, k] = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else spreads[i, k]
-    return Measured(points, noise, distances, variances, spreads, gates)
+    return Measured(points, noise, scan.sizes, scan.size_variances, scan.kinds, distances, variances, spreads, gates)
 
 
 @compiled
@@ -130,7 +133,7 @@ def unary_test(
     return not difference * difference > gate * (variance + of_variance)  # NaN passes
 
 
-@compiled
+@inlined
 def far_apart(error: float, spread: float, trace: float, of_other: float, gate: float) -> bool:
     """Whether two distances differ by more than any cross-covariance could explain: this settles most binary tests.
 

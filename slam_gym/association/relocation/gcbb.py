@@ -8,9 +8,20 @@ import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as by_rule
-from slam_gym.association.relocation.answer import Best, answer_of, nothing_found, offer
 from slam_gym.association.relocation.constraints import Path
-from slam_gym.association.relocation.tree import LEAVES, LIMIT, NODES, Problem, next_branch, problem_of
+from slam_gym.association.relocation.problem import (
+    LEAVES,
+    LIMIT,
+    NODES,
+    Best,
+    Problem,
+    answer_of,
+    fewest,
+    nothing_found,
+    offer,
+    problem_of,
+)
+from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 
 LEAF_LIMIT = 5_000  # hypotheses that a search locates: a quarter of a second
@@ -49,11 +60,8 @@ def gcbb(
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
-    began, problem, levels = (
-        time.perf_counter(),
-        problem_of(scan, landmarks, locality, confidence),
-        np.arange(len(scan)),
-    )
+    began, levels = time.perf_counter(), np.arange(len(scan))
+    problem = problem_of(scan, landmarks, locality, confidence)
     if outwards and len(scan):
         levels = np.argsort(((scan.points - scan.points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
     best = _gcbb(problem, levels, node_limit, rivals)
@@ -74,7 +82,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
     level = 0
     while level >= 0:
         p = above[level]
-        if tried[level] == _STAR or not _promises(best, p + m - level, rivals):
+        if tried[level] == _STAR or p + m - level < fewest(best, rivals):
             level -= 1
             continue
         if level == m:
@@ -84,7 +92,7 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
             continue
         feature, done = next_branch(problem, path, p, levels[level], tried[level])
         tried[level] = _STAR if feature == UNPAIRED else done
-        if feature == UNPAIRED and not _promises(best, p + m - level - 1, rivals):
+        if feature == UNPAIRED and p + m - level - 1 < fewest(best, rivals):
             continue
         if effort[NODES] == node_limit or effort[LEAVES] >= LEAF_LIMIT:
             effort[LIMIT] = 1
@@ -96,9 +104,3 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
         level += 1
         above[level], tried[level] = p, 0
     return best
-
-
-@compiled
-def _promises(best: Best, bound: int, rivals: bool) -> bool:
-    """Whether so many pairings would beat the best; or equal it, where that is asked."""
-    return bool(bound > best.state[0] or (rivals and best.state[1] > 0 and bound == best.state[0]))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_gym._jit import compiled
+from slam_gym._jit import compiled, inlined
 from slam_gym.association.relocation.arrays import Mapped, floats, integers, unchecked_map
 from slam_gym.association.relocation.constraints import Path, cross_covariance
 from slam_gym.geometry import wrap_angle
@@ -62,25 +62,18 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
 
 @compiled
 def locate_pairings(
-    points: Array,
-    noise: Array,
-    mapped: Mapped,
-    path: Path,
-    k: int,
-    pose: Array,
-    pose_covariance: Array,
+    points: Array, noise: Array, mapped: Mapped, path: Path, k: int, pose: Array, pose_covariance: Array
 ) -> float:
     """D² of the first k ≥ 2 pairings of a path; `pose` (3,) and `pose_covariance` (3, 3) are written.
 
     NaN where S is not positive definite; inf where the pose is not determined. The pose is NaN with either.
     """
     measurements, features = path.measurements[:k], path.features[:k]
-    z, R, F, P = (
-        points[measurements],
-        noise[measurements],
-        mapped.positions[features],
-        _joint_covariance(mapped, features),
-    )
+    z, R, F, P = points[measurements], noise[measurements], mapped.positions[features], np.empty((2 * k, 2 * k))
+    for a in range(k):
+        for b in range(a + 1):
+            xx, xy, yx, yy = cross_covariance(mapped, features[a], features[b])
+            P[2 * a, 2 * b], P[2 * a, 2 * b + 1], P[2 * a + 1, 2 * b], P[2 * a + 1, 2 * b + 1] = xx, xy, yx, yy
     _closed_form(z, R, F, P, pose)
     S, A, e = np.empty((2 * k, 2 * k)), np.empty((2 * k, 3)), np.empty(2 * k)
     distance, normal, step = math.nan, np.empty((3, 3)), np.empty(3)
@@ -103,19 +96,19 @@ def locate_pairings(
     return distance
 
 
-@compiled
-def _joint_covariance(mapped: Mapped, features: IntArray) -> Array:
-    """P (2k, 2k) [m²] of features (k,)."""
-    P = np.empty((2 * len(features), 2 * len(features)))
-    for a in range(len(features)):
-        own = mapped.covariances[features[a]]
-        P[2 * a, 2 * a], P[2 * a + 1, 2 * a + 1] = own[0, 0], own[1, 1]
-        P[2 * a, 2 * a + 1] = P[2 * a + 1, 2 * a] = own[0, 1]
-        for b in range(a):
-            xx, xy, yx, yy = cross_covariance(mapped, features[a], features[b])
-            P[2 * a, 2 * b], P[2 * a, 2 * b + 1] = xx, xy
-            P[2 * a + 1, 2 * b], P[2 * a + 1, 2 * b + 1] = yx, yy
-    return P
+@inlined
+def place_of(points: Array, noise: Array, i: int, pose: Array, P: Array) -> tuple[float, float, float, float, float]:
+    """Where a measurement lies in B, and how well that is known, from a pose with covariance P: x, y, xx, xy, yy.
+
+    t + C z with covariance J P Jᵀ + C R Cᵀ, where J = ∂(t + C z)/∂(t, θ).
+    """
+    c, s, R = math.cos(pose[2]), math.sin(pose[2]), noise[i]
+    u, v = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+    xx = P[0, 0] - 2.0 * v * P[0, 2] + v * v * P[2, 2] + c * c * R[0, 0] - 2.0 * c * s * R[0, 1] + s * s * R[1, 1]
+    yy = P[1, 1] + 2.0 * u * P[1, 2] + u * u * P[2, 2] + s * s * R[0, 0] + 2.0 * c * s * R[0, 1] + c * c * R[1, 1]
+    xy = P[0, 1] + u * P[0, 2] - v * P[1, 2] - u * v * P[2, 2]
+    xy += c * s * (R[0, 0] - R[1, 1]) + (c * c - s * s) * R[0, 1]
+    return pose[0] + u, pose[1] + v, xx, xy, yy
 
 
 @compiled

@@ -86,49 +86,48 @@ def _candidates(walk: RelocationWalk) -> Float32Array:
     out = np.zeros((k, len(CANDIDATE_FIELDS)), np.float32)
     if i is None or offer is None:
         return out.ravel()
-    scan, landmarks, shown = walk.scan, walk.landmarks, offer.features[:k]
-    rows, support = out[: len(shown)], offer.support[:k]
-    rows[:, 0] = 1.0
-    rows[:, 1] = support / max(m - walk.level - 1, 1)
-    rows[:, 2] = (walk.node.pairings + 1 + support) / m
-    rows[:, 3], rows[:, 4] = squash(offer.mean[:k], DISTANCE_SCALE), squash(offer.worst[:k], DISTANCE_SCALE)
+    scan, landmarks, shown, support = walk.scan, walk.landmarks, walk.shown, offer.support[:k]
     variances = np.maximum(scan.size_variances[i] + landmarks.size_variances[shown], 1e-12)
     difference = (scan.sizes[i] - landmarks.sizes[shown]) / np.sqrt(variances)
-    rows[:, 5] = np.nan_to_num(squash(difference, 1.0))
-    rows[:, 6] = offer.local[:k]
+    out[: len(shown)] = np.column_stack(
+        [
+            np.ones(len(shown)),
+            support / max(m - walk.level - 1, 1),
+            (walk.node.pairings + 1 + support) / m,
+            squash(offer.mean[:k], DISTANCE_SCALE),
+            squash(offer.worst[:k], DISTANCE_SCALE),
+            np.nan_to_num(squash(difference, 1.0)),
+            offer.local[:k],
+        ]
+    )
     return out.ravel()
 
 
 def _scan(walk: RelocationWalk, measurements: int) -> Float32Array:
     out = np.zeros((measurements, len(SCAN_FIELDS)), np.float32)
     scan, shown = walk.scan, walk.order[:measurements]
-    rows = out[: len(shown)]
-    rows[:, 0] = 1.0
-    rows[:, 1:3] = squash(scan.points[shown], POSITION_SCALE)
-    rows[:, 3] = squash(np.nan_to_num(scan.sizes[shown]), SIZE_SCALE)
-    rows[:, 4] = walk.node.decided[shown]
-    rows[:, 5] = np.isin(shown, walk.node.path.measurements)
-    rows[:, 6] = squash(walk.node.alive[shown].sum(axis=1), COUNT_SCALE)
+    out[: len(shown)] = np.column_stack(
+        [
+            np.ones(len(shown)),
+            squash(scan.points[shown], POSITION_SCALE),
+            squash(np.nan_to_num(scan.sizes[shown]), SIZE_SCALE),
+            walk.node.decided[shown],
+            np.isin(shown, walk.node.path.measurements),
+            squash(walk.node.alive[shown].sum(axis=1), COUNT_SCALE),
+        ]
+    )
     return out.ravel()
 
 
 def _path(walk: RelocationWalk) -> Float32Array:
-    m = max(len(walk.scan), 1)
-    bound, without = walk.node.bound, walk.node.bound_without(walk.measurement)
-    shares = walk.level / m, walk.node.pairings / m, bound / m, without / m
-    return np.array([*shares, walk.at_leaf, bool(walk.compatible)], np.float32)
+    m, node = max(len(walk.scan), 1), walk.node
+    counts = np.array([walk.level, node.pairings, node.bound, node.bound_without(walk.measurement)])
+    return np.array([*(counts / m), walk.at_leaf, bool(walk.compatible)], np.float32)
 
 
 def _search(walk: RelocationWalk) -> Float32Array:
     m, best = max(len(walk.scan), 1), walk.best
-    return np.array(
-        [
-            best.pairings / m,
-            squash(best.joint_distance / max(best.dof, 1), DISTANCE_SCALE),
-            best.accepted,
-            min(walk.needed / m, 1.0),
-            1.0 - walk.nodes / walk.spec.node_limit,
-            squash(walk.tries - 1, COUNT_SCALE),
-        ],
-        np.float32,
-    )
+    distance, tries = best.joint_distance / max(best.dof, 1), squash(walk.tries - 1, COUNT_SCALE)
+    left = 1.0 - walk.nodes / walk.spec.node_limit
+    shown = best.pairings / m, squash(distance, DISTANCE_SCALE), best.accepted, min(walk.needed / m, 1.0), left, tries
+    return np.array(shown, np.float32)

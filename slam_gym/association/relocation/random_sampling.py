@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import math
 import time
-from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled
 from slam_gym.association.acceptance import min_pairings as by_rule
-from slam_gym.association.compatibility import gate_pairings
-from slam_gym.association.relocation.answer import Best, answer_of, keep, nothing_found
 from slam_gym.association.relocation.constraints import Path
-from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.association.relocation.tree import JOINT, LEAVES, LIMIT, NODES, TRIES, Problem, next_branch, problem_of
+from slam_gym.association.relocation.location import place_of
+from slam_gym.association.relocation.problem import (
+    LEAVES,
+    LIMIT,
+    NODES,
+    TRIES,
+    Best,
+    Problem,
+    answer_of,
+    fewest,
+    joint_distance,
+    nothing_found,
+    offer,
+    problem_of,
+)
+from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
 _SAMPLE = 3  # measurements of a sample
 _STAR = -1  # in place of a candidate: `*` was tried, the candidates are done
-
-
-class _Located(NamedTuple):
-    """The hypothesis being extended, by its number of pairings."""
-
-    poses: Array  # (m + 1, 3)
-    covariances: Array  # (m + 1, 3, 3)
-    distances: Array  # (m + 1,) D²
 
 
 def random_sampling(
@@ -99,81 +102,62 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Be
 def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -> None:
     """JCBB from the pose of p pairings over the other measurements, every prefix located anew and jointly compatible.
 
-    By level: how many pairings there are above it, and which candidate comes next.
+    By level: how many pairings there are above it, and how many candidates were tried.
     """
-    m, effort = len(problem.allowed), problem.effort
-    located = _Located(np.empty((m + 1, 3)), np.empty((m + 1, 3, 3)), np.empty(m + 1))
-    if not _locate(located, problem, path, p):
+    effort, pose, covariance = problem.effort, np.empty(3), np.empty((3, 3))
+    if joint_distance(problem, path, p, pose, covariance) == math.inf:
         return
-    measured, features = _compatible(problem, path, p, located)
-    levels, level = np.unique(measured), 0
-    starts, depth = np.append(np.searchsorted(measured, levels), len(measured)), len(levels)
-    above, following = np.full(depth + 1, p), np.zeros(depth + 1, np.int64)
+    levels, candidates = _compatible(problem, path, p, pose, covariance)
+    level, depth = 0, len(levels)
+    above, tried = np.full(depth + 1, p), np.zeros(depth + 1, np.int64)
     while level >= 0:
         q = above[level]
-        if following[level] == _STAR or q + depth - level < best.state[0]:
+        if tried[level] == _STAR or q + depth - level < fewest(best, True):
             level -= 1
             continue
         if level == depth:
-            keep(best, path, q, located.poses[q], located.covariances[q], located.distances[q])
+            offer(best, problem, path, q)
             level -= 1
             continue
-        chosen, candidate = UNPAIRED, following[level]
-        while candidate < starts[level + 1] and chosen == UNPAIRED:
-            if not (path.features[:q] == features[candidate]).any():
-                path.measurements[q], path.features[q] = levels[level], features[candidate]
-                if _locate(located, problem, path, q + 1):
-                    chosen = features[candidate]
-            candidate += 1
-        following[level] = candidate if chosen != UNPAIRED else _STAR
+        paired = False
+        while tried[level] < len(candidates[level]) and not paired:
+            path.measurements[q], path.features[q] = levels[level], candidates[level][tried[level]]
+            free = not (path.features[:q] == path.features[q]).any()
+            paired = free and joint_distance(problem, path, q + 1, pose, covariance) < math.inf
+            tried[level] += 1
+        if not paired:
+            tried[level] = _STAR
         if effort[NODES] == node_limit:
             effort[LIMIT] = 1
             return
         effort[NODES] += 1
         level += 1
-        above[level], following[level] = q + (chosen != UNPAIRED), starts[level]
+        above[level], tried[level] = q + paired, 0
 
 
 @compiled
-def _locate(located: _Located, problem: Problem, path: Path, k: int) -> bool:
-    """Enter pose, covariance and D² of the first k pairings; whether they are jointly compatible."""
-    problem.effort[JOINT] += 1
-    pose, covariance, scan = located.poses[k], located.covariances[k], problem.scan
-    located.distances[k] = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
-    return bool(located.distances[k] < problem.joint_gates[k])
+def _compatible(
+    problem: Problem, path: Path, p: int, pose: Array, covariance: Array
+) -> tuple[list[int], list[IntArray]]:
+    """Measurements other than the first p of a path, and the features that each is compatible with, by D²_ij.
 
-
-@compiled
-def _compatible(problem: Problem, path: Path, p: int, located: _Located) -> tuple[IntArray, IntArray]:
-    """Other measurements and features that are individually compatible at the pose of p pairings, (c,) each.
-
-    By measurement, then D²_ij. Features are local to the first one paired. Pose and features are taken for independent
-    here: where a common drift correlates them the gate is too wide, and the joint test decides.
+    That is by the pose of these p pairings. Features are local to the first one paired. Pose and features are taken for
+    independent here: where a common drift correlates them the gate is too wide, and the joint test decides.
     """
-    scan, starts, pose, covariance = problem.scan, problem.starts, located.poses[p], located.covariances[p]
-    local, others = np.arange(len(problem.mapped.positions)), np.ones(len(scan.points), np.bool_)
-    if len(starts) > 0:
-        local = problem.members[starts[path.features[0]] : starts[path.features[0] + 1]]
-    others[path.measurements[:p]] = False
-    positions, covariances = np.empty((len(local), 2)), np.empty((len(local), 2, 2))
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(len(local)):
-        # h_j with covariance H Σ Hᵀ + Cᵀ P_jj C, in B, with ∂/∂θ = (dy, −dx) of C(F − t): turned into R at the end
-        F, P = problem.mapped.positions[local[k]], problem.mapped.covariances[local[k]]
-        dx, dy = F[0] - pose[0], F[1] - pose[1]
-        tt, xt, yt = covariance[2, 2], covariance[0, 2], covariance[1, 2]
-        bxx = covariance[0, 0] - 2.0 * dy * xt + dy * dy * tt + P[0, 0]
-        byy = covariance[1, 1] + 2.0 * dx * yt + dx * dx * tt + P[1, 1]
-        bxy = covariance[0, 1] + dx * xt - dy * yt - dx * dy * tt + P[0, 1]
-        positions[k, 0], positions[k, 1] = c * dx + s * dy, c * dy - s * dx
-        covariances[k, 0, 0] = c * c * bxx + 2.0 * c * s * bxy + s * s * byy
-        covariances[k, 1, 1] = s * s * bxx - 2.0 * c * s * bxy + c * c * byy
-        covariances[k, 0, 1] = covariances[k, 1, 0] = c * s * (byy - bxx) + (c * c - s * s) * bxy
-    _, found = gate_pairings(
-        scan.points, scan.noise, positions, covariances, np.flatnonzero(others), np.empty(0, np.bool_),
-        scan.gates.two, len(local),
-    )  # fmt: skip
-    features, passed = local[found.rows[found.slots]], np.empty(len(found.slots), np.bool_)
-    for k in range(len(features)):
-        passed[k] = problem.allowed[found.measured[k], features[k]]
-    return found.measured[passed], features[passed]
+    scan, F, P, first = problem.scan, problem.mapped.positions, problem.mapped.covariances, path.features[0]
+    local = np.arange(len(F))
+    if len(problem.starts) > 0:
+        local = problem.members[problem.starts[first] : problem.starts[first + 1]]
+    measurements, features, squares = [0 for _ in range(0)], [local for _ in range(0)], np.empty(len(local))
+    for i in range(len(scan.points)):
+        x, y, xx, xy, yy = place_of(scan.points, scan.noise, i, pose, covariance)
+        for k in range(len(local)):
+            j, squares[k] = local[k], math.inf
+            dx, dy, sxx, sxy, syy = F[j, 0] - x, F[j, 1] - y, xx + P[j, 0, 0], xy + P[j, 0, 1], yy + P[j, 1, 1]
+            if problem.allowed[i, j] and dx * dx < scan.gates.two * sxx:
+                squares[k] = (syy * dx * dx - 2.0 * sxy * dx * dy + sxx * dy * dy) / (sxx * syy - sxy * sxy)
+        near = np.flatnonzero(squares < scan.gates.two)
+        if len(near) > 0 and not (path.measurements[:p] == i).any():
+            measurements.append(i)
+            features.append(local[near[np.argsort(squares[near], kind="mergesort")]])
+    return measurements, features

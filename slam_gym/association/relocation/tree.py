@@ -9,43 +9,23 @@ what is illegal at a node is so in its whole subtree. `branches` is what may fol
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.relocation.arrays import Mapped
 from slam_gym.association.relocation.constraints import (
     Measured,
     Path,
     binary_test,
     difference_covariance,
     far_apart,
-    gates_at,
-    measured,
     orientation_test,
-    unary_table,
 )
-from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Landmarks, Locality, Scan
-
-NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
-"""Entries of the effort that the searches count."""
-
-
-class Problem(NamedTuple):
-    """A scan, a map and a locality, as the compiled searches take them, and what was spent on them."""
-
-    scan: Measured
-    mapped: Mapped
-    joint_gates: Array  # (m + 2,) `location_gates`
-    allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
-    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
-    members: IntArray
-    effort: IntArray  # (8,)
+from slam_gym.association.relocation.problem import BINARY, ORIENTATION, UNARY, Problem
+from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,26 +73,6 @@ class RelocationBranches:
     local: Array  # (b,) fraction of the path's features that are local to this one; 1 without pairings
 
 
-@functools.lru_cache(maxsize=256)
-def location_gates(pairings: int, confidence: float) -> Array:
-    """χ²_{2k−3,conf} for k = 0 … pairings, inf for k < 2; and at the end χ²_{3,conf}, of a pose. (pairings + 2,)."""
-    gates = [math.inf if k < 2 else chi2_gate(2 * k - 3, confidence) for k in range(pairings + 1)]
-    return np.array([*gates, chi2_gate(3, confidence)])
-
-
-def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, confidence: float) -> Problem:
-    """What a search without a prior is given. Raises ValueError for bad numbers in scan, map or locality."""
-    seen, mapped, gates = scan_arrays(scan), map_arrays(landmarks), gates_at(confidence)
-    return Problem(
-        measured(seen.points, seen.noise, gates),
-        mapped,
-        location_gates(len(scan), confidence),
-        unary_table(seen, mapped.sizes, mapped.size_variances, mapped.kinds, gates.one),
-        *locality_arrays(locality, len(landmarks)),
-        np.zeros(8, np.int64),
-    )
-
-
 def root(problem: Problem) -> RelocationNode:
     """Nothing decided."""
     nothing = np.empty(0, np.int64)
@@ -134,7 +94,7 @@ def extend(problem: Problem, node: RelocationNode, measurement: int, feature: in
     if feature == UNPAIRED:
         return RelocationNode(node.path, decided, alive)
     path = Path(np.append(node.path.measurements, measurement), np.append(node.path.features, feature))
-    _keep_what_follows(problem, alive, path)
+    keep_what_follows(problem, alive, path)
     return RelocationNode(path, decided, alive)
 
 
@@ -145,19 +105,16 @@ def follows(scan: Measured, mapped: Mapped, effort: IntArray, path: Path, p: int
     The unary constraint and the locality of the first pairing are the caller's to see to: both say where to look. The
     first three arguments are of a `Problem`; taken out of it here, at every call, they cost as much as the tests.
     """
+    measurements, features = path
     for a in range(since, p):
-        if path.features[a] == j:
+        if features[a] == j:
             return False
         effort[BINARY] += 1
-        if not binary_test(scan, mapped, path.measurements[a], path.features[a], i, j):
+        if not binary_test(scan, mapped, measurements[a], features[a], i, j):
             return False
     for a in range(max(since, 1), p):
         effort[ORIENTATION] += 1
-        measurements, features = (
-            (path.measurements[0], path.measurements[a], i),
-            (path.features[0], path.features[a], j),
-        )
-        if not orientation_test(scan, mapped, measurements, features):
+        if not orientation_test(scan, mapped, (measurements[0], measurements[a], i), (features[0], features[a], j)):
             return False
     return True
 
@@ -169,30 +126,26 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
     Candidates are the features local to the first one paired, or all; the first `tried` of them are done with.
     """
     scan, mapped, effort, allowed = problem.scan, problem.mapped, problem.effort, problem.allowed
-    positions, P, starts, members = mapped.positions, mapped.covariances, problem.starts, problem.members
-    gate = scan.gates.two
-    restricted = p > 0 and len(starts) > 0
-    begin, end = 0, len(positions)
+    F, P, starts, members, gate = mapped.positions, mapped.covariances, problem.starts, problem.members, scan.gates.two
+    begin, end, x, y, trace, distance, spread = 0, len(F), 0.0, 0.0, 0.0, 0.0, 0.0
+    first, restricted = path.features[0] if p > 0 else UNPAIRED, p > 0 and len(starts) > 0
     if restricted:
-        begin, end = starts[path.features[0]], starts[path.features[0] + 1]
-    first, x0, y0, trace, distance, spread = UNPAIRED, 0.0, 0.0, 0.0, 0.0, 0.0
+        begin, end = starts[first], starts[first + 1]
     if p > 0:
-        first = path.features[0]
-        x0, y0, trace = positions[first, 0], positions[first, 1], P[first, 0, 0] + P[first, 1, 1]
-        k = path.measurements[0]
-        distance, spread = scan.distances[i, k], scan.spreads[i, k]
-    for position in range(begin + tried, end):
-        j = members[position] if restricted else position
+        x, y, trace = F[first, 0], F[first, 1], P[first, 0, 0] + P[first, 1, 1]
+        distance, spread = scan.distances[i, path.measurements[0]], scan.spreads[i, path.measurements[0]]
+    for at in range(begin + tried, end):
+        j = members[at] if restricted else at
         effort[UNARY] += 1
         if not allowed[i, j]:
             continue
         if p > 0:  # what `follows` would do first, with all at hand: it settles most pairings
-            x, y = positions[j, 0] - x0, positions[j, 1] - y0
-            if far_apart(distance - math.sqrt(x * x + y * y), spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
+            error = distance - math.sqrt((F[j, 0] - x) ** 2 + (F[j, 1] - y) ** 2)
+            if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
                 effort[BINARY] += first != j
                 continue
         if follows(scan, mapped, effort, path, p, i, j, 0):
-            return j, position + 1 - begin
+            return j, at + 1 - begin
     return UNPAIRED, end - begin
 
 
@@ -207,7 +160,7 @@ def _local_to(problem: Problem, feature: int) -> BoolArray:
 
 
 @compiled
-def _keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
+def keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
     """Strike from `alive` (m, n), in place, what the last pairing of the path rules out."""
     scan, mapped, effort, p = problem.scan, problem.mapped, problem.effort, len(path.features)
     local = _local_to(problem, path.features[p - 1])
@@ -223,8 +176,8 @@ def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidat
 
     D² of a distance is (g_scan − g_map)² / (σ²_scan + σ²_map).
     """
-    scan, mapped, effort, p = problem.scan, problem.mapped, problem.effort, len(path.features)
-    positions = mapped.positions
+    scan, mapped, effort, positions = problem.scan, problem.mapped, problem.effort, problem.mapped.positions
+    p = len(path.features)
     longer = Path(np.empty(p + 1, np.int64), np.empty(p + 1, np.int64))
     longer.measurements[:p], longer.features[:p], longer.measurements[p] = path.measurements, path.features, i
     support, figures = np.zeros(len(candidates), np.int64), np.zeros((len(candidates), 3))

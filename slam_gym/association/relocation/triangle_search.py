@@ -18,11 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_gym._jit import compiled, inlined
-from slam_gym.association.relocation.answer import Best, keep, nothing_found
-from slam_gym.association.relocation.arrays import ScanArrays
 from slam_gym.association.relocation.constraints import Measured, Path, unary_test
-from slam_gym.association.relocation.location import locate_pairings
-from slam_gym.association.relocation.tree import BINARY, JOINT, LEAVES, LIMIT, NODES, TRIES, Problem
+from slam_gym.association.relocation.location import locate_pairings, place_of
+from slam_gym.association.relocation.problem import (
+    BINARY,
+    JOINT,
+    LEAVES,
+    LIMIT,
+    NODES,
+    TRIES,
+    Best,
+    Problem,
+    fewest,
+    keep,
+    nothing_found,
+)
 from slam_gym.types import UNPAIRED, Array, IntArray
 
 FAR = 255  # in the raster of distances: farther than it reaches
@@ -70,9 +80,7 @@ class Look(NamedTuple):
     """What is looked for."""
 
     problem: Problem  # without the table of unary constraints, which would take time linear in the map
-    seen: ScanArrays
     needed: int  # pairings
-    decisive: int  # pairings that chance need not be feared for
     node_limit: int
 
 
@@ -94,67 +102,45 @@ class _Seed(NamedTuple):
 def search(table: TriangleHash, look: Look) -> Best:
     """All hypotheses with most pairings, one less than needed at least.
 
-    With as many pairings as needed, there are no others with as many but what the gates turn away. With decisive ones,
-    the search ends as soon as triples of what is paired have shown no other place that looks alike.
+    The search ends with one pairing more than needed, once triples of what is paired have shown no other place that
+    looks alike. With as many as needed, there are no others with as many but what the gates turn away.
     """
-    m = len(look.problem.scan.points)
-    best, complete = nothing_found(m), m < max(look.needed, 3)
+    scan, best = look.problem.scan, nothing_found(len(look.problem.scan.points))
     best.state[0] = max(look.needed - 1, 3) - 1
-    while not complete:
-        complete = _try_groups(table, look, best)
-    if _most_groups(look, best) == 0:
-        _try_likes(table, look, best)
+    if len(scan.points) < max(look.needed, 3):
+        return best
+    for triple in _triples(scan, np.arange(len(scan.points)), max((look.needed - 1) // 2, 1), table.reach):
+        _try_triple(table, look, best, triple)
+        if look.problem.effort[LIMIT] > 0 or best.state[0] > look.needed:
+            break
+    pairings = look.needed
+    while pairings < best.state[0]:
+        pairings, fresh = best.state[0], np.ones(len(scan.points), np.bool_)
+        paired = np.flatnonzero(best.features[best.state[2]] != UNPAIRED)
+        for triple in _triples(scan, paired, pairings // 3, table.reach):
+            if fresh[triple].all() and look.problem.effort[LIMIT] == 0:
+                fresh[triple] = False
+                _try_triple(table, look, best, triple)
     return best
 
 
 @compiled
-def _most_groups(look: Look, best: Best) -> int:
-    """The most groups whose triples leave no better pose unseen, nor another as good; 0 with decisive pairings."""
-    found = best.state[0] if best.state[1] > 0 else 0
-    return 0 if found >= look.decisive else max((max(look.needed, found) - 1) // 2, 1)
-
-
-@compiled
-def _try_groups(table: TriangleHash, look: Look, best: Best) -> bool:
-    """Look up all triples within groups; False if that was cut short, since a better hypothesis needs fewer of them."""
-    groups, everything = _most_groups(look, best), np.arange(len(look.problem.scan.points))
-    for triple in _triples(look.problem.scan, everything, groups, table.reach):
-        _try_triple(table, look, best, triple)
-        enough = _most_groups(look, best)
-        if look.problem.effort[LIMIT] > 0 or enough == 0:
-            return True
-        if enough > groups:
-            return False
-    return True
-
-
-@compiled
-def _try_likes(table: TriangleHash, look: Look, best: Best) -> None:
-    """Look up disjoint triples of what the best explains, until it stays: a place like its own explains one of them."""
-    pairings = 0
-    while pairings < best.state[0]:
-        pairings, fresh = best.state[0], np.ones(len(best.features[0]), np.bool_)
-        paired = np.flatnonzero(best.features[best.state[2]] != UNPAIRED)
-        for triple in _triples(look.problem.scan, paired, pairings // 3, table.reach):
-            if fresh[triple].all() and look.problem.effort[LIMIT] == 0:
-                fresh[triple] = False
-                _try_triple(table, look, best, triple)
-
-
-@compiled
 def _triples(scan: Measured, measurements: IntArray, groups: int, reach: float) -> IntArray:
-    """Triples (t, 3) within compact groups of measurements, small circumcircles first."""
-    m = len(measurements)
-    triples, radii, count = np.empty((m * m * m // 6 + 1, 3), np.int64), np.empty(m * m * m // 6 + 1), 0
+    """Triples (t, 3) within compact groups of measurements, counterclockwise, small circumcircles first."""
+    m, z, count = len(measurements), scan.points, 0
+    triples, radii = np.empty((m * m * m // 6 + 1, 3), np.int64), np.empty(m * m * m // 6 + 1)
     group = _near_groups(scan, measurements, groups, reach)
-    for p in range(m):
-        for q in range(p):
-            for r in range(q if group[measurements[p]] == group[measurements[q]] else 0):
-                if group[measurements[p]] == group[measurements[r]]:
-                    triple = triples[count]
-                    triple[0], triple[1], triple[2] = measurements[p], measurements[q], measurements[r]
-                    radii[count] = _turn(scan, triple)
-                    count += 1
+    for i in measurements:
+        for k in measurements:
+            for l in measurements:
+                if not (l < k < i and group[i] == group[k] and group[i] == group[l]):
+                    continue
+                area = (z[k, 0] - z[i, 0]) * (z[l, 1] - z[i, 1]) - (z[k, 1] - z[i, 1]) * (z[l, 0] - z[i, 0])
+                triples[count, 0] = i
+                triples[count, 1], triples[count, 2] = (k, l) if area >= 0.0 else (l, k)
+                sides = scan.distances[i, k] * scan.distances[k, l] * scan.distances[l, i]
+                radii[count] = sides / (2.0 * abs(area) + 1e-9)
+                count += 1
     return triples[:count][np.argsort(radii[:count], kind="mergesort")]
 
 
@@ -181,31 +167,17 @@ def _groups(points: Array, members: IntArray, groups: int) -> IntArray:
 
     Points are cut in two across their longer extent, in proportion to the groups wanted on either side, and so on.
     """
-    group, order, uncut = np.empty(len(points), np.int64), members.copy(), [(0, len(members), 0, groups)]
+    group, uncut = np.empty(len(points), np.int64), [(members, 0, groups)]
     while len(uncut) > 0:
-        low, high, first, count = uncut.pop()
-        part = order[low:high].copy()
+        part, first, count = uncut.pop()
         group[part] = first
-        if count > 1:
-            x, y = points[part, 0], points[part, 1]
-            wide = x.max() - x.min() >= y.max() - y.min()
-            order[low:high] = part[np.argsort(x if wide else y, kind="mergesort")]
-            left = count // 2
-            cut = low + ((high - low) * left + count // 2) // count
-            uncut.append((low, cut, first, left))
-            uncut.append((cut, high, first + left, count - left))
+        if count > 1 and len(part) > 0:
+            x, y, left = points[part, 0], points[part, 1], count // 2
+            part = part[np.argsort(x if x.max() - x.min() >= y.max() - y.min() else y, kind="mergesort")]
+            cut = (len(part) * left + count // 2) // count
+            uncut.append((part[:cut], first, left))
+            uncut.append((part[cut:], first + left, count - left))
     return group
-
-
-@compiled
-def _turn(scan: Measured, triple: IntArray) -> float:
-    """Turn a triple so that it runs counterclockwise; the radius [m] of its circumcircle."""
-    a, b, c = scan.points[triple[0]], scan.points[triple[1]], scan.points[triple[2]]
-    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    if area < 0.0:
-        triple[1], triple[2] = triple[2], triple[1]
-    sides = scan.distances[triple[0], triple[1]] * scan.distances[triple[1], triple[2]]
-    return float(sides * scan.distances[triple[2], triple[0]] / (2.0 * abs(area) + 1e-9))
 
 
 @compiled
@@ -298,11 +270,11 @@ def _verify(table: TriangleHash, look: Look, best: Best, seed: _Seed, corners: I
     poses = _implied_poses(problem.mapped.positions, problem.scan.points[corners], triangles)
     missed, m = _missed(table.raster, seed, poses), len(problem.scan.points)
     located, features, squares = (np.empty(3), np.empty((3, 3))), np.empty(m, np.int64), np.empty(m)
-    for t in np.flatnonzero(missed <= m - _wanted(best)):
+    for t in np.flatnonzero(missed <= m - fewest(best, True)):
         if problem.effort[NODES] > look.node_limit:
             break
         _locate_robot(seed, poses[:, t], located)
-        k = _pair_around(table, look, located, triangles[t, 0], _wanted(best), features, squares)
+        k = _pair_around(table, look, located, triangles[t, 0], fewest(best, True), features, squares)
         if k > 0 and _is_new(look, best, corners, triangles[t]):
             problem.effort[LEAVES] += 1
             _examine(table, look, best, triangles[t, 0], located, k, features, squares)
@@ -331,12 +303,6 @@ def _missed(raster: Raster, seed: _Seed, poses: Array) -> IntArray:
     return missed
 
 
-@inlined
-def _wanted(best: Best) -> int:
-    """The fewest pairings that are worth keeping."""
-    return int(best.state[0] + (best.state[1] == 0))
-
-
 @compiled
 def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Array:
     """Least-squares fits of three points to triangles (t, 3): x, y of their centroid, cos θ, sin θ, (4, t)."""
@@ -355,7 +321,7 @@ def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Ar
 def _is_new(look: Look, best: Best, corners: IntArray, features: Integers32) -> bool:
     """Whether three pairings satisfy the unary constraints and locality, and are not all part of what is kept."""
     for k in range(3):
-        if not _may_pair(look, corners[k], features[k], features[0]):
+        if not _may_pair(look.problem, corners[k], features[k], features[0]):
             return False
     kept = 0
     for r in range(best.state[1]):
@@ -389,7 +355,7 @@ def _examine(
     Then drop the worst until the rest is jointly compatible, and keep what is as good as the best or better.
     `located`, `features` and their D² are written to.
     """
-    problem, scan, wanted, (pose, covariance) = look.problem, look.problem.scan, _wanted(best), located
+    problem, scan, wanted, (pose, covariance) = look.problem, look.problem.scan, fewest(best, True), located
     path, before = Path(np.empty(len(features), np.int64), np.empty(len(features), np.int64)), features.copy()
     k, distance = paired, math.inf
     for _ in range(_ROUNDS):
@@ -417,12 +383,11 @@ def _examine(
 
 
 @inlined
-def _may_pair(look: Look, i: int, j: int, anchor: int) -> bool:
+def _may_pair(problem: Problem, i: int, j: int, anchor: int) -> bool:
     """The unary constraints, as far as sizes and kinds are known, and the locality of feature `anchor`."""
-    problem, seen, mapped = look.problem, look.seen, look.problem.mapped
-    of_feature = mapped.sizes[j], mapped.size_variances[j], mapped.kinds[j]
-    gate = problem.scan.gates.one
-    if not unary_test(seen.sizes[i], seen.size_variances[i], seen.kinds[i], *of_feature, gate):
+    scan, mapped = problem.scan, problem.mapped
+    seen = scan.sizes[i], scan.size_variances[i], scan.kinds[i]
+    if not unary_test(*seen, mapped.sizes[j], mapped.size_variances[j], mapped.kinds[j], scan.gates.one):
         return False
     if len(problem.starts) == 0:
         return True
@@ -447,17 +412,9 @@ def _pair_around(
     """
     scan, positions, spreads = look.problem.scan, look.problem.mapped.positions, look.problem.mapped.covariances
     grid, (pose, P), gate, misses = table.grid, located, look.problem.scan.gates.two, 0
-    (rows, columns), (left, bottom, side), c, s = grid.shape, grid.origin, math.cos(pose[2]), math.sin(pose[2])
+    (rows, columns), (left, bottom, side) = grid.shape, grid.origin
     for i in range(len(features)):
-        lx, ly = c * scan.points[i, 0] - s * scan.points[i, 1], s * scan.points[i, 0] + c * scan.points[i, 1]
-        x, y, R = pose[0] + lx, pose[1] + ly, scan.noise[i]
-        # J P Jᵀ + C R Cᵀ with J = ∂(t + C z)/∂(t, θ)
-        xx = P[0, 0] - 2.0 * ly * P[0, 2] + ly * ly * P[2, 2]
-        yy = P[1, 1] + 2.0 * lx * P[1, 2] + lx * lx * P[2, 2]
-        xy = P[0, 1] + lx * P[0, 2] - ly * P[1, 2] - lx * ly * P[2, 2]
-        xx += c * c * R[0, 0] - 2.0 * c * s * R[0, 1] + s * s * R[1, 1]
-        yy += s * s * R[0, 0] + 2.0 * c * s * R[0, 1] + c * c * R[1, 1]
-        xy += c * s * (R[0, 0] - R[1, 1]) + (c * c - s * s) * R[0, 1]
+        x, y, xx, xy, yy = place_of(scan.points, scan.noise, i, pose, P)
         features[i], squares[i] = UNPAIRED, gate
         radius = math.sqrt(gate * (max(xx, yy) + abs(xy) + table.widest))
         first = max(math.floor((x - radius - left) / side), 0)
@@ -472,7 +429,7 @@ def _pair_around(
                 sxx, sxy, syy = xx + spreads[j, 0, 0], xy + spreads[j, 0, 1], yy + spreads[j, 1, 1]
                 determinant = sxx * syy - sxy * sxy
                 square = syy * dx * dx - 2.0 * sxy * dx * dy + sxx * dy * dy
-                if square < squares[i] * determinant and _may_pair(look, i, j, anchor):
+                if square < squares[i] * determinant and _may_pair(look.problem, i, j, anchor):
                     features[i], squares[i] = j, square / determinant
         misses += features[i] == UNPAIRED
         for k in range(i if features[i] != UNPAIRED else 0):

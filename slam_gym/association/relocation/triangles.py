@@ -15,23 +15,21 @@ import math
 import time
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import Crowding, least_pairings, log_expected
+from slam_gym.association.acceptance import Crowding, crowding_of, least_pairings, log_expected
 from slam_gym.association.acceptance import min_pairings as by_rule
 from slam_gym.association.compatibility import chi2_gate
-from slam_gym.association.relocation.answer import answer_of
 from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import difference_covariance, gates_at, measured
 from slam_gym.association.relocation.location import locate
-from slam_gym.association.relocation.tree import Problem, location_gates
+from slam_gym.association.relocation.problem import Problem, answer_of, location_gates
 from slam_gym.association.relocation.triangle_search import (
     FAR,
     Bytes,
-    Floats32,
     Grid,
-    Integers16,
     Integers32,
     Look,
     Raster,
@@ -46,7 +44,6 @@ _SAMPLE = 200  # features by whose surroundings the reach is judged
 _TRIANGLES, _TRIANGLES_EACH = 40_000, 64  # at most: in any map, or for each feature
 _NEAREST = 24  # features around each that its error is taken relative to, every other one of them
 _POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
-_DECISIVE = 0.002  # probability of pairings by chance so small that no rival of the same number is looked for
 _FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
 _RASTER_CELLS = 512  # for each feature, at most
 
@@ -91,10 +88,9 @@ class FeatureIndex:
         """The pose that explains most measurements, if it explains enough and no other explains as many.
 
         With `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule of
-        `acceptance`, with densities in squares of 1.5 reach; what explains two less is not looked for. The
-        search ends once no pose is unseen that explains as many measurements as the best. It also ends with one pairing
-        more than needed, or with so many as chance brings once in 500 maps by the rule, where disjoint triples of what
-        is paired have shown no other place that looks alike.
+        `acceptance`, with densities in squares of 1.5 reach; what explains two less is not looked for. The search ends
+        once no pose is unseen that explains as many measurements as needed. It also ends with one pairing more, where
+        disjoint triples of what is paired have shown no other place that looks alike.
 
         `node_limit` bounds the nodes: poses verified, every location counting as 30. Default: 20 000 and 3 for each
         feature, some three times what it takes to refuse a scan of 20 measurements from elsewhere. Where it is met,
@@ -103,24 +99,23 @@ class FeatureIndex:
         Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
         another number of features.
         """
-        began, seen, gates = time.perf_counter(), scan_arrays(scan), gates_at(confidence)
-        decisive = len(scan) + 1
+        began, gates = time.perf_counter(), gates_at(confidence)
         if min_pairings is None:
             by_chance = log_expected(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
-            min_pairings, decisive = least_pairings(by_chance, 0.02), least_pairings(by_chance, _DECISIVE)
+            min_pairings = least_pairings(by_chance, 0.02)
         if min_pairings < 3:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
         if node_limit is None:
             node_limit = _POSES + _POSES_EACH * len(self)
         problem = Problem(
-            measured(seen.points, seen.noise, gates),
+            measured(scan_arrays(scan), gates),
             self._mapped,
             location_gates(len(scan), confidence),
             np.empty((0, 0), np.bool_),
             *locality_arrays(locality, len(self)),
             np.zeros(8, np.int64),
         )
-        best = search(self._hash, Look(problem, seen, min_pairings, min(decisive, min_pairings + 1), node_limit))
+        best = search(self._hash, Look(problem, min_pairings, node_limit))
         answer = answer_of(best, problem, min_pairings, time.perf_counter() - began)
         if answer.pairings and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
             located = locate(scan, self.landmarks, answer.features)
@@ -130,11 +125,8 @@ class FeatureIndex:
 
     @functools.cached_property
     def _crowding(self) -> Crowding:
-        """That of squares of 1.5 reach, with the mean variance of all features relative to those around."""
-        positions, width = self._mapped.positions, 1.5 * self.reach
-        others = cKDTree(positions).query_ball_point(positions, 0.5 * width, p=math.inf, return_length=True) - 1
-        variance = 0.5 * float(np.trace(self._mapped.covariances, axis1=1, axis2=2).mean()) if len(self) else 0.0
-        return Crowding(np.bincount(others), width * width, variance)
+        """That of squares of 1.5 reach."""
+        return crowding_of(self.landmarks, 1.5 * self.reach)
 
 
 def indexed(
@@ -188,33 +180,21 @@ def _differences(mapped: Mapped, near: IntArray) -> Array:
     return out
 
 
-def _usual_reach(positions: Array) -> float:
-    """[m] what gives each feature enough others within reach; 11 m where there are fewer than three features."""
-    n = len(positions)
-    if n < 3:
-        return 11.0
-    near = min(int(_WITHIN * math.sqrt(_most_triangles(n) / (_TRIANGLES_EACH * n))), n - 1)
-    distances = cKDTree(positions).query(positions[:: max(n // _SAMPLE, 1)], k=near + 1)[0]
-    return max(float(np.median(distances[:, near])), 1e-3)
-
-
-def _most_triangles(n: int) -> int:
-    return max(_TRIANGLES_EACH * n, _TRIANGLES)
-
-
 def _hash_of(mapped: Mapped) -> TriangleHash:
     """The hash of a map whose covariances are relative to the features around."""
-    positions, spreads, n = mapped.positions, mapped.covariances, len(mapped.positions)
-    reach, most = _usual_reach(positions), _most_triangles(len(positions))
-    widest = np.linalg.eigvalsh(spreads)[:, 1].astype(np.float64)
-    noise = math.sqrt(float(np.median(np.trace(spreads, axis1=1, axis2=2))) + 1e-6) if n else 0.07
+    positions, n = mapped.positions, len(mapped.positions)
+    tree, most = cKDTree(positions), max(_TRIANGLES_EACH * n, _TRIANGLES)
+    reach = _usual_reach(tree, most)
+    widest = np.linalg.eigvalsh(mapped.covariances)[:, 1].astype(np.float64)
+    noise = math.sqrt(float(np.median(np.trace(mapped.covariances, axis1=1, axis2=2))) + 1e-6) if n else 0.07
     noise = max(noise, reach / 400.0)
-    reach, neighbours = _neighbours(positions, reach)
     quantum = max(5.0 * noise, reach / 32.0)
-    cells, corners, sides = _triangles(mapped, neighbours, quantum, reach, most)
-    while len(cells) > most:
-        reach, neighbours = _neighbours(positions, 0.9 * reach)
-        cells, corners, sides = _triangles(mapped, neighbours, quantum, reach, most)
+    while True:  # where features crowd, the reach is less
+        if n == 0 or tree.count_neighbors(tree, reach) <= 4 * _WITHIN * most / _TRIANGLES_EACH:
+            cells, corners, sides = _triangles(mapped, _neighbours(tree, reach), quantum, reach, most)
+            if len(cells) <= most:
+                break
+        reach *= 0.9
     order = np.argsort(cells, kind="stable")
     starts = np.searchsorted(cells[order], np.arange(cell_number(math.floor(reach / quantum) + 1, 0, 0) + 1))
     grid, raster = _grid_of(positions, reach / 7.0), _raster_of(positions, widest, 3.5 * noise)
@@ -222,95 +202,92 @@ def _hash_of(mapped: Mapped) -> TriangleHash:
     return TriangleHash(starts, corners[order], sides[order], grid, raster, reach, quantum, largest)
 
 
-def _neighbours(positions: Array, reach: float) -> tuple[float, tuple[IntArray, IntArray]]:
-    """Features later than each and within reach of it, (n + 1,) starts and (e,); the reach is less where they crowd."""
-    n, tree = len(positions), cKDTree(positions)
-    while n and tree.count_neighbors(tree, reach) > 4 * _WITHIN * _most_triangles(n) / _TRIANGLES_EACH:
-        reach *= 0.9
+def _usual_reach(tree: cKDTree, most: int) -> float:
+    """[m] what gives each feature enough others within reach; 11 m where there are fewer than three features."""
+    if tree.n < 3:
+        return 11.0
+    near = min(int(_WITHIN * math.sqrt(most / (_TRIANGLES_EACH * tree.n))), tree.n - 1)
+    distances = tree.query(tree.data[:: max(tree.n // _SAMPLE, 1)], k=near + 1)[0]
+    return max(float(np.median(distances[:, near])), 1e-3)
+
+
+def _neighbours(tree: cKDTree, reach: float) -> tuple[IntArray, IntArray]:
+    """Features later than each and within reach of it, (n + 1,) starts and (e,)."""
     pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return reach, (np.searchsorted(pairs[:, 0], np.arange(n + 1)), np.ascontiguousarray(pairs[:, 1]))
+    return np.searchsorted(pairs[:, 0], np.arange(tree.n + 1)), np.ascontiguousarray(pairs[:, 1])
 
 
 @compiled
 def _triangles(
     mapped: Mapped, neighbours: tuple[IntArray, IntArray], quantum: float, reach: float, most: int
-) -> tuple[Integers16, Integers32, Floats32]:
+) -> tuple[NDArray[np.int16], Integers32, NDArray[np.float32]]:
     """Cell, corners and sides of each triangle; not of all where they are more than `most`, but of one more."""
-    positions, spreads, (starts, later), count = mapped.positions, mapped.covariances, neighbours, 0
+    F, P, (starts, later), count = mapped.positions, mapped.covariances, neighbours, 0
     cells, corners = np.empty(most + 1, np.int16), np.empty((most + 1, 3), np.int32)
-    sides, numbers, lengths = np.empty((most + 1, 4), np.float32), np.empty(3, np.int64), np.empty(3)
-    for f in range(len(positions)):
+    sides, turned, lengths = np.empty((most + 1, 4), np.float32), np.empty(3, np.int64), np.empty(3)
+    for f in range(len(F)):
         for p in range(starts[f], starts[f + 1]):
             for q in range(starts[f], p):
                 j, l = later[q], later[p]
-                (fx, fy), (jx, jy), (lx, ly) = positions[f], positions[j], positions[l]
-                if (jx - lx) ** 2 + (jy - ly) ** 2 > reach * reach or count > most:
+                if (F[j, 0] - F[l, 0]) ** 2 + (F[j, 1] - F[l, 1]) ** 2 > reach * reach or count > most:
                     continue
-                if (jx - fx) * (ly - fy) - (jy - fy) * (lx - fx) < 0.0:
-                    j, l = l, j
-                numbers[0], numbers[1], numbers[2] = f, j, l
+                area = (F[j, 0] - F[f, 0]) * (F[l, 1] - F[f, 1]) - (F[j, 1] - F[f, 1]) * (F[l, 0] - F[f, 0])
+                turned[0], turned[1], turned[2], variance = f, j if area >= 0.0 else l, l if area >= 0.0 else j, 0.0
                 for k in range(3):
-                    a, b = numbers[k], numbers[(k + 1) % 3]
-                    lengths[k] = math.hypot(positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1])
-                first, variance = int(np.argmax(lengths)), 0.0
-                longest, second, third = lengths[first], lengths[(first + 1) % 3], lengths[(first + 2) % 3]
-                cells[count] = cell_number(int(longest / quantum), int(second / quantum), int(third / quantum))
-                for side in range(3):
-                    a, b = numbers[(first + side) % 3], numbers[(first + side + 1) % 3]
-                    x, y = positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1]
-                    xx, yy = spreads[a, 0, 0] + spreads[b, 0, 0], spreads[a, 1, 1] + spreads[b, 1, 1]
-                    xy = spreads[a, 0, 1] + spreads[b, 0, 1]
-                    corners[count, side], sides[count, side] = a, lengths[(first + side) % 3]
-                    square = x * x + y * y
+                    a, b = turned[k], turned[(k + 1) % 3]
+                    x, y, xx, yy = (
+                        F[b, 0] - F[a, 0],
+                        F[b, 1] - F[a, 1],
+                        P[a, 0, 0] + P[b, 0, 0],
+                        P[a, 1, 1] + P[b, 1, 1],
+                    )
+                    square, xy = x * x + y * y, P[a, 0, 1] + P[b, 0, 1]
+                    lengths[k] = math.sqrt(square)
                     along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
                     variance = max(variance, along)
+                first = int(np.argmax(lengths))
+                for k in range(3):
+                    corners[count, k], sides[count, k] = turned[(first + k) % 3], lengths[(first + k) % 3]
                 sides[count, 3] = variance
+                c, a, b = lengths[first], lengths[(first + 1) % 3], lengths[(first + 2) % 3]
+                cells[count] = cell_number(int(c / quantum), int(a / quantum), int(b / quantum))
                 count += 1
     return cells[:count], corners[:count], sides[:count]
 
 
+def _coarse_enough(positions: Array, side: float, most: int) -> tuple[float, Array, Array]:
+    """[m] `side`, or so much more that about so many cells cover the positions, and the corners (2,) of these."""
+    low, high = (positions.min(axis=0), positions.max(axis=0)) if len(positions) else np.zeros((2, 2))
+    while np.prod((high - low) / side + 1.0) > most * len(positions) + 1024:
+        side *= 1.25
+    return side, low, high
+
+
 def _grid_of(positions: Array, side: float) -> Grid:
     """Cells of `side` [m], or more where they would be too many for so few features."""
-    low, high = positions.min(axis=0, initial=math.inf), positions.max(axis=0, initial=-math.inf)
-    if not len(positions):
-        low = high = np.zeros(2)
-    side = _coarse_enough(high - low, side, 8 * len(positions))
+    side, low, high = _coarse_enough(positions, side, 8)
     columns, rows = (math.floor(extent / side) + 1 for extent in (high - low).tolist())
     cells = np.floor((positions - low) / side).astype(np.int64)
     numbers = cells[:, 1] * columns + cells[:, 0]
     starts = np.concatenate(([0], np.cumsum(np.bincount(numbers, minlength=rows * columns))))
-    origin = (float(low[0]), float(low[1]), side)
-    return Grid(starts, np.argsort(numbers, kind="stable"), (rows, columns), origin)
-
-
-def _coarse_enough(extent: Array, side: float, cells: int) -> float:
-    """[m] `side`, or so much more that no more than about so many `cells` cover an `extent` (2,) [m]."""
-    while (extent[0] / side + 1.0) * (extent[1] / side + 1.0) > cells + 1024:
-        side *= 1.25
-    return side
+    return Grid(starts, np.argsort(numbers, kind="stable"), (rows, columns), (float(low[0]), float(low[1]), side))
 
 
 def _raster_of(positions: Array, widest: Array, side: float) -> Raster:
-    """Cells of `side` [m], or more where they would be too many; distances up to six of them are told."""
-    if not len(positions):
-        return Raster(np.full((1, 1), FAR, np.uint8), (0.0, 0.0, side), side)
-    gate = chi2_gate(2, 0.99)
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    side = _coarse_enough(high - low, side, _RASTER_CELLS * len(positions))
-    step = 7.0 * side / FAR
-    margin = math.hypot(7.0 * side, math.sqrt(gate * float(widest.max()))) + 2.0 * side
-    margin = min(margin, 8.0 * side + float((high - low).max()))
-    columns, rows = (math.floor((extent + 2.0 * margin) / side) + 1 for extent in (high - low).tolist())
-    steps, origin = np.full((rows, columns), FAR, np.uint8), (float(low[0] - margin), float(low[1] - margin), side)
-    _paint(steps, origin, step, positions, gate * widest)
-    return Raster(steps, origin, step)
+    """Cells are of `side` [m], or more where they would be too many; distances up to seven of them are told."""
+    side, low, high = _coarse_enough(positions, side, _RASTER_CELLS)
+    step, (left, bottom) = 7.0 * side / FAR, (low - 9.0 * side).tolist()
+    columns, rows = (math.floor(extent / side) + 19 for extent in (high - low).tolist())
+    raster = np.full((rows, columns), FAR, np.uint8)
+    _paint(raster, (left, bottom, side), step, positions, chi2_gate(2, 0.99) * widest)
+    return Raster(raster, (left, bottom, side), step)
 
 
 @compiled
-def _paint(steps: Bytes, origin: tuple[float, float, float], step: float, positions: Array, explained: Array) -> None:
+def _paint(raster: Bytes, origin: tuple[float, float, float], step: float, positions: Array, explained: Array) -> None:
     """Enter the distances of all features, of which `explained` (n,) [m²] of the squares is their own uncertainty."""
-    (rows, columns), (left, bottom, side), furthest = steps.shape, origin, (FAR * step) ** 2
+    (rows, columns), (left, bottom, side), furthest = raster.shape, origin, (FAR * step) ** 2
     for j in range(len(positions)):
         x, y, radius = positions[j, 0], positions[j, 1], math.sqrt(furthest + explained[j])
         for row in range(max(int((y - radius - bottom) / side), 0), min(int((y + radius - bottom) / side) + 1, rows)):
@@ -320,4 +297,4 @@ def _paint(steps: Bytes, origin: tuple[float, float, float], step: float, positi
                 dx = max(column * side + left - x, x - left - (column + 1) * side, 0.0)
                 square = dx * dx + dy * dy - explained[j]
                 if square < furthest:
-                    steps[row, column] = min(steps[row, column], int(math.sqrt(max(square, 0.0)) / step))
+                    raster[row, column] = min(raster[row, column], int(math.sqrt(max(square, 0.0)) / step))

@@ -13,19 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_gym.association.acceptance import min_pairings
-from slam_gym.association.relocation.answer import answer_of, nothing_found, offer
-from slam_gym.association.relocation.tree import (
+from slam_gym.association.relocation.problem import (
     LEAVES,
     LIMIT,
     NODES,
     TRIES,
     UNARY,
-    RelocationBranches,
-    branches,
-    extend,
+    answer_of,
+    nothing_found,
+    offer,
     problem_of,
-    root,
 )
+from slam_gym.association.relocation.tree import RelocationBranches, branches, extend, root
 from slam_gym.association.walks import ORDERS, Order
 from slam_gym.types import UNPAIRED, BoolArray, IntArray, Landmarks, Locality, Relocation, Scan
 from slam_gym.validation import one_of
@@ -78,12 +77,12 @@ class RelocationWalk:
             scan = Scan.from_points(scan.points, scan.covariances, kinds=scan.kinds)
         self.spec, self.scan, self.landmarks, self.locality = spec, scan, landmarks, locality
         self.problem = problem_of(scan, landmarks, locality, spec.confidence)
-        self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
         self.problem.effort[UNARY] = self.problem.allowed.size
+        self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
         self.done = False
-        self._at_root: dict[int, RelocationBranches] = {}  # every try begins with the same offer
+        self._first_offer: RelocationBranches | None = None  # every try begins with the same
         self._kept = nothing_found(len(scan))
-        self.order = self._in_order()
+        self.order = self._in_order()  # (m,) the measurements, level by level
         self.best = self.answer()
         self._begin()
 
@@ -92,7 +91,7 @@ class RelocationWalk:
     @property
     def level(self) -> int:
         """Measurements decided."""
-        return len(self.path)
+        return len(self.offered)
 
     @property
     def measurement(self) -> int | None:
@@ -102,17 +101,17 @@ class RelocationWalk:
     @property
     def at_leaf(self) -> bool:
         """Nothing is left to decide but to stop or to restart."""
-        return self._offer is None
+        return self.offer is None
 
     @property
-    def offer(self) -> RelocationBranches | None:
-        """What it may be paired with, by rank; the first K are on offer. None at a leaf."""
-        return self._offer
+    def shown(self) -> IntArray:
+        """The features on offer, at most K; none at a leaf."""
+        return self.order[:0] if self.offer is None else self.offer.features[: self.spec.candidates]
 
     @property
     def hidden(self) -> int:
         """Legal candidates that are not on offer since there are more than K."""
-        return 0 if self._offer is None else max(len(self._offer.features) - self.spec.candidates, 0)
+        return 0 if self.offer is None else len(self.offer.features) - len(self.shown)
 
     @property
     def nodes(self) -> int:
@@ -127,19 +126,16 @@ class RelocationWalk:
     @property
     def mask(self) -> BoolArray:
         """(K + 2,) the legal actions. `*` always is; restart, once the walker has decided something."""
-        legal = np.zeros(self.spec.actions, np.bool_)
-        if self._offer is not None:
-            legal[: min(len(self._offer.features), self.spec.candidates)] = True
+        legal = np.arange(self.spec.actions) < len(self.shown)
         legal[self.spec.star] = not self.done
-        legal[self.spec.restart] = self._chosen > 0 and not self.done
+        legal[self.spec.restart] = not self.done and any(shown for shown, _ in self.offered)
         return legal
 
     def action_of(self, feature: int) -> int | None:
         """The action that pairs the current measurement with `feature` (UNPAIRED: `*`); None if it is not on offer."""
         if feature == UNPAIRED:
             return self.spec.star
-        shown = self._offer.features[: self.spec.candidates] if self._offer else self.order[:0]
-        found = np.flatnonzero(shown == feature)
+        found = np.flatnonzero(self.shown == feature)
         return int(found[0]) if len(found) else None
 
     # moving on
@@ -153,11 +149,10 @@ class RelocationWalk:
             if not self.at_leaf:
                 self._judge()
             self._begin()
-        elif self._offer is None:
+        elif self.at_leaf:
             self.done = True
         else:
-            self._chosen += 1
-            self._decide(UNPAIRED if action == self.spec.star else int(self._offer.features[action]))
+            self._decide(action)
             self._go_on()
         self.done |= self._spent
 
@@ -169,15 +164,13 @@ class RelocationWalk:
         """A new try, from the root."""
         self.node = root(self.problem)
         self.compatible: bool | None = None  # at a leaf: the hypothesis has a pose and passes the joint test there
-        self.path: list[int] = []  # features decided, level by level
-        self.offered: list[tuple[int, int]] = []  # of each such level: candidates on offer, action taken
-        self._chosen = 0  # decisions of this try that were the walker's own
+        self.offered: list[tuple[int, int]] = []  # of each level decided: candidates on offer, action taken
         self.problem.effort[NODES] += 1
         self.problem.effort[TRIES] += 1
+        self.offer: RelocationBranches | None = None  # what may be paired with the measurement, by rank; None at a leaf
         self._go_on()
 
     def _in_order(self) -> IntArray:
-        """(m,) the measurements, level by level."""
         points = self.scan.points
         if self.spec.order == "as_scanned":
             return np.arange(len(points))
@@ -185,30 +178,25 @@ class RelocationWalk:
         few = self.problem.allowed.sum(axis=1)
         return np.argsort(far if self.spec.order == "nearest_first" else few, kind="stable")
 
-    def _decide(self, feature: int) -> None:
-        shown = 0 if self._offer is None else min(len(self._offer.features), self.spec.candidates)
-        self.offered.append((shown, self.spec.star if feature == UNPAIRED else self.action_of(feature) or 0))
+    def _decide(self, action: int) -> None:
+        feature = UNPAIRED if action == self.spec.star else int(self.shown[action])
         self.node = extend(self.problem, self.node, int(self.order[self.level]), feature)
-        self.path.append(feature)
+        self.offered.append((len(self.shown), action))
         self.problem.effort[NODES] += 1
 
     def _go_on(self) -> None:
         """Pass by the levels that leave no choice; make the offer of the next, or judge the leaf."""
-        self._offer, m = None, len(self.scan)
+        self.offer, m, at_root = None, len(self.scan), not self.offered
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
-            self._decide(UNPAIRED)
+            self._decide(self.spec.star)
         if self._spent or self.level == m:
             self.problem.effort[LIMIT] = self._spent
             self.compatible = self._judge()
+        elif at_root and self._first_offer is not None:
+            self.offer = self._first_offer
         else:
-            self._offer = self._branches(int(self.order[self.level]))
-
-    def _branches(self, measurement: int) -> RelocationBranches:
-        if self.level > 0:
-            return branches(self.problem, self.node, measurement)
-        if measurement not in self._at_root:
-            self._at_root[measurement] = branches(self.problem, self.node, measurement)
-        return self._at_root[measurement]
+            self.offer = branches(self.problem, self.node, int(self.order[self.level]))
+            self._first_offer = self._first_offer or self.offer
 
     @property
     def _spent(self) -> bool:

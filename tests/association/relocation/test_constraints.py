@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association.relocation.constraints import binary_test, orientation_test, unary
-from slam_gym.association.relocation.tree import problem_of
+from slam_gym.association.relocation.problem import problem_of
 from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
 

@@ -26,7 +26,7 @@ def test_on_offer_is_what_agrees_with_the_path_and_passed_by_is_what_nothing_agr
         assert set(walk.offer.features.tolist()) == legal(walks.pairs_of(walk), walk.measurement)
         assert walk.mask[: len(walk.offer.features)].all() and not walk.mask[len(walk.offer.features) : -2].any()
     path = []
-    for i, (j, (shown, action)) in enumerate(zip(walk.path, walk.offered, strict=True)):
+    for i, (j, (shown, action)) in enumerate(zip(walk.node.hypothesis, walk.offered, strict=True)):
         assert shown == len(legal(path, i))
         assert (action == ALL.star) == (j == UNPAIRED)
         path += [(i, j)] if j != UNPAIRED else []

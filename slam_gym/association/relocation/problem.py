@@ -1,0 +1,151 @@
+"""What a search without a prior is given, the best hypotheses that it has found, and its answer."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_gym._jit import compiled, inlined
+from slam_gym.association.compatibility import chi2_gate
+from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
+from slam_gym.association.relocation.constraints import Measured, Path, gates_at, measured, unary_table
+from slam_gym.association.relocation.location import locate_pairings
+from slam_gym.geometry import wrap_angles
+from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmarks, Locality, Relocation, Scan
+
+_COUNTED = ("nodes", "unary_tests", "binary_tests", "orientation_tests", "leaves", "joint_tests", "tries")
+NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
+"""Entries of the effort that the searches count, as in `Effort`; the last is 1 where a limit ended the search."""
+
+_RIVALS = 256  # hypotheses with as many pairings as the best that are kept
+
+
+class Problem(NamedTuple):
+    """A scan, a map and a locality, as the compiled searches take them, and what was spent on them."""
+
+    scan: Measured
+    mapped: Mapped
+    joint_gates: Array  # (m + 2,) `location_gates`
+    allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
+    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
+    members: IntArray
+    effort: IntArray  # (8,)
+
+
+class Best(NamedTuple):
+    """The hypotheses with most pairings, all of them jointly compatible: those of equal number are rivals."""
+
+    features: IntArray  # (r, m) map feature of each measurement, or UNPAIRED
+    poses: Array  # (r, 3) [m, m, rad] in B
+    covariances: Array  # (r, 3, 3)
+    distances: Array  # (r,) D²
+    state: IntArray  # (3,) number of pairings, of rivals, and which of them has the least D²
+
+
+@functools.lru_cache(maxsize=256)
+def location_gates(pairings: int, confidence: float) -> Array:
+    """χ²_{2k−3,conf} for k = 0 … pairings, inf for k < 2; and at the end χ²_{3,conf}, of a pose. (pairings + 2,)."""
+    gates = [math.inf if k < 2 else chi2_gate(2 * k - 3, confidence) for k in range(pairings + 1)]
+    return np.array([*gates, chi2_gate(3, confidence)])
+
+
+def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, confidence: float) -> Problem:
+    """What a search without a prior is given. Raises ValueError for bad numbers in scan, map or locality."""
+    seen, mapped, gates = scan_arrays(scan), map_arrays(landmarks), gates_at(confidence)
+    return Problem(
+        measured(seen, gates),
+        mapped,
+        location_gates(len(scan), confidence),
+        unary_table(seen, mapped.sizes, mapped.size_variances, mapped.kinds, gates.one),
+        *locality_arrays(locality, len(landmarks)),
+        np.zeros(8, np.int64),
+    )
+
+
+@compiled
+def nothing_found(measurements: int) -> Best:
+    """No hypothesis yet; one pairing is what any other must beat."""
+    return Best(
+        np.full((_RIVALS, measurements), UNPAIRED),
+        np.empty((_RIVALS, 3)),
+        np.empty((_RIVALS, 3, 3)),
+        np.empty(_RIVALS),
+        np.array([1, 0, 0]),
+    )
+
+
+@inlined
+def fewest(best: Best, rivals: bool) -> int:
+    """The fewest pairings that are worth keeping: more than the best has, or with `rivals` as many."""
+    return int(best.state[0] + (best.state[1] == 0 or not rivals))
+
+
+@compiled
+def joint_distance(problem: Problem, path: Path, k: int, pose: Array, covariance: Array) -> float:
+    """D² of the first k pairings of a path, located; inf where they are not jointly compatible, or are fewer than two.
+
+    `pose` (3,) and `covariance` (3, 3) are written.
+    """
+    if k < 2:
+        return math.inf
+    problem.effort[JOINT] += 1
+    distance = locate_pairings(problem.scan.points, problem.scan.noise, problem.mapped, path, k, pose, covariance)
+    return distance if distance < problem.joint_gates[k] else math.inf
+
+
+@compiled
+def offer(best: Best, problem: Problem, path: Path, k: int) -> bool:
+    """Locate and test the hypothesis of k pairings, and keep it if it has as many as the best; whether it holds."""
+    pose, covariance = np.empty(3), np.empty((3, 3))
+    distance = joint_distance(problem, path, k, pose, covariance)
+    if distance < math.inf:
+        keep(best, path, k, pose, covariance, distance)
+    return distance < math.inf
+
+
+@compiled
+def keep(best: Best, path: Path, k: int, pose: Array, covariance: Array, distance: float) -> None:
+    """Enter a located hypothesis if it has as many pairings as the best and is not there yet."""
+    state = best.state
+    if k < state[0]:
+        return
+    if k > state[0]:
+        state[0], state[1], state[2] = k, 0, 0
+    features = np.full(best.features.shape[1], UNPAIRED)
+    features[path.measurements[:k]] = path.features[:k]
+    for r in range(state[1]):
+        if (best.features[r] == features).all():
+            return
+    least = state[1] == 0 or distance < best.distances[state[2]]
+    if state[1] == _RIVALS and not least:
+        return
+    r = state[2] if state[1] == _RIVALS else state[1]
+    state[1] = min(state[1] + 1, _RIVALS)
+    best.features[r], best.poses[r], best.covariances[r], best.distances[r] = features, pose, covariance, distance
+    if least:
+        state[2] = r
+
+
+def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -> Relocation:
+    """The rival with the least D², and how many of the others are elsewhere. All UNPAIRED and NaN if there is none.
+
+    Two poses are one place when their difference δ is compatible with both covariances together,
+    δᵀ(Σ_1 + Σ_2)⁻¹δ < χ²_3.
+    """
+    _, rivals, b = best.state.tolist()
+    features, distance, ties = np.full(best.features.shape[1], UNPAIRED), 0.0, 0
+    pose, covariance = np.full(3, math.nan), np.full((3, 3), math.nan)
+    if rivals > 0:
+        features, distance = best.features[b].copy(), float(best.distances[b])
+        pose, covariance = best.poses[b].copy(), best.covariances[b].copy()
+        apart, both = best.poses[:rivals] - pose, best.covariances[:rivals] + covariance
+        apart[:, 2] = wrap_angles(apart[:, 2])
+        squares = np.einsum("ra,ra->r", apart, np.linalg.solve(both, apart[:, :, None])[:, :, 0])
+        ties = int((squares >= problem.joint_gates[-1]).sum())
+    *counts, limit = problem.effort.tolist()
+    spent = Effort(**dict(zip(_COUNTED, counts, strict=True)), limit_hit=limit > 0, seconds=seconds)
+    dof = max(2 * int((features != UNPAIRED).sum()) - 3, 0)
+    return Relocation(features, pose, covariance, distance, dof, min_pairings, ties > 0, ties, spent)
