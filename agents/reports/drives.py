@@ -115,7 +115,7 @@ def headline(frame: pd.DataFrame) -> list[Table]:
                 setting: difference(some, of_truth[setting], "map_error", mean) for setting, some in settings.items()
             }
     caption = f"mean map error, 95 % bootstrap interval; {LOST_MEANS}"
-    shown = [*means, Column("median", "median", 3, "lower"), lost]
+    shown = [*means, Column("median", "median"), lost]
     found = [Table("Map error", "associator", shown, errors, caption)]
     if gaps:
         caption = "mean over the same episodes, 95 % bootstrap interval"
