@@ -31,9 +31,10 @@ a sixth of the right ones: many a room is its own mirror image.)
 With a prior on the pose the same is asked of old features, which the robot has not seen lately and so knows less well
 from where it is. Those in whose gates too many others are expected are not offered to associators (`unambiguous_rows`).
 Pairings with the others stand once chance hardly brings them all. Where an old feature is paired, another one may be
-what was measured, one that is not mapped yet: a door has two jambs. How many others n_i there are on average in a
-circle as large as the gate of a pairing, √det S_i, the whole map tells; the features in reach would not, where little
-is mapped so far. Of l measurements that no feature seen lately accounts for, k meet others, all jointly compatible, in
+what was measured, one that is not mapped yet: a door has two jambs. How many others n_i are to be expected in the gate
+of a pairing, of size √det S_i, tells how many stand so near each feature in reach on average, or in the whole map in a
+circle as large, if those are more: what is in reach does not tell where little is mapped so far. Of l measurements that
+no feature seen lately accounts for, k meet others, all jointly compatible, in
 
     (l over k) · V_{2k} γ_{2k}^k √det S · Π n_i / (π γ_2 √det S_i)
 
@@ -307,10 +308,15 @@ def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old
     S.reshape(p, 2, p, 2)[np.arange(p), :, np.arange(p), :] += noise
     log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(given), : 2 * len(given)])[1]
     gates, n, state = joint_gates(k, prediction.confidence), prediction.size[1], prediction.source[1]
-    sizes = np.sqrt(np.linalg.det((prediction.covariances[rows] + noise)[len(given) :]))
-    places = cKDTree(state[3 : 3 + 2 * n].reshape(n, 2))
-    others = places.count_neighbors(places, np.sqrt(gates[1] * sizes)) / n - 1.0
-    log_densities = np.log(np.maximum(others, 1.0 / n) / (math.pi * gates[1] * sizes))
+    blocks = (prediction.covariances[rows] + noise)[len(given) :]
+    sizes, places = np.sqrt(np.linalg.det(blocks)), cKDTree(state[3 : 3 + 2 * n].reshape(n, 2))
+    everywhere = places.count_neighbors(places, np.sqrt(gates[1] * sizes)) / n - 1.0
+    seen = prediction.positions[~prediction.provisional]
+    apart = seen[:, None] - seen[None]
+    squared = np.einsum("abi,kij,abj->kab", apart, np.linalg.inv(blocks), apart)
+    in_reach = (squared < gates[1]).sum(axis=(1, 2)) / max(len(seen), 1) - 1.0
+    others = np.maximum(np.maximum(everywhere, in_reach), 1.0 / n)
+    log_densities = np.log(others / (math.pi * gates[1] * sizes))
     left = len(features) - len(given)
     log_choices = gammaln(left + 1) - gammaln(k + 1) - gammaln(left - k + 1)
     log_volume = k * math.log(math.pi * gates[k]) - gammaln(k + 1) + 0.5 * log_det

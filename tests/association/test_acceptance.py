@@ -152,7 +152,7 @@ GATE = 9.21  # χ² of two degrees of freedom at 0.99
 
 def old_and_near(rng: np.random.Generator, n: int = 14) -> tuple[StochasticMap, Rows]:
     """A map of n features that were measured from poses less and less certain, and what it predicts of them."""
-    m, half = StochasticMap(MapSpec()), n // 2
+    m, half = StochasticMap(MapSpec(confirmations=1)), n // 2
     for count in (half, n - half):
         points = rng.uniform(-6.0, 6.0, (count, 2))
         points[1] = points[0] + [0.8, 0.1]  # as a door has two jambs
@@ -204,9 +204,12 @@ def test_pairings_with_old_features_stand_if_chance_hardly_brings_them_all() -> 
         expected = math.comb(k + 2, k) * math.pi**k / math.factorial(k) * gates[1] ** k * diagonal.prod()
         apart = np.hypot(*(m.positions[:, None] - m.positions[None]).T)
         for row in rows[order][len(rows) - k :]:
-            area = math.sqrt(np.linalg.det(p.covariances[row] + sigma**2 * np.eye(2)))
-            others = (apart <= math.sqrt(gates[0] * area)).sum() / m.n - 1.0
-            expected *= max(others, 1.0 / m.n) / (math.pi * gates[0] * area)
+            block, between = p.covariances[row] + sigma**2 * np.eye(2), p.positions[:, None] - p.positions[None]
+            area = math.sqrt(np.linalg.det(block))
+            everywhere = (apart <= math.sqrt(gates[0] * area)).sum() / m.n - 1.0
+            near_by = np.einsum("abi,ij,abj->ab", between, np.linalg.inv(block), between) < gates[0]
+            others = max(everywhere, near_by.sum() / len(p) - 1.0, 1.0 / m.n)
+            expected *= others / (math.pi * gates[0] * area)
         assert np.exp(log_expected_old(scan, p, decisions, old)) == pytest.approx(expected)
         np.testing.assert_array_equal(rejected, old & (expected > 0.05))
         stood.append(expected <= 0.05)
@@ -219,7 +222,7 @@ def test_chance_brings_as_many_pairings_with_old_features_as_expected(k: int, un
     counted, expected = 0, 0.0
     for seed in range(400):
         rng = np.random.default_rng(seed)
-        m = StochasticMap(MapSpec())
+        m = StochasticMap(MapSpec(confirmations=1))
         m.add(Scan.from_points(rng.uniform(-20.0, 20.0, (200, 2)), sigma=0.05), np.arange(200))
         m.predict(Odometry(np.zeros(3), np.diag([uncertain, uncertain, 0.01]) ** 2))
         p = predict(m, 100.0)

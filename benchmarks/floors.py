@@ -1,0 +1,118 @@
+"""Maps of real floors: one drive of each floor and seed, replayed with every associator, as a CSV.
+
+The robot of `building` is driven by information gain with the true association; what it senses is kept, and every
+associator maps just that, with relocation (gcbb) and the atlas. So rows of one drive differ by their decisions alone.
+
+    python benchmarks/floors.py --floors A_occ_map.npy.gz B_occ_map.npy.gz --seeds 0 1 --out floors.csv
+
+Ten to forty seconds a drive and associator for floors of 200 m, whose drives end after `--ticks`. Rows that the CSV has
+already are left out. `--quick` drives 60 ticks of the scenario `building` itself and writes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from agents.drivers.baselines import InformationGain
+from agents.evaluation.episodes import ExploreArguments, run_episode
+from benchmarks.common import Record, options, table
+from slam_gym import Odometry, Scan
+from slam_gym.scenarios import SPLITS
+from slam_gym.simulation.episode import Episode
+from slam_gym.simulation.judged import CEILING
+from slam_gym.simulation.quality import quality
+from slam_gym.slam.atlas import AtlasSpec
+from slam_gym.slam.relocate import SEARCH, relocate_by
+from slam_gym.types import Beams, Truth
+from slam_gym.world.physics import Motion
+
+ASSOCIATORS = ("jcbb", "marginal", "learned", CEILING)
+KEYS = ["floor", "seed", "associator"]
+MEASURES = ("map_error_aligned", "map_error", "duplicates", "precision", "recall", "anees")
+
+
+class Look(NamedTuple):
+    """What the robot sensed in a tick."""
+
+    odometry: Odometry
+    scan: Scan
+    truth: Truth
+    beams: Beams
+
+
+class Replay(Episode):
+    """An episode that senses what another one has sensed."""
+
+    def __init__(self, looks: Iterable[Look], driven: Episode, seed: int, associator: str) -> None:
+        self._looks = iter(looks)
+        rng = np.random.default_rng(seed)
+        rng.integers(SPLITS["test"][1])  # as the environment draws a world: the robot starts where it did
+        informed = associator == CEILING
+        relocate, atlas = (None, None) if informed else (relocate_by(SEARCH), AtlasSpec())
+        super().__init__(driven.scenario, driven.site, associator, rng, relocate=relocate, atlas=atlas)
+        assert (self.base == driven.base).all()
+
+    def _drive(self, forward: float, turn: float) -> None:
+        self.odometry, self.scan, self.truth, self.beams = next(self._looks)
+
+    def _sense(self, motion: Motion) -> None:
+        self._drive(0.0, 0.0)
+
+
+def drive(floor: str | None, seed: int, ticks: int) -> tuple[list[Look], Episode]:
+    """The looks of a drive with the true association, and its episode; no floor: the first world of `building`."""
+    driver, looks = InformationGain(), []
+    overrides, resolution = (("budget", ticks),) if ticks else (), 0.1 if floor else None
+    arguments = ExploreArguments(
+        "building", overrides, associator=CEILING, floor_plan=floor, resolution=resolution, relocation=None
+    )
+    env = arguments.make(driver.action)
+
+    def look(env: object) -> None:
+        episode = env.episode  # type: ignore[attr-defined]
+        looks.append(Look(episode.odometry, episode.scan, episode.truth, episode.beams))
+
+    env.unwrapped.watch(look)  # type: ignore[attr-defined]
+    run_episode(env, driver, seed)
+    return looks, env.unwrapped.episode  # type: ignore[attr-defined]
+
+
+def replayed(looks: list[Look], driven: Episode, seed: int, associator: str) -> Record:
+    """How well the looks are mapped."""
+    episode = Replay(looks, driven, seed, associator)
+    lost = 0
+    while episode.ticks < len(looks) - 1:
+        episode.tick(0.0, 0.0)
+        lost += episode.slam.lost
+    found = quality(episode)
+    return {name: found[name] for name in MEASURES} | {"lost": lost, "maps": len(episode.slam.maps)}
+
+
+def main() -> None:
+    a = options(__doc__, floors=("",), seeds=(0,), associators=ASSOCIATORS, ticks=0, out="")
+    out = Path(a.out) if a.out and not a.quick else None
+    rows = pd.read_csv(out) if out is not None and out.exists() else pd.DataFrame(columns=KEYS)
+    done = set(rows[KEYS].itertuples(index=False, name=None))
+    for floor in a.floors:
+        name = Path(floor).name.removesuffix("_occ_map.npy.gz") or "building"
+        for seed in a.seeds:
+            left = [associator for associator in a.associators if (name, seed, associator) not in done]
+            if not left:
+                continue
+            looks, driven = drive(floor or None, seed, 60 if a.quick else a.ticks)
+            for associator in left:
+                row = dict(zip(KEYS, (name, seed, associator))) | replayed(looks, driven, seed, associator)
+                rows = pd.concat([rows, pd.DataFrame([row])], ignore_index=True)
+                table("", [row])
+                if out is not None:
+                    rows.to_csv(out, index=False, float_format="%.4f")
+    table("All", rows)
+
+
+if __name__ == "__main__":
+    main()
