@@ -17,8 +17,11 @@ if TYPE_CHECKING:
     from agents.evaluation.pipeline import Evaluation
 
 
-def command(function: Callable[..., int | None], example: str) -> typer.Typer:
-    """The command of a function, `app = command(main, "slam-gym …")`, with an example for the end of its help.
+def command(
+    function: Callable[..., int | None], example: str, name: str | None = None, app: typer.Typer | None = None
+) -> typer.Typer:
+    """The command of a function, `app = command(main, "slam-gym …")`, with an example for the end of its help; with a
+    name, one of several of an app.
 
     A parameter that is a dataclass, such as `World`, stands for the options that its fields are. An option that takes
     several values takes them in a row, as in `--agents random learned`. Bad input ends in one line and exit code 2.
@@ -41,8 +44,8 @@ def command(function: Callable[..., int | None], example: str) -> typer.Typer:
     parameters = [p.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[p.name]) for p in parameters]
     call.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command(help=function.__doc__, epilog=f"Example: {example}", cls=_SeveralValues)(call)
+    app = app or typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command(name, help=function.__doc__, epilog=f"Example: {example}", cls=_SeveralValues)(call)
     return app
 
 

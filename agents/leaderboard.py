@@ -81,11 +81,9 @@ def _evaluate(entry: str, role: Role, quick: bool, board: Path, execution: Execu
 
 
 def _role_of(entry: str) -> Role:
-    """By the tables of names, and by what a model file says; a `module:Class` is an agent."""
-    if Path(entry).suffix == ".zip":
-        from agents.learning.models import read_about  # torch is imported for learned entries only
-
-        return "associator" if read_about(Path(entry)).action == "branch" else "agent"
+    """By the tables of names, and by what a training writes; a `module:Class` is an agent."""
+    if Path(entry).suffix == ".npz":
+        return "associator"
     from agents.drivers.base import AGENTS
     from slam_gym.association import ASSOCIATORS, RELOCATORS
 

@@ -17,6 +17,8 @@ from agents.evaluation.records import results_folder
 if TYPE_CHECKING:
     from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 
+DRIFTING = ("office", "drift-1", "drift-2", "drift-3", "aliased-drift")
+"""The scenarios in which an associator learns."""
 ON_A_FLOOR = "building"
 """The scenario whose robot drives on a floor plan file."""
 
@@ -80,9 +82,9 @@ class Episodes:
 
 @dataclass(frozen=True)
 class AssociateWorld:
-    """What chooses an episode of Associate-v0."""
+    """What chooses the episodes of Associate-v0; by default those of scenarios with good and with bad wheels."""
 
-    scenario: Annotated[str, Option(metavar="NAME", help="See slam-gym list scenarios; or corridor.")] = "office-small"
+    scenario: Scenarios = None
     overrides: Overrides = None
     driver: Annotated[str, Option(help="nearest_frontier or random.")] = "nearest_frontier"
     reward: Annotated[str, Option(help="truth or map_error.")] = "truth"
@@ -91,12 +93,13 @@ class AssociateWorld:
     compatibility: Annotated[str, Option(help="joint or individual.")] = "joint"
     wrong_cost: Annotated[float, Option(metavar="C", help="Of a wrong pairing.")] = 10.0
 
-    def arguments(self, split: str) -> AssociateArguments:
-        """Arguments of the environment."""
+    def worlds(self, split: str) -> list[AssociateArguments]:
+        """Arguments of the environment for each scenario."""
         from agents.evaluation.episodes import AssociateArguments
 
         own = {field.name: getattr(self, field.name) for field in fields(self)}
-        return AssociateArguments(**(own | {"overrides": parsed_overrides(self.overrides), "split": split}))
+        own |= {"overrides": parsed_overrides(self.overrides), "split": split}
+        return [AssociateArguments(**own | {"scenario": name}) for name in self.scenario or DRIFTING]
 
 
 @dataclass(frozen=True)
@@ -136,14 +139,14 @@ class Recorded:
 class Training:
     """How long, from which seed and with what a policy is trained."""
 
-    timesteps: Annotated[int, Option(min=1, metavar="N", help="Decisions, rounded up to whole rollouts.")] = 100_000
+    timesteps: Annotated[int | None, Option(min=1, metavar="N", help="Decisions; by default as in FILE.")] = None
     seed: Annotated[int, Option(min=0, metavar="K")] = 0
     output: Annotated[Path | None, Option(metavar="DIR", help="By default a folder in runs/.")] = None
     resume: Annotated[bool, Option("--resume", help="Go on in DIR, up to --timesteps.")] = False
     hyperparameters: Annotated[Path | None, Option(metavar="FILE", help="TOML; by default those that ship.")] = None
     envs: Annotated[int | None, Option(min=1, metavar="N", help="Environments; by default as in FILE.")] = None
     processes: Annotated[bool, Option("--processes", help="Give each environment a process of its own.")] = False
-    eval_every: Annotated[int, Option(min=1, metavar="N", help="Decisions between evaluations.")] = 10_000
+    eval_every: Annotated[int | None, Option(min=1, metavar="N", help="Decisions between evaluations.")] = None
     eval_episodes: Annotated[int, Option(min=1, metavar="N", help="Held-out worlds.")] = 10
 
 

@@ -1,35 +1,59 @@
-"""`slam-gym train`: a driver by reinforcement learning.
+"""`slam-gym train drive` and `slam-gym train associate`: policies by reinforcement learning.
 
-Writes into its folder: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/ (from
-the last of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`).
+Each writes into its folder: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/
+(from the last of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`). An associator
+also leaves associator.npz, its last weights as plain arrays: a name of an associator for every command, and in Python
+`slam_gym.association.ppo(scan, prediction, weights=FILE)`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from typer import Option
 
 from agents.cli import command
-from agents.options import Training, World
+from agents.options import AssociateWorld, Training, World
+
+QUICK = 400_000  # decisions
 
 
-def main(
+def drive(
     training: Training,
     world: World,
     action: Annotated[Literal["goal", "twist"], Option(help="What it decides.")] = "goal",
     reward: Annotated[str, Option(help="map_error, a_opt, d_opt or entropy.")] = "map_error",
 ) -> None:
-    """Train an agent to drive, by reinforcement learning."""
+    """Train an agent to drive."""
     from agents.learning.training import train
 
     arguments = world.arguments("office-small", "train", reward)
-    model = train(action, arguments, training, "runs/ppo")
+    model = train(action, [arguments], training, "runs/drive")
     print(f"wrote {model}; evaluate it beside the baselines with\n"
           f"  slam-gym evaluate --model {model} --scenario {arguments.scenario}")  # fmt: skip
 
 
-app = command(main, "slam-gym train --scenario office-small --timesteps 50000 --output runs/mine")
+def associate(
+    training: Training,
+    world: AssociateWorld,
+    clone: Annotated[str | None, Option(metavar="NAME", help="Begin by deciding as this associator does.")] = None,
+    quick: Annotated[bool, Option("--quick", help=f"{QUICK} decisions, three minutes: to see it learn.")] = False,
+) -> None:
+    """Train an agent to associate, in scenarios that take turns."""
+    from agents.learning.training import WEIGHTS, train
+    from slam_gym.simulation.association_runs import LOGS
+
+    worlds = world.worlds("train")
+    training = replace(training, timesteps=QUICK) if quick else training
+    weights = train("branch", worlds, training, "runs/associate", clone).with_name(WEIGHTS)
+    driven = " ".join(each.scenario for each in worlds if each.scenario not in LOGS)  # nobody can drive in a log
+    print(f"wrote {weights}; compare it with the classical associators by\n"
+          f"  slam-gym evaluate-association --associators jcbb marginal {weights} --scenario {driven}")  # fmt: skip
+
+
+app = command(drive, "slam-gym train drive --scenario office-small --timesteps 50000 --output runs/mine", "drive")
+command(associate, "slam-gym train associate --quick --output runs/mine", "associate", app)
 
 if __name__ == "__main__":
     app()

@@ -14,6 +14,7 @@ import numpy as np
 from agents.evaluation.records import Record
 from slam_gym.association import ASSOCIATORS, resolve_associator, resolve_relocator
 from slam_gym.association.prediction import Associator
+from slam_gym.association.tracking.ppo import walk_by
 from slam_gym.simulation.judged import CEILING
 
 SIMPLEST_FIRST = (
@@ -28,11 +29,9 @@ JOIN = " + "
 
 @lru_cache
 def find_associator(name: str) -> Associator:
-    """An associator by name, `module:function`, or the file of a learned one. ValueError lists the known names."""
-    if Path(name).suffix == ".zip":
-        from agents.learning.models import load_associator  # torch is imported for learned associators only
-
-        return load_associator(Path(name))
+    """An associator by name, `module:function`, or the weights of a trained one. ValueError lists the known names."""
+    if Path(name).suffix == ".npz":
+        return walk_by(name)
     return resolve_associator(name)
 
 

@@ -1,4 +1,4 @@
-"""Trained models: Stable-Baselines3's `.zip` files, and the drivers and associators that they make.
+"""Trained models: Stable-Baselines3's `.zip` files, the drivers that they make, and the arrays of associators.
 
 Such a file holds weights, which torch reads without running code, and a JSON table whose entry `about` says what the
 network is. The rest of the table is pickled: it is read only where somebody trusts the file.
@@ -25,10 +25,10 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from agents.drivers.base import ActionKind, Info, legal_goals
 from agents.drivers.base import Observation as ExploreObservation
 from agents.learning.policies import CHOICES, Decision, Hyperparameters, policy_of
-from slam_gym.association.policy import from_policy
-from slam_gym.association.prediction import Associator
-from slam_gym.association.walks import Observation
-from slam_gym.types import BoolArray
+from slam_gym.association.tracking import ppo
+from slam_gym.association.tracking.walk import COMPATIBILITIES
+from slam_gym.association.walks import ORDERS
+from slam_gym.weights import Card, Weights
 
 FORMAT = "slam_gym policy 3"
 _MAX_BYTES = 1 << 28  # of a file, and of what it unpacks to
@@ -158,30 +158,14 @@ class PolicyAgent:
         return int(action) if self.action == "goal" else np.asarray(action, np.float32)
 
 
-@dataclass(frozen=True)
-class BestBranch:
-    """The policy of the interpretation tree that takes the legal branch of the highest score."""
-
-    network: Any
-
-    def __call__(self, observation: Observation, mask: BoolArray) -> int:
-        seen = {name: observation[name] for name in self.network.observation_space.spaces}
-        return int(self.network.predict(seen, deterministic=True, action_masks=mask)[0])
-
-
-def load_associator(path: Path | str) -> Associator:
-    """The associator of a model file that `slam-gym train-associate` wrote; reading it runs no code from it.
-
-    It walks the tree as it was trained to: same K, order and compatibility. Raises ValueError that names the file where
-    it is missing, damaged, or no associator.
-    """
-    about, policy = load_policy(Path(path))
-    if about.action != "branch":
-        raise ValueError(f"model {path}: a driver (action {about.action!r}), not an associator")
-    torch.set_num_threads(1)
-    policy.set_training_mode(False)
-    try:
-        walk = {name: about.training[name] for name in ("candidates", "order", "compatibility")}
-        return from_policy(BestBranch(policy), **walk)
-    except (KeyError, ValueError, TypeError) as error:
-        raise ValueError(f"model {path}: training: {error} is missing or wrong") from None
+def branch_weights(policy: Any, about: About) -> Weights:
+    """The arrays by which a network trained on Associate-v0 associates without torch: see `tracking.ppo`."""
+    net, known, arrays = policy.features_extractor, about.training, {}
+    layers = net.embed[0], net.embed[2], net.situation[1], net.score[0], net.score[2]
+    for name, layer in zip("ABCDw", layers):
+        arrays[name] = layer.weight.detach().numpy().copy()
+        arrays["w0" if name == "w" else name.lower()] = layer.bias.detach().numpy().copy()
+    walk = known["candidates"], ORDERS.index(known["order"]), COMPATIBILITIES.index(known["compatibility"])
+    arrays["walk"] = np.array(walk, np.int64)
+    card = Card(ppo.VERSION, ppo.INPUTS, {}, tuple(known["scenario"]), (known["seed"],), known["command"], {})
+    return Weights(card, {name: arrays[name] for name in ppo.SHAPES})

@@ -1,8 +1,8 @@
 """Policies and learners of Stable-Baselines3: MaskablePPO scores choices one by one (goals of Explore-v0, branches of
 Associate-v0), PPO drives by twists.
 
-Every choice passes through the same weights, together with the situation and a summary of all legal choices (Deep Sets,
-Zaheer et al. 2017). So a permutation of the choices permutes their scores.
+Every choice passes through the same weights, together with the situation and the greatest over all legal choices
+(Deep Sets, Zaheer et al. 2017). So a permutation of the choices permutes their scores.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from sb3_contrib.common.maskable.policies import MaskableMultiInputActorCriticPo
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy, MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, CombinedExtractor
+from stable_baselines3.common.utils import LinearSchedule
 from torch import Tensor, nn
 
 from slam_gym.association.tracking.observation import CANDIDATE_FIELDS
@@ -35,7 +36,8 @@ CHOICES = {"goal": ("goals", GOAL_FIELDS), "branch": ("candidates", CANDIDATE_FI
 HYPERPARAMETERS = Path(__file__).with_name("hyperparameters.toml")
 _WHOLE_NUMBERS = ("n_steps", "batch_size", "n_epochs")
 _PPO = (*_WHOLE_NUMBERS, "learning_rate", "gamma", "gae_lambda", "clip_range", "ent_coef", "vf_coef")
-_LARGEST_LAYER = 1_024
+_LARGEST_LAYER, _LONGEST = 1_024, 10**12
+LAST = 0.05  # to which learning rate and entropy coefficient fall, of what they are at first
 
 
 @dataclass(frozen=True)
@@ -45,18 +47,21 @@ class Hyperparameters:
     Raises ValueError that names what is missing, unknown, or out of its range.
     """
 
+    timesteps: int  # decisions in all
+    eval_every: int  # decisions between evaluations on held-out worlds
     envs: int  # stepped in parallel
     reward_scale: float  # the factor of the rewards that are learned from
     width: int  # of the encoded situation
     hidden: int  # of the layers behind it
     deterministic: bool  # evaluated with the most probable action, or with one drawn from the policy
+    annealed: bool  # learning rate and entropy coefficient fall linearly, to a twentieth at the end
     ppo: dict[str, Any]  # arguments of Stable-Baselines3's PPO
 
     def __post_init__(self) -> None:
-        for name in ("envs", "width", "hidden"):
-            value = getattr(self, name)
-            if type(value) is not int or not 1 <= value <= _LARGEST_LAYER:
-                raise ValueError(f"{name} is {value!r}, expected a whole number in 1 … {_LARGEST_LAYER}")
+        for name in ("timesteps", "eval_every", "envs", "width", "hidden"):
+            value, most = getattr(self, name), _LONGEST if name in ("timesteps", "eval_every") else _LARGEST_LAYER
+            if type(value) is not int or not 1 <= value <= most:
+                raise ValueError(f"{name} is {value!r}, expected a whole number in 1 … {most}")
         if not isinstance(self.ppo, dict) or not set(self.ppo) <= set(_PPO):
             raise ValueError(f"ppo must be a table of {', '.join(_PPO)}")
         for name, value in {"reward_scale": self.reward_scale, **self.ppo}.items():
@@ -90,21 +95,20 @@ class ChoiceScorer(BaseFeaturesExtractor):
         self.choices, fields = CHOICES[decision]
         others = {name: space for name, space in observation_space.spaces.items() if name != self.choices}
         combined = CombinedExtractor(spaces.Dict(others), cnn_output_dim=width)
-        self.situation = nn.Sequential(combined, nn.Linear(combined.features_dim, width), nn.Tanh())
+        self.situation = nn.Sequential(combined, nn.Linear(combined.features_dim, width), nn.ReLU())
         self.legal = fields.index("legal")
         further = torch.zeros(actions - spaces.flatdim(observation_space[self.choices]) // len(fields), len(fields))
         further[:, self.legal] = 1.0
         self.register_buffer("further", further)
-        self.embed = nn.Sequential(nn.Linear(len(fields), hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh())
-        self.score = nn.Sequential(nn.Linear(2 * hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
-        self.value = nn.Sequential(nn.Linear(hidden + width, hidden), nn.Tanh(), nn.Linear(hidden, 1))
+        self.embed = nn.Sequential(nn.Linear(len(fields), hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
+        self.score = nn.Sequential(nn.Linear(2 * hidden + width, hidden), nn.ReLU(), nn.Linear(hidden, 1))
+        self.value = nn.Sequential(nn.Linear(hidden + width, hidden), nn.ReLU(), nn.Linear(hidden, 1))
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         rows = observations[self.choices].unflatten(1, (-1, self.further.shape[1]))
         rows = torch.cat([rows, self.further.expand(len(rows), -1, -1)], dim=1)
-        embedded, legal = self.embed(rows), rows[:, :, self.legal, None]
-        summary = (embedded * legal).sum(1) / legal.sum(1).clamp(min=1.0)
-        shared = torch.cat([self.situation(observations), summary], dim=1)
+        embedded = self.embed(rows) * rows[:, :, self.legal, None]
+        shared = torch.cat([self.situation(observations), embedded.amax(1)], dim=1)
         each = shared.unsqueeze(1).expand(-1, rows.shape[1], -1)
         scores = self.score(torch.cat([embedded, each], dim=2)).squeeze(2)
         return torch.cat([scores, self.value(shared)], dim=1)
@@ -150,4 +154,6 @@ def make_algorithm(action: Decision, env: Any, hyper: Hyperparameters, seed: int
     """A fresh learner on a vectorised environment."""
     policy, arguments = policy_of(action, spaces.flatdim(env.action_space), hyper)
     learner = MaskablePPO if action in CHOICES else PPO
-    return learner(policy, env, seed=seed, device="cpu", policy_kwargs=arguments, **hyper.ppo)
+    rate = hyper.ppo["learning_rate"]
+    ppo = hyper.ppo | {"learning_rate": LinearSchedule(rate, LAST * rate, 1.0) if hyper.annealed else rate}
+    return learner(policy, env, seed=seed, device="cpu", policy_kwargs=arguments, **ppo)

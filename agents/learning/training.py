@@ -1,7 +1,7 @@
 """Reinforcement learning: environments in parallel, PPO, watched on held-out worlds, resumable.
 
 A training writes into a folder: model.zip (the last weights), best_model.zip (the best on held-out worlds),
-checkpoints/, progress.csv, and TensorBoard logs.
+checkpoints/, progress.csv, TensorBoard logs; and of an associator associator.npz, its last weights as plain arrays.
 """
 
 from __future__ import annotations
@@ -26,9 +26,18 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import command_line, plain, versions
-from agents.learning.models import About, read_about
-from agents.learning.policies import CHOICES, HYPERPARAMETERS, Decision, load_hyperparameters, make_algorithm
+from agents.learning.models import About, branch_weights, read_about
+from agents.learning.policies import (
+    CHOICES,
+    HYPERPARAMETERS,
+    LAST,
+    Decision,
+    Hyperparameters,
+    load_hyperparameters,
+    make_algorithm,
+)
 from agents.options import Training
+from slam_gym import weights
 
 HELD_OUT = 5_000
 """First world of the test split used to watch a training; evaluation reports on worlds from 0 on, so never on these."""
@@ -36,7 +45,7 @@ HELD_OUT = 5_000
 LOGGED = {"goal": ("map_error", "coverage"), "twist": ("map_error", "coverage"), "branch": ("score", "map_error")}
 """What is logged of an episode, from its last `info`, by what the policy decides."""
 
-MODEL, CHECKPOINTS = "model.zip", "checkpoints"
+MODEL, WEIGHTS, CHECKPOINTS = "model.zip", "associator.npz", "checkpoints"
 _MAY_CHANGE = ("command", "versions", "resolution")  # when a training is resumed
 
 
@@ -53,68 +62,84 @@ class HeldOutWorlds(gym.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=world, options={"world": world})
 
 
-def make(decision: Decision, arguments: ExploreArguments | AssociateArguments, scale: float = 1.0) -> gym.Env[Any, Any]:
-    """The environment, its rewards scaled; a policy of branches does not see the budget, which it would not as an
-    associator."""
+Arguments = ExploreArguments | AssociateArguments
+
+
+def make(decision: Decision, arguments: Arguments, scale: float | None = None) -> gym.Env[Any, Any]:
+    """The environment; its rewards scaled, those of branches also by the number of scans, which differs between
+    scenarios. A policy of branches does not see the budget, which it would not as an associator."""
     env = arguments.make(decision)
     if decision == "branch":
         env = FilterObservation(env, [name for name in env.observation_space if name != "budget"])
-    return TransformReward(Monitor(env, info_keywords=LOGGED[decision]), lambda reward: scale * float(reward))
+    env, inner = Monitor(env, info_keywords=LOGGED[decision]), env.unwrapped
+    if scale is None:
+        return env
+
+    def scaled(reward: Any) -> float:
+        return scale * float(reward) * (inner.run.length if decision == "branch" else 1)  # type: ignore[attr-defined]
+
+    return TransformReward(env, scaled)
 
 
-def train(
-    decision: Decision, arguments: ExploreArguments | AssociateArguments, training: Training, folder: str
-) -> Path:
-    """Train up to `training.timesteps` decisions in all, in its folder or in `folder`; the path of the model file.
-    Ctrl-C keeps what was learned.
+def train(decision: Decision, worlds: Sequence[Arguments], training: Training, folder: str) -> Path:
+    """Train up to `training.timesteps` decisions in all, in its folder or in `folder`; the path of the model file. The
+    environments take turns with what `worlds` are. Ctrl-C keeps what was learned.
 
     Raises ValueError where the folder holds a training and is not to be resumed, or one of something else, and as
     `load_hyperparameters`.
     """
     out = training.output or Path(folder)
     hyper = load_hyperparameters(decision, training.hyperparameters or HYPERPARAMETERS)
-    hyper = replace(hyper, envs=training.envs or hyper.envs)
+    changes = {name: getattr(training, name) for name in ("timesteps", "eval_every", "envs")}
+    hyper = replace(hyper, **{name: value for name, value in changes.items() if value is not None})
     last = _last_model(out)
     if last is not None and not training.resume:
         raise ValueError(f"{out} holds a training already: give --resume to go on with it, or another --output")
     if last is None and training.resume:
         raise ValueError(f"{out} holds no training to resume")
     torch.set_num_threads(1)  # the networks are small, and the environments need the other cores
-    watched = make(decision, replace(arguments, split="test"))
-    known = arguments.plain | {"split": "train", "seed": training.seed, "command": command_line()}
-    about = About.of(watched, decision, hyper, plain(known | {"versions": versions()}))
+    watched = DummyVecEnv([partial(_held_out, decision, each, training.eval_episodes) for each in worlds])
+    known = worlds[0].plain | {"scenario": [each.scenario for each in worlds], "split": "train", "seed": training.seed}
+    about = About.of(
+        watched.envs[0], decision, hyper, plain(known | {"command": command_line(), "versions": versions()})
+    )
     vectorised = SubprocVecEnv if training.processes and hyper.envs > 1 else DummyVecEnv
-    learned_from = partial(make, decision, replace(arguments, split="train"), hyper.reward_scale)
-    envs: VecEnv = vectorised([learned_from] * hyper.envs)
+    learned_from = [partial(make, decision, replace(each, split="train"), hyper.reward_scale) for each in worlds]
+    envs: VecEnv = vectorised([learned_from[k % len(worlds)] for k in range(hyper.envs)])
     model: Any = make_algorithm(decision, envs, hyper, training.seed)
     model.about = asdict(about)  # Stable-Baselines3 writes it into its files as JSON
     if last is not None:
         _resume(model, last, about)
     out.mkdir(parents=True, exist_ok=True)
     model.set_logger(_logs(out, model.num_timesteps))
-    watch = _watch(out, about, training, HeldOutWorlds(watched, training.eval_episodes), model.num_timesteps)
+    watch = _watch(out, about, training, watched, model.num_timesteps)
     keep = CheckpointCallback(watch.eval_freq, str(out / CHECKPOINTS), "model")
     try:
-        if (left := training.timesteps - model.num_timesteps) > 0:
-            model.learn(
-                left, [EpisodeEnds(LOGGED[decision]), keep, watch], reset_num_timesteps=False, progress_bar=True
-            )
+        if (left := hyper.timesteps - model.num_timesteps) > 0:
+            callbacks = [EpisodeEnds(LOGGED[decision], hyper), keep, watch]
+            model.learn(left, callbacks, reset_num_timesteps=False, progress_bar=True)
     finally:
         model.save(out / MODEL)
+        if decision == "branch":
+            weights.write(out / WEIGHTS, branch_weights(model.policy, replace(about, timesteps=model.num_timesteps)))
         with contextlib.suppress(OSError, EOFError):  # Ctrl-C has ended its processes
             envs.close()
         watched.close()
     return out / MODEL
 
 
-def _watch(out: Path, about: About, training: Training, held_out: gym.Env[Any, Any], start: int) -> EvalCallback:
+def _held_out(decision: Decision, arguments: Arguments, count: int) -> gym.Env[Any, Any]:
+    return HeldOutWorlds(make(decision, replace(arguments, split="test")), count)
+
+
+def _watch(out: Path, about: About, training: Training, held_out: VecEnv, start: int) -> EvalCallback:
     """What tries the present weights on held-out worlds, and keeps the best; of a resumed training, the best of all."""
     warnings.filterwarnings("ignore", "Training and eval env", UserWarning)  # one has processes, the other needs none
     results = [np.load(path)["results"] for path in out.glob("held_out_from_*/evaluations.npz")]
     watch = (MaskableEvalCallback if about.action in CHOICES else EvalCallback)(
-        DummyVecEnv([lambda: held_out]),
+        held_out,
         n_eval_episodes=training.eval_episodes,
-        eval_freq=max(training.eval_every // about.hyperparameters.envs, 1),
+        eval_freq=max(about.hyperparameters.eval_every // about.hyperparameters.envs, 1),
         log_path=str(out / f"held_out_from_{start}"),
         best_model_save_path=str(out),
         deterministic=about.hyperparameters.deterministic,
@@ -124,16 +149,22 @@ def _watch(out: Path, about: About, training: Training, held_out: gym.Env[Any, A
 
 
 class EpisodeEnds(BaseCallback):
-    """Logs what the last episodes came to."""
+    """Logs what decisions and the last episodes came to, and lowers the entropy coefficient where it is annealed."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], hyper: Hyperparameters) -> None:
         super().__init__()
-        self._names = names
+        self._names, self._hyper = names, hyper
 
     def _on_step(self) -> bool:
         return True
 
+    def _on_rollout_start(self) -> None:
+        if self._hyper.annealed:
+            left = LAST + (1.0 - LAST) * self.model._current_progress_remaining
+            self.model.ent_coef = left * self._hyper.ppo["ent_coef"]  # type: ignore[attr-defined]
+
     def _on_rollout_end(self) -> None:
+        self.logger.record("rollout/reward", float(self.model.rollout_buffer.rewards.mean()))  # type: ignore[attr-defined]
         episodes = list(self.model.ep_info_buffer or [])
         for name in self._names if episodes else ():
             self.logger.record(f"rollout/{name}", float(np.mean([episode[name] for episode in episodes])))

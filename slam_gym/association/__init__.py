@@ -24,6 +24,7 @@ from slam_gym.association.tracking.map_hypothesis import map_hypothesis
 from slam_gym.association.tracking.marginal import marginal
 from slam_gym.association.tracking.nearest_neighbour import global_nearest_neighbour, nearest_neighbour, singles
 from slam_gym.association.tracking.one_point_ransac import one_point_ransac
+from slam_gym.association.tracking.ppo import ppo
 from slam_gym.association.tracking.true_association import true_association
 from slam_gym.association.walks import Policy
 from slam_gym.types import Hypothesis, Relocator, Scan
@@ -46,6 +47,7 @@ __all__ = [
     "max_clique",
     "nearest_neighbour",
     "one_point_ransac",
+    "ppo",
     "random_sampling",
     "relocator_from_policy",
     "resolve_associator",
@@ -63,6 +65,7 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
     "marginal": marginal,
     "nearest_neighbour": nearest_neighbour,
     "one_point_ransac": one_point_ransac,
+    "ppo": ppo,
     "singles": singles,
     "true_association": true_association,
 }

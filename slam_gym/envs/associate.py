@@ -64,8 +64,8 @@ class AssociateEnv(BaseEnv):
     the path; an illegal action is taken for `*`. Where K hides a candidate, `info["hidden"]` says how many.
 
     ## Observation space
-    A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `path` and `pairings`, as
-    `slam_gym.association.tracking.observation` lists them, and `budget`, the fraction of the scans left. The first four
+    A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows) and `path`, as
+    `slam_gym.association.tracking.observation` lists them, and `budget`, the fraction of the scans left. The first three
     are what a policy sees as an associator elsewhere (`slam_gym.association.policy.from_policy`).
 
     ## Rewards

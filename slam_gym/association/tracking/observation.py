@@ -13,6 +13,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.association.compatibility import plain
 from slam_gym.association.tree import (
+    Innovation,
     Node,
     Pairings,
     Tree,
@@ -39,10 +40,18 @@ CANDIDATE_FIELDS = (
     "covisible",  # fraction of the features paired so far that it is local to; without locality all are, to all
     "near",  # 1 where it was paired in a recent scan or is local to one that was, or where there is no locality
     "age",  # steps since it was first seen
-    "support",  # fraction of the levels left that could be paired right after it
+    "sightings",  # scans that updated or started it; 0 where nobody counts
+    "confirmed",  # 1 where the map believes in it
     "rivals",  # later measurements that it could be paired with instead
+    "spread",  # √det S_ij, given the path
+    "evidence",  # log N(e; 0, S) given the path, over the density of measurements of nothing in the map
+    "outlook",  # what taking it adds to the evidence of the levels left, each by its best pairing
+    "odds",  # evidence and outlook together
+    "margin",  # by which they exceed the best odds among the others on offer, `*` (0) included
 )  # fmt: skip
-"""`candidates`: K rows of these, by ascending D²_ij."""
+"""`candidates`: K rows of these, by ascending D²_ij. All innovations of a scan share the error of the predicted pose,
+most of all that of its heading: `outlook` tells whether the other measurements fall into place once a pairing has
+corrected it."""
 
 PATH_FIELDS = (
     "decided",  # fraction of the measurements
@@ -52,18 +61,16 @@ PATH_FIELDS = (
     "distance",  # D²_H, by its gate
     "compatible",  # individually compatible features of the measurement
     "hidden",  # legal candidates that are not on offer
-    "support",  # fraction of the levels left that could be paired if the measurement is not
+    "heading",  # σ of the predicted heading
 )
 """`path`: the decisions so far, and what is ahead."""
 
-PAIRING_FIELDS = ("present", "x", "y", "innovation_x", "innovation_y")
-"""`pairings`: rows of the `PAIRINGS` most recent ones, last first: measurement in R and innovation."""
-
-PAIRINGS = 8
-
 INNOVATION_SCALE = 0.3  # [m]
 AGE_SCALE = 50.0  # [steps]
+SPREAD_SCALE, HEADING_SCALE = 0.05, 0.05  # [m²], [rad]
+ODDS_SCALE = 5.0
 COUNT_SCALE, FEW_SCALE = 10.0, 3.0
+CLUTTER_DENSITY = 0.02  # [1/m²] of measurements of nothing in the map, for `evidence`
 
 _ALL_LOCAL = np.empty((0, 0), np.bool_)
 _SEEN = -1  # in place of a level
@@ -80,6 +87,9 @@ class Surroundings(NamedTuple):
     mapped_size_variances: Array
     near: BoolArray  # (u,)
     ages: IntArray  # (u,) [steps]
+    sightings: IntArray  # (u,)
+    confirmed: BoolArray  # (u,)
+    heading: float  # [rad] σ of the predicted heading
     local: BoolArray  # (u, u) or (0, 0)
 
 
@@ -96,12 +106,12 @@ class Choice(NamedTuple):
 
 
 class _Outlook(NamedTuple):
-    """What lies beyond the level at hand."""
+    """What lies beyond the level at hand, by pairing on offer."""
 
-    support: IntArray  # (k,) by pairing on offer: later levels that could be paired right after it
     rivals: IntArray  # (k,) later pairings with the same feature
-    without: int  # levels that could be paired next if it is none of them
-    left: int  # levels that have a candidate at all
+    evidence: Array  # (k,)
+    outlook: Array  # (k,)
+    left: int  # levels that have a candidate
 
 
 def lengths(candidates: int) -> dict[str, int]:
@@ -110,7 +120,6 @@ def lengths(candidates: int) -> dict[str, int]:
         "measurement": len(MEASUREMENT_FIELDS),
         "candidates": candidates * len(CANDIDATE_FIELDS),
         "path": len(PATH_FIELDS),
-        "pairings": PAIRINGS * len(PAIRING_FIELDS),
     }
 
 
@@ -131,6 +140,9 @@ def surroundings_of(tree: Tree) -> Surroundings:
         prediction.size_variances[rows],
         prediction.near[rows],
         prediction.ages[rows],
+        prediction.sightings[rows],
+        ~prediction.provisional[rows],
+        math.sqrt(max(prediction.heading_variance, 0.0)),
         prediction.local(rows) if prediction.has_localities else _ALL_LOCAL,
     )
 
@@ -138,33 +150,23 @@ def surroundings_of(tree: Tree) -> Surroundings:
 def encode(tree: Tree, node: Node, surroundings: Surroundings, choice: Choice) -> Observation:
     """The observation at a node with a choice. Fresh arrays."""
     measurement = np.array(measurement_shown(tree.scan, int(tree.pairings.measured[choice.offered[0]])), np.float32)
-    candidates, path, pairings = _encode(
-        tree.pairings, node, tree.candidates.distances, tree.gates, surroundings, choice
-    )
-    return {"measurement": measurement, "candidates": candidates, "path": path, "pairings": pairings}
+    candidates, path = _encode(tree.pairings, node, tree.candidates.distances, tree.gates, surroundings, choice)
+    return {"measurement": measurement, "candidates": candidates, "path": path}
 
 
 @compiled
 def _encode(
-    pairings: Pairings, node: Node, individual: Array, gates: Array, surroundings: Surroundings, choice: Choice
-) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """`CANDIDATE_FIELDS`, `PATH_FIELDS` and `PAIRING_FIELDS`; `individual` (c,) are D²_ij of all pairings."""
-    ahead, p = _outlook(pairings, node, gates, choice), len(node.path)
-    candidates = _candidates(pairings, node, individual, gates, surroundings, choice, ahead)
-    path, last = np.zeros(8, np.float32), np.zeros((PAIRINGS, 5), np.float32)
-    path[0], path[1] = choice.level / choice.levels, ahead.left / (ahead.left + COUNT_SCALE)
-    path[2], path[3] = p / (p + COUNT_SCALE), p / max(choice.level, 1)
+    pairings: Pairings, node: Node, individual: Array, gates: Array, around: Surroundings, choice: Choice
+) -> tuple[Float32Array, Float32Array]:
+    """`CANDIDATE_FIELDS` and `PATH_FIELDS`; `individual` (c,) are D²_ij of all pairings."""
+    ahead, p, path = _outlook(pairings, node, choice), len(node.path), np.zeros(len(PATH_FIELDS), np.float32)
+    candidates = _candidates(pairings, node, individual, gates, around, choice, ahead)
+    path[0], path[1] = choice.level / choice.levels, _squash(float(ahead.left), COUNT_SCALE)
+    path[2], path[3] = _squash(float(p), COUNT_SCALE), p / max(choice.level, 1)
     path[4] = node.distance / (node.distance + gates[p]) if p > 0 else 0.0
-    path[5] = choice.compatible / (choice.compatible + FEW_SCALE)
-    path[6], path[7] = choice.hidden / (choice.hidden + FEW_SCALE), ahead.without / max(ahead.left, 1)
-    for q in range(min(PAIRINGS, p)):
-        c = node.path[p - 1 - q]
-        x, y = surroundings.points[pairings.measured[c]]
-        last[q, 0] = 1.0
-        last[q, 1], last[q, 2] = _squash(x, POSITION_SCALE), _squash(y, POSITION_SCALE)
-        last[q, 3] = _squash(pairings.innovations[c, 0], INNOVATION_SCALE)
-        last[q, 4] = _squash(pairings.innovations[c, 1], INNOVATION_SCALE)
-    return candidates, path, last.ravel()
+    path[5], path[6] = _squash(float(choice.compatible), FEW_SCALE), _squash(float(choice.hidden), FEW_SCALE)
+    path[7] = _squash(around.heading, HEADING_SCALE)
+    return candidates, path
 
 
 @compiled
@@ -173,29 +175,40 @@ def _squash(value: float, scale: float) -> float:
 
 
 @compiled
-def _outlook(pairings: Pairings, node: Node, gates: Array, choice: Choice) -> _Outlook:
-    """A feature that is taken supports nothing, and only what would be jointly compatible does."""
+def _outlook(pairings: Pairings, node: Node, choice: Choice) -> _Outlook:
+    """Each pairing on offer conditions those of later levels; a feature that is taken adds nothing to them."""
     slots, measured, p, count = pairings.slots, pairings.measured, len(node.path), len(pairings.slots)
-    after, without_it = gates[min(p + 2, len(gates) - 1)], gates[min(p + 1, len(gates) - 1)]
-    free, without, left, seen, counted = np.empty(count, np.bool_), 0, 0, _SEEN, _SEEN
+    free, without, best, left, level = np.empty(count, np.bool_), 0.0, 0.0, 0, _SEEN
     for c in range(choice.later, count):
+        if measured[c] != level:
+            left, level, without, best = left + 1, measured[c], without + best, 0.0
         free[c] = may_follow(pairings, node.path, p, c)
-        if measured[c] != seen:
-            left, seen = left + 1, measured[c]
-        if measured[c] != counted and free[c] and node.distance + node.added[c] < without_it:
-            without, counted = without + 1, measured[c]
-    support, rivals = np.zeros(len(choice.offered), np.int64), np.zeros(len(choice.offered), np.int64)
-    for k in range(len(choice.offered)):
-        a = choice.offered[k]
-        pivot, counted = pivot_of(slots[a], read(node.innovations, a)), _SEEN
+        if free[c]:
+            best = max(best, _evidence(read(node.innovations, c)))
+    without += best
+    offered = choice.offered
+    rivals, evidence, outlook = np.zeros(len(offered), np.int64), np.empty(len(offered)), np.empty(len(offered))
+    for k in range(len(offered)):
+        a, e = offered[k], read(node.innovations, offered[k])
+        pivot, total, best, level = pivot_of(slots[a], e), 0.0, 0.0, _SEEN
         for c in range(choice.later, count):
             rivals[k] += slots[c] == slots[a]
-            if measured[c] == counted or not free[c] or slots[c] == slots[a]:
-                continue
-            e = condition(pairings.covariance, node.w, pivot, a, p, c, slots[c], read(node.innovations, c))
-            if node.distance + node.added[a] + squared(e) < after:
-                support[k], counted = support[k] + 1, measured[c]
-    return _Outlook(support, rivals, without, left)
+            if measured[c] != level:
+                level, total, best = measured[c], total + best, 0.0
+            if free[c] and slots[c] != slots[a]:
+                given = condition(pairings.covariance, node.w, pivot, a, p, c, slots[c], read(node.innovations, c))
+                best = max(best, _evidence(given))
+        evidence[k], outlook[k] = _evidence(e), total + best - without
+    return _Outlook(rivals, evidence, outlook, left)
+
+
+@compiled
+def _evidence(e: Innovation) -> float:
+    """log N(e; 0, S) − log λ, λ the density of measurements of nothing in the map; −inf where S is not positive."""
+    determinant = e.xx * e.yy - e.xy * e.xy
+    if not determinant > 0.0:
+        return -math.inf
+    return -0.5 * squared(e) - 0.5 * math.log(determinant) - math.log(2.0 * math.pi * CLUTTER_DENSITY)
 
 
 @compiled
@@ -209,7 +222,8 @@ def _candidates(
     ahead: _Outlook,
 ) -> Float32Array:
     """`CANDIDATE_FIELDS` of what is on offer."""
-    out, p = np.zeros((choice.candidates, 13), np.float32), len(node.path)
+    out, p = np.zeros((choice.candidates, len(CANDIDATE_FIELDS)), np.float32), len(node.path)
+    odds = ahead.evidence + ahead.outlook
     for k in range(len(choice.offered)):
         c, row = choice.offered[k], out[k]
         i, j, joint = pairings.measured[c], pairings.slots[c], node.distance + node.added[c]
@@ -230,5 +244,12 @@ def _candidates(
             covisible += is_local(around.local, j, pairings.slots[d])
         row[8] = covisible / max(p, 1)
         row[9], row[10] = 1.0 if around.near[j] else 0.0, _squash(float(around.ages[j]), AGE_SCALE)
-        row[11], row[12] = ahead.support[k] / max(ahead.left, 1), _squash(float(ahead.rivals[k]), FEW_SCALE)
+        row[11], row[12] = _squash(float(around.sightings[j]), COUNT_SCALE), 1.0 if around.confirmed[j] else 0.0
+        row[13], e, best = _squash(float(ahead.rivals[k]), FEW_SCALE), read(node.innovations, c), 0.0
+        for other in range(len(odds)):
+            if other != k:
+                best = max(best, odds[other])
+        row[14] = _squash(math.sqrt(max(e.xx * e.yy - e.xy * e.xy, 0.0)), SPREAD_SCALE)
+        row[15], row[16] = _squash(ahead.evidence[k], ODDS_SCALE), _squash(ahead.outlook[k], ODDS_SCALE)
+        row[17], row[18] = _squash(odds[k], ODDS_SCALE), _squash(odds[k] - best, ODDS_SCALE)
     return out.ravel()

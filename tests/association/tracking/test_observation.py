@@ -5,9 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_gym.association.tracking.observation import CANDIDATE_FIELDS, PATH_FIELDS, lengths, nothing
+from slam_gym.association.tracking.observation import (
+    CANDIDATE_FIELDS,
+    CLUTTER_DENSITY,
+    PATH_FIELDS,
+    lengths,
+    nothing,
+)
 from tests.association.tracking.test_walk import CONFIDENCE, problems, walked
 from tests.oracles import association as oracles
+from tests.oracles.densities import fit
 
 
 @pytest.mark.parametrize("locality", [False, True])
@@ -45,9 +52,7 @@ def test_candidates_show_what_they_say():
             assert column["legal"].tolist() == [1.0] * k + [0.0] * (9 - k)
             np.testing.assert_allclose(_unsquash(path["left"], 10.0), len(left), atol=1e-4)
             np.testing.assert_allclose(_unsquash(path["pairings"], 10.0), len(pairs), atol=1e-4)
-            assert path["support"] * max(len(left), 1) == pytest.approx(
-                sum(_follows(scan, prediction, compatible, pairs, i) for i in left), abs=1e-4
-            )
+            without, odds = _outlook(scan, prediction, compatible, pairs, left), []
             for c, row in enumerate(walk.rows.tolist()):
                 longer = [*pairs, (walk.measurement, row)]
                 gate = oracles.gate(2 * len(longer), CONFIDENCE)
@@ -60,9 +65,16 @@ def test_candidates_show_what_they_say():
                 assert column["covisible"][c] == pytest.approx(covisible)
                 rivals = sum(any(j == row for _, j in compatible[i]) for i in later)
                 assert _unsquash(column["rivals"][c], 3.0) == pytest.approx(rivals, abs=1e-4)
-                support = sum(_follows(scan, prediction, compatible, longer, i) for i in left)
-                assert column["support"][c] * max(len(left), 1) == pytest.approx(support, abs=1e-4)
+                evidence = _evidence(scan, prediction, pairs, longer[-1])
+                outlook = _outlook(scan, prediction, compatible, longer, left) - without
+                assert _unsquash(column["evidence"][c], 5.0) == pytest.approx(evidence, rel=1e-3, abs=1e-3)
+                assert _unsquash(column["outlook"][c], 5.0) == pytest.approx(outlook, rel=1e-3, abs=1e-3)
+                odds.append(evidence + outlook)
                 checked += 1
+            for c, own in enumerate(odds):
+                assert _unsquash(column["odds"][c], 5.0) == pytest.approx(own, rel=1e-3, abs=1e-3)
+                best = max([0.0, *odds[:c], *odds[c + 1 :]])
+                assert _unsquash(column["margin"][c], 5.0) == pytest.approx(own - best, rel=1e-3, abs=1e-3)
     assert checked > 200
 
 
@@ -70,11 +82,16 @@ def _unsquash(value, scale):
     return scale * value / (1.0 - abs(value))
 
 
-def _follows(scan, prediction, compatible, pairs, i):
-    """Whether measurement i could be paired right after these pairs."""
-    gate = oracles.gate(2 * len(pairs) + 2, CONFIDENCE)
-    free = [j for _, j in compatible[i] if all(j != used for _, used in pairs)]
-    return any(oracles.distance(scan, prediction, [*pairs, (i, j)]) < gate for j in free)
+def _evidence(scan, prediction, pairs, pair):
+    """log N of a pair's innovation given other pairs, over the density of what is not in the map."""
+    return fit(scan, prediction, [*pairs, pair]) - fit(scan, prediction, pairs) - np.log(CLUTTER_DENSITY)
+
+
+def _outlook(scan, prediction, compatible, pairs, left):
+    """Evidence of the measurements left, each by its best pair."""
+    used = {j for _, j in pairs}
+    free = [[_evidence(scan, prediction, pairs, (i, j)) for _, j in compatible[i] if j not in used] for i in left]
+    return sum(max(0.0, *each, 0.0) for each in free)
 
 
 def test_nothing_is_an_observation_of_zeros():
