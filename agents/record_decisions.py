@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from typer import Option
@@ -62,23 +62,24 @@ def main(
     world: AssociateWorld,
     episodes: Episodes,
     associator: Annotated[str, Option(metavar="NAME", help="See slam-gym list associators.")] = "jcbb",
+    split: Annotated[Literal["train", "test"], Option(help="Of the worlds.")] = "train",
     dataset: Annotated[str, Option(metavar="NAME", help="Of the data set, as Minari names them.")] = "",
 ) -> None:
     """Write an associator's decisions into a Minari data set: pip install 'slam_gym[minari]'."""
     import minari
     from minari.data_collector import EpisodeBuffer
 
-    env, name = world.arguments("train").make(), dataset or f"slam_gym/{world.scenario}/{associator}-v0"
-    buffers = []
-    for own in decisions(env, associator, episodes.range(EPISODES)):
+    worlds, buffers, numbers = world.worlds(split), [], episodes.range(EPISODES)
+    name = dataset or f"slam_gym/{'-'.join(each.scenario for each in worlds)}/{associator}-v0"
+    envs = [each.make() for each in worlds]
+    for each, own in ((each, one) for each, env in zip(worlds, envs) for one in decisions(env, associator, numbers)):
         ends = np.arange(1, len(own.actions) + 1) == len(own.actions)
         taken, infos = (own.observations, own.actions, own.rewards), {"action_mask": own.masks, "right": own.right}
         buffers.append(EpisodeBuffer(own.world, own.world, None, *taken, ends, np.zeros_like(ends), infos))
-        print(
-            f"world {own.world}: {len(ends)} decisions, {np.mean(own.actions == own.right):.0%} as the truth has them"
-        )
+        right, earned = np.mean(own.actions == own.right), own.rewards.sum()
+        print(f"{each.scenario}, world {own.world}: {len(ends)} decisions, {right:.0%} right, return {earned:.2f}")
     minari.create_dataset_from_buffers(
-        name, buffers, env=env, algorithm_name=associator, description="Decisions of an associator in Associate-v0"
+        name, buffers, env=envs[0], algorithm_name=associator, description="Decisions of an associator in Associate-v0"
     )
     print(f'data set: minari.load_dataset("{name}")')
 

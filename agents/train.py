@@ -1,9 +1,9 @@
 """`slam-gym train drive` and `slam-gym train associate`: policies by reinforcement learning.
 
 Each writes into its folder: model.zip (the last weights), best_model.zip (the best on held-out worlds), checkpoints/
-(from the last of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`). An associator
-also leaves associator.npz, its last weights as plain arrays: a name of an associator for every command, and in Python
-`slam_gym.association.ppo(scan, prediction, weights=FILE)`.
+(from the last of which --resume goes on), progress.csv, and TensorBoard logs (`tensorboard --logdir DIR`).
+`associate` also leaves associator.npz, its last weights as plain arrays: a name of an associator for every command, and
+in Python `slam_gym.association.ppo(scan, prediction, weights=FILE)`.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import command_line, plain, versions
+from agents.learning.cloning import clone
 from agents.learning.models import About, branch_weights, read_about
 from agents.learning.policies import (
     CHOICES,
@@ -81,9 +82,12 @@ def make(decision: Decision, arguments: Arguments, scale: float | None = None) -
     return TransformReward(env, scaled)
 
 
-def train(decision: Decision, worlds: Sequence[Arguments], training: Training, folder: str) -> Path:
+def train(
+    decision: Decision, worlds: Sequence[Arguments], training: Training, folder: str, associator: str | None = None
+) -> Path:
     """Train up to `training.timesteps` decisions in all, in its folder or in `folder`; the path of the model file. The
-    environments take turns with what `worlds` are. Ctrl-C keeps what was learned.
+    environments take turns with what `worlds` are. A policy of branches may begin as the clone of an associator. Ctrl-C
+    keeps what was learned.
 
     Raises ValueError where the folder holds a training and is not to be resumed, or one of something else, and as
     `load_hyperparameters`.
@@ -110,6 +114,9 @@ def train(decision: Decision, worlds: Sequence[Arguments], training: Training, f
     model.about = asdict(about)  # Stable-Baselines3 writes it into its files as JSON
     if last is not None:
         _resume(model, last, about)
+    elif associator is not None:
+        losses = clone(model.policy, [each() for each in learned_from], associator, training.seed)
+        print(f"cloned {associator}: −log p of its decisions {losses[-1]:.3f}")
     out.mkdir(parents=True, exist_ok=True)
     model.set_logger(_logs(out, model.num_timesteps))
     watch = _watch(out, about, training, watched, model.num_timesteps)

@@ -65,8 +65,8 @@ class AssociateEnv(BaseEnv):
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows) and `path`, as
-    `slam_gym.association.tracking.observation` lists them, and `budget`, the fraction of the scans left. The first three
-    are what a policy sees as an associator elsewhere (`slam_gym.association.policy.from_policy`).
+    `slam_gym.association.tracking.observation` lists them, and `budget`, the fraction of the scans left. All but the
+    last are what a policy sees as an associator elsewhere (`slam_gym.association.policy.from_policy`).
 
     ## Rewards
     - `reward="truth"`: a right pairing +1, a wrong one −`wrong_cost`, `*` 0, divided by the measurements of features

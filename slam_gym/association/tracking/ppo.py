@@ -1,6 +1,6 @@
 """The associator that reinforcement learning taught: a network scores the branches of the interpretation tree.
 
-Proximal policy optimisation (Schulman et al. 2017) on `Associate-v0` from random weights: `slam-gym train-associate`
+Proximal policy optimisation (Schulman et al. 2017) on `Associate-v0` from random weights: `slam-gym train associate`
 trains it, and writes such weights. With r_k the row of candidate k in the observation, r_* that of `*` (`legal` 1, all
 else 0), and q the rest of the observation,
 

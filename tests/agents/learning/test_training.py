@@ -11,15 +11,18 @@ import pytest
 import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv
 from typer.testing import CliRunner
 
 from agents import train as train_command
 from agents.drivers.base import make_agent
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments, run_episode
+from agents.learning.cloning import clone
 from agents.learning.models import load_policy, read_about
-from agents.learning.policies import HYPERPARAMETERS, load_hyperparameters
-from agents.learning.training import HELD_OUT, WEIGHTS, train
+from agents.learning.policies import HYPERPARAMETERS, load_hyperparameters, make_algorithm
+from agents.learning.training import HELD_OUT, WEIGHTS, make, train
 from agents.options import Training
+from agents.record_decisions import decisions
 from slam_gym.association.tracking.ppo import walk_by
 from slam_gym.envs.observation import GOAL_FIELDS
 from slam_gym.scenarios import SPLITS
@@ -129,6 +132,18 @@ def test_an_associator_decides_elsewhere_as_in_the_environment(associator):
     observation, info = env.reset(seed=4)
     mask = info["action_mask"]
     assert again.policy(observation, mask) == associate.policy(observation, mask)
+
+
+def test_a_clone_decides_as_its_associator():
+    env, hyper = make("branch", BRANCHES), load_hyperparameters("branch")
+    policy = make_algorithm("branch", DummyVecEnv([lambda: env]), hyper, 0).policy
+    losses = clone(policy, [env], "jcbb", seed=0)
+    assert losses[-1] < 0.5 * losses[0]
+    (own,) = decisions(env, "jcbb", range(1))
+    seen = {name: part[:-1] for name, part in own.observations.items()}
+    actions, _ = policy.predict(seen, deterministic=True, action_masks=own.masks)
+    always = max(np.mean(own.actions == action) for action in range(own.masks.shape[1]))
+    assert np.mean(actions == own.actions) > max(0.9, always)
 
 
 def test_an_associator_is_no_driver(associator, tmp_path):
