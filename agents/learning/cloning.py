@@ -15,7 +15,7 @@ from agents.record_decisions import Decided, decisions
 
 EPISODES = 4  # recorded in each scenario
 FIRST_WORLD = 20_000  # of the train split
-_EPOCHS, _BATCH, _RATE = 10, 1_024, 2e-3
+_STEPS, _BATCH, _RATE = 800, 1_024, 2e-3
 
 Batch = tuple[dict[str, Tensor], Tensor, Tensor]
 """Observations, masks and actions of b decisions."""
@@ -35,8 +35,8 @@ def clone(policy: Any, envs: Iterable[gym.Env[Any, Any]], associator: str, seed:
     def judge() -> float:
         return float(np.mean([float(surprise(batch)) for batch in batches]))
 
-    rng = np.random.default_rng(seed)
-    return fit(list(policy.parameters()), batches, surprise, judge, _EPOCHS, _RATE, rng)
+    epochs = max(_STEPS // len(batches), 1)
+    return fit(list(policy.parameters()), batches, surprise, judge, epochs, _RATE, np.random.default_rng(seed))
 
 
 def _batches(decided: list[Decided], seed: int) -> list[Batch]:
