@@ -138,12 +138,11 @@ def test_a_clone_decides_as_its_associator():
     env, hyper = make("branch", BRANCHES), load_hyperparameters("branch")
     policy = make_algorithm("branch", DummyVecEnv([lambda: env]), hyper, 0).policy
     losses = clone(policy, [env], "jcbb", seed=0)
-    assert losses[-1] < 0.5 * losses[0]
+    assert losses[-1] < 0.1 * losses[0]
     (own,) = decisions(env, "jcbb", range(1))
     seen = {name: part[:-1] for name, part in own.observations.items()}
     actions, _ = policy.predict(seen, deterministic=True, action_masks=own.masks)
-    always = max(np.mean(own.actions == action) for action in range(own.masks.shape[1]))
-    assert np.mean(actions == own.actions) > max(0.9, always)
+    assert np.mean(actions == own.actions) > 0.95
 
 
 def test_an_associator_is_no_driver(associator, tmp_path):
