@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import event
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -34,44 +33,38 @@ _PACKAGE = Path(__file__).parent
 _DIGESTS = "digests.json"  # size and checksum of every cached file, as the process that wrote it left it
 _ROOM = 1 << 26  # bytes that must be free on the disk
 _STALE_AFTER = 3 * 24 * 3600  # [s] folders of other versions are removed when untouched for so long
+_PERIOD, _WORD = 0.2, 4.0  # [s] between looks at what is compiled, and between lines about it
 _config: Any = numba.config  # whose attributes are set as numba is imported
 
 
-class _Progress(event.Listener):
-    """Says on stderr what is compiled, and how far that is, whenever a loop that is needed is not cached."""
+_loops: list[Any] = []  # of the modules imported so far, not all of which are needed
 
-    def __init__(self) -> None:
-        self.loops: list[Any] = []  # of the modules imported so far, not all of which are needed
-        self.names: list[str] = []  # of what is being compiled, callers first; empty for what is not of this package
-        self.speaker = threading.Thread()
 
-    def on_start(self, event: Any) -> None:
-        function = event.data["dispatcher"].py_func
-        self.names.append(function.__name__.strip("_") if function.__module__.startswith("slam_gym") else "")
-        if self.names[0] and not self.speaker.is_alive():
-            self.speaker = threading.Thread(target=self._speak, daemon=True)
-            self.speaker.start()
-
-    def on_end(self, event: Any) -> None:
-        self.names.pop()
-        if not self.names and sys.stderr.isatty():
+def _tell() -> None:
+    """As long as the process lives, say on stderr what is compiled, and how far that is, whenever a loop that is needed
+    is not cached."""
+    terminal, last = sys.stderr.isatty(), 0.0
+    kept = "at every start, as nothing can be kept" if _folder() is None else "once"
+    while True:
+        time.sleep(_PERIOD)
+        busy = [loop for loop in _loops if _asked(loop) > _ready(loop)]
+        if busy and (terminal or time.monotonic() - last >= _WORD):
+            last, ready, known = time.monotonic(), sum(map(bool, map(_ready, _loops))), len(_loops)
+            told, name = f"slam_gym compiles its inner loops, {kept}", busy[-1].__name__.strip("_")
+            bar = f"{'━' * (24 * ready // known):╌<24} {ready} of up to {known}, {name:<24}"
+            print(f"{told}: {bar}", end="\r" if terminal else "\n", file=sys.stderr, flush=True)
+        elif last and terminal and not busy:
             print("\033[2K\r", end="", file=sys.stderr, flush=True)  # what comes next begins an empty line
-
-    def _speak(self) -> None:
-        """Until nothing has been compiled for a while."""
-        quiet, end = 0, "\r" if sys.stderr.isatty() else "\n"
-        kept = "at every start, as nothing can be kept" if _folder() is None else "once"
-        while quiet < 3:
-            if names := [name for name in self.names if name]:
-                ready, known = sum(bool(loop.signatures) for loop in self.loops), len(self.loops)
-                told = f"slam_gym compiles its inner loops, {kept}: {'━' * (24 * ready // known):╌<24} "
-                print(f"{told}{ready} of up to {known}, {names[-1]:<24}", end=end, file=sys.stderr, flush=True)
-            time.sleep(0.2 if end == "\r" else 4.0)
-            quiet = 0 if names else quiet + 1
+            last = 0.0
 
 
-_progress = _Progress()
-cast(Any, event).register("numba:compile", _progress)
+def _asked(loop: Any) -> int:
+    """How often a loop was looked for in the cache, once for each signature that was called."""
+    return int(sum(loop.stats.cache_hits.values()) + sum(loop.stats.cache_misses.values()))
+
+
+def _ready(loop: Any) -> int:
+    return len(loop.signatures)
 
 
 def compiled(function: F) -> F:
@@ -93,7 +86,9 @@ def _compiled(function: F, inline: bool) -> F:
         loop: Any = numba.njit(nogil=True, error_model="numpy", forceinline=inline, cache=folder is not None)(function)
     finally:
         _config.CACHE_DIR = before
-    _progress.loops.append(loop)
+    if not _loops and not _config.DISABLE_JIT:
+        threading.Thread(target=_tell, daemon=True).start()
+    _loops.append(loop)
     return cast(F, loop)
 
 
