@@ -10,7 +10,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import nbformat
@@ -121,7 +121,10 @@ def check_command(command: list[str], complete: bool = True) -> None:
             assert name in COMMANDS, name
             if arguments or complete:
                 module = importlib.import_module(f"agents.{name.replace('-', '_')}")
-                get_command(module.app).make_context(name, list(arguments))
+                found: Any = get_command(module.app)
+                if several := getattr(found, "commands", {}):
+                    found, arguments = several[arguments[0]], arguments[1:]
+                found.make_context(name, list(arguments))
         case ["evo_ape" | "evo_rpe" | "evo_traj", "tum", first, *rest]:
             assert all(path.endswith(".tum") for path in (first, *rest) if "/" in path), rest
         case ["mkdocs", "build" | "serve", *_] | ["ruff", "check" | "format", *_] | ["mypy"] | ["git", *_]:
@@ -209,9 +212,10 @@ def test_commands_parse(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_example_of_a_command_parses(name: str) -> None:
-    example = get_command(importlib.import_module(f"agents.{name.replace('-', '_')}").app).epilog
-    check_command(shlex.split(example.removeprefix("Example: ")))
-    assert example.startswith(f"Example: slam-gym {name} ")
+    command = get_command(importlib.import_module(f"agents.{name.replace('-', '_')}").app)
+    for one in getattr(command, "commands", {name: command}).values():
+        check_command(shlex.split(one.epilog.removeprefix("Example: ")))
+        assert one.epilog.startswith(f"Example: slam-gym {name} ")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=of)

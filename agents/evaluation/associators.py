@@ -19,7 +19,7 @@ from slam_gym.simulation.judged import CEILING
 
 SIMPLEST_FIRST = (
     "nearest_neighbour", "global_nearest_neighbour", "singles", "one_point_ransac", "jcbb", "ipjc", "map_hypothesis",
-    "marginal", "learned",
+    "marginal", "ppo", "learned",
 )  # fmt: skip
 SHIPPED = (*SIMPLEST_FIRST, CEILING)
 """The associators that ship, in the order of tables: from the simplest to the truth."""

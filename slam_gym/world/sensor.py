@@ -52,6 +52,7 @@ class SensorSpec:
     clutter: float = 0.3  # mean number of spurious measurements a scan (Poisson), anywhere in sight
     person_detection: float = 0.5  # probability that a person in sight yields a spurious measurement
     max_features: int = 20  # measurements in a scan; the nearest are kept
+    kinds: bool = False  # the detector tells corners from door jambs and pillars
 
     @property
     def sigma_halfway(self) -> float:
@@ -178,13 +179,21 @@ class Sensor:
         out = room, (bearings, self._finder, ranges)
         m = _measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
         points, covariances, sizes, size_variances, sources = room
-        scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], self._unknown_kinds[:m].copy())
+        kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
+        scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
         return scan, Truth(pose.copy(), sources[:m]), ranges
 
     def _room_in_sight(self, people: Array) -> tuple[Array, IntArray]:
         """For what `_in_sight` finds."""
         most = len(self._features) + len(people)
         return np.empty((most, 2)), np.empty(most, np.int64)
+
+    def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
+        """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""
+        known = self._features.kinds
+        if len(known) == 0:
+            return np.full(len(sources), UNKNOWN_KIND)
+        return np.where(sources == SPURIOUS, known[rng.integers(len(known), size=len(sources))], known[sources])
 
     def beams(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS

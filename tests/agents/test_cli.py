@@ -11,7 +11,7 @@ import typer
 from agents.cli import command
 from agents.evaluation.episodes import AssociateArguments, ExploreArguments
 from agents.evaluation.records import results_folder
-from agents.options import AssociateWorld, Episodes, Execution, World
+from agents.options import DRIFTING, AssociateWorld, Episodes, Execution, World
 from slam_gym.commands import COMMANDS
 from tests.agents import typed
 
@@ -30,7 +30,8 @@ def parsed(*words, group=World):
 
 def test_without_options_the_arguments_are_the_defaults():
     assert parsed()[0].arguments("office", "test") == ExploreArguments()
-    assert parsed(group=AssociateWorld)[0].arguments("train") == AssociateArguments()
+    found = parsed(group=AssociateWorld)[0].worlds("train")
+    assert found == [AssociateArguments(scenario=name) for name in DRIFTING]
     assert parsed(group=Episodes)[0].range(7) == range(7)
     assert parsed("--seed", 3, "--episodes", 2, group=Episodes)[0].range(7) == range(3, 5)
 
@@ -41,8 +42,8 @@ def test_options_change_the_arguments():
     assert found.overrides == (("sensor.range", 4), ("dynamics.people", 3)) and found.relocation is None
     assert found.floor_plan == str(Path("a.json").resolve()) and found.scenario == "hall" and found.split == "train"
     assert parsed("--floor-plan", "a.json")[0].arguments("office", "test").scenario == "building"
-    own = parsed("--candidates", 3, "--set", "budget=5", group=AssociateWorld)[0].arguments("test")
-    assert own == AssociateArguments(candidates=3, split="test", overrides=(("budget", 5),))
+    own = parsed("--scenario", "hall", "--candidates", 3, "--set", "budget=5", group=AssociateWorld)[0].worlds("test")
+    assert own == [AssociateArguments("hall", candidates=3, split="test", overrides=(("budget", 5),))]
 
 
 def test_several_scenarios_are_several_loops_and_one_too_many_where_one_is_asked_for():

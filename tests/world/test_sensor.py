@@ -212,3 +212,17 @@ def test_beams_measure_what_comes_first():
     np.testing.assert_allclose(ranges[:, well_within].mean(axis=0), true[well_within], atol=0.007)
     np.testing.assert_allclose(ranges[:, well_within].std(axis=0), 0.05, rtol=0.1)
     assert ranges.min() >= 0 and ranges.max() <= 6.0 and sweeps[0].max_range == 6.0
+
+
+def test_kinds_are_those_of_the_features_and_tell_nothing_of_what_is_spurious():
+    kinds = np.array([Kind.CORNER, Kind.PILLAR, Kind.DOOR_JAMB, Kind.PILLAR])
+    plan = plan_with([(22, 20), (20, 22), (18, 20), (20, 18)], kinds=kinds)
+    sensor, rng = sensor_in(plan, SensorSpec(clutter=3.0, kinds=True)), np.random.default_rng(0)
+    spurious = []
+    for _ in range(300):
+        scan, truth = sensor.scan(POSE, rng)
+        real = truth.sources != SPURIOUS
+        np.testing.assert_array_equal(scan.kinds[real], kinds[truth.sources[real]])
+        spurious += scan.kinds[~real].tolist()
+    shares = np.bincount(spurious, minlength=3) / len(spurious)
+    np.testing.assert_allclose(shares, np.bincount(kinds, minlength=3) / len(kinds), atol=0.06)
