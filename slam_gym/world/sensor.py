@@ -125,7 +125,7 @@ class Sensor:
         self.spec = sensor or SensorSpec()
         self.beam_spec = beams or BeamSpec()
         self.odometry_spec = odometry or OdometrySpec()
-        *reals, max_features = astuple(self.spec)
+        *reals, max_features, _ = astuple(self.spec)
         self._settings: _PackedSettings = (*map(float, reals), int(max_features))  # type: ignore[assignment]
         self._finder = (float(self.beam_spec.range), float(self.beam_spec.sigma))
         self._wheels: _PackedWheels = tuple(map(float, astuple(self.odometry_spec)))  # type: ignore[assignment]
