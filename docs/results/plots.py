@@ -135,6 +135,23 @@ def learned(theme: dict[str, str]) -> Figure:
     return figure
 
 
+def training(theme: dict[str, str]) -> Figure:
+    data, colours = table("training"), {"true_association": "ink", "marginal": "blue", "learned": "grey", "jcbb": "ink"}
+    figure, axes = plt.subplots(figsize=(WIDTH, 3.2))
+    own = data[data.who == "ppo"]
+    axes.plot(own.decisions / 1e6, own.train_score.interpolate(), color=theme["red"], label="in training, drawn")
+    greedy = own.dropna(subset="held_out_return")
+    axes.plot(greedy.decisions / 1e6, greedy.held_out_return, "o", color=theme["red"], label="held-out worlds, greedy")
+    for who, colour in colours.items():
+        level = data[data.who == who].held_out_return.iloc[0]
+        axes.axhline(level, color=theme[colour], linewidth=1, linestyle=":" if who == "true_association" else "--")
+        shift = {"marginal": 0.05, "learned": -0.05}.get(who, 0.0)  # so that the two names do not overlap
+        axes.text(3.04, level + shift, NAMES.get(who, who), va="center")
+    axes.set(xlabel="million decisions (3: twenty minutes)", ylabel="score", xlim=(0, 3.0), ylim=(-0.8, 1.05))
+    axes.legend(loc="lower right")
+    return figure
+
+
 def drivers(theme: dict[str, str]) -> Figure:
     data = table("drivers")
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
@@ -150,7 +167,7 @@ def drivers(theme: dict[str, str]) -> Figure:
 
 
 PLOTS: dict[str, Callable[[dict[str, str]], Figure]] = {
-    plot.__name__: plot for plot in (associators, relocation, cost, recordings, learned, drivers)
+    plot.__name__: plot for plot in (associators, relocation, cost, recordings, learned, training, drivers)
 }
 
 
