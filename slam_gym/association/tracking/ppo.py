@@ -8,8 +8,9 @@ else 0), and q the rest of the observation,
     score_k = wᵀ max(0, D (e_k, s) + d) + w₀,
 
 and the legal branch of the greatest score is taken, that of `*` lowered by `boldness`: an agent that is paid for each
-decision at once does not know that what it refuses makes the next scan harder, and refuses too much. Every candidate passes through the same weights, so there may be
-any number of them. It runs as plain numpy: no learning library is needed.
+decision at once does not know that what it refuses makes the next scan harder, and refuses too much. Every candidate
+passes through the same weights, so there may be any number of them. It runs as plain numpy: no learning library is
+needed.
 """
 
 from __future__ import annotations
