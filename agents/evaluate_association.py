@@ -1,11 +1,13 @@
 """`slam-gym evaluate-association` puts each associator into the loop on the same test worlds; `--suite` asks all of
 them about the same scans, one number per capability; `--recording` runs them over a real log.
 
-Writes into its folder: results.csv (one row per episode), results.json (what it depends on) and report.html.
+Writes into its folder: results.csv (one row per episode), results.json (what it depends on), report.html, and with
+--film films/side-by-side.mp4.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -61,10 +63,13 @@ def main(
     recording: Annotated[
         str | None, Option(metavar="LOG", help="See slam-gym list recordings; or .csv, .npz, .g2o, .txt (iSAM).")
     ] = None,
+    film: Annotated[bool, Option("--film", help="Film the first drive of two to four, side by side.")] = False,
 ) -> None:
     """Evaluate associators on the same drives, over the suite, or on a recording."""
     if suite and recording:
         raise ValueError("--suite and --recording are two evaluations: give one of them")
+    if film and (suite or recording or not 2 <= len(candidates.names) <= 4):
+        raise ValueError("--film shows drives of two to four associators: name them by --associators")
     kind = "suite" if suite else "recording" if recording else "association"
     _refuse_what_does_not_apply(kind, {"association": loop, "suite": suite_options, "recording": recorded})
     out = execution.folder(kind)
@@ -83,7 +88,12 @@ def main(
         loops, searches = loop.loops(LOOPS, candidates.split), candidates.searches(["none", SEARCH])
         episodes = loop.range(EPISODES)
         evaluation = associator_evaluation(candidates.names, loops, loop.driver, episodes, searches, out)
-        evaluate(evaluation, execution, out)
+        films: list[Callable[[], Path]] = []
+        if film:
+            from agents.reports.film import beside  # ffmpeg and pygame are needed for films only
+
+            films = beside(loops[0], loop.driver, candidates.names, loop.seed, out)
+        evaluate(evaluation, execution, out, films)
 
 
 def _on_logs(candidates: Candidates, recorded: Recorded, recording: str, out: Path) -> Evaluation:

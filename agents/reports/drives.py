@@ -27,7 +27,7 @@ from agents.evaluation.tables import (
     estimates,
 )
 from agents.reports import figures
-from agents.reports.film import film_path
+from agents.reports.film import BESIDE, film_path
 from agents.reports.page import Film, Page, Part, Picture
 from slam_gym.metrics.statistics import mean
 from slam_gym.simulation.judged import CEILING
@@ -71,6 +71,8 @@ def drives_page(results: Results, folder: Path) -> Page:
         }
         others, corner = [Column(name, display_name(name)) for name in groups], "map error of … minus that of"
         parts.append(Table("Against each other", corner, others, gaps, PAIRED, differences=True, detail=True))
+    if (beside := film_path(folder, BESIDE)).with_suffix(".png").exists():
+        parts.append(Film("Side by side", beside, None))
     for agent, own in groups.items():
         if (path := film_path(folder, agent)).with_suffix(".png").exists():
             parts.append(Film(agent, path, own.loc[own["episode"].idxmin(), "map_error"]))

@@ -1,22 +1,32 @@
-"""Short films of episodes: the same seeds as the evaluation, drawn tick by tick."""
+"""Short films of episodes: the same seeds as the evaluation, drawn tick by tick; of one, or of several side by side."""
 
 from __future__ import annotations
 
+import zlib
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import imageio.v2 as imageio
 import numpy as np
+from numpy.typing import NDArray
 
+from agents.evaluation.associators import metered
 from agents.evaluation.drives import Driver
 from agents.evaluation.episodes import ExploreArguments, run_episode
 from agents.evaluation.records import stem
+from agents.evaluation.tables import display_name
+from slam_gym.association.prediction import Associator
+from slam_gym.rendering import symbols
+from slam_gym.rendering.canvas import pixels, pygame, text
+from slam_gym.simulation.episode import Episode
 
 FRAMES = 300
 RATE = 20  # [frames/s]
+BESIDE = "side-by-side"
 SLOW = 8  # frames a tick, around a kidnapping and a recovery
 
 
@@ -35,39 +45,100 @@ def films_of(
     return [partial(film, arguments, first[agent], episode, paths[agent]) for agent in missing]
 
 
+def beside(
+    arguments: ExploreArguments, driver: str, associators: Sequence[str], episode: int, out: Path
+) -> list[Callable[[], Path]]:
+    """The call that films that episode with each of the associators side by side, if the film is not there yet."""
+    path = film_path(out, BESIDE)
+    call = partial(film_beside, arguments, Driver(driver), associators, episode, path)
+    return [] if path.with_suffix(".png").exists() else [call]
+
+
 def film(arguments: ExploreArguments, driver: Driver, episode: int, path: Path) -> Path:
     """Film one episode into `path` (.mp4); its last picture is kept beside it as .png, which is returned.
 
-    At most about `FRAMES` frames, however long the episode is.
+    At most about `FRAMES` frames, however long the episode is, and a pause at the first wrong pairing.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    agent = driver.make()
-    env = arguments.make(agent.action, render_mode="rgb_array")
+    return _cut([_shots(arguments, driver, episode, None)], path)
+
+
+def film_beside(
+    arguments: ExploreArguments, driver: Driver, associators: Sequence[str], episode: int, path: Path
+) -> Path:
+    """As `film`, of the same episode with each of the associators, side by side."""
+    reels = [_shots(arguments, driver, episode, metered(name)[1]) for name in associators]
+    return _cut(reels, path, [display_name(name) for name in associators])
+
+
+class Shot(NamedTuple):
+    """A picture of a film, compressed: a film of several episodes needs all of them at once."""
+
+    tick: int
+    picture: bytes
+    shape: tuple[int, ...]
+    frames: int  # for which it stands still
+
+    def pixels(self) -> NDArray[np.uint8]:
+        return np.frombuffer(zlib.decompress(self.picture), np.uint8).reshape(self.shape)
+
+
+def _shots(
+    arguments: ExploreArguments, driver: Driver, episode: int, associator: Associator | str | None
+) -> list[Shot]:
+    """Those of one episode, in the order of their ticks; the last one shows its end."""
+    agent, shots, wrong = driver.make(), list[Shot](), False
+    env = arguments.make(agent.action, render_mode="rgb_array", associator=associator)
     stride = max(1, round(env.unwrapped.scenario.budget / FRAMES))  # type: ignore[attr-defined]
+
+    def watch(env: gym.Env[Any, Any]) -> None:
+        nonlocal wrong
+        run = env.unwrapped.episode  # type: ignore[attr-defined]
+        first_wrong, wrong = not wrong and run.identities.total.fp > 0, run.identities.total.fp > 0
+        closer = RATE if first_wrong else SLOW if _worth_a_closer_look(run) else 1
+        if closer > 1 or run.ticks % stride == 0:
+            shots.append(_shot(env, closer))
+
+    run_episode(env, agent, episode, watch)
+    shots.append(_shot(env, RATE))
+    env.close()
+    return shots
+
+
+def _shot(env: gym.Env[Any, Any], frames: int) -> Shot:
+    picture = np.asarray(env.render(), dtype=np.uint8)
+    ticks: int = env.unwrapped.episode.ticks  # type: ignore[attr-defined]
+    return Shot(ticks, zlib.compress(picture.tobytes(), 1), picture.shape, frames)
+
+
+def _cut(reels: Sequence[Sequence[Shot]], path: Path, names: Sequence[str] = ()) -> Path:
+    """Write the shots of episodes side by side, below their `names`: at each tick the latest of each, for as long as
+    any stands still."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    above = [np.hstack([_heading(name, reel[0].shape[1]) for name, reel in zip(names, reels)])] if names else []
+    shown, left = [reel[0] for reel in reels], [deque(reel) for reel in reels]
     mp4 = {"codec": "libx264", "quality": 6, "macro_block_size": 2, "ffmpeg_log_level": "error"}
     with imageio.get_writer(path, fps=RATE, **mp4) as writer:
-
-        def shoot(env: gym.Env[Any, Any], frames: int) -> None:
-            picture = np.asarray(env.render(), dtype=np.uint8)
-            for _ in range(frames):
+        while any(left):
+            tick = min(reel[0].tick for reel in left if reel)
+            now = [reel.popleft() if reel and reel[0].tick == tick else None for reel in left]
+            shown = [new or old for new, old in zip(now, shown)]
+            picture = np.vstack([*above, np.hstack([shot.pixels() for shot in shown])])
+            for _ in range(max(shot.frames for shot in now if shot)):
                 writer.append_data(picture)
-
-        def watch(env: gym.Env[Any, Any]) -> None:
-            if _worth_a_closer_look(env):
-                shoot(env, SLOW)
-            elif env.unwrapped.episode.ticks % stride == 0:  # type: ignore[attr-defined]
-                shoot(env, 1)
-
-        run_episode(env, agent, episode, watch)
-        shoot(env, RATE)  # hold the final map for a second
-    picture = path.with_suffix(".png")
-    imageio.imwrite(picture, np.asarray(env.render(), dtype=np.uint8))
-    env.close()
-    return picture
+    imageio.imwrite(path.with_suffix(".png"), picture)
+    return path.with_suffix(".png")
 
 
-def _worth_a_closer_look(env: gym.Env[Any, Any]) -> bool:
+def _heading(words: str, width: int) -> NDArray[np.uint8]:
+    """(32, width, 3) words in the middle of a strip."""
+    strip = pygame.Surface((width, 32), depth=32)
+    strip.fill(symbols.PAPER)
+    line = text(words, 18, symbols.INK, bold=True)
+    strip.blit(line, ((width - line.get_width()) // 2, 6))
+    return pixels(strip)
+
+
+def _worth_a_closer_look(episode: Episode) -> bool:
     """The robot has just been carried away, or has just found where it is."""
-    episode = env.unwrapped.episode  # type: ignore[attr-defined]
     moments = (episode.kidnapping.happened, episode.kidnapping.recovered)
     return any(moment is not None and 0 <= episode.ticks - moment < 4 for moment in moments)

@@ -40,11 +40,11 @@ class Picture(NamedTuple):
 
 
 class Film(NamedTuple):
-    """The first episode of an agent: the film, its last picture, and the error of the map."""
+    """The first episode: the film, its last picture, and the error of the map; None where several are side by side."""
 
     agent: str
     path: Path  # .mp4; the picture beside it is .png
-    error: float
+    error: float | None
 
 
 Part = Table | Picture | Film | str
