@@ -1,7 +1,7 @@
 """slam_gym: learn and evaluate data association in SLAM, and active exploration on top of it.
 
-Importing the package registers its environments with Gymnasium. What `__all__` lists is imported when it is first used,
-so that `import slam_gym` itself stays quick.
+Importing the package registers its environments with Gymnasium. The names in `__all__` are imported on first use, so
+that `import slam_gym` itself stays quick.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _MODULES = (
     "mapping.stochastic_map", "mapping.smoothing", "slam.slam", "slam.local_maps", "slam.atlas", "slam.relocate",
     "scenarios", "recordings", "world.floor_plan",
 )  # fmt: skip
-"""Where the public names are looked for, in this order."""
+"""Modules that are searched for a public name, in this order."""
 
 __all__ = [
     "ASSOCIATORS",
@@ -105,16 +105,16 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what `__all__` lists when it is first asked for."""
+    """Import a name of `__all__` on first use."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(_home(name), name)
-    globals()[name] = found
-    return found
+    value = getattr(_home(name), name)
+    globals()[name] = value
+    return value
 
 
 def _home(name: str) -> ModuleType:
-    """The module that a public name is from."""
+    """The module that defines a public name."""
     modules = (importlib.import_module(f"slam_gym.{module}") for module in _MODULES)
     return next(module for module in modules if hasattr(module, name))
 

@@ -1,6 +1,6 @@
-"""Files from strangers: read up to a size limit, never unpickled, and refused with a reason.
+"""Reading of untrusted files: up to a size limit, without unpickling, and with a reason where a file is refused.
 
-Everything here raises ValueError; readers add the file and the field.
+All functions raise ValueError; readers add the file and the field.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_BYTES = 1 << 26  # of a file, or of what it unpacks to, where a reader says nothing else
+MAX_BYTES = 1 << 26  # of a file, or of its unpacked content, unless a reader sets another limit
 
 
 def content_of(path: Path, limit: int = MAX_BYTES) -> bytes:
-    """The bytes of a file. ValueError for more than `limit`, OSError as `open`."""
+    """The bytes of a file. Raises ValueError for more than `limit` bytes, and OSError as `open`."""
     with path.open("rb") as file:
         content = file.read(limit + 1)
     if len(content) > limit:
@@ -28,7 +28,7 @@ def content_of(path: Path, limit: int = MAX_BYTES) -> bytes:
 
 
 def gunzipped(content: bytes, limit: int = MAX_BYTES) -> bytes:
-    """What gzip packed. ValueError where it is damaged, or unpacks to more than `limit`."""
+    """The unpacked content of gzip data. Raises ValueError for damaged data, and for more than `limit` unpacked bytes."""
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
             unpacked = file.read(limit + 1)
@@ -40,7 +40,7 @@ def gunzipped(content: bytes, limit: int = MAX_BYTES) -> bytes:
 
 
 def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]:
-    """The array of a `.npy` file, of one of the `kinds` of dtype, read-only. ValueError for others or a pickled one."""
+    """The array of a `.npy` file, read-only. Raises ValueError for pickles and for a dtype kind not among `kinds`."""
     try:
         array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
     except Exception as error:  # numpy raises whatever the damage leads to
@@ -54,7 +54,7 @@ def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]
 
 
 def zip_members(content: bytes, limit: int = MAX_BYTES) -> dict[str, bytes]:
-    """The members of a zip file by name. ValueError where it is damaged, or they declare more than `limit` bytes."""
+    """The members of a zip file by name. Raises ValueError for damage, and for more than `limit` bytes declared."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
@@ -68,7 +68,7 @@ def zip_members(content: bytes, limit: int = MAX_BYTES) -> dict[str, bytes]:
 
 
 def json_of(content: bytes | str) -> Any:
-    """A JSON document without NaN and infinities. ValueError with the reason for any other."""
+    """The value of a JSON document. Raises ValueError with the reason, also for NaN and infinities."""
 
     def refuse(name: str) -> None:
         raise ValueError(f"it holds the number {name}, which is not finite")

@@ -1,7 +1,7 @@
-"""`slam-gym COMMAND …`: every command of the package by one name, from wherever it is installed.
+"""`slam-gym COMMAND …`: all commands of the package under one name, wherever it is installed.
 
-The commands are modules of `agents/`, which stands at the top of a checkout. A wheel brings it along inside the
-package, in a folder that only this process puts on its path: nobody else's `agents` is taken from them.
+The commands are modules of `agents/`, which is at the top of a checkout. A wheel contains it inside the package. Only
+this process puts that folder on its path, so that no other package named `agents` is shadowed elsewhere.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typer.main import get_command
 
 import slam_gym
 
-_INSTALLED = Path(__file__).parent / "shipped"  # where a wheel has the folder `agents`
-_CHECKOUT = Path(__file__).parents[1]  # … and where a checkout has it
+_INSTALLED = Path(__file__).parent / "shipped"  # folder that contains `agents` in a wheel
+_CHECKOUT = Path(__file__).parents[1]  # … and in a checkout
 _LEARNING = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard")  # packages of the extra `learn`
 
 COMMANDS: dict[str, str] = {
@@ -36,11 +36,11 @@ COMMANDS: dict[str, str] = {
     "report": "The report of a finished evaluation, once more.",
     "play": "Drive with the keyboard.",
 }
-"""Those of `agents`, each the `app` of the module of its name, and what it is about."""
+"""The commands of `agents` and their summaries. Each is the `app` of the module of that name."""
 
 
 class Topic(StrEnum):
-    """What there are names of."""
+    """Topics of `slam-gym list`."""
 
     SCENARIOS = "scenarios"
     ASSOCIATORS = "associators"
@@ -50,14 +50,14 @@ class Topic(StrEnum):
 
 
 class _Commands(typer.core.TyperGroup):
-    """A command of `agents` is imported when it is called, or asked for its options; this list knows its name."""
+    """The command group. It imports a command of `agents` only when that is called or its options are shown."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name, command, rest = super().resolve_command(ctx, args)
         if name in COMMANDS:
             _find_agents()
             if "" not in sys.path:
-                sys.path.append("")  # as `python -m` has it: "mymodule:MyDriver" is looked for where one stands
+                sys.path.append("")  # as with `python -m`: "mymodule:MyDriver" is found in the current directory
             module = ended(lambda: importlib.import_module(f"agents.{name.replace('-', '_')}"))
             command = get_command(module.app)
         return name, command, rest
@@ -109,8 +109,8 @@ Result = TypeVar("Result")
 
 
 def ended(command: Callable[[], Result]) -> Result:
-    """The result of a command. Bad input, a package that is missing, a full disk or a worker that was killed end the
-    process with one line on stderr and exit code 2, Ctrl-C with 130."""
+    """The result of a command. Bad input, a missing package, a full disk or a killed worker end the process with one
+    line on stderr and exit code 2; Ctrl-C ends it with 130."""
     try:
         return command()
     except ModuleNotFoundError as error:
@@ -134,9 +134,9 @@ def _end(error: str) -> NoReturn:
 
 
 def _find_agents() -> None:
-    """Put the folder in which `agents` lies first on the path of this process and of those that it starts."""
+    """Put the folder that contains `agents` first on the path of this process and of its child processes."""
     folder = _INSTALLED if (_INSTALLED / "agents").is_dir() else _CHECKOUT
     if (folder / "agents" / "cli.py").is_file() and str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
-        known = os.environ.get("PYTHONPATH")
-        os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([known] if known else [])])
+        previous = os.environ.get("PYTHONPATH")
+        os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([previous] if previous else [])])

@@ -1,4 +1,4 @@
-"""`slam-gym doctor`: what is installed, compiled and cached, and where data are looked for."""
+"""`slam-gym doctor`: what is installed, compiled and cached, and where data are searched."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import slam_gym
 from slam_gym._jit import cache_folder
 from slam_gym.recordings.catalogue import DATA, PUBLISHED
 
-_MUCH = 500  # [MB] of compiled loops, more than one version of the package leaves
+_MUCH = 500  # [MB] of compiled loops: more than one version of the package creates
 
 
 def report() -> Iterator[str]:
-    """Its lines."""
+    """Yields the lines of the report."""
     yield f"slam_gym {slam_gym.__version__} in {Path(slam_gym.__file__).parent}"
     yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     yield f"threads of BLAS: OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')} (1 is fastest here)"
@@ -29,29 +29,29 @@ def report() -> Iterator[str]:
 
 
 def _packages() -> Iterator[str]:
-    """Every package that the core or an extra asks for: the versions of those that are there, and for each extra of
-    which some are missing a line that installs it. What several extras ask for stands at the smallest."""
-    asked: dict[str, set[str]] = {}
+    """Yields the versions of the installed packages that the core or an extra requires, and for each extra with missing
+    packages a line that installs it. A package of several extras is listed under the smallest of them."""
+    required: dict[str, set[str]] = {}
     for requirement in requires("slam_gym") or []:
         condition = re.search(r"extra == ['\"](\w+)", requirement)
-        asked.setdefault(condition[1] if condition else "", set()).add(re.split(r"[^\w.-]", requirement)[0])
-    seen, missing = {"slam_gym"}, []
-    for extra, names in sorted(asked.items(), key=lambda each: (each[0] != "", len(each[1]))):
-        lacking = []
-        for name in sorted(names - seen):
+        required.setdefault(condition[1] if condition else "", set()).add(re.split(r"[^\w.-]", requirement)[0])
+    listed, missing = {"slam_gym"}, []
+    for extra, names in sorted(required.items(), key=lambda each: (each[0] != "", len(each[1]))):
+        absent = []
+        for name in sorted(names - listed):
             try:
                 yield f"  {name:26} {version(name)}"
             except PackageNotFoundError:
-                lacking.append(name)
-        seen |= names
-        if lacking:
-            missing.append(f"  pip install 'slam_gym[{extra}]'  ({', '.join(lacking)})")
+                absent.append(name)
+        listed |= names
+        if absent:
+            missing.append(f"  pip install 'slam_gym[{extra}]'  ({', '.join(absent)})")
     if missing:
         yield from ("", "not installed; only what you use is needed:", *missing)
 
 
 def _cache() -> Iterator[str]:
-    """Where compiled loops are kept, and how much of them."""
+    """Yields where compiled loops are cached, and their size."""
     folder = cache_folder()
     files = list(folder.rglob("*.nbc")) if folder.is_dir() else []
     size = sum(file.stat().st_size for file in files) / 1e6  # [MB]
@@ -62,7 +62,7 @@ def _cache() -> Iterator[str]:
 
 
 def _data() -> Iterator[str]:
-    """Where recordings are looked for, and which are there."""
+    """Yields where recordings are searched, and which were found."""
     if DATA not in os.environ:
         yield f"recordings: {DATA} is not set; {', '.join(PUBLISHED)} need it or --data"
         return

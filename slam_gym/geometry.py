@@ -1,7 +1,7 @@
 """SE(2): composition, inversion and transformation of points, each with its Jacobians.
 
-Notation of the stochastic-map literature: a ⊕ b is pose b, given in the frame of a, expressed in the frame in which a
-is given; ⊖a is the inverse. Poses are (3,) `[x m, y m, θ rad]`, points (2,) [m].
+The notation is that of the stochastic-map literature. For a pose b given in the frame of a, a ⊕ b is b in the frame in
+which a is given; ⊖a is the inverse of a. Poses are (3,) `[x m, y m, θ rad]`, points (2,) [m].
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from slam_gym.types import Array
 
 @compiled
 def wrap_angle(angle: float) -> float:
-    """`angle` [rad] brought into (−π, π]."""
+    """`angle` [rad] wrapped to (−π, π]."""
     wrapped = (angle + math.pi) % (2.0 * math.pi)
     if wrapped <= 0.0:
         wrapped += 2.0 * math.pi
@@ -24,7 +24,7 @@ def wrap_angle(angle: float) -> float:
 
 
 def wrap_angles(angles: Array) -> Array:
-    """Angles [rad] of any shape brought into (−π, π]."""
+    """Angles [rad] of any shape wrapped to (−π, π]."""
     return np.asarray(math.pi - np.remainder(math.pi - angles, 2.0 * math.pi))
 
 
@@ -64,13 +64,13 @@ def inverse(a: Array) -> Array:
 
 @compiled
 def relative(a: Array, b: Array) -> Array:
-    """⊖a ⊕ b: pose b seen from pose a, both given in one frame."""
+    """⊖a ⊕ b: pose b in the frame of pose a, where both are given in one frame."""
     return compose(inverse(a), b)
 
 
 @compiled
 def transform(pose: Array, points: Array) -> Array:
-    """Points (m, 2) in the frame of `pose` → the frame in which `pose` is given, (m, 2)."""
+    """Points (m, 2) given in the frame of `pose`, transformed to the frame in which `pose` is given, (m, 2)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     out = np.empty_like(points)
     for i in range(points.shape[0]):
@@ -81,7 +81,7 @@ def transform(pose: Array, points: Array) -> Array:
 
 @compiled
 def observe(pose: Array, points: Array) -> Array:
-    """⊖pose ⊕ points: points (m, 2) of the outer frame as seen from `pose`, (m, 2)."""
+    """⊖pose ⊕ points: points (m, 2) of the outer frame, transformed to the frame of `pose`, (m, 2)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     out = np.empty_like(points)
     for i in range(points.shape[0]):
@@ -93,7 +93,7 @@ def observe(pose: Array, points: Array) -> Array:
 
 @compiled
 def rotate_covariances(heading: float, covariances: Array) -> Array:
-    """C Σ Cᵀ with the rotation by `heading` [rad], for each of (m, 2, 2)."""
+    """C Σ Cᵀ for each covariance of (m, 2, 2), where C is the rotation by `heading` [rad]."""
     c, s = math.cos(heading), math.sin(heading)
     out = np.empty_like(covariances)
     for i in range(covariances.shape[0]):

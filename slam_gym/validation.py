@@ -1,5 +1,5 @@
-"""Refuse by name what would do harm further in: scans that would corrupt a map, hypotheses that do not fit it,
-arguments that nobody knows."""
+"""Checks of inputs where they enter: scans that would corrupt a map, hypotheses that do not fit it, unknown names, and
+settings out of range."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Odometry, Scan
 
-_CONDITION = 1e12  # of a measurement's covariance, beyond which an update loses all its digits
-_TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, to the variances' product
+_CONDITION = 1e12  # of a measurement's covariance, above which an update loses all its digits
+_TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, relative to the variances' product
 
 
 _MEASUREMENT_FAULTS = (
@@ -73,17 +73,17 @@ LIMITS: dict[str, dict[str, Limits]] = {
     },
     "AtlasSpec": {"max_accidental_matches": (1e-9, math.inf), "patience": (0, 10**9), "rejoin": (1, 10**9)},
 }  # fmt: skip
-"""Least and greatest value of each number among the settings, by the name of their dataclass.
+"""Least and greatest value of each numeric setting, by the name of its dataclass.
 
-Beyond them a step takes minutes, or memory runs out. Who needs more raises a limit:
+Beyond these limits a step takes minutes, or memory runs out. A limit can be raised:
 `slam_gym.validation.LIMITS["SensorSpec"]["clutter"] = (0.0, 1e4)`.
 """
 
 
 def check_settings(settings: object) -> None:
-    """Raise ValueError naming the first number of a dataclass of settings that is not within its `LIMITS`.
+    """Raise ValueError naming the first number of a settings dataclass that is outside its `LIMITS`.
 
-    None passes, where a setting may be None.
+    A setting that is None passes.
     """
     kind = type(settings).__name__
     for name, (least, greatest) in LIMITS[kind].items():
@@ -99,7 +99,7 @@ _INTEGERS = np.dtype(np.int64)
 
 @compiled
 def first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
-    """The first measurement with a fault, and the number of that fault; (−1, 0) if all is fine."""
+    """The index of the first faulty measurement and the number of its fault; (−1, 0) if there is none."""
     for i in range(points.shape[0]):
         if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])):
             return i, 1
@@ -111,24 +111,24 @@ def first_bad_measurement(points: Array, covariances: Array) -> tuple[int, int]:
             return i, 3
         if a < 0.0 or d < 0.0 or determinant < -_TOLERANCE * a * d:
             return i, 4
-        # λ_max / λ_min is about trace² / det where it is large; an exact measurement, all zeros, has none
+        # λ_max / λ_min is about trace² / det where it is large; an exact measurement, all zeros, passes
         if trace * trace > _CONDITION * determinant:
             return i, 5
     return -1, 0
 
 
 def check_inputs(odometry: Odometry, scan: Scan) -> None:
-    """Raise ValueError where a step is handed something else than a motion and a scan, or the two in turn."""
-    for name, given, expected, maker in (
+    """Raise ValueError unless a step is given an `Odometry` and a `Scan`, in this order."""
+    for name, value, expected, maker in (
         ("odometry", odometry, Odometry, "Odometry.from_motion"),
         ("scan", scan, Scan, "Scan.from_points"),
     ):
-        if not isinstance(given, expected):
-            raise ValueError(f"{name}: {type(given).__name__}, expected {expected.__name__} ({maker} makes one)")
+        if not isinstance(value, expected):
+            raise ValueError(f"{name}: {type(value).__name__}, expected {expected.__name__} ({maker} makes one)")
 
 
 def check_scan(scan: Scan) -> None:
-    """Raise ValueError naming the field and the first bad measurement of a scan."""
+    """Raise ValueError naming the first faulty measurement of a scan and its fault."""
     entry, fault = first_bad_measurement(scan.points, scan.covariances)
     if fault:
         raise ValueError(f"Scan: measurement {entry}: {_MEASUREMENT_FAULTS[fault]}")
@@ -136,7 +136,7 @@ def check_scan(scan: Scan) -> None:
 
 @compiled
 def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> tuple[int, int]:
-    """The first decision that is out of range (1) or for a feature paired already (2), and which; else (−1, 0)."""
+    """The index of the first decision that is out of range (1) or repeats a feature (2), and that number; else (−1, 0)."""
     for i in range(len(features)):
         if features[i] < UNPAIRED or features[i] >= n:
             return i, 1
@@ -148,45 +148,46 @@ def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> tuple[in
 
 
 def check_hypothesis(hypothesis: Hypothesis, measurements: int, features: int) -> Hypothesis:
-    """The hypothesis, its decisions as a plain array (m,), once they fit m `measurements` and a map of n `features`.
+    """Return the hypothesis with its decisions as a plain array (m,), after checking that they fit m `measurements` and
+    a map of n `features`.
 
-    Raises ValueError where it is none, where they are not m signed integers −1 … n−1, where a feature is paired twice
-    by a hypothesis that is exclusive, and where a measurement is paired and called new.
+    Raises ValueError where it is not a `Hypothesis`, where its features are not m signed integers −1 … n−1, where an
+    exclusive hypothesis pairs a feature twice, and where a measurement is both paired and new.
     """
     if not isinstance(hypothesis, Hypothesis):
         raise ValueError(f"hypothesis: {type(hypothesis).__name__}, expected a Hypothesis")
-    given = hypothesis.features
-    plain = type(given) is np.ndarray and given.dtype == _INTEGERS and given.flags.carray
-    if (not plain and (not isinstance(given, np.ndarray) or given.dtype.kind != "i")) or given.shape != (measurements,):
-        told = f"{given.dtype} of shape {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
-        raise ValueError(f"hypothesis.features: {told}, expected ({measurements},) signed integers")
-    # what follows is compiled for plain arrays alone
-    decisions = given if plain else np.array(given, dtype=np.int64, subok=False)
+    array = hypothesis.features
+    plain = type(array) is np.ndarray and array.dtype == _INTEGERS and array.flags.carray
+    if (not plain and (not isinstance(array, np.ndarray) or array.dtype.kind != "i")) or array.shape != (measurements,):
+        actual = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise ValueError(f"hypothesis.features: {actual}, expected ({measurements},) signed integers")
+    # the check below is compiled for plain int64 arrays only
+    decisions = array if plain else np.array(array, dtype=np.int64, subok=False)
     entry, fault = _first_bad_decision(decisions, features, hypothesis.exclusive)
     if fault == 1:
         raise ValueError(f"hypothesis.features[{entry}]: {decisions[entry]}, expected −1 … {features - 1}")
     if fault == 2:
         raise ValueError(f"hypothesis.features[{entry}]: feature {decisions[entry]} is paired twice")
-    if hypothesis.new is not None and not _fits(hypothesis.new, decisions):
+    if hypothesis.new is not None and not _is_valid_new(hypothesis.new, decisions):
         raise ValueError(f"hypothesis.new: expected ({measurements},) booleans, true for unpaired measurements only")
-    return hypothesis if decisions is given else replace(hypothesis, features=decisions)
+    return hypothesis if decisions is array else replace(hypothesis, features=decisions)
 
 
-def _fits(new: Any, decisions: IntArray) -> bool:
-    """Whether `new` are booleans, one for each decision and none of them for one that pairs."""
-    right = isinstance(new, np.ndarray) and new.shape == decisions.shape and new.dtype == np.bool_
-    return right and not bool((new & (decisions >= 0)).any())
+def _is_valid_new(new: Any, decisions: IntArray) -> bool:
+    """Whether `new` holds one boolean for each decision, true for unpaired measurements only."""
+    is_mask = isinstance(new, np.ndarray) and new.shape == decisions.shape and new.dtype == np.bool_
+    return is_mask and not bool((new & (decisions >= 0)).any())
 
 
 def one_of(name: str, value: Any, known: Any) -> None:
-    """Raise ValueError, listing the known values of an argument, where `value` is none of them."""
+    """Raise ValueError, listing the known values of an argument, unless `value` is one of them."""
     if value not in known:
         raise ValueError(f"{name}={value!r}; {known_names(value, known)}")
 
 
 def known_names(given: Any, known: Iterable[Any], further: str = "") -> str:
-    """How an error about a name that nobody knows goes on: the one that was perhaps meant, and all that are known."""
-    from difflib import get_close_matches  # errors alone need it
+    """The end of an error message about an unknown name: the name that was probably meant, and all known names."""
+    from difflib import get_close_matches  # needed for errors only
 
     names = [str(name) for name in known]
     lower = {name.lower().replace("-", "_"): name for name in names}
@@ -196,18 +197,19 @@ def known_names(given: Any, known: Iterable[Any], further: str = "") -> str:
 
 
 def imported(what: str, given: str, table: Mapping[str, Any], further: str = "") -> Any:
-    """What stands behind `"module:name"`: an attribute of the module, or what it enters in `table` as it is imported.
+    """The object that `"module:name"` names: an attribute of the module, or an entry of `table` that importing it
+    creates.
 
-    Raises ValueError, listing the names of the table and those that are `further` known, where there is none;
-    ModuleNotFoundError where the module is there but needs another that is not.
+    Raises ValueError, listing the names of the table and the `further` ones, where there is no such object;
+    ModuleNotFoundError where the module exists but a module that it imports is missing.
     """
     module, colon, name = given.partition(":")
     known = known_names(given, table, f"{further}, or 'module:name'")
     if not colon:
         raise ValueError(f"unknown {what} {given!r}; {known}")
     try:
-        found = importlib.import_module(module)
-        return table[name] if name in table and not hasattr(found, name) else getattr(found, name)
+        loaded = importlib.import_module(module)
+        return table[name] if name in table and not hasattr(loaded, name) else getattr(loaded, name)
     except (ImportError, AttributeError, ValueError) as error:
         if isinstance(error, ModuleNotFoundError) and not module.startswith(error.name or ""):
             raise

@@ -1,4 +1,4 @@
-"""What a map holds, for searches without a prior on the robot's pose, and what is local to what in it."""
+"""The features of a map, for searches without a prior on the robot's pose, and the locality of features."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from slam_gym.types._arguments import INTEGER, Array, IntArray, check_array, cov
 class Locality:
     """Which features of a map are local to which: L(j) for every feature j, in compressed rows.
 
-    It is symmetric, and every feature is local to itself. Where all features are local to all, there is no `Locality`
-    but None: n² of them would have to be written down.
+    The relation is symmetric, and every feature is local to itself. Where all features are local to each other, use
+    None instead: a `Locality` would have n² entries.
     """
 
     starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]
     members: IntArray  # (e,) ascending within each row
 
     def __post_init__(self) -> None:
-        """Raises ValueError where the arrays are not what compiled functions read."""
+        """Raises ValueError where an array does not have the type and shape that compiled functions read."""
         check_array("Locality.starts", self.starts, INTEGER, (len(self.starts),))
         check_array("Locality.members", self.members, INTEGER, (len(self.members),))
 
@@ -36,20 +36,20 @@ class Locality:
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
-    """The features of a map, for searches without a prior on the robot's pose. In B.
+    """The features of a map in B, for searches without a prior on the robot's pose.
 
-    Cross-covariances come in one of three ways: all of them (`covariance`), those of some pairs (`block_…`, as large
-    maps keep them), or none. Features without one are taken for independent.
+    Cross-covariances are given in one of three ways: all of them (`covariance`), those of some pairs (`block_…`, as
+    large maps store them), or none. Pairs without one are assumed independent.
     """
 
     positions: Array  # (n, 2) [m]
     covariances: Array  # (n, 2, 2) [m²] marginals
     sizes: Array  # (n,) [m] mapped intrinsic attribute, NaN where unknown
     size_variances: Array  # (n,) [m²]
-    kinds: IntArray  # (n,) class, UNKNOWN_KIND where there is none
+    kinds: IntArray  # (n,) class, UNKNOWN_KIND where unknown
     covariance: Array  # (2n, 2n) [m²] of all features together, or (0, 0)
     block_starts: IntArray  # (n + 1,) the pairs (j, l) of j are entries block_starts[j]:block_starts[j + 1]; or (0,)
-    block_columns: IntArray  # (e,) l, ascending for each j; both (j, l) and (l, j) are there
+    block_columns: IntArray  # (e,) l, ascending for each j; both (j, l) and (l, j) are stored
     blocks: Array  # (e, 2, 2) [m²] P_jl
 
     def __len__(self) -> int:
@@ -70,22 +70,22 @@ class Landmarks:
         size_sigma: ArrayLike | None = None,
         kinds: ArrayLike | None = None,
     ) -> Landmarks:
-        """From positions (n, 2) [m] in B with exactly one of three: marginal `covariances`, `sigma`, or `covariance`.
+        """Landmarks at positions (n, 2) [m] in B, with exactly one of marginal `covariances`, `sigma` and `covariance`.
 
-        `covariance` (2n, 2n) [m²] is that of all features together; the other two say that they are independent.
-        Arguments and errors are those of `Scan.from_points`.
+        `covariance` (2n, 2n) [m²] is the joint covariance of all features; with the other two, features are
+        independent. The other arguments and the errors are those of `Scan.from_points`.
         """
-        at = floats("points", points, (-1, 2))
-        n, whole = len(at), np.empty((0, 0))
+        positions = floats("points", points, (-1, 2))
+        n, joint = len(positions), np.empty((0, 0))
         if covariance is None:
             marginals = covariances_of("covariances", covariances, sigma, n)
         elif covariances is not None or sigma is not None:
             raise ValueError("covariance: given beside covariances or sigma; expected exactly one of the three")
         else:
-            whole = floats("covariance", covariance, (2 * n, 2 * n))
-            marginals = np.ascontiguousarray(whole.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :])
-        none = np.empty(0, np.int64)
+            joint = floats("covariance", covariance, (2 * n, 2 * n))
+            marginals = np.ascontiguousarray(joint.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :])
+        empty = np.empty(0, np.int64)
         return cls(
-            at, marginals, *sizes_of(sizes, size_sigma, n), kinds_of(kinds, n), whole, none, none.copy(),
+            positions, marginals, *sizes_of(sizes, size_sigma, n), kinds_of(kinds, n), joint, empty, empty.copy(),
             np.empty((0, 2, 2)),
         )  # fmt: skip

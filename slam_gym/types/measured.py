@@ -1,4 +1,4 @@
-"""What the robot measures, and the truth about it."""
+"""The robot's measurements, and the ground truth about them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from slam_gym.types._arguments import (
 )
 from slam_gym.types._records import quick
 
-_LEFT_OUT: IntArray = np.empty(0, np.int64)
+_NO_KINDS: IntArray = np.empty(0, np.int64)
 
 SPURIOUS = -1
-"""The source of a measurement that comes from no feature."""
+"""The source of a measurement that comes from no true feature."""
 
 UNLABELLED = -2
-"""The source of a measurement that nobody has labelled (recordings only)."""
+"""The source of a measurement without a label (recordings only)."""
 
 
 ScanArrays = tuple[Array, Array, Array, Array, IntArray]
@@ -39,43 +39,44 @@ ScanArrays = tuple[Array, Array, Array, Array, IntArray]
 @quick
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """The motion of one tick, as the wheels report it."""
+    """The motion of one tick, as measured by the wheels."""
 
     motion: Array  # (3,) [m, m, rad] pose at the end of the tick in the robot frame at its start
     covariance: Array  # (3, 3) [m², m·rad, rad²] of `motion`
 
     def __post_init__(self) -> None:
-        """Raises ValueError where the arrays are not what compiled functions read."""
+        """Raises ValueError where an array does not have the type and shape that compiled functions read."""
         check_array("Odometry.motion", self.motion, FLOAT, (3,))
         check_array("Odometry.covariance", self.covariance, FLOAT, (3, 3))
 
     @classmethod
     def from_motion(cls, motion: ArrayLike, sigmas: ArrayLike) -> Odometry:
-        """From a motion (3,) [m, m, rad] and its independent standard deviations (3,), or one number for all three.
+        """Odometry of a motion (3,) [m, m, rad] with independent standard deviations (3,), or one number for all three.
 
-        Raises ValueError naming the argument whose shape does not fit, that is negative, or an angle in degrees.
+        Raises ValueError naming the argument: for a shape that does not fit, a negative deviation, or an angle in
+        degrees.
         """
-        moved = floats("motion", motion, (3,))
-        in_radians("motion[2]", moved[2:])
-        return cls(moved, np.diag(deviations("sigmas", sigmas, (3,)) ** 2))
+        pose = floats("motion", motion, (3,))
+        in_radians("motion[2]", pose[2:])
+        return cls(pose, np.diag(deviations("sigmas", sigmas, (3,)) ** 2))
 
 
 @quick
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """Point features seen at one instant. Cartesian in R; angles are the sensor's business only."""
+    """Point features measured at one instant, in Cartesian coordinates of R. Angles occur in the sensor only."""
 
     points: Array  # (m, 2) [m] in R
     covariances: Array  # (m, 2, 2) [m²] in R
     sizes: Array  # (m,) [m] measured intrinsic attribute, NaN where unknown
     size_variances: Array  # (m,) [m²], NaN where unknown
-    # (m,) class that the detector reports, UNKNOWN_KIND where it cannot tell; left out: it never can
-    kinds: IntArray = field(default_factory=lambda: _LEFT_OUT)
+    # (m,) class reported by the detector, UNKNOWN_KIND where it reports none; default: none at all
+    kinds: IntArray = field(default_factory=lambda: _NO_KINDS)
 
     def __post_init__(self) -> None:
-        """Raises ValueError where the arrays are not what compiled functions read."""
+        """Raises ValueError where an array does not have the type and shape that compiled functions read."""
         m = len(self.points)
-        if self.kinds is _LEFT_OUT:
+        if self.kinds is _NO_KINDS:
             object.__setattr__(self, "kinds", np.full(m, UNKNOWN_KIND))
         check_array("Scan.points", self.points, FLOAT, (m, 2))
         check_array("Scan.covariances", self.covariances, FLOAT, (m, 2, 2))
@@ -91,7 +92,7 @@ class Scan:
 
     @property
     def arrays(self) -> ScanArrays:
-        """As compiled functions take it; they are compiled for arrays that may be written to, and write to none."""
+        """The arrays for compiled functions, marked writeable as these are compiled for; they write to none of them."""
         arrays = self.points, self.covariances, self.sizes, self.size_variances, self.kinds
         if self.points.flags.writeable:
             return arrays
@@ -112,20 +113,20 @@ class Scan:
         size_sigma: ArrayLike | None = None,
         kinds: ArrayLike | None = None,
     ) -> Scan:
-        """From points (m, 2) [m] in R and either covariances or `sigma`.
+        """Scan of points (m, 2) [m] in R with either covariances or `sigma`.
 
         Arguments:
             covariances: (m, 2, 2) [m²], or (2, 2) for all measurements.
             sigma: [m] standard deviation in both directions, one number or (m,).
-            sizes: (m,) [m] intrinsic attribute, NaN where unknown; with `size_sigma` [m], one number or (m,).
-            kinds: (m,) class of each, UNKNOWN_KIND where it has none.
+            sizes: (m,) [m] intrinsic attribute, NaN where unknown; requires `size_sigma` [m], one number or (m,).
+            kinds: (m,) class of each measurement, UNKNOWN_KIND where unknown.
 
-        Raises ValueError naming the argument whose shape does not fit or that is negative, or where not exactly one of
-        covariances and sigma is given.
+        Raises ValueError naming the argument for a shape that does not fit or a negative value, and unless exactly one
+        of covariances and sigma is given.
         """
-        at = floats("points", points, (-1, 2))
-        marginals = covariances_of("covariances", covariances, sigma, len(at))
-        return cls(at, marginals, *sizes_of(sizes, size_sigma, len(at)), kinds_of(kinds, len(at)))
+        positions = floats("points", points, (-1, 2))
+        marginals = covariances_of("covariances", covariances, sigma, len(positions))
+        return cls(positions, marginals, *sizes_of(sizes, size_sigma, len(positions)), kinds_of(kinds, len(positions)))
 
     @classmethod
     def from_polar(
@@ -139,10 +140,11 @@ class Scan:
         size_sigma: ArrayLike | None = None,
         kinds: ArrayLike | None = None,
     ) -> Scan:
-        """From ranges (m,) [m] and bearings (m,) [rad, 0 ahead, left positive] with independent standard deviations.
+        """Scan of ranges (m,) [m] and bearings (m,) [rad, 0 ahead, left positive] with independent standard deviations.
 
-        With c, s = cos β, sin β a measurement lies at r (c, s), and its covariance is σ_r² along the line of sight and
-        (r σ_β)² across it. Other arguments and errors are those of `from_points`; bearings in degrees are refused.
+        With c, s = cos β, sin β a measurement lies at r (c, s); its covariance is σ_r² along the line of sight and (r
+        σ_β)² across it. Other arguments and errors are those of `from_points`. Raises ValueError for bearings in
+        degrees.
         """
         r = floats("ranges", ranges, (-1,))
         if (r < 0.0).any():
@@ -160,7 +162,7 @@ class Scan:
 
 
 def _views(arrays: ScanArrays, *, writeable: bool) -> ScanArrays:
-    """Views of the arrays of a scan, all of which may be written to, or none."""
+    """Views of the arrays of a scan, all of them writeable or all read-only."""
     points, covariances, sizes, size_variances, kinds = arrays
     views = points.view(), covariances.view(), sizes.view(), size_variances.view(), kinds.view()
     for view in views:
@@ -171,14 +173,14 @@ def _views(arrays: ScanArrays, *, writeable: bool) -> ScanArrays:
 @quick
 @dataclass(frozen=True, slots=True)
 class Beams:
-    """One sweep of the range finder: the only source of free space and walls."""
+    """One sweep of the range finder: the only source of information on free space and walls."""
 
     bearings: Array  # (b,) [rad] in R
-    ranges: Array  # (b,) [m], or (k, b) of k sweeps; `max_range` where nothing was hit
+    ranges: Array  # (b,) [m], or (k, b) for k sweeps; `max_range` where nothing was hit
     max_range: float  # [m]
 
     def __post_init__(self) -> None:
-        """Raises ValueError where the arrays are not what compiled functions read."""
+        """Raises ValueError where an array does not have the type and shape that compiled functions read."""
         b = len(self.bearings)
         check_array("Beams.bearings", self.bearings, FLOAT, (b,))
         check_array("Beams.ranges", self.ranges, FLOAT, (*self.ranges.shape[:-1], b))
@@ -187,7 +189,7 @@ class Beams:
 @quick
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What only the simulator (or a label file) knows about a scan."""
+    """Ground truth of a scan, known to the simulator or a label file only."""
 
     pose: Array  # (3,) [m, m, rad] of the robot in W
     sources: IntArray  # (m,) true feature behind each measurement, SPURIOUS or UNLABELLED

@@ -1,8 +1,8 @@
-"""Learned weights that ship with the package: plain arrays in a `.npz`, and beside each a card that says what they are.
+"""Learned weights that ship with the package: plain arrays in a `.npz` file, each with a card that describes them.
 
-The card is a JSON table: which inputs the weights expect (`version`, `inputs`), the shape of each array, and where they
-come from (scenarios, seeds, command, metrics of their training). Weights of strangers are read like any file: up to
-1 MB, nothing pickled, of the shapes that the caller expects, all of them finite.
+The card is a JSON table: the inputs that the weights expect (`version`, `inputs`), the shape of each array, and their
+origin (scenarios, seeds, command, metrics of their training). Other weights are read like any untrusted file: up to 1
+MB, without unpickling; arrays must be finite and have the shapes that the caller expects.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from numpy.typing import NDArray
 
 from slam_gym._files import array_of, content_of, json_of, zip_members
 
-MAX_BYTES = 1 << 20  # of an archive, and of what it unpacks to
+MAX_BYTES = 1 << 20  # of an archive, and of its unpacked content
 _FOLDER = Path(__file__).parent
 
 
 class Card(NamedTuple):
-    """What weights are, and where they come from."""
+    """The description of weights and of their origin."""
 
-    version: int  # of the inputs: whoever computes others refuses the weights
-    inputs: tuple[str, ...]  # what each input is, in their order
+    version: int  # of the inputs; code that computes another version refuses the weights
+    inputs: tuple[str, ...]  # name of each input, in order
     shapes: dict[str, tuple[int, ...]]  # of each array
-    scenarios: tuple[str, ...]  # that they were trained on
+    scenarios: tuple[str, ...]  # they were trained on
     seeds: tuple[int, ...]
-    command: str  # that trains them from nothing
-    metrics: dict[str, Any]  # of the training, as the command printed them
-    note: str = ""  # where the arrays are not those of the command: which they are, and why
+    command: str  # trains them from scratch
+    metrics: dict[str, Any]  # of the training, as printed by the command
+    note: str = ""  # if the arrays differ from what the command yields: how and why
 
 
 class Weights(NamedTuple):
@@ -44,20 +44,21 @@ class Weights(NamedTuple):
 
 
 def names() -> list[str]:
-    """The weights that ship."""
+    """Names of the weights that ship."""
     return sorted(path.stem for path in _FOLDER.glob("*.npz"))
 
 
 def card_of(name: str) -> Card:
-    """The card of weights that ship. Raises ValueError as `load`."""
+    """The card of shipped weights. Raises ValueError as `load`."""
     return _read_card(_path(name))
 
 
 def load(name: str | Path, version: int, inputs: tuple[str, ...], shapes: Mapping[str, tuple[int, ...]]) -> Weights:
-    """Weights that ship, by name, or of one's own, by the path of the `.npz`, its card beside it as `.json`.
+    """Load shipped weights by name, or others by the path of their `.npz` file, whose card is the `.json` beside it.
 
-    `version`, `inputs` and `shapes` are what the caller computes and needs; −1 stands for any length. Raises
-    ValueError, naming the file, where there are none such, they are damaged, or were trained for something else.
+    `version` and `inputs` are those that the caller computes, `shapes` the arrays that it needs; −1 stands for any
+    length. Raises ValueError, naming the file, for weights that are missing or damaged, or were trained for something
+    else.
     """
     path = _path(name)
     card = _read_card(path)
@@ -65,23 +66,23 @@ def load(name: str | Path, version: int, inputs: tuple[str, ...], shapes: Mappin
         if card.version != version:
             raise ValueError(f"made for version {card.version} of the inputs, these are version {version}")
         if card.inputs != inputs:
-            other = sorted(set(card.inputs) ^ set(inputs))
-            raise ValueError(f"made for other inputs: {', '.join(other) or 'the same in another order'}")
+            differing = sorted(set(card.inputs) ^ set(inputs))
+            raise ValueError(f"made for other inputs: {', '.join(differing) or 'the same in another order'}")
         members = zip_members(content_of(path, MAX_BYTES), MAX_BYTES)
-        found = {name.removesuffix(".npy"): content for name, content in members.items()}
-        if found.keys() != shapes.keys():
-            raise ValueError(f"holds {', '.join(found)}; expected {', '.join(shapes)}")
-        arrays = {name: _array(name, found[name], shape) for name, shape in shapes.items()}
+        contents = {name.removesuffix(".npy"): content for name, content in members.items()}
+        if contents.keys() != shapes.keys():
+            raise ValueError(f"holds {', '.join(contents)}; expected {', '.join(shapes)}")
+        arrays = {name: _array(name, contents[name], shape) for name, shape in shapes.items()}
     except (OSError, ValueError) as error:
         raise ValueError(f"weights {path.name}: {error}") from None
     return Weights(card, arrays)
 
 
 def write(path: Path, weights: Weights) -> None:
-    """The `.npz` at `path` and its card beside it; the same weights give the same bytes."""
+    """Write the `.npz` file at `path` and its card beside it. The same weights give the same bytes."""
     card = weights.card._replace(shapes={name: array.shape for name, array in weights.arrays.items()})
     file = io.BytesIO()
-    np.savez(file, **weights.arrays)  # type: ignore[arg-type]  # numpy takes names for its own option
+    np.savez(file, **weights.arrays)  # type: ignore[arg-type]  # a name could be an option of numpy's
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(file.getvalue())
     text = json.dumps(card._asdict(), indent=1, ensure_ascii=False)
@@ -120,9 +121,9 @@ def _array(name: str, content: bytes, shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def figure(values: Sequence[float]) -> dict[str, float]:
-    """A figure of a card: the mean over seeds, and three standard deviations of one seed, at least 2 % of it, to either
-    side."""
+    """A metric of a card: the mean over seeds, with an interval of three standard deviations of one seed to either
+    side, but at least 2 % of the mean."""
     mean = math.fsum(values) / len(values)
     spread = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / max(len(values) - 1, 1))
-    margin = max(3.0 * spread, 0.02 * abs(mean))  # machines round differently
+    margin = max(3.0 * spread, 0.02 * abs(mean))  # rounding differs between machines
     return {"estimate": mean, "low": mean - margin, "high": mean + margin}
