@@ -1,27 +1,27 @@
-"""The atlas: the active map, the inactive ones, and what makes features that were mapped twice one again.
+"""The atlas: the active map, the inactive maps, and the fusion of features that were mapped twice.
 
-**Loops.** Old features that the way back has made ambiguous (so uncertain, seen from those the robot has just paired,
-that others lie within their gates) are not offered to the associator: a scan pairs them wrongly now and then, and one
-wrong scan decides where the map ends. They are left to place recognition, which looks for the recent part of the map
-among them. (Associators that weigh all hypotheses are offered them all the same, unless
-`SlamSpec.start_features_from_rejected` is set.)
+**Loops.** When the robot returns to an old part of the map, its drift makes the features there ambiguous: relative to
+the features just paired they are so uncertain that others lie within their gates. A scan pairs such features wrongly
+now and then, and one wrong scan can ruin the map. So they are not offered to the associator, but left to place
+recognition, which searches for the recent part of the map among them. (Associators that weigh all hypotheses are
+offered ambiguous features too, unless `SlamSpec.start_features_from_rejected` is set.)
 
-**First links.** Where a scan pairs a feature or two that the robot has not seen for long, a neighbour that is not
-mapped may be what was measured, half a metre beside it: a door has two jambs, and 20 m away a gate is as wide. Such
-pairings are rejected until there are so many that chance hardly brings them all (`association.acceptance`). A robot
-that waits for them with few others in view is soon so uncertain that everything fits something, and learns nothing
-more: with `SlamSpec.start_features_from_rejected`, a measurement whose pairing was rejected starts a new feature, and
-the recent part of the map grows all the same. Associators that weigh all hypotheses refuse by themselves what is
-ambiguous, and would starve if more was kept from them; with that setting they go by the same rules as all others, that
-for new features included.
+**First links.** Where a scan pairs one or two features that the robot has not seen for long, the measurement may come
+from an unmapped neighbour half a metre away: a door has two jambs, and 20 m away a gate is as wide. Such pairings are
+rejected until there are so many that chance hardly explains them all (`association.acceptance`). With few other
+features in view, the robot soon becomes so uncertain that every measurement is compatible with something, and the map
+learns nothing more: with `SlamSpec.start_features_from_rejected`, a measurement whose pairing was rejected starts a new
+feature, and the recent part of the map grows all the same. Associators that weigh all hypotheses, such as `marginal`,
+already refuse ambiguous pairings, and would pair too little if more were rejected. With that setting the same rules
+hold for them as for all others, the rule for new features included.
 
-**Second map.** A robot that was lost for some scans goes on in a map of its own. Its base stands where odometry has the
-robot, so that coordinates remain roughly those of B; in it, the pose is known exactly. The recent part of this map is
-looked for in the inactive ones. Once it is recognised, the maps are joined with a relation that says nothing, the pairs
-made equal, and the robot goes on in one.
+**Second map.** A robot that was lost for some scans goes on in a new map. The base of that map is the robot's pose by
+odometry, so that coordinates remain roughly those of B; in the new map, the pose is known exactly. The recent part of
+this map is searched for in the inactive maps. Once it is recognised, the maps are joined with an uninformative
+relation, the paired features are made equal, and the robot goes on in the joined map.
 
-**Ids** run through all maps and are never given twice; of features that become one, the older id stays. The features of
-a map that turns inactive are `removed` in the `SlamStep` that says so, and `returned` when it is joined.
+**Ids** are unique over all maps and are never given twice; of features that are fused, the older id stays. The features
+of a map that becomes inactive are `removed` in the `SlamStep` of that moment, and `returned` when the map is joined.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ from slam_gym.validation import check_settings
 
 @dataclass(frozen=True)
 class AtlasSpec:
-    """What an atlas does beside relocation."""
+    """Settings of an atlas."""
 
     recognition: RecognitionSpec | None = field(default_factory=RecognitionSpec)  # None: no loop is looked for
-    max_accidental_matches: float = 0.5  # expected in the gate of an old feature, above which it is not offered
+    max_accidental_matches: float = 0.5  # an old feature whose gate expects more of them is not offered
     patience: int | None = 3  # [scans] that a robot has been lost before it starts another map; None: it never does
-    rejoin: int = 5  # [scans] from one attempt to recognise an inactive map to the next
+    rejoin: int = 5  # [scans] between attempts to recognise an inactive map
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -81,7 +81,7 @@ class FusionRecord(NamedTuple):
 
     kind: Literal["loop", "duplicates", "maps"]
     step: int
-    ids: IntArray  # (k, 2) that which is kept, and that which is gone
+    ids: IntArray  # (k, 2) the id that is kept, and the id that is removed
 
 
 class Atlas:
@@ -105,21 +105,21 @@ class Atlas:
         self.max_chance_probability = max_chance_probability if loops else 1.0
         self.starts_from_rejected = start_features_from_rejected and self.max_chance_probability < 1.0
         self._relocate = relocate
-        self._search_everywhere = False  # for duplicates, since much has moved
+        self._search_everywhere = False  # whether the next search for duplicates covers the whole map
 
     def most_accidental(self, experience: Experience | None) -> float:
-        """Accidental matches expected in the gate of an old feature, above which the associator is not offered it.
+        """The number of accidental matches in the gate of an old feature above which that feature is not offered.
 
-        One that weighs all hypotheses says what it has learned from scan to scan. It refuses by itself what is
-        ambiguous, and would take for new what it is not offered, which is what `starts_from_rejected` wants.
+        An associator that returns an `experience` weighs all hypotheses. It refuses ambiguous pairings itself, and
+        would start new features in place of those it is not offered, which only `starts_from_rejected` wants.
         """
         return math.inf if experience is not None and not self.starts_from_rejected else self.max_accidental_matches
 
     def accepted(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, new_gate: float) -> Accepted:
         """The hypothesis without pairings with old features that may all be accidental: see `are_accidental`.
 
-        Who weighs all hypotheses has refused by itself what is ambiguous; with `starts_from_rejected` it only pairs,
-        and new features start by the rule of the step, whose gate is `new_gate`.
+        An associator that weighs all hypotheses already refuses ambiguous pairings. With `starts_from_rejected` only
+        its pairings count, and new features start by the rule of the step, whose gate is `new_gate`.
         """
         weighs_all = hypothesis.experience is not None
         if self.max_chance_probability >= 1.0 or (weighs_all and not self.starts_from_rejected):
@@ -132,15 +132,15 @@ class Atlas:
             expected = plain(prediction.positions[near]), plain(prediction.covariances[near])
             learn.fit_nothing(plain(scan.points), plain(scan.covariances), features, expected, new_gate, new)
             return Accepted(replace(hypothesis, features=features, dof=dof, new=new), StartRule.FITS_NOTHING_NEAR)
-        kept = replace(hypothesis, features=features, dof=dof, new=new)
-        return Accepted(kept, StartRule.of(kept))
+        remaining = replace(hypothesis, features=features, dof=dof, new=new)
+        return Accepted(remaining, StartRule.of(remaining))
 
     def gives_up(self, tracker: Tracker) -> bool:
         """Whether the robot has been lost for so long that it starts another map."""
         return self.spec.patience is not None and tracker.lost and tracker.lost_for >= self.spec.patience
 
     def next_map(self, m: StochasticMap, graph: CovisibilityGraph) -> StochasticMap:
-        """An empty map to go on in. The map that was active is kept, unless it is too small to be recognised."""
+        """An empty map to go on in. The map `m` becomes inactive, or is dropped if it is too small to be recognised."""
         recognition = self.spec.recognition or RecognitionSpec()
         if int((~m.provisional).sum()) >= recognition.min_pairs:
             self.inactive.append(MappedArea(m, graph))
@@ -149,10 +149,7 @@ class Atlas:
         return fresh
 
     def fusion(self, active: MappedArea, step: SlamStep, scan: Scan, reach: float) -> Fusion | None:
-        """What is found to be the same after a step: maps are joined, then a loop is closed, then duplicates are fused.
-
-        None where nothing is.
-        """
+        """Join maps, then close a loop, then fuse duplicates, as far as they are recognised after a step; or None."""
         fusions: list[Fusion] = []
         due = bool(self.inactive) and active.map.step % self.spec.rejoin == 0
         joined = self._joined(active, step, scan, reach) if due else None
@@ -163,7 +160,7 @@ class Atlas:
         return functools.reduce(Fusion.then, fusions) if fusions else None
 
     def _fused(self, active: MappedArea) -> Iterator[Fusion]:
-        """The loop that is closed now, then the duplicates that are fused."""
+        """Yield the fusion that closes a loop, then the fusion of duplicates, as far as there are any."""
         spec, (m, graph) = self.spec.recognition, active
         if spec is None or m.step % spec.every:
             return
@@ -199,6 +196,6 @@ class Atlas:
 
 
 def _features_of(step: SlamStep, m: StochasticMap) -> IntArray:
-    """(m,) feature of the map that each measurement has updated or started, or UNPAIRED."""
+    """(m,) index of the map feature that each measurement has updated or started, or UNPAIRED."""
     index = {feature: position for position, feature in enumerate(m.ids.tolist())}
     return np.array([index.get(feature, UNPAIRED) for feature in step.ids.tolist()], np.int64)

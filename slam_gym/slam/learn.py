@@ -11,7 +11,7 @@ from slam_gym.mapping.ekf import MapArrays
 from slam_gym.mapping.update import ACCEPTED, update
 from slam_gym.types import NO_ID, UNPAIRED, Array, BoolArray, IntArray, ScanArrays
 
-DONE, NARROW, REFUSED, SINGULAR, NOT_ADDED = range(5)  # what `learn` answers
+DONE, NARROW, REFUSED, SINGULAR, NOT_ADDED = range(5)  # outcomes of `learn`
 
 GraphArrays = tuple[IntArray, IntArray, IntArray]  # neighbours, counts, degrees
 Settings = tuple[int, float, bool, float, int, int]
@@ -30,23 +30,23 @@ def learn(
     expected: tuple[Array, Array, int],
     settings: Settings,
 ) -> tuple[int, int, int]:
-    """Update the map with the pairings of a scan, add features, and remember what was seen together.
+    """Update the map with the pairings of a scan, add new features, and record which features were seen together.
 
-    There must be room for as many more features as the scan has measurements.
+    The map and the graph must have room for as many more features as the scan has measurements.
 
     Arguments:
-        arrays: of the map.
-        numbers: its features, steps and next id.
+        arrays: arrays of the map.
+        numbers: number of its features, number of its steps, next id.
         graph: neighbours and counts (≥ n, width) and degrees (≥ n,) of its covisibility, changed in place.
         recent: (≥ m,) receives the features that the scan has updated or started, and UNPAIRED.
-        decisions: map features (m,); which measurements (m,) start one; whether those are decided already, otherwise
-            they are those that are unpaired and compatible with nothing that is expected, and are entered here; and the
-            ids (m,) of the features behind the measurements, or NO_ID, which are entered here.
-        expected: positions (≥ k, 2) and covariances (≥ k, 2, 2) of the k features expected.
+        decisions: the map feature (m,) paired with each measurement; which measurements (m,) start a feature; whether
+            the latter are decided already, otherwise measurements that are unpaired and compatible with no expected
+            feature are entered there; and an array (m,) that receives the id of each measurement's feature, or NO_ID.
+        expected: positions (≥ k, 2) and covariances (≥ k, 2, 2) of the k features expected, and k.
 
-    Returns how it ended, what there is to say about that, and the number of features added: DONE and the number of
-    features that are due to be removed; NARROW and the width that the graph needs, nothing changed; REFUSED and the
-    answer of `update`, nothing changed; SINGULAR or NOT_ADDED and the measurement from which no feature can be started.
+    Returns the outcome, a detail of it, and the number of features added. The details: DONE, the number of features
+    that are due to be removed; NARROW, the width that the graph needs (nothing is changed); REFUSED, the answer of
+    `update` (nothing is changed); SINGULAR or NOT_ADDED, the measurement from which no feature can be started.
     """
     (x, P, counted, _), (neighbours, counts, degrees), (n, step, next_id) = arrays, graph, numbers
     (points, covariances, _, _, _), (features, new, is_decided, ids) = scan, decisions
@@ -66,16 +66,16 @@ def learn(
         if singular != UNPAIRED:
             return SINGULAR, singular, 0
     for i in range(m):
-        behind = features[i]
+        feature = features[i]
         if new[i]:
-            behind = n + added
-            if not ekf.add(arrays, behind, step, next_id + added, scan, i):
+            feature = n + added
+            if not ekf.add(arrays, feature, step, next_id + added, scan, i):
                 return NOT_ADDED, i, added
-            degrees[behind] = 0
+            degrees[feature] = 0
             added += 1
         ids[i] = NO_ID
-        if behind != UNPAIRED:
-            recent[s], ids[i] = behind, counted[ekf.IDS, behind]
+        if feature != UNPAIRED:
+            recent[s], ids[i] = feature, counted[ekf.IDS, feature]
             s += 1
     # maintain
     count_pairs(neighbours, counts, degrees, n + added, recent[:s])
@@ -95,26 +95,26 @@ def forget(
     became: IntArray,
     removed: IntArray,
 ) -> None:
-    """Marginalise features out of the map that were not confirmed in time, those that `learn` tells are due.
+    """Marginalise out of the map the features that were not confirmed in time, as counted by `learn`.
 
-    `became` (n,) is told the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those that are gone.
+    `became` (n,) receives the new index of each feature, or UNPAIRED, and `removed` (r,) the ids of those removed.
     """
     counted, (neighbours, counts, degrees), (confirmations, before) = arrays[2], graph, rule
-    kept, left, gone = np.empty(n - len(removed), np.int64), 0, 0
+    kept, n_kept, n_removed = np.empty(n - len(removed), np.int64), 0, 0
     for j in range(n):
         if counted[ekf.SEEN, j] < confirmations and counted[ekf.FIRST_SEEN, j] < before:
-            became[j], removed[gone] = UNPAIRED, counted[ekf.IDS, j]
-            gone += 1
+            became[j], removed[n_removed] = UNPAIRED, counted[ekf.IDS, j]
+            n_removed += 1
         else:
-            became[j], kept[left] = left, j
-            left += 1
+            became[j], kept[n_kept] = n_kept, j
+            n_kept += 1
     ekf.keep(arrays, kept)
     keep_nodes(neighbours, counts, degrees, n, kept)
 
 
 @compiled
 def _width_needed(degrees: IntArray, features: IntArray) -> int:
-    """Neighbours that a node may have once all of the scan's features have been seen together."""
+    """The most neighbours that a node may have once the scan's features are recorded as seen together."""
     most = 0
     for feature in features:
         if feature != UNPAIRED:
@@ -126,7 +126,7 @@ def _width_needed(degrees: IntArray, features: IntArray) -> int:
 def fit_nothing(
     points: Array, noise: Array, features: IntArray, expected: tuple[Array, Array], gate: float, new: BoolArray
 ) -> int:
-    """Enter in `new` (m,) which unpaired measurements are compatible with nothing; one where S is singular, or −1."""
+    """Enter in `new` (m,) the unpaired measurements compatible with nothing; return one where S is singular, or −1."""
     for i in range(len(features)):
         new[i] = False
         if features[i] != UNPAIRED:
@@ -141,7 +141,7 @@ def fit_nothing(
 @compiled
 def _fits(point: Array, noise: Array, expected: tuple[Array, Array], gate: float) -> int:
     """1 if one of the features `expected` is individually compatible, 0 if none is, −1 where S is singular."""
-    (positions, covariances), found = expected, 0
+    (positions, covariances), fits = expected, 0
     for j in range(len(positions)):
         x, y = point[0] - positions[j, 0], point[1] - positions[j, 1]
         xx, yy = covariances[j, 0, 0] + noise[0, 0], covariances[j, 1, 1] + noise[1, 1]
@@ -153,5 +153,5 @@ def _fits(point: Array, noise: Array, expected: tuple[Array, Array], gate: float
         if not determinant > 0.0:
             return -1
         if (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant < gate:
-            found = 1
-    return found
+            fits = 1
+    return fits

@@ -1,18 +1,18 @@
-"""SLAM as a sequence of statistically independent local maps: a new one after so many features or on demand.
+"""SLAM as a sequence of statistically independent local maps: a new one after a number of features, or on demand.
 
-Map i + 1 has its base where the robot stood at the end of map i, and starts with nothing known but that: no measurement
-enters two maps, so their estimates are independent, and the last robot pose of map i, with its covariance and its
-correlations, is all that links the two. The new map's first features are as certain as a scan is, what the robot does
-not know of its base stays with the map before, and linearisation errors stay small. The maps are joined when the whole
-is asked for, all at once by least squares (`mapping.map_joining.join_all`). Which features two of them hold is found
-pair by pair, by JCBB in the join of the two alone, the surest relation first. The relation of maps that do not follow
-each other is composed of the surest ones found so far (Bosse et al., "Atlas", IJRR 2004) and taken to be independent
-of their features: which features are one is decided approximately, and what follows from it is exact.
+Map i + 1 has its base where the robot stood at the end of map i, and starts empty: no measurement enters two maps, so
+their estimates are independent, and the last robot pose of map i, with its covariance and its correlations, is all that
+links the two. The first features of the new map are as certain as the scan, the uncertainty of its base stays with the
+map before, and linearisation errors stay small. The maps are joined only when the whole map is requested, all at once
+by least squares (`mapping.map_joining.join_all`). The features that two maps share are found for one pair of maps at a
+time, by JCBB in the join of these two alone, the most certain relation first. The relation of maps that are not
+consecutive is composed of the most certain relations found so far (Bosse et al., "Atlas", IJRR 2004) and assumed to be
+independent of their features: the correspondences are approximate, and the join that follows from them is exact.
 
-**Ids** run through all maps and are never given twice. When a map is closed its features leave, and its last `SlamStep`
-says so in `removed`: `metrics.association.Identities` therefore judges every decision against the current local map, in
-which a feature may rightly begin a second time. A joined map keeps the oldest id of each feature, so
-`identities.source_of(joined.ids)` names the true feature behind each joined one.
+**Ids** are unique over all maps and are never given twice. When a map is closed, the `removed` of its last `SlamStep`
+lists all its features: `metrics.association.Identities` therefore judges every decision against the current local map,
+in which a feature may rightly start a second time. A joined map keeps the oldest id of each feature, so
+`identities.source_of(joined.ids)` names the true feature behind each feature of the joined map.
 """
 
 from __future__ import annotations
@@ -40,22 +40,23 @@ from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Locality, Odom
 from slam_gym.validation import check_scan
 
 Match = Callable[[StochasticMap, IntArray, IntArray], IntArray]
-"""From the join of two local maps, older features (a,) and newer ones (b,) in it to pairs (k, 2) that are the same."""
+"""Finds features mapped twice: takes the join of two local maps, the rows of its older (a,) and newer features (b,),
+and returns pairs (k, 2) of rows."""
 
 _STILL = Odometry(np.zeros(3), np.zeros((3, 3)))
-_INDIVIDUAL = 0.9999  # confidence: one draw moves all pairs, so that the joint gate is the one that discerns
-_SEARCHES = 64  # of JCBB, after which the best pairs so far are taken
-_NODE_LIMIT = 20_000  # of each
+_INDIVIDUAL = 0.9999  # confidence: one error moves all pairs, so that the joint gate is the one that discriminates
+_SEARCHES = 64  # by JCBB; then the best pairs so far are returned
+_NODE_LIMIT = 20_000  # nodes of each search
 
 
 class LocalMapSlam:
-    """A robot's local maps, and the step that updates the current one: the interface of `Slam`.
+    """A robot's local maps, and the step that updates the current one. It has the interface of `Slam`.
 
     Arguments:
         spec: as for `Slam`, within each local map.
-        features_per_map: with so many features a map is closed; None: only on demand. It should be several times what
-            a scan holds: with no more than that, every step begins a map.
-        match: what finds the features that two maps hold, when they are joined.
+        features_per_map: number of features at which a map is closed; None: only on demand. It should be several times
+            the features of a scan: with no more than those, every step begins a map.
+        match: finds the features that two maps share, when the maps are joined; `jointly_compatible` by default.
 
     Raises ValueError for fewer than one feature per map.
     """
@@ -67,15 +68,13 @@ class LocalMapSlam:
             raise ValueError(f"features_per_map: {features_per_map} is less than 1")
         self.spec = spec or SlamSpec()
         self.features_per_map = features_per_map
-        self.slam = Slam(self.spec)  # of the current local map
-        self.maps = [self.slam.map]  # each in its own base; the last one is the current
+        self.slam = Slam(self.spec)  # updates the current local map
+        self.maps = [self.slam.map]  # each in its own base; the last is the current one
         self._graphs = [self.slam.covisibility]  # of each local map
-        self._first_ids = [0]  # id from which on each local map gives them
-        self._correspondences = _Correspondences(
-            match or jointly_compatible
-        )  # of the closed maps, as far as anybody has asked
-        self._names: list[IntArray] = []  # of the features of each map, when the whole was last asked for
-        self._is_last_step = False  # of the current map, whether it is full or not
+        self._first_ids = [0]  # smallest id that each local map can give
+        self._correspondences = _Correspondences(match or jointly_compatible)  # of closed maps, updated on demand
+        self._names: list[IntArray] = []  # of the features of each map, as of the last join
+        self._is_last_step = False  # the next step closes the current map, whether it is full or not
         self._is_closed = False  # the next step begins a new map
 
     @property
@@ -90,11 +89,11 @@ class LocalMapSlam:
 
     @property
     def pose(self) -> Array:
-        """(3,) [m, m, rad] of the robot in the base of the first map, before any join."""
+        """(3,) [m, m, rad] pose of the robot in the base of the first map, before any join."""
         return compose(self.bases[-1], self.map.pose)
 
     def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
-        """Move by `odometry`, then learn from `scan`: in the current local map, or in a new one if that is closed.
+        """Move by `odometry`, then learn from `scan`, in the current local map or, if that is closed, in a new one.
 
         Arguments and errors are those of `Slam.step`.
         """
@@ -103,7 +102,7 @@ class LocalMapSlam:
         return self.learn(scan, prediction, associate(scan, prediction))
 
     def predict(self, odometry: Odometry, scan: Scan) -> Prediction:
-        """As `Slam.predict`."""
+        """As `Slam.predict`; begins a new local map if the current one is closed."""
         if self._is_closed:
             check_scan(scan)
             self.map.predict(odometry)
@@ -112,14 +111,14 @@ class LocalMapSlam:
         return self.slam.predict(odometry, scan)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
-        """As `Slam.learn`; tells as well what leaves with a local map that is full."""
+        """As `Slam.learn`; `removed` also lists the features of a local map that this step closes."""
         step = self.slam.learn(scan, prediction, hypothesis)
         is_full = self.features_per_map is not None and self.map.n >= self.features_per_map
         self._is_closed, self._is_last_step = is_full or self._is_last_step, False
         return replace(step, removed=np.concatenate([step.removed, self.map.ids])) if self._is_closed else step
 
     def close_map(self) -> None:
-        """Let the next step be the last of the current local map; its SlamStep tells what leaves with the map."""
+        """Let the next step be the last of the current local map; its `removed` lists the features of the map."""
         self._is_last_step = True
 
     def _begin_map(self) -> None:
@@ -130,46 +129,46 @@ class LocalMapSlam:
         self._first_ids.append(self.map.next_id)
 
     def joined(self) -> StochasticMap:
-        """All maps in the base of the first, features that are the same made one. The maps stay as they are.
+        """Join all maps in the base of the first, and fuse features that are the same. The local maps do not change.
 
-        Of features that are the same the oldest id is left. Matches of closed maps are kept, so that only the current
-        one is matched again. The full covariance takes time that grows with the cube of the features: see `smoothed`.
+        Fused features keep the oldest of their ids. Matches of closed maps are stored, so that only the current map is
+        matched again. The time for the full covariance grows with the cube of the number of features: see `smoothed`.
         """
         names = self._match_all()
         return joined_map(self.maps, names) if len(self.maps) > 1 else self.map.copy()
 
     def smoothed(self) -> Smoothed:
-        """As `joined`, with the covariance of what is asked for only: seconds for thousands of features.
+        """As `joined`, but covariances are computed only on request: seconds for thousands of features.
 
-        The poses are the bases of the maps, then that of the robot.
+        The poses are the bases of the maps, then the pose of the robot.
         """
         return join_all(self.maps, self._match_all())
 
     def _match_all(self) -> list[IntArray]:
-        """The names (n_i,) of the features of each map: the oldest id of all features that are the same."""
+        """The names (n_i,) of the features of each map. A name is the oldest id of all features that are the same."""
         while len(self._correspondences.names) < len(self.maps) - 1:
             self._correspondences.add(self.maps)
-        everything = copy.deepcopy(self._correspondences)
-        everything.add(self.maps)
-        self._names = everything.names
+        with_current = copy.deepcopy(self._correspondences)
+        with_current.add(self.maps)
+        self._names = with_current.names
         return self._names
 
     def map_of(self, m: StochasticMap | Smoothed) -> IntArray:
-        """(n,) number of the local map in which each feature of a joined map was first seen."""
+        """(n,) index of the local map in which each feature of a joined map was first seen."""
         numbers: IntArray = np.searchsorted(self._first_ids, m.ids, side="right") - 1
         return numbers
 
     def locality(self, m: StochasticMap | Smoothed) -> Locality:
-        """Features of a joined map that are of the same local map."""
+        """The locality in which features of a joined map are local to each other if one local map holds them."""
         return same_local_map(self.map_of(m))
 
     def covisible(self, m: StochasticMap | Smoothed, hops: int = 1) -> Locality:
-        """Features of the map that was joined last that were seen together in any local map; see `covisible`.
+        """The locality of features that were seen covisible_ids in any local map; see `mapping.locality.covisible`.
 
-        Raises ValueError where m holds other features than that map.
+        `m` must be the map that was joined last. Raises ValueError where it holds other features.
         """
-        together = [names[graph.edges().pairs].reshape(-1, 2) for names, graph in zip(self._names, self._graphs)]
-        ids = np.concatenate([np.empty((0, 2), np.int64), *together])
+        covisible_ids = [names[graph.edges().pairs].reshape(-1, 2) for names, graph in zip(self._names, self._graphs)]
+        ids = np.concatenate([np.empty((0, 2), np.int64), *covisible_ids])
         if not np.isin(ids, m.ids).all():
             raise ValueError("m: not the map that was joined last")
         rows = np.sort(np.searchsorted(m.ids, ids), axis=1)
@@ -181,16 +180,16 @@ _Relation = tuple[Array, Array]
 
 
 class _Correspondences:
-    """Which features of local maps are the same, and where the maps stand to each other, map after map."""
+    """Which features of the local maps are the same, and the relative poses of the maps, extended map by map."""
 
     def __init__(self, match: Match) -> None:
         self.names: list[IntArray] = []  # (n_i,) of each map: the oldest id of all features that are the same
         self._match = match
-        self._rows: dict[int, dict[int, int]] = {}  # name → by map, the row of its feature of that name
-        self._relations: list[dict[int, _Relation]] = []  # of each map: where others stand in its base
+        self._rows: dict[int, dict[int, int]] = {}  # name → map → row of the feature with that name
+        self._relations: list[dict[int, _Relation]] = []  # of each map: other map → its relation, in the base of this
 
     def add(self, maps: Sequence[StochasticMap]) -> None:
-        """Match the next one of the maps with those before it that it may overlap, the surest relation first."""
+        """Match the next map with the earlier maps that it may overlap, the most certain relation first."""
         b = len(self.names)
         ids, self._extent = maps[b].ids, float(np.hypot(*maps[b].positions.T).max(initial=1.0))
         self.names.append(ids)
@@ -198,53 +197,53 @@ class _Correspondences:
         self._relations.append({b: (np.zeros(3), np.zeros((3, 3)))})
         if b:
             self._relate(b - 1, b, (maps[b - 1].pose, maps[b - 1].pose_covariance))
-        left = set(range(b))
-        while left:
-            a = min(left, key=lambda other: self._variance(self._relations[other][b][1]))
-            left.remove(a)
+        remaining = set(range(b))
+        while remaining:
+            a = min(remaining, key=lambda other: self._variance(self._relations[other][b][1]))
+            remaining.remove(a)
             if (found := self._compared(maps, a, b)) is not None:
                 self._relate(a, b, found)
 
     def _variance(self, P: Array) -> float:
-        """[m²] of what is as far from a base of covariance (3, 3) as the features of the newest map are."""
+        """[m²] position variance, under base covariance P (3, 3), of the farthest feature of the newest map."""
         return float(P[0, 0] + P[1, 1] + P[2, 2] * self._extent**2)
 
     def _relate(self, a: int, b: int, relation: _Relation) -> None:
-        """Note where map b, the newest, stands in the base of map a, and in others where that makes it surer."""
+        """Store the relation of map b, the newest, to map a, and to the maps for which the path over a is surer."""
         for other, known in enumerate(self._relations[:b]):
-            through = _composed(known[a], relation)
-            if b not in known or self._variance(through[1]) < self._variance(known[b][1]):
-                known[b], self._relations[b][other] = through, _inverted(through)
+            candidate = _composed(known[a], relation)
+            if b not in known or self._variance(candidate[1]) < self._variance(known[b][1]):
+                known[b], self._relations[b][other] = candidate, _inverted(candidate)
 
     def _compared(self, maps: Sequence[StochasticMap], a: int, b: int) -> _Relation | None:
-        """Match map a and newer map b; where b stands in the base of a by that, or None where they share nothing."""
+        """Match map a with newer map b. Returns the relation of b to a that follows, or None if they share nothing."""
         older, newer, (pose, P) = maps[a], maps[b], self._relations[a][b]
         variances = [m.covariances[:, [0, 1], [0, 1]].sum(axis=1).max(initial=0.0) for m in (older, newer)]
         margin = 4.0 * math.sqrt(self._variance(P) + sum(variances))
-        positions, others = older.positions, transform(pose, newer.positions)
-        rows_a, rows_b = _near(positions, others, margin), _near(others, positions, margin)
+        positions, newer_positions = older.positions, transform(pose, newer.positions)
+        rows_a, rows_b = _near(positions, newer_positions, margin), _near(newer_positions, positions, margin)
         if not len(rows_a) or not len(rows_b):
             return None
         older, newer = older.copy(), newer.copy()
         older.remove(np.setdiff1d(np.arange(older.n), rows_a))
         newer.remove(np.setdiff1d(np.arange(newer.n), rows_b))
-        newer.place(np.zeros(3), np.zeros((3, 3)))  # the robot of the join is then where the newer map has its base
+        newer.place(np.zeros(3), np.zeros((3, 3)))  # the robot of the join is then at the base of the newer map
         if a != b - 1:
             older.place(pose, P)
         names_a, names_b = self.names[a][rows_a], self.names[b][rows_b]
-        _, one, other = np.intersect1d(names_a, names_b, return_indices=True)
-        both = equate(join(older, newer), np.column_stack([one, older.n + other]))
-        free_a = np.setdiff1d(np.arange(older.n), one)
-        free_b = np.setdiff1d(np.arange(newer.n), other)
-        pairs = self._match(both, free_a, older.n + np.arange(len(free_b)))
-        kept = [self._unite(int(names_a[j]), int(names_b[free_b[i - older.n]])) for j, i in pairs.tolist()]
-        if not any(kept) and not len(one):
+        _, shared_a, shared_b = np.intersect1d(names_a, names_b, return_indices=True)
+        joined = equate(join(older, newer), np.column_stack([shared_a, older.n + shared_b]))
+        free_a = np.setdiff1d(np.arange(older.n), shared_a)
+        free_b = np.setdiff1d(np.arange(newer.n), shared_b)
+        pairs = self._match(joined, free_a, older.n + np.arange(len(free_b)))
+        united = [self._unite(int(names_a[j]), int(names_b[free_b[i - older.n]])) for j, i in pairs.tolist()]
+        if not any(united) and not len(shared_a):
             return None
-        both = equate(both, pairs[np.array(kept, np.bool_)])
-        return both.pose, both.pose_covariance
+        joined = equate(joined, pairs[np.array(united, np.bool_)])
+        return joined.pose, joined.pose_covariance
 
     def _unite(self, name: int, other: int) -> bool:
-        """Give all features of two names the older one; False where a map has both, for they cannot be one then."""
+        """Give all features of two names the older name; returns False if a map holds both, which then must differ."""
         name, other = min(name, other), max(name, other)
         if self._rows[name].keys() & self._rows[other].keys():
             return False
@@ -255,14 +254,14 @@ class _Correspondences:
 
 
 def _composed(first: _Relation, second: _Relation) -> _Relation:
-    """The relation of independent ones in a row."""
+    """The relation composed of two independent relations, first ⊕ second."""
     (a, P_a), (b, P_b) = first, second
     by_a, by_b = compose_jacobians(a, b)
     return compose(a, b), by_a @ P_a @ by_a.T + by_b @ P_b @ by_b.T
 
 
 def _inverted(relation: _Relation) -> _Relation:
-    """Where the other one stands in the base of this one."""
+    """The inverse relation, ⊖relation."""
     pose, P = relation
     back = inverse(pose)
     by_back, by_pose = compose_jacobians(back, pose)  # of ⊖x ⊕ x = 0
@@ -271,20 +270,20 @@ def _inverted(relation: _Relation) -> _Relation:
 
 
 def _near(points: Array, others: Array, margin: float) -> IntArray:
-    """Rows of the points (k, 2) in the bounding box of others (l, 2), widened by a margin [m]."""
+    """Rows of the points (k, 2) that lie in the bounding box of `others` (l, 2), widened by a margin [m]."""
     low, high = others.min(axis=0, initial=np.inf) - margin, others.max(axis=0, initial=-np.inf) + margin
     return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
 
 
 def jointly_compatible(m: StochasticMap, older: IntArray, newer: IntArray) -> IntArray:
-    """The most pairs (k, 2) of an older (a,) and a newer feature (b,) that may be the same, then those of least D².
+    """Find the largest set of pairs (k, 2) of an older (a,) and a newer feature (b,) that may be the same.
 
-    Individually compatible, agreeing in size and kind, jointly compatible in every prefix at the confidence of the map,
-    and one to one. The hypothesis "newer feature i is older feature j" has the innovation ν_ij = F_i − F_j, and two of
-    them the covariance P_ik − P_il − P_jk + P_jl: everything that the two maps share is in it. So the interpretation
-    tree has a slot for each pairing here, where a scan's has one for each feature. JCBB does not know over these slots
-    that pairings are one to one: where it gives an older feature to two newer ones, the search is repeated without the
-    one pairing and without the other, and the better is kept.
+    Of sets of the same size, that of least D² is returned. The pairs are one to one, individually compatible, agree in
+    size and kind, and are jointly compatible in every prefix at the confidence of the map. The hypothesis "newer
+    feature i is older feature j" has the innovation ν_ij = F_i − F_j, and ν_ij and ν_kl have the covariance
+    P_ik − P_il − P_jk + P_jl, which contains all correlations of the two maps. So this interpretation tree has a slot
+    for each pairing, where that of a scan has one for each feature. Over such slots JCBB does not enforce one-to-one
+    pairings: where it pairs an older feature twice, it searches again without either pairing, and the better set wins.
     """
     D = m.distances_between(newer, older, chi2_gate(2, _INDIVIDUAL))
     D[~attributes_agree(m, older, newer)] = np.inf
@@ -306,7 +305,7 @@ def jointly_compatible(m: StochasticMap, older: IntArray, newer: IntArray) -> In
 
 
 def _with_one_older_feature(pairs: IntArray, distances: Array) -> IntArray:
-    """Two of the pairs (k, 2) with one older feature, that of less D² first; none where there are no such pairs."""
+    """Two of the pairs (k, 2) that share an older feature, the pair of smaller D² first; empty if none share one."""
     features, times = np.unique(pairs[:, 0], return_counts=True)
     if not (times > 1).any():
         return np.empty(0, np.int64)
@@ -315,7 +314,7 @@ def _with_one_older_feature(pairs: IntArray, distances: Array) -> IntArray:
 
 
 def _jcbb(m: StochasticMap, pairs: IntArray) -> tuple[IntArray, float]:
-    """Which of the pairs (c, 2), ordered by their newer features, JCBB takes, and D² of those together."""
+    """The rows of the pairs (c, 2), sorted by newer feature, that JCBB selects, and their joint D²."""
     if not len(pairs):
         return np.empty(0, np.int64), 0.0
     slots, (older, newer) = np.arange(len(pairs)), m.positions[pairs.T]

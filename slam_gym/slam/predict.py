@@ -1,4 +1,4 @@
-"""What a step of SLAM does before the associator is asked, in one compiled call: check, move, see what is in reach."""
+"""What a step of SLAM does before association, in one compiled call: check, move, predict the features in reach."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from slam_gym.mapping.measurement import Locality, RowArrays, foresee, keep_rows
 from slam_gym.types import Array
 from slam_gym.validation import first_bad_measurement
 
-BAD_ODOMETRY, BAD_SCAN = -1, -2  # what `predict` answers in place of a number of rows
+BAD_ODOMETRY, BAD_SCAN = -1, -2  # returned by `predict` in place of a number of rows
 
 Rule = tuple[float, bool, float, float]
-"""Reach [m]; whether predictions are to second order; χ² gate of a pairing; accidental matches that may be expected in
-the gate of an old feature, above which it is not offered."""
+"""Reach [m]; whether predictions are to second order; χ² gate of a pairing; number of accidental matches expected in
+the gate of an old feature above which it is not offered."""
 
 
 @compiled
@@ -31,11 +31,13 @@ def predict(
     pose: Array,
     out: RowArrays,
 ) -> int:
-    """Move the robot, and enter in `out` the features in reach that are not ambiguous: how many, or what is bad.
+    """Move the robot, and enter in `out` the features in reach that are not ambiguous.
+
+    Returns their number k; or BAD_SCAN or BAD_ODOMETRY, and the robot does not move.
 
     Arguments:
-        arrays: of the map, in which the robot moves unless something is bad.
-        counts: its features, and the steps that have ended in it.
+        arrays: arrays of the map, in which the robot is moved.
+        counts: number of its features, and number of steps that have ended in it.
         odometry: motion (3,) and its covariance (3, 3).
         scan: points (m, 2) and covariances (m, 2, 2), which are only checked.
         pose: (4,) receives the predicted pose and the variance of its heading.
@@ -51,8 +53,8 @@ def predict(
         known, _, near, positions, covariances, _ = out
         rows = known[0, :k], near[:k], positions[:k], covariances[:k], known[3, :k]
         kept = np.empty(k, np.int64)
-        left = unambiguous_rows(rows, arrays[1], k * gate / (reach * reach), most, kept)
-        if left < k:
-            keep_rows(out, kept[:left])
-            k = left
+        n_kept = unambiguous_rows(rows, arrays[1], k * gate / (reach * reach), most, kept)
+        if n_kept < k:
+            keep_rows(out, kept[:n_kept])
+            k = n_kept
     return k

@@ -1,4 +1,4 @@
-"""Relocation: where a lost robot is, by a search without a prior whose answer must explain what is seen."""
+"""Relocation: a lost robot is found by a search without a prior, whose answer must explain the scan."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from slam_gym.types import Array, IntArray, Locality, Relocation, Relocator, Sca
 _EXPLAINED = 0.5  # fraction of the measurements, and of what should be in view, that a relocation must pair
 
 SEARCH = "gcbb"
-"""The search that finds a lost robot unless another is asked for."""
+"""The default search for a lost robot."""
 
 LocalityName = Literal["covisibility", "two-hop covisibility", "distance"]
 LOCALITIES: tuple[LocalityName, ...] = get_args(LocalityName)
 
 Relocate = Callable[[Scan, StochasticMap, CovisibilityGraph, float, ViewsFrom | None], Relocation | None]
-"""From a scan, a map, its covisibility, the reach [m] of the sensor and what it has in view, if that is known, to where
-the robot is; None where the scan does not decide."""
+"""Finds the robot: takes a scan, a map, its covisibility, the reach [m] of the sensor and, if known, what it has in
+view from a pose; returns a relocation, or None where the scan does not determine the pose."""
 
 
 def relocate_by(
     search: str | Relocator, locality: LocalityName | None = "covisibility", probability: float = 1e-6
 ) -> Relocate:
-    """Relocation by `search` (a name, `"module:function"`, a callable) among a map's features.
+    """Relocation by `search` (a name, `"module:function"` or a callable) among the features of a map.
 
     A lost robot searches scan after scan, and rooms resemble each other, so that an answer must pass more than the
-    search's own rule: chance brings so many pairings with less than `probability` a scan, and they are most of what is
-    measured and most of what should be in view from there.
-    Raises ValueError for an unknown search or locality, or a probability that is none.
+    rule of the search itself: the probability of so many accidental pairings in a scan must be less than `probability`,
+    and most measurements, and most features that should be in view from the pose found, must be paired.
+    Raises ValueError for an unknown search or locality, or a probability outside (0, 1).
     """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability: {probability} is not between 0 and 1")
     find = resolve_relocator(search)
-    own = any(find is known for known in RELOCATORS.values())
+    is_built_in = any(find is known for known in RELOCATORS.values())
     if locality not in (None, *LOCALITIES):
         raise ValueError(f"locality: {locality!r} is none of {', '.join(LOCALITIES)}, None")
 
@@ -51,7 +51,8 @@ def relocate_by(
         scan: Scan, m: StochasticMap, graph: CovisibilityGraph, reach: float, view_from: ViewsFrom | None
     ) -> Relocation | None:
         landmarks = m.landmarks()
-        found = find(scan if own else scan.read_only(), landmarks, locality_of(graph, m.positions, reach, locality))
+        local_to = locality_of(graph, m.positions, reach, locality)
+        found = find(scan if is_built_in else scan.read_only(), landmarks, local_to)
         if not found.accepted or found.pairings < min_pairings(scan, landmarks, probability=probability):
             return None
         explains = found.pairings >= _EXPLAINED * len(scan)
@@ -61,7 +62,7 @@ def relocate_by(
 
 
 def locality_of(graph: CovisibilityGraph, positions: Array, reach: float, kind: LocalityName | None) -> Locality | None:
-    """The locality of that name among features at `positions` (n, 2) [m], for a sensor that reaches `reach` [m]."""
+    """The locality named `kind` among features at `positions` (n, 2) [m], for a sensor of range `reach` [m]."""
     if kind is None:
         return None
     if kind == "distance":
@@ -70,10 +71,10 @@ def locality_of(graph: CovisibilityGraph, positions: Array, reach: float, kind: 
 
 
 def _shows(found: Relocation, m: StochasticMap, reach: float, view_from: ViewsFrom) -> bool:
-    """Most of the established features that should be in view from the pose found are paired."""
-    there = m.copy()
-    there.place(found.pose, found.covariance)
-    prediction = predict(there, reach, sight=view_from)
+    """Whether most of the established features that should be in view from the pose found are paired."""
+    relocated = m.copy()
+    relocated.place(found.pose, found.covariance)
+    prediction = predict(relocated, reach, sight=view_from)
     visibility = prediction.visibility()
     assert visibility is not None
     expected: IntArray = prediction.features[(visibility >= EXPECTED) & ~prediction.provisional]

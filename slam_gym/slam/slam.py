@@ -55,14 +55,14 @@ class SlamSpec:
     """Settings of a SLAM run."""
 
     map: MapSpec = field(default_factory=MapSpec)
-    reach: float | None = None  # [m] features predicted so near are offered to the associator; None: as far as was seen
-    new_confidence: float | None = None  # of the gate that a new feature must miss everything by; None: as `map`
+    reach: float | None = None  # [m] features predicted within it are offered; None: the farthest measurement so far
+    new_confidence: float | None = None  # of the gate outside which a measurement is new; None: `map.confidence`
     locality: bool = True  # offer covisibility localities to the associator
-    recent: int = 5  # [scans] whose pairings define the locality to look in first
-    lost_fraction: float = 0.3  # a scan that pairs less of the features that should be in view is doubted …
-    lost_scans: int = 5  # … and so many of them in a row have lost the robot
-    min_expected: int = 3  # features that should be in view, without which no scan is doubted
-    max_chance_probability: float = 1.0  # that all pairings with old features are accidental; above, they are rejected
+    recent: int = 5  # [scans] whose pairings define the locality that is searched first
+    lost_fraction: float = 0.3  # a scan that pairs a smaller fraction of the features expected in view is doubted …
+    lost_scans: int = 5  # … and after so many doubted scans in a row the robot is lost
+    min_expected: int = 3  # with fewer features expected in view, no scan is doubted
+    max_chance_probability: float = 1.0  # of all pairings with old features being accidental; above, they are rejected
     start_features_from_rejected: bool = False  # a measurement whose pairing was rejected starts a feature
 
     def __post_init__(self) -> None:
@@ -74,10 +74,10 @@ class Slam:
 
     Arguments:
         spec: settings.
-        view_from: what the sensor should have in view from a pose, which associators and the tracker ask for.
-        relocate: finds a robot that is lost (`slam_gym.slam.relocate.relocate_by`). A scan that pairs too little of
-            what should be in view is then doubted, and not learned from. After too many of them in a row the robot is
-            lost, and searched for scan after scan. None: every scan is learned from.
+        view_from: tells associators and the tracker what the sensor should have in view from a pose.
+        relocate: finds a lost robot (`slam_gym.slam.relocate.relocate_by`). A scan that pairs too few of the features
+            that should be in view is then doubted, and not learned from. After too many doubted scans in a row the
+            robot is lost, and every further scan searches for it. None: every scan is learned from.
         atlas: closes loops, and starts and joins maps of a robot that stays lost (`slam_gym.slam.atlas`).
 
     Raises ValueError for an atlas without `relocate`.
@@ -105,24 +105,24 @@ class Slam:
             )
         self.map = StochasticMap(self.spec.map)
         self.covisibility = CovisibilityGraph()
-        self.fused = NO_PAIRS  # (k, 2) ids of features that became one in the last step, the one that is kept first
-        self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, in turns
-        self._learned = 0  # scans
-        self._farthest = 0.0  # [m] of any measurement so far
+        self.fused = NO_PAIRS  # (k, 2) ids of the features fused in the last step: the kept one, the removed one
+        self._recent = np.full((self.spec.recent, 32), UNPAIRED)  # features seen in each of the last scans, cyclic
+        self._learned = 0  # [scans] learned from so far
+        self._farthest = 0.0  # [m] distance of the farthest measurement so far
         self._experience: Experience | None = None  # what the associator has learned so far
         self._warned = False
-        given, self._gate = self.spec.new_confidence, chi2_gate(2, self.spec.map.confidence)
-        # χ² gate within which a new feature must not be compatible with anything
-        self._new_gate = chi2_gate(2, self.spec.map.confidence if given is None else given)
+        confidence, self._gate = self.spec.new_confidence, chi2_gate(2, self.spec.map.confidence)
+        # χ² gate: a measurement that is compatible with any feature within it does not start a new one
+        self._new_gate = chi2_gate(2, self.spec.map.confidence if confidence is None else confidence)
 
     def __repr__(self) -> str:
         return f"Slam: {self.map!r}"
 
     def step(self, odometry: Odometry, scan: Scan, associator: str | Associator = "jcbb") -> SlamStep:
-        """The step of Castellanos, Neira and Tardós (2006): predict, associate, update, add, maintain.
+        """Run one step of Castellanos, Neira and Tardós (2006): predict, associate, update, add, maintain.
 
-        `associator` is a name, `"module:function"` or a callable. Raises ValueError, before anything is changed, as
-        `predict`, and for an unknown associator; and as `learn` once the motion has been predicted.
+        `associator` is a name, `"module:function"` or a callable. Raises ValueError, before anything is changed, for an
+        unknown associator and where `predict` does; and where `learn` does, once the motion has been predicted.
         """
         associate = resolve_associator(associator)
         prediction = self.predict(odometry, scan)
@@ -130,16 +130,16 @@ class Slam:
         return self.learn(scan, prediction, hypothesis)
 
     def predict(self, odometry: Odometry, scan: Scan) -> Prediction:
-        """Move by `odometry`; what `scan` should show from there, with the localities to search first.
+        """Move the robot by `odometry`; returns what `scan` should show from there, and the locality to search first.
 
-        Raises ValueError, nothing changed, for non-finite numbers and covariances that are none.
+        Raises ValueError, before anything is changed, for non-finite numbers and invalid covariances.
         """
         check_inputs(odometry, scan)
         most = math.inf if self.atlas is None else self.atlas.most_accidental(self._experience)
         return self._predict(odometry, scan, most)
 
     def learn(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> SlamStep:
-        """What follows the associator's answer: the map learns from the scan, unless that is not believed.
+        """Complete the step after association: the map learns from the scan if the tracker believes it.
 
         Raises ValueError for a hypothesis that does not fit scan and map; only the motion has been predicted then.
         """
@@ -151,18 +151,18 @@ class Slam:
             believed = hypothesis
             hypothesis, rule = self.atlas.accepted(scan, prediction, hypothesis, self._new_gate)
             if hypothesis is not believed:
-                self.tracker.accept(hypothesis)  # what is rejected is not expected to be seen again
+                self.tracker.accept(hypothesis)  # features of rejected pairings are not expected in the next scan
         return self.close_loops(self.update(scan, prediction, hypothesis, rule), scan)
 
     def update(
         self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis, rule: StartRule = StartRule.FITS_NOTHING
     ) -> SlamStep:
-        """Update the map with the pairings, add what is new, and drop what was not confirmed in time.
+        """Update the map with the pairings, add new features, and remove features that were not confirmed in time.
 
-        New is what the associator says. Where it does not say, a measurement starts a feature if it is unpaired *and*
-        individually compatible with nothing in the map: what is compatible but unpaired is more likely a mapped feature
-        than a new one, and is discarded. A gate of confidence γ turns away 1 − γ of the right pairings, and each would
-        start a duplicate: where scans come by the hundred, the rule deserves a wider gate (`new_confidence`).
+        `hypothesis.new` says which measurements start a feature. If it is None, a measurement starts one if it is
+        unpaired *and* individually compatible with no feature of the map: a measurement that is compatible but unpaired
+        more likely comes from a mapped feature, and is discarded. A gate of confidence γ turns away 1 − γ of the right
+        pairings, and each would start a duplicate: over hundreds of scans a wider gate pays off (`new_confidence`).
         """
         m, graph, count = self.map, self.covisibility, len(scan.points)
         m.make_room(count)
@@ -172,32 +172,32 @@ class Slam:
         decisions, expected = (hypothesis.features, created, is_decided, ids), prediction.expected
         ended = learn.NARROW
         while ended == learn.NARROW:
-            ended, what, added = learn.learn(
+            ended, detail, added = learn.learn(
                 m.arrays, m.numbers, graph.arrays, recent, scan.arrays, decisions, expected, self._settings()
             )
             if ended == learn.NARROW:
-                graph.widen(what)
+                graph.widen(detail)
         self._experience = hypothesis.experience or self._experience
         m.learned(added)
         graph.learned(added)
         if ended != learn.DONE:
-            raise self._refusal(ended, what, scan, hypothesis.features)
+            raise self._refusal(ended, detail, scan, hypothesis.features)
         if added and self.spec.reach is not None:
             self._warn_of_reach(scan, created, self.spec.reach)
         self._learned += 1
-        removed = self._forget(what) if what else _NO_FEATURES
+        removed = self._forget(detail) if detail else _NO_FEATURES
         m.end_of_step()
         return SlamStep(prediction, hypothesis, ids, created, removed, rule)
 
     def relocate(self, scan: Scan, prediction: Prediction) -> SlamStep:
-        """The step of a scan that is not believed. The map learns nothing, unless the robot is lost and found by it.
+        """The step of a doubted scan: the map learns from it only if the robot is lost and the scan finds it again.
 
-        The robot is then moved to the pose found, with a covariance that says nothing, and the update with the pairings
-        leaves it with what they tell. One that stays lost for too long goes on in another map.
-        Raises ValueError, the robot unmoved, for an answer that cannot be.
+        The robot is then moved to the pose found, with an uninformative covariance, and the update with the pairings
+        determines the pose. A robot that stays lost for too long goes on in another map.
+        Raises ValueError, before the robot is moved, for an invalid answer of the relocator.
         """
         assert self.tracker is not None and self.relocator is not None
-        nothing = Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
+        unpaired = Hypothesis(np.full(len(scan), UNPAIRED), 0.0, 0, Effort())
         found = None
         if self.tracker.lost:
             found = self.relocator(scan, self.map, self.covisibility, self.reach, self.view_from)
@@ -205,12 +205,12 @@ class Slam:
             return self._go_on_from(found, scan, self.tracker)
         if self.atlas is not None and self.atlas.gives_up(self.tracker):
             removed = self._begin_map(self.atlas, self.tracker)
-            return replace(self.update(scan, self.predict(_STILL, scan), nothing), removed=removed)
+            return replace(self.update(scan, self.predict(_STILL, scan), unpaired), removed=removed)
         self.map.end_of_step()
-        return SlamStep(prediction, nothing, np.full(len(scan), NO_ID), np.zeros(len(scan), np.bool_), _NO_FEATURES)
+        return SlamStep(prediction, unpaired, np.full(len(scan), NO_ID), np.zeros(len(scan), np.bool_), _NO_FEATURES)
 
     def close_loops(self, step: SlamStep, scan: Scan) -> SlamStep:
-        """The step, once what the atlas finds to be the same is one."""
+        """Fuse the features that the atlas recognises as the same, and return the step with what changed."""
         if self.atlas is None or self.doubted:
             return step
         fusion = self.atlas.fusion(MappedArea(self.map, self.covisibility), step, scan, self.reach)
@@ -220,36 +220,36 @@ class Slam:
         self._renumber(fusion.became)
         if self.tracker is not None and len(fusion.returned):
             self.tracker.relocations += 1
-        gone = np.concatenate([step.removed, fusion.ids[:, 1]])
-        return replace(step, removed=gone, returned=fusion.returned)
+        removed_now = np.concatenate([step.removed, fusion.ids[:, 1]])
+        return replace(step, removed=removed_now, returned=fusion.returned)
 
     @property
     def reach(self) -> float:
-        """[m] within which features are predicted: as specified, or as far as anything was measured so far."""
+        """[m] within which features are predicted: `spec.reach`, or the distance of the farthest measurement so far."""
         return self._farthest if self.spec.reach is None else self.spec.reach
 
     @property
     def maps(self) -> tuple[StochasticMap, ...]:
-        """The active map, then the inactive ones of the atlas, in the coordinates that they were left with."""
+        """The active map, then the inactive maps of the atlas, each in the coordinates it had when it was left."""
         return (self.map,) if self.atlas is None else (self.map, *[area.map for area in self.atlas.inactive])
 
     @property
     def lost(self) -> bool:
-        """The robot is not where the map has it, and waits for relocation. Never, without `relocate`."""
+        """Whether the robot is lost, and waits for relocation. Always False without `relocate`."""
         return self.tracker is not None and self.tracker.lost
 
     @property
     def doubted(self) -> bool:
-        """The last scan was not believed. Never, without `relocate`."""
+        """Whether the last scan was not believed. Always False without `relocate`."""
         return self.tracker is not None and self.tracker.doubted > 0
 
     @property
     def relocations(self) -> int:
-        """How often the robot was found again so far."""
+        """How often the robot has been relocated so far."""
         return 0 if self.tracker is None else self.tracker.relocations
 
     def _predict(self, odometry: Odometry, scan: Scan, most_accidental: float) -> Prediction:
-        """Of the features in reach; old ones in whose gates more accidental matches are expected are left out."""
+        """Predict the features in reach, without old ones whose gates expect more than `most_accidental` matches."""
         m, rows, pose = self.map, rows_for(self.map.n), np.empty(4)
         motion, measured, reach = (odometry.motion, odometry.covariance), (scan.points, scan.covariances), self.reach
         if self.spec.reach is None:
@@ -266,17 +266,17 @@ class Slam:
         return foreseen(m, rows, k, pose, locality, self.view_from, experience=self._experience)
 
     def _go_on_from(self, found: Relocation, scan: Scan, tracker: Tracker) -> SlamStep:
-        """The step of a scan that says where the robot is. Raises ValueError, the robot unmoved, where it cannot be."""
+        """Go on from a relocation. Raises ValueError, before the robot is moved, for an invalid one."""
         answer = Hypothesis(found.features, found.joint_distance, 2 * found.pairings, found.effort)
         hypothesis = check_hypothesis(answer, len(scan), self.map.n)
         self.map.place(found.pose, UNKNOWN_POSE)
         tracker.accept(hypothesis)
         tracker.relocations += 1
-        everything = self._predict(_STILL, scan, math.inf)  # nothing is known of the pose: all would be ambiguous
+        everything = self._predict(_STILL, scan, math.inf)  # no limit: from an unknown pose every feature is ambiguous
         return self.update(scan, everything, hypothesis)
 
     def _begin_map(self, atlas: Atlas, tracker: Tracker) -> IntArray:
-        """Go on in an empty map; the ids of the features that are left behind."""
+        """Go on in an empty map, and return the ids of the features that are left behind."""
         removed = self.map.ids
         self.map, self.covisibility = atlas.next_map(self.map, self.covisibility), CovisibilityGraph()
         self._recent.fill(UNPAIRED)
@@ -284,21 +284,21 @@ class Slam:
         return removed
 
     def _settings(self) -> Settings:
-        """What `learn.learn` takes as its settings."""
+        """The settings that `learn.learn` takes."""
         spec = self.spec.map
         before = -1 if spec.unconfirmed_age is None else self.map.step - spec.unconfirmed_age
         return spec.iterations, float(spec.settled), spec.right_invariant, self._new_gate, spec.confirmations, before
 
-    def _refusal(self, ended: int, what: int, scan: Scan, features: IntArray) -> ValueError:
-        """Why `learn.learn` did not come to its end."""
+    def _refusal(self, ended: int, detail: int, scan: Scan, features: IntArray) -> ValueError:
+        """The error that tells why `learn.learn` refused the scan."""
         if ended == learn.REFUSED:
-            return refused_update(what, scan, features, self.map.n)
+            return refused_update(detail, scan, features, self.map.n)
         if ended == learn.NOT_ADDED:
-            return bad_measurement(scan, what)
-        return ValueError(f"scan.covariances[{what}] leaves the innovation covariance singular")
+            return bad_measurement(scan, detail)
+        return ValueError(f"scan.covariances[{detail}] leaves the innovation covariance singular")
 
     def _row_for(self, count: int) -> IntArray:
-        """Where to enter the features of this scan of so many measurements, in place of those of the oldest one."""
+        """The row of `_recent` for the features of a scan of `count` measurements; it replaces the oldest scan."""
         rows, width = self._recent.shape
         if count > width:
             self._recent = np.pad(self._recent, ((0, 0), (0, count - width)), constant_values=UNPAIRED)
@@ -306,7 +306,7 @@ class Slam:
         return row
 
     def _warn_of_reach(self, scan: Scan, new: BoolArray, reach: float) -> None:
-        """Once, where one of the `new` measurements (m,) starts a feature so far away that it is never found again."""
+        """Warn, once, where one of the `new` measurements (m,) starts a feature too far away to be predicted."""
         beyond = 0.0 if self._warned else _farthest(scan.points, scan.covariances, new, -6.0)
         if beyond <= reach:
             return
@@ -318,7 +318,7 @@ class Slam:
         )
 
     def _forget(self, due: int) -> IntArray:
-        """Drop the features that are due; everything indexed by feature is renumbered. Returns their ids."""
+        """Remove the `due` unconfirmed features, renumber everything indexed by feature, and return the removed ids."""
         m, graph = self.map, self.covisibility
         became, removed = np.empty(m.n, np.int64), np.empty(due, np.int64)
         *_, confirmations, before = self._settings()
@@ -329,7 +329,7 @@ class Slam:
         return removed
 
     def _renumber(self, became: IntArray) -> None:
-        """What is remembered by feature follows the map, in which each of n features `became` (n,) another, or none."""
+        """Renumber what is stored by feature: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
         self._recent = np.append(became, UNPAIRED)[self._recent]
         if self.tracker is not None:
             self.tracker.renumber(became)
@@ -337,7 +337,7 @@ class Slam:
 
 @compiled
 def _farthest(points: Array, covariances: Array, chosen: BoolArray, sigmas: float) -> float:
-    """[m] The greatest ‖z‖ + `sigmas` · σ of the `chosen` measurements (m,), σ² being the trace of the covariance."""
+    """[m] The greatest ‖z‖ + `sigmas` · σ of the `chosen` measurements (m,); σ² is the trace of the covariance."""
     farthest = 0.0
     for i in range(len(points)):
         if not chosen[i]:

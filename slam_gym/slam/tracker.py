@@ -1,4 +1,4 @@
-"""Detector of relocation: from what a scan pairs, the robot notices before the map learns that it may be lost."""
+"""Detector of relocation: notices from the pairings of a scan, before the map learns, that the robot may be lost."""
 
 from __future__ import annotations
 
@@ -11,114 +11,115 @@ from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Array, BoolArray, Hypothesis, IntArray, Scan
 
 EXPECTED = 0.5  # visibility from which a feature should be in view
-_STILL_EXPECTED = 0.1  # … and from which it should if the last scan paired it
-_BELIEVED_AGAIN = 2.0  # a lost robot must pair so many times what one that is not lost must
+_STILL_EXPECTED = 0.1  # … and visibility from which it should be, if the last scan paired it
+_BELIEVED_AGAIN = 2.0  # factor on the pairings that a scan must have, while the robot is lost
 _NEAREST = 1e-9  # [m]
-_KNOWN_AFTER = 10  # [scans] in which the sensor has looked no farther to the side than before
-_EXPLAINED = 0.5  # fraction of the measurements that, once paired, speaks for the pose whatever should be in view
+_KNOWN_AFTER = 10  # [scans] without a measurement farther to the side, after which the sector of view counts as known
+_EXPLAINED = 0.5  # a scan with this fraction of its measurements paired is believed, whatever should be in view
 
 
 class Tracker:
-    """Counts the scans in a row that are not what the map leads one to expect.
+    """Counts the consecutive scans that do not show what the map predicts.
 
     A feature should be in view if it is established, and either its visibility is at least `EXPECTED`, or the last scan
     that was believed paired it and nothing says that it has gone out of view since. A scan is doubted where
 
-    - too few of the features that should be in view are paired, while most of what is measured is not paired either; or
-    - right after a scan that knew its way, hardly anything that is measured is paired.
+    - too few of the features that should be in view are paired, and most of the measurements are not paired either; or
+    - right after a scan that was believed, hardly any measurement is paired.
 
     Where the prediction does not tell what is in view, a scan that pairs anything is believed: on new ground, where one
-    scan pairs less than the one before, a doubt would keep the map from learning what the next scans could be paired
-    with. The directions in which anything was measured so far then stand for the view: what the last scan paired and a
-    turn has put out of it is not expected. A doubt stands until a scan pairs something.
+    scan pairs less than the one before, a doubt would keep the map from learning the features that the next scans can
+    be paired with. The sector of directions in which anything was measured so far then stands for the view: a feature
+    that the last scan paired and that a turn has put out of the sector is not expected. A doubt lasts until a scan
+    pairs something.
 
-    So what is new on the map's rim is no reason to doubt as long as it comes into view by and by, and neither is what
-    walls are known to hide.
+    So new features at the edge of the map cause no doubt as long as they come into view one by one, and neither do
+    features that walls are known to hide.
 
     Arguments:
-        fraction: of the expected features, or of the measurements, that must be paired.
-        scans: doubted scans in a row after which the robot is lost.
-        min_expected: expected features, or measurements, without which nothing is concluded.
+        fraction: fraction of the expected features, or of the measurements, that must be paired.
+        scans: number of consecutive doubted scans after which the robot is lost.
+        min_expected: least number of expected features, or of measurements, from which a doubt can follow.
     """
 
     def __init__(self, fraction: float, scans: int, min_expected: int) -> None:
         self.fraction, self.scans, self.min_expected = fraction, scans, min_expected
-        self.doubted = 0  # scans in a row
+        self.doubted = 0  # consecutive doubted scans
         self.relocations = 0  # how often a lost robot was found again
         self._last_paired: IntArray = np.empty(0, np.int64)
-        # (m,) features that the last scan believed was paired with, or UNPAIRED
-        self._least_cosine = 1.0  # of the directions of all that was measured so far
-        self._looks = 0  # scans since that last fell
+        # (m,) features paired by the last scan that was believed, or UNPAIRED
+        self._least_cosine = 1.0  # of the bearings of all measurements so far
+        self._looks = 0  # scans since the least cosine last fell
 
     @property
     def lost(self) -> bool:
-        """So many scans were doubted that the pose cannot be right."""
+        """Whether so many consecutive scans were doubted that the robot is lost."""
         return self.doubted >= self.scans
 
     @property
     def lost_for(self) -> int:
-        """Scans that the robot was lost for before the last one; negative while it is not."""
+        """Number of scans before the last one for which the robot was lost; negative while it is not lost."""
         return self.doubted - self.scans
 
     def enough(self, blind: bool) -> tuple[float, bool]:
-        """The fraction of the measurements that must be paired so that nothing else needs to be asked.
+        """The fraction of the measurements that, once paired, makes a scan believed without further tests.
 
-        No fraction is enough for a robot that is lost. The second result says whether any pairing will do: to a robot
-        that is `blind`, to which nothing tells what is in view, the rest may be new ground.
+        No fraction is enough for a lost robot. The second result says whether a single pairing is enough: so it is if
+        the prediction is `blind`, without a view, because the other measurements may then show new ground.
         """
         return (math.inf, False) if self.lost else (max(_EXPLAINED, self.fraction), blind)
 
     def believes(self, scan: Scan, prediction: Prediction, hypothesis: Hypothesis) -> bool:
-        """Whether the scan paired enough to be learned from; counts it as doubted otherwise.
+        """Whether the scan has enough pairings to be learned from; counts it as doubted otherwise.
 
-        Chance pairs some now and then, so once lost it takes twice the fraction, and twice the number, to be believed.
+        Some pairings are accidental, so a lost robot needs twice the fraction, and twice the number, to be believed.
         """
         blind = not prediction.has_view
         if blind:
             self.look(scan.points)
-        (fraction, any_will_do), measured = self.enough(blind), len(hypothesis.features)
+        (fraction, one_is_enough), measured = self.enough(blind), len(hypothesis.features)
         pairings = _pairings_with(*prediction.counted, prediction.confirmations, hypothesis.features)
-        plainly_right = pairings >= fraction * measured or (any_will_do and pairings > 0)
-        if plainly_right or not self._misses_too_much(prediction, hypothesis):
+        has_enough = pairings >= fraction * measured or (one_is_enough and pairings > 0)
+        if has_enough or not self._misses_too_much(prediction, hypothesis):
             self.accept(hypothesis)
             return True
         self.doubted += 1
         return False
 
     def look(self, points: Array) -> None:
-        """Learn from measurements (m, 2) [m] in R how far the sensor looks to either side."""
+        """Learn from measurements (m, 2) [m] in R how far to either side the sensor can look."""
         ahead = points[:, 0] / np.maximum(np.hypot(points[:, 0], points[:, 1]), _NEAREST)
         least = float(ahead.min(initial=1.0))
         self._looks = 0 if least < self._least_cosine else self._looks + 1
         self._least_cosine = min(least, self._least_cosine)
 
     def accept(self, hypothesis: Hypothesis) -> None:
-        """The hypothesis holds: tracking goes on from it."""
+        """End all doubts: tracking goes on from this hypothesis."""
         self.doubted = 0
         self._last_paired = hypothesis.features.copy()
 
     def forget(self) -> None:
-        """Start over, in another map."""
+        """Reset the counts for another map."""
         self.doubted, self._last_paired = 0, self._last_paired[:0]
 
     def renumber(self, became: IntArray) -> None:
-        """Each of the map's n features `became` (n,) another, or UNPAIRED where it is gone."""
+        """Renumber the features stored here: feature j is now feature `became[j]` (n,), or UNPAIRED if removed."""
         self._last_paired = np.append(became, UNPAIRED)[self._last_paired]
 
     def _misses_too_much(self, prediction: Prediction, hypothesis: Hypothesis) -> bool:
         established = ~prediction.provisional
         known, last = set(prediction.features[established].tolist()), set(self._last_paired.tolist())
         expected = set(prediction.features[established & self._should_be_seen(prediction)].tolist())
-        still = known & last if prediction.has_view else expected
+        should_persist = known & last if prediction.has_view else expected
         paired = known.intersection(hypothesis.features.tolist())
         measured = len(hypothesis.features)
         fraction = self.fraction * (_BELIEVED_AGAIN if self.lost else 1.0)
         missing = len(expected) >= self.min_expected and len(expected & paired) < fraction * len(expected)
         few = measured >= self.min_expected and len(paired) < fraction * measured
         unresolved = self.doubted > 0 and not prediction.has_view
-        strange = few and (unresolved or len(still) >= self.min_expected)
+        unexplained = few and (unresolved or len(should_persist) >= self.min_expected)
         unsure = self.lost and len(expected & paired) < _BELIEVED_AGAIN * self.min_expected
-        return (missing and len(paired) < _EXPLAINED * measured) or strange or unsure
+        return (missing and len(paired) < _EXPLAINED * measured) or unexplained or unsure
 
     def _should_be_seen(self, prediction: Prediction) -> BoolArray:
         paired = np.isin(prediction.features, self._last_paired)
@@ -137,7 +138,7 @@ class Tracker:
 
 @compiled
 def _pairings_with(features: IntArray, sightings: IntArray, confirmations: int, decisions: IntArray) -> int:
-    """How many of the decisions (m,) are one of the features (k,) seen so often that they are confirmed."""
+    """The number of decisions (m,) that pair one of the features (k,) with enough sightings to be confirmed."""
     count = 0
     for decision in decisions:
         if decision != UNPAIRED:

@@ -1,15 +1,15 @@
-"""Fusion: features that are the same become one, within the active map or between it and an inactive one.
+"""Fusion: features that are the same become one, within the active map or between it and an inactive map.
 
-**Loops** are found by place recognition within the active map, and verified with the prior: one shape, and a motion
-between the two parts that the map thinks possible. **Maps** are joined with a relation that says nothing (`join_at`)
-once the recent part of one, or a scan, is recognised in the other; then there is no prior to verify by.
+**Loops** are found by place recognition within the active map, and verified with the prior: both parts must have one
+shape, and the map must consider the motion between them possible. **Maps** are joined with an uninformative relation
+(`join_at`) once the recent part of one, or a scan, is recognised in the other; there is then no prior to verify with.
 
-**Duplicates** are single features that the map holds twice: what closes a loop, or a scan whose right pairing missed
-its gate, leaves the odd one. Two features are taken for the same where their difference is small for its covariance,
-neither has another such, each was seen several times, several features were seen with either of them, and still no scan
-saw both. With many such neighbours and sightings the last says more than a gate does, and the gate is wide: a filter
-that has turned optimistic is what parted them. A place that was mapped twice whole, too small for a loop, has no such
-neighbours. There, several pairs that stand together speak for each other.
+**Duplicates** are single features that the map holds twice: a loop closure, or a scan whose right pairing missed its
+gate, may leave some. Two features are taken for the same if their difference is small for its covariance, neither has
+another such candidate, each was seen several times, several features were seen together with both, and still no scan
+saw both. With many such neighbours and sightings, that no scan saw both is stronger evidence than a gate, and the gate
+is wide: an optimistic filter may have separated them by more than their covariance admits. Where a whole place was
+mapped twice, too small for a loop, its features have no such neighbours; there, candidate pairs support each other.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _NOTHING = np.empty(0, np.int64)
 
 _CONFIDENCE = 0.99
 _INFLATION = 2.0  # of standard deviations, where sightings and neighbours are many
-_SEEN, _COMMON = 3, 3  # scans that saw each of two duplicates, and features seen with either, at least
+_SEEN, _COMMON = 3, 3  # least number of scans that saw each of two duplicates, and of features seen with both
 _MANY_SEEN, _MANY_COMMON = 8, 8
-_DOUBLED = 5  # candidates among the neighbours of both, at least, before they speak for each other
+_DOUBLED = 5  # least number of candidate pairs among the neighbours of both that count as support
 
 
 class MappedArea(NamedTuple):
@@ -45,24 +45,24 @@ class MappedArea(NamedTuple):
 
 
 class Fusion(NamedTuple):
-    """A map in which features that were two are one."""
+    """A map in which features were fused."""
 
     map: StochasticMap
     covisibility: CovisibilityGraph
-    ids: IntArray  # (k, 2) of the features that became one: that which is kept, and that which is gone
-    became: IntArray  # (n,) feature that each of the features before is now
+    ids: IntArray  # (k, 2) ids of the fused features: the id that is kept, and the id that is removed
+    became: IntArray  # (n,) new index of each feature of the map before the fusion
     returned: IntArray = _NOTHING  # (r,) ids of the features that came back with an inactive map
 
     def then(self, later: Fusion) -> Fusion:
-        """Both in turn. What was kept by the first may be gone by the second."""
+        """This fusion followed by a later one, which may remove features that this one kept."""
         kept_later = dict(zip(later.ids[:, 1].tolist(), later.ids[:, 0].tolist()))
-        ids = [(kept_later.get(kept, kept), gone) for kept, gone in self.ids.tolist()] + later.ids.tolist()
+        ids = [(kept_later.get(kept, kept), removed) for kept, removed in self.ids.tolist()] + later.ids.tolist()
         returned = np.concatenate([self.returned, later.returned])
         return Fusion(later.map, later.covisibility, np.array(ids, np.int64), later.became[self.became], returned)
 
 
 def fuse(m: StochasticMap, graph: CovisibilityGraph, pairs: IntArray) -> Fusion:
-    """The features of each pair (k, 2) made one, the first of which is kept. Map and graph are not changed."""
+    """Fuse the features of each pair (k, 2) into the first of them. `m` and `graph` are not changed."""
     became, kept = np.arange(m.n), np.delete(np.arange(m.n), pairs[:, 1])
     became[pairs[:, 1]] = pairs[:, 0]
     fused = graph.fused(pairs[:, 0], pairs[:, 1])
@@ -70,7 +70,7 @@ def fuse(m: StochasticMap, graph: CovisibilityGraph, pairs: IntArray) -> Fusion:
 
 
 def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
-    """Pairs (k, 2) of an older feature and one of the recent part that are the same; none where no loop is believed."""
+    """Pairs (k, 2) of an older feature and one of the recent part that are the same; empty if no loop is verified."""
     parts = parts_of(m, graph, spec)
     found = None if parts is None else recognise(m, parts.recent, m, graph, parts.older, spec)
     if parts is None or found is None:
@@ -83,11 +83,11 @@ def find_loop(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec)
 
 
 def join_recognised(older: MappedArea, newer: MappedArea, recent: IntArray, spec: RecognitionSpec) -> Fusion | None:
-    """Both maps as one, in the base of the older, if features `recent` (g,) of the newer are recognised; else None.
+    """Join two maps in the base of the older, if features `recent` (g,) of the newer are recognised in it; else None.
 
-    The features are those of the older map, then of the newer; the robot is that of the newer. What is known of the
-    relation comes from the pairs alone: they must have one shape under the covariance of both maps, and be most of what
-    both have there. Neither map is changed.
+    The features are those of the older map, then those of the newer; the robot is that of the newer. The relation of
+    the maps is determined by the pairs alone: they must have one shape under the covariance of joined maps, and be most
+    of the features of joined maps there. Neither map is changed.
     """
     a, b, among = older.map, newer.map, np.flatnonzero(~older.map.provisional)
     enough = min(len(among), len(recent)) >= spec.min_pairs
@@ -95,40 +95,40 @@ def join_recognised(older: MappedArea, newer: MappedArea, recent: IntArray, spec
     if found is None:
         return None
     paired = found.features != UNPAIRED
-    both = join_at(a, b, found.pose)
+    joined = join_at(a, b, found.pose)
     pairs = np.column_stack([among[found.features[paired]], a.n + recent[paired]])
-    pairs = agreeing(both, pairs, spec, prior=False)
-    if len(pairs) < spec.min_pairs or overlap(both, Parts(a.n + recent, among), pairs) < spec.min_fraction:
+    pairs = agreeing(joined, pairs, spec, prior=False)
+    if len(pairs) < spec.min_pairs or overlap(joined, Parts(a.n + recent, among), pairs) < spec.min_fraction:
         return None
-    return fuse(both, older.covisibility.followed_by(newer.covisibility), pairs)
+    return fuse(joined, older.covisibility.followed_by(newer.covisibility), pairs)
 
 
 def join_relocated(
     older: MappedArea, newer: MappedArea, found: Relocation, features: IntArray, spec: RecognitionSpec
 ) -> Fusion | None:
-    """As `join_recognised`, by one scan that was `found` in the older map.
+    """As `join_recognised`, by one scan whose relocation `found` in the older map is known.
 
-    In the newer one it has updated or started the `features` (m,), or UNPAIRED. A wrong relocation can be taken back by
-    the next, a wrong join cannot: as many pairs are asked for as of a recent part, of one shape.
+    `features` (m,) are those of the newer map that the scan has updated or started, or UNPAIRED. The next relocation
+    can correct a wrong one, but a wrong join is final: as many pairs, of one shape, are required as for a recent part.
     """
     a, b = older.map, newer.map
-    both = join_at(a, b, compose(found.pose, inverse(b.pose)))
+    joined = join_at(a, b, compose(found.pose, inverse(b.pose)))
     paired = (found.features != UNPAIRED) & (features != UNPAIRED)
     pairs = np.column_stack([found.features[paired], a.n + features[paired]])
-    pairs = agreeing(both, pairs, spec, prior=False)
-    return fuse(both, older.covisibility.followed_by(newer.covisibility), pairs) if len(pairs) else None
+    pairs = agreeing(joined, pairs, spec, prior=False)
+    return fuse(joined, older.covisibility.followed_by(newer.covisibility), pairs) if len(pairs) else None
 
 
 def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> IntArray:
-    """Pairs (k, 2) of an older and a newer feature that are the same, one of which was seen in `recent` scans."""
+    """Pairs (k, 2) of an older and a newer feature that are the same, one of them seen in the last `recent` scans."""
     sure = m.seen >= max(_SEEN, m.spec.confirmations)
-    lately, known = np.flatnonzero(sure & (m.last_seen >= m.step - recent)), np.flatnonzero(sure)
+    recently_seen, established = np.flatnonzero(sure & (m.last_seen >= m.step - recent)), np.flatnonzero(sure)
     gate = chi2_gate(2, _CONFIDENCE)
-    D = m.distances_between(lately, known, _INFLATION**2 * gate)
+    D = m.distances_between(recently_seen, established, _INFLATION**2 * gate)
     compatible: dict[tuple[int, int], bool] = {}  # by pair: whether it passes the narrow gate, too
     for row in np.flatnonzero(np.isfinite(D).sum(axis=1) == 1).tolist():
         column = int(D[row].argmin())
-        one, other = int(lately[row]), int(known[column])
+        one, other = int(recently_seen[row]), int(established[column])
         alike = attributes_agree(m, np.array([one]), np.array([other])).all()
         if other not in graph.neighbours(one) and alike:
             compatible[min(one, other), max(one, other)] = bool(D[row, column] < gate)
@@ -140,10 +140,10 @@ def find_duplicates(m: StochasticMap, graph: CovisibilityGraph, recent: int) -> 
 def _are_one(
     m: StochasticMap, graph: CovisibilityGraph, pair: list[int], candidates: IntArray, compatible: bool
 ) -> bool:
-    """What sightings say of the features of a `pair`, `compatible` or so in the wide gate only.
+    """Whether covisibility confirms that the features of a `pair` are the same.
 
-    A feature seen with either of them speaks for it, and so do two that may be duplicates themselves, where one was
-    seen with the first and the other with the second.
+    If not `compatible`, the pair passes only the wide gate, and more evidence is required. Evidence are the features
+    seen with both, and candidate pairs of which one feature was seen with the first and the other with the second.
     """
     first, second = (graph.neighbours(feature) for feature in pair)
     common = len(np.intersect1d(first, second, assume_unique=True))
@@ -153,7 +153,7 @@ def _are_one(
 
 
 def _one_to_one(pairs: IntArray) -> IntArray:
-    """Those of the pairs (k, 2) whose features are in no other."""
+    """The pairs (k, 2) whose features are in no other pair."""
     features, times = np.unique(pairs, return_counts=True)
-    alone: IntArray = pairs[~np.isin(pairs, features[times > 1]).any(axis=1)]
-    return alone
+    unique_pairs: IntArray = pairs[~np.isin(pairs, features[times > 1]).any(axis=1)]
+    return unique_pairs

@@ -1,18 +1,19 @@
 """Place recognition: the recent part of the active map is searched for among other features, without a prior.
 
-A robot that comes back with more drift than its covariance admits starts its features a second time, and one that was
-carried away maps known ground again. No single scan tells such ground from new ground; a dozen features do. They take
-the place of a scan (`as_scan`), and one of the searches of relocation pairs them with older features of the active map,
-or with those of an inactive one. What it finds is verified before it is believed (`slam.places.verification`).
+A robot that returns with more drift than its covariance admits starts the features there a second time, and a robot
+that was carried away maps known ground again. A single scan cannot distinguish such ground from new ground; a dozen
+features can. They take the place of a scan (`as_scan`), and one of the searches of relocation pairs them with older
+features of the active map, or with features of an inactive map. The pairs found are then verified geometrically
+(`slam.places.verification`).
 
-The errors of a group of features are correlated, and the searches take the measurements of a scan for independent. Any
-motion of the group as a whole is taken out first, which costs nothing since its place is unknown anyway: with G the
+The errors of a group of features are correlated, but the searches assume the measurements of a scan to be independent.
+Any motion of the group as a whole is projected out first, which loses nothing because its place is unknown: with G the
 directions of a rigid motion and J = I − G(GᵀG)⁻¹Gᵀ, P_g = J P Jᵀ. The blocks on its diagonal are then multiplied by κ,
 the largest eigenvalue of P_g relative to its block diagonal D. As P_g ≤ κ D, distances, areas and D² are never judged
 by less than their true covariance: the search is conservative.
 
-A wrong pairing ruins the map, a missed one can be made later. So there must be enough pairs, and several more than
-chance brings, where chance is what the same search finds for the mirror image of the recent part.
+A wrong pairing ruins the map; a missed pairing can be made later. So there must be enough pairs, and several more than
+the number expected by chance, which is the number that the same search finds for the mirror image of the recent part.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ _FLOOR = 1e-12  # [m²] least variance of a feature that stands for a measuremen
 
 @dataclass(frozen=True)
 class RecognitionSpec:
-    """What is searched for while the robot is tracked, and when the answer is believed."""
+    """Settings of place recognition: what is searched for while the robot is tracked, and when a match is accepted."""
 
-    search: str | Relocator = "indexed"  # what finds the recent part among other features
-    node_limit: int = 5_000  # poses that `indexed` weighs before it gives up
-    every: int = 20  # [scans] from one search to the next
-    group: int = 20  # features of the recent part: those seen last
-    recent: int = 60  # [scans] what was seen in these is not older
+    search: str | Relocator = "indexed"  # finds the recent part among other features
+    node_limit: int = 5_000  # poses that `indexed` examines before it gives up
+    every: int = 20  # [scans] between searches
+    group: int = 20  # most features of the recent part: those seen last
+    recent: int = 60  # [scans] features seen in the last so many are recent, all others are older
     min_pairs: int = 8  # with six, half of the loops that were closed were wrong
-    above_mirror: int = 3  # pairs more than the mirror image of the recent part finds
-    min_fraction: float = 0.5  # of the features of either part, where they overlap, that must be paired
+    above_mirror: int = 3  # least number of pairs above those found for the mirror image of the recent part
+    min_fraction: float = 0.5  # least fraction of the features in the overlap of both parts that is paired
     confidence: float = 0.999  # of the tests of shape and of motion
     inflation: float = 3.0  # of the standard deviations of the motion between the two parts
 
@@ -56,10 +57,10 @@ class RecognitionSpec:
 
 
 class Parts(NamedTuple):
-    """What is searched for, and where."""
+    """The features that place recognition searches for, and those that it searches among."""
 
-    recent: IntArray  # (g,) features that are searched for, ascending
-    older: IntArray  # (a,) features that they are searched among, ascending
+    recent: IntArray  # (g,) features to search for, ascending
+    older: IntArray  # (a,) features to search among, ascending
 
 
 def recent_part(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> IntArray:
@@ -74,14 +75,14 @@ def recent_part(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpe
 
 
 def parts_of(m: StochasticMap, graph: CovisibilityGraph, spec: RecognitionSpec) -> Parts | None:
-    """The recent part of a map and the older features that it may be, or None where there are too few of either.
+    """The recent part of a map and the older features it may match, or None if there are too few of either.
 
-    Older features are individually compatible with one of the recent part under the inflated covariance. A feature of
-    the recent part that none is compatible with is still searched for, as part of its shape.
+    Each older feature is individually compatible with one of the recent part under the inflated covariance. A feature
+    of the recent part without a compatible older feature is still searched for, as part of the shape.
     """
-    recent, old = recent_part(m, graph, spec), ~m.provisional & (m.last_seen < m.step - spec.recent)
-    old[recent] = False
-    older = np.flatnonzero(old)
+    recent, is_older = recent_part(m, graph, spec), ~m.provisional & (m.last_seen < m.step - spec.recent)
+    is_older[recent] = False
+    older = np.flatnonzero(is_older)
     if len(recent) < spec.min_pairs or len(older) < spec.min_pairs:
         return None
     gate = spec.inflation**2 * chi2_gate(2, spec.confidence)
@@ -99,28 +100,28 @@ def recognise(
     among: IntArray,
     spec: RecognitionSpec,
 ) -> Relocation | None:
-    """Where features `recent` (g,) of a map are found among the features `among` (a,) of another, or of the same.
+    """Find features `recent` (g,) of map `m` among the features `among` (a,) of map `of`, another one or the same.
 
-    None where too few are, or as many elsewhere, or hardly more than of their mirror image. `graph` is that of the
-    map `of` which they are searched in. The pose found is that of the base of the first map in the base of the other.
+    `graph` is the covisibility of `of`. The pose found is that of the base of `m` in the base of `of`. Returns None if
+    too few features are paired, if as many are paired at another pose, or if their mirror image pairs nearly as many.
     """
     scan, landmarks = as_scan(m, recent), landmarks_of(of, among)
     first, second = np.nonzero(graph.among(among))
     locality = linked(len(among), np.column_stack([first, second])[first < second], hops=2)
     search = resolve_relocator(spec.search)
-    if search is indexed:  # clutter can make it look at everything
+    if search is indexed:  # without a limit, clutter can make it examine every pose
         search = functools.partial(indexed, node_limit=spec.node_limit)
     found = search(scan, landmarks, locality)
     if found.pairings < max(spec.min_pairs, found.min_pairings) or found.ambiguous or found.effort.limit_hit:
         return None
-    by_chance = search(mirrored(scan), landmarks, locality).pairings
-    return found if found.pairings >= by_chance + spec.above_mirror else None
+    accidental = search(mirrored(scan), landmarks, locality).pairings
+    return found if found.pairings >= accidental + spec.above_mirror else None
 
 
 def as_scan(m: StochasticMap, group: IntArray) -> Scan:
     """Features `group` (g,), g ≥ 3, of a map as if they were measured from its base, with conservative covariances.
 
-    See the head of this file.
+    The docstring of this module derives the covariances.
     """
     points = m.positions[group]
     shape = _shape_covariance(points, m.covariance_of(group))
@@ -132,7 +133,7 @@ def as_scan(m: StochasticMap, group: IntArray) -> Scan:
 
 
 def _shape_covariance(points: Array, P: Array) -> Array:
-    """J P Jᵀ (2g, 2g): the covariance of points (g, 2), less every motion of all of them together."""
+    """J P Jᵀ (2g, 2g): the covariance of points (g, 2) without any rigid motion of the group."""
     G = rigid_motions(points)
     J = np.eye(len(G)) - G @ np.linalg.pinv(G)
     out: Array = J @ P @ J.T
@@ -149,16 +150,16 @@ def rigid_motions(points: Array) -> Array:
 
 
 def landmarks_of(m: StochasticMap, features: IntArray) -> Landmarks:
-    """Some features (k,) of a map, with their joint covariance."""
+    """The `features` (k,) of a map as landmarks, with their joint covariance."""
     landmarks = Landmarks.from_points(m.positions[features], covariance=m.covariance_of(features))
-    of_each = {name: getattr(m, name)[features] for name in ("sizes", "size_variances", "kinds")}
-    return replace(landmarks, **of_each)
+    attributes = {name: getattr(m, name)[features] for name in ("sizes", "size_variances", "kinds")}
+    return replace(landmarks, **attributes)
 
 
 def mirrored(scan: Scan) -> Scan:
-    """The scan as it would be measured beyond a mirror: y becomes −y.
+    """The mirror image of the scan: y becomes −y.
 
-    A map holds no mirror image of itself, but for rooms that are symmetric: what a search finds of it is chance.
+    Except in symmetric rooms, a map does not contain its mirror image: the pairs that a search finds are accidental.
     """
     flip = np.diag([1.0, -1.0])
     return Scan(scan.points @ flip, flip @ scan.covariances @ flip, scan.sizes, scan.size_variances, scan.kinds)

@@ -1,4 +1,4 @@
-"""Geometric verification: whether pairs of features may be the same, all of them together, by what the map knows.
+"""Geometric verification: whether the features of all pairs together may be the same, given the map's covariance.
 
 With the innovations ν_ij = F_i − F_j of all pairs, their covariance C, and the directions G of a rigid motion of the
 newer features as a whole,
@@ -6,10 +6,10 @@ newer features as a whole,
     D² = νᵀC⁻¹ν = D²_shape + D²_motion,    D²_shape = min_δ (ν − Gδ)ᵀC⁻¹(ν − Gδ) = νᵀQν,
     Q = C⁻¹ − C⁻¹G(GᵀC⁻¹G)⁻¹GᵀC⁻¹,
 
-a part of 2k − 3 degrees of freedom that says whether both have one shape, and one of 3 that says whether the motion
-between them is one that the map thinks possible. The first is tested as it stands. The second is where a filter turns
-optimistic: its standard deviations are multiplied by a stated factor. What one pair adds to D²_shape, given the others,
-is (Qν)_iᵀ Q_ii⁻¹ (Qν)_i, of 2 degrees of freedom.
+D²_shape has 2k − 3 degrees of freedom and tests whether both have one shape; D²_motion has 3 and tests whether the
+motion between them is one that the map considers possible. D²_shape is tested as it is. In D²_motion filters become
+optimistic, so its standard deviations are multiplied by `RecognitionSpec.inflation`. The part of D²_shape that one pair
+adds, given the others, is (Qν)_iᵀ Q_ii⁻¹ (Qν)_i, of 2 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from slam_gym.slam.places.recognition import Parts, RecognitionSpec, landmarks_o
 from slam_gym.types import Array, BoolArray, IntArray, Scan
 
 _FLOOR = 1e-12  # [m²] added to every variance
-_ONE_PAIR = 0.99  # confidence of what a single pair may add
-_UNARY_CONFIDENCE = 0.9999  # of the test of sizes: it is there to turn away what cannot be, not to choose
+_ONE_PAIR = 0.99  # confidence of the test of what a single pair adds
+_UNARY_CONFIDENCE = 0.9999  # of the test of sizes: it should reject the impossible, not choose among the possible
 
 
 class Agreement(NamedTuple):
     """How well k pairs agree."""
 
     shape: float  # D²_shape
-    dof: int  # 2k − 3 of it
+    dof: int  # 2k − 3, of D²_shape
     motion: float  # D²_motion, of 3 degrees of freedom
     added: Array  # (k,) what each pair adds to D²_shape, of 2 degrees of freedom
 
 
 def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
-    """Of pairs (k, 2) of an older and a newer feature of a map, k ≥ 3.
+    """The agreement of pairs (k, 2) of an older and a newer feature of a map, k ≥ 3.
 
-    Raises ValueError where a feature does not exist; LinAlgError where it is in two pairs.
+    Raises ValueError for a feature that does not exist, LinAlgError for one that is in two pairs.
     """
     k, positions, C = len(pairs), m.positions, difference_covariance(m, pairs)
     moved = positions[pairs[:, 1]]
@@ -50,14 +50,14 @@ def agreement(m: StochasticMap, pairs: IntArray) -> Agreement:
     W = np.linalg.inv(0.5 * (C + C.T) + _FLOOR * np.eye(2 * k))
     WG = W @ G
     Q = W - WG @ np.linalg.solve(G.T @ WG, WG.T)
-    left, rows = (Q @ nu).reshape(k, 2), np.arange(k)
-    added = np.einsum("ki,kij,kj->k", left, np.linalg.inv(Q.reshape(k, 2, k, 2)[rows, :, rows, :]), left)
+    weighted, rows = (Q @ nu).reshape(k, 2), np.arange(k)
+    added = np.einsum("ki,kij,kj->k", weighted, np.linalg.inv(Q.reshape(k, 2, k, 2)[rows, :, rows, :]), weighted)
     shape = max(float(nu @ Q @ nu), 0.0)
     return Agreement(shape, 2 * k - 3, max(float(nu @ W @ nu) - shape, 0.0), added)
 
 
 def difference_covariance(m: StochasticMap, pairs: IntArray) -> Array:
-    """(2k, 2k) [m²] of F_i − F_j for all pairs (j, i) of an older and a newer feature, (k, 2), together."""
+    """(2k, 2k) [m²] joint covariance of F_i − F_j for all pairs (j, i) of an older and a newer feature, (k, 2)."""
     k, P = len(pairs), m.covariance_of(pairs.T.ravel())
     HP = P[2 * k :] - P[: 2 * k]
     C: Array = HP[:, 2 * k :] - HP[:, : 2 * k]
@@ -65,28 +65,29 @@ def difference_covariance(m: StochasticMap, pairs: IntArray) -> Array:
 
 
 def agreeing(m: StochasticMap, pairs: IntArray, spec: RecognitionSpec, *, prior: bool) -> IntArray:
-    """The pairs (k', 2) that are left once those that the others speak against are dropped; none if they disagree.
+    """Drop the pairs (k, 2) that disagree with the others, worst first; returns those left (k', 2), or none.
 
-    With `prior`, the motion between the two must be one that the map thinks possible. Errors as in `agreement`.
+    None are left if their shape does not agree. With `prior`, the map must also consider their motion possible.
+    Raises as `agreement`.
     """
     while len(pairs) >= spec.min_pairs:
-        agrees = agreement(m, pairs)
-        worst = int(agrees.added.argmax())
-        if agrees.added[worst] < chi2_gate(2, _ONE_PAIR):
-            possible = agrees.motion < spec.inflation**2 * chi2_gate(3, spec.confidence)
-            holds = agrees.shape < chi2_gate(agrees.dof, spec.confidence) and (possible or not prior)
+        fit = agreement(m, pairs)
+        worst = int(fit.added.argmax())
+        if fit.added[worst] < chi2_gate(2, _ONE_PAIR):
+            possible = fit.motion < spec.inflation**2 * chi2_gate(3, spec.confidence)
+            holds = fit.shape < chi2_gate(fit.dof, spec.confidence) and (possible or not prior)
             return pairs if holds else pairs[:0]
         pairs = np.delete(pairs, worst, axis=0)
     return pairs[:0]
 
 
 def never_together(graph: CovisibilityGraph, pairs: IntArray) -> bool:
-    """Whether no scan saw both features of a pair (k, 2), as two."""
+    """Whether no scan saw both features of any of the pairs (k, 2)."""
     return not any(graph.count(older, newer) for older, newer in pairs.tolist())
 
 
 def overlap(m: StochasticMap, parts: Parts, pairs: IntArray) -> float:
-    """Fraction that the pairs (k, 2) are of the features of either part, the lesser, within the circle about them."""
+    """Ratio of the pairs (k, 2) to the features of the part that has fewer in the circle around its paired ones."""
     positions, counts = m.positions, []
     for side, features in ((0, parts.older), (1, parts.recent)):
         paired = positions[pairs[:, side]]
@@ -97,6 +98,6 @@ def overlap(m: StochasticMap, parts: Parts, pairs: IntArray) -> float:
 
 
 def attributes_agree(m: StochasticMap, older: IntArray, newer: IntArray) -> BoolArray:
-    """(b, a) where size and kind do not speak against a pair of an older (a,) and a newer feature (b,)."""
+    """(b, a) whether size and kind allow each pair of a newer (b,) and an older feature (a,)."""
     of_newer = m.sizes[newer], m.size_variances[newer], m.kinds[newer]
     return unary(Scan(m.positions[newer], m.covariances[newer], *of_newer), landmarks_of(m, older), _UNARY_CONFIDENCE)
