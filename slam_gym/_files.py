@@ -28,7 +28,7 @@ def content_of(path: Path, limit: int = MAX_BYTES) -> bytes:
 
 
 def gunzipped(content: bytes, limit: int = MAX_BYTES) -> bytes:
-    """The unpacked content of gzip data. Raises ValueError for damaged data, and for more than `limit` unpacked bytes."""
+    """The unpacked content of gzip data. Raises ValueError for damage, and for more than `limit` unpacked bytes."""
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
             unpacked = file.read(limit + 1)

@@ -136,7 +136,7 @@ def check_scan(scan: Scan) -> None:
 
 @compiled
 def _first_bad_decision(features: IntArray, n: int, exclusive: bool) -> tuple[int, int]:
-    """The index of the first decision that is out of range (1) or repeats a feature (2), and that number; else (−1, 0)."""
+    """The index of the first decision that is out of range (1) or repeats a feature (2), and which; else (−1, 0)."""
     for i in range(len(features)):
         if features[i] < UNPAIRED or features[i] >= n:
             return i, 1

@@ -1,8 +1,9 @@
-"""Walks of the interpretation tree.
+"""Associators, relocators and policies: searches of the interpretation tree.
 
-With a prior, associators: from a `Scan` and a `Prediction` to a `Hypothesis` (`ASSOCIATORS`, `from_policy`). Without,
-relocators: from a `Scan`, the `Landmarks` of a map and a `Locality` to a `Relocation` (`RELOCATORS`,
-`relocator_from_policy`). Every one can be named, handed on as a function, or written as a policy of the tree.
+With a prior on the pose, an associator maps a `Scan` and a `Prediction` to a `Hypothesis` (`ASSOCIATORS`,
+`from_policy`). Without one, a relocator maps a `Scan`, the `Landmarks` of a map and a `Locality` to a `Relocation`
+(`RELOCATORS`, `relocator_from_policy`). Each can be selected by name, passed as a function, or written as a policy of
+the tree.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ ASSOCIATORS: dict[str, Callable[..., Hypothesis]] = {
     "singles": singles,
     "true_association": true_association,
 }
-"""Associators by name, called with (scan, prediction); only `true_association` also needs the truth of the scan."""
+"""Associators by name, called with (scan, prediction). `true_association` also needs the true sources of the scan."""
 
 RELOCATORS: dict[str, Relocator] = {
     "gcbb": gcbb,
@@ -77,22 +78,22 @@ RELOCATORS: dict[str, Relocator] = {
     "max_clique": max_clique,
     "random_sampling": random_sampling,
 }
-"""Relocators by name, called with (scan, landmarks, locality or None): the searches without a prior."""
+"""Relocators by name, called with (scan, landmarks, locality or None)."""
 
 
 def resolve_associator(associator: str | Callable[..., Hypothesis]) -> Callable[..., Hypothesis]:
-    """An associator from its name, `"module:name"`, or itself.
+    """The associator given by name, as `"module:name"`, or as a function.
 
-    Raises ValueError, listing the known names, where there is none such.
+    Raises ValueError, listing the known names, where there is no such associator.
     """
-    found: Callable[..., Hypothesis] = _resolve("associator", associator, ASSOCIATORS)
-    own = isinstance(found, _Guarded) or any(found is known for known in ASSOCIATORS.values())
-    return found if own else _Guarded(found)
+    resolved: Callable[..., Hypothesis] = _resolve("associator", associator, ASSOCIATORS)
+    built_in = isinstance(resolved, _ReadOnlyScan) or any(resolved is known for known in ASSOCIATORS.values())
+    return resolved if built_in else _ReadOnlyScan(resolved)
 
 
 @dataclass(frozen=True, slots=True)
-class _Guarded:
-    """A stranger's associator, which is handed the scan in arrays that it cannot change."""
+class _ReadOnlyScan:
+    """A user's associator, called with a scan whose arrays are read-only."""
 
     associate: Associator
 
@@ -101,17 +102,17 @@ class _Guarded:
 
 
 def resolve_relocator(relocator: str | Relocator) -> Relocator:
-    """A relocator from its name, `"module:name"`, or itself. Raises ValueError as `resolve_associator`."""
-    found: Relocator = _resolve("relocator", relocator, RELOCATORS)
-    return found
+    """The relocator given by name, as `"module:name"`, or as a function. Raises ValueError as `resolve_associator`."""
+    resolved: Relocator = _resolve("relocator", relocator, RELOCATORS)
+    return resolved
 
 
-def _resolve(what: str, given: Any, table: Mapping[str, Any]) -> Any:
-    if callable(given):
-        return given
-    if given in table:
-        return table[given]
-    found = imported(what, str(given), table)
-    if not callable(found):
-        raise ValueError(f"{what} {given!r} is not callable; known: {', '.join(table)}")
-    return found
+def _resolve(role: str, value: Any, table: Mapping[str, Any]) -> Any:
+    if callable(value):
+        return value
+    if value in table:
+        return table[value]
+    resolved = imported(role, str(value), table)
+    if not callable(resolved):
+        raise ValueError(f"{role} {value!r} is not callable; known: {', '.join(table)}")
+    return resolved

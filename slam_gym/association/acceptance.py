@@ -1,7 +1,7 @@
-"""How many pairings of a scan with a map chance brings: the expected number of accidental matches.
+"""Acceptance of hypotheses: the expected number of accidental matches of a scan with a map.
 
-Let landmarks lie at random with density λ. A set of k measurements meets k of them by chance when, for some pose, the
-errors satisfy D² < γ = χ²_{2k−3,conf}. Where the landmarks would have to lie is a tube of R^{2k} around the
+Let landmarks lie at random with density λ. A set of k measurements matches k of them by chance when, for some pose, the
+errors satisfy D² < γ = χ²_{2k−3,conf}. The landmark positions for which this holds form a tube in R^{2k} around the
 three-dimensional surface of all poses. Whitened by S = Σ of scan and map, its cross-section is a ball of 2k − 3
 dimensions and radius √γ, volume V_{2k−3} γ^{(2k−3)/2}, and the surface element is √det(AᵀS⁻¹A) = 1/√det Σ_pose (see
 `relocation.location`). Integrated over the area of the map, λ·area = n, and over all headings, the expected number is
@@ -13,34 +13,35 @@ det S = Π a_i² and 1/√det Σ_pose = k √(Σ|z − z̄|²) / σ³. Summed ov
 
     E_k = 2π · Σ_j λ_j^{k−1} · e_k(a_1 q_1, …, a_m q_m) · k √((k − 1) s²) / σ³ · V_{2k−3} γ^{(2k−3)/2},
 
-e_k being the elementary symmetric polynomial, q_i the fraction of landmarks that pass the unary constraints of
+where e_k is the elementary symmetric polynomial, q_i the fraction of landmarks that pass the unary constraints of
 measurement i, s² the variance of the scan's points, σ² the mean of a_i, and λ_j the density around landmark j within
-what a scan covers, so that crowded corners count as such. With c_j other landmarks in that area A, λ_j^{k−1} is
-estimated by c_j (c_j − 1) … (c_j − k + 2) / A^{k−1}, which is unbiased for a Poisson process, where a power of c_j / A
-would not be; where the sum of those is the lesser, by n λ̄^{k−1} with the mean density. All of it is computed as
-logarithms: a scan of some hundred measurements has more hypotheses than a float can count.
+the extent of a scan, so that crowded corners count as such. With c_j other landmarks in that area A, λ_j^{k−1} is
+estimated by c_j (c_j − 1) … (c_j − k + 2) / A^{k−1}. For a Poisson process this is unbiased, which a power of c_j / A
+is not. Where the sum of these is smaller than n λ̄^{k−1} with the mean density λ̄, the latter is used. All of it is
+computed as logarithms: the number of hypotheses of a scan of some hundred measurements overflows a float.
 
-Every further pairing makes E_k smaller by about λ π γ σ²: a hypothesis is believed from the first k on at which fewer
-than `probability` are expected, hence one count above what chance brings.
+Every further pairing multiplies E_k by about λ π γ σ². A hypothesis is accepted from the first k on for which fewer
+than `probability` accidental hypotheses are expected.
 
-Buildings are no Poisson process: corners and doors repeat along walls, and chance finds one pairing more than it
-should. So one more is required, unless the pairings explain most of the scan, which in another building they do not.
-(To refuse what is no better than for the mirror image of the scan in the same map makes wrong answers as few, but costs
-a sixth of the right ones: many a room is its own mirror image.)
+Buildings are no Poisson process: corners and doors repeat along walls, and one pairing more than expected is found by
+chance. So one more is required, unless the pairings explain most of the scan, which they do not in another building.
+(To reject hypotheses no better than the best for the mirror image of the scan yields equally few wrong answers, but
+costs a sixth of the right ones: many a room is its own mirror image.)
 
-With a prior on the pose the same is asked of old features, which the robot has not seen lately and so knows less well
-from where it is. Those in whose gates too many others are expected are not offered to associators (`unambiguous_rows`).
-Pairings with the others stand once chance hardly brings them all. Where an old feature is paired, another one may be
-what was measured, one that is not mapped yet: a door has two jambs. How many others n_i are to be expected in the gate
-of a pairing, of size √det S_i, tells how many stand so near each feature in reach on average, or in the whole map in a
-circle as large, if those are more: what is in reach does not tell where little is mapped so far. Of l measurements that
-no feature seen lately accounts for, k meet others, all jointly compatible, in
+With a prior on the pose, the same rule applies to old features. The robot has not seen these lately, and so knows their
+positions relative to itself less well. Old features in whose gates too many other features are expected are not offered
+to associators (`unambiguous_rows`). Pairings with the remaining old features are accepted where they are hardly all
+accidental. The true source of a measurement that is paired with an old feature may be another one that is not mapped
+yet: a door has two jambs. The number n_i of other features expected in the gate of a pairing, of size √det S_i, is the
+mean number of neighbours of a feature within such a gate. The larger of two means is used, over the features in reach
+and over the whole map with a circle of the same area, because the features in reach say little where little is mapped
+so far. Of l measurements that no recently seen feature explains, k match other features, all jointly compatible, in
 
     (l over k) · V_{2k} γ_{2k}^k √det S · Π n_i / (π γ_2 √det S_i)
 
-hypotheses, S being the covariance of the old features' innovations given the pairings with those seen lately. One
-pairing is convincing where its gate is narrow, and a constellation of them even where the pose is poorly known: their
-errors have the pose in common, so that √det S is far below Π √det S_i.
+hypotheses, where S is the covariance of the old features' innovations given the pairings with recently seen ones. A
+single pairing is convincing where its gate is narrow. Several pairings together are convincing even where the pose is
+poorly known: their errors have the pose in common, so that √det S is far below Π √det S_i.
 """
 
 from __future__ import annotations
@@ -61,19 +62,19 @@ from slam_gym.association.relocation.constraints import difference_covariance, u
 from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, BoolArray, IntArray, Landmarks, Scan
 
-EXPLAINED = 0.7  # fraction of a scan that, once paired, needs no margin
-_SAMPLE = 1000  # landmarks looked at for their errors and for what passes the unary constraints
-_NARROWEST = 1e-3  # [m] least extent of a scan
-_FLOOR = 1e-12  # [m²] least variance, as in `location`
+EXPLAINED = 0.7  # fraction of a scan above which no further pairing is required
+_SAMPLE = 1000  # number of landmarks sampled for their errors and for the unary constraints
+_NARROWEST = 1e-3  # [m] minimum extent of a scan
+_FLOOR = 1e-12  # [m²] minimum variance, as in `location`
 
 
 @dataclass(frozen=True, eq=False)
 class Crowding:
-    """What the rule needs to know of a map, for scans of one extent."""
+    """The density of a map's landmarks and their relative errors, for scans of one extent."""
 
-    landmarks: IntArray  # (c + 1,) number of landmarks by the number of others around them
-    area: float  # [m²] that these others are counted in
-    variance: float  # [m²] per axis, of a landmark relative to those around it
+    landmarks: IntArray  # (c + 1,) number of landmarks, by the number of other landmarks around them
+    area: float  # [m²] in which these others are counted
+    variance: float  # [m²] per axis, of a landmark relative to its neighbours
 
 
 def min_pairings(
@@ -84,11 +85,11 @@ def min_pairings(
     probability: float = 0.02,
     crowding: Crowding | None = None,
 ) -> int:
-    """The least k ≥ 3 such that fewer than `probability` hypotheses of k pairings are expected by chance; ≤ m + 1.
+    """The least k ≥ 3, at most m + 1, for which fewer than `probability` accidental hypotheses are expected.
 
-    One more where that explains less than `EXPLAINED` of the scan: see the head of this file. `crowding` is that of the
-    map for the extent of the scan, where it is known already. Raises ValueError as `scan_arrays` and `map_arrays` do,
-    and unless 0 < probability < 1.
+    One more is required where k pairings explain less than `EXPLAINED` of the scan: see the head of this file.
+    `crowding` is that of the map for the extent of the scan, if already known. Raises ValueError as `scan_arrays` and
+    `map_arrays` do, and unless 0 < probability < 1.
     """
     return least_pairings(log_expected(scan, landmarks, confidence=confidence, crowding=crowding), probability)
 
@@ -106,7 +107,7 @@ def log_expected(
 ) -> Array:
     """log E_k for k = 0 … m, (m + 1,); inf for k < 2, which any pose explains.
 
-    Raises ValueError as `scan_arrays` and `map_arrays` do; with `crowding`, both are taken to be checked.
+    Raises ValueError as `scan_arrays` and `map_arrays` do; if `crowding` is given, scan and map are assumed checked.
     """
     if crowding is None:
         scan_arrays(scan)
@@ -124,7 +125,7 @@ def log_expected(
 def _log_expected(
     points: Array, noise: Array, fractions: Array, variance: float, log_starts: Array, log_tubes: Array
 ) -> Array:
-    """log E_k from q_i (m,), log Σ λ^p for p = 0 … m − 1, and what depends on k and the confidence alone (m − 1,)."""
+    """log E_k from q_i (m,), log Σ λ^p for p = 0 … m − 1, and what depends only on k and the confidence (m − 1,)."""
     m = len(points)
     logs, mean, square = np.empty(m), 0.0, 0.0
     x, y = points[:, 0].mean(), points[:, 1].mean()
@@ -149,7 +150,7 @@ def _log_expected(
 
 
 def extent(scan: Scan) -> float:
-    """[m] of what a scan covers: twice the largest distance of a measurement from their centre."""
+    """[m] extent of a scan: twice the largest distance of a measurement from the centroid."""
     if not len(scan):
         return _NARROWEST
     return max(2.0 * float(np.sqrt(((scan.points - scan.points.mean(0)) ** 2).sum(1).max())), _NARROWEST)
@@ -195,7 +196,7 @@ def _log_tubes(m: int, confidence: float) -> Array:
 
 
 def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
-    """q_i (m,) of measurements; 1 where nothing is known of them that could tell landmarks apart."""
+    """q_i (m,) of measurements; 1 where no size or kind is known."""
     if not (np.isfinite(scan.sizes).any() or (scan.kinds != UNKNOWN_KIND).any()):
         return np.full(len(scan), float(len(landmarks) > 0))
     step = max(len(landmarks) // _SAMPLE, 1)
@@ -212,9 +213,10 @@ def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
 
 @compiled
 def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
-    """Number of others in the 3 × 3 cells of `side` around each point (n,); one in its own cell (n,), or UNPAIRED.
+    """Number of other points in the 3 × 3 cells of `side` around each point (n,), and one in its own cell (n,), or
+    UNPAIRED.
 
-    Cells are hashed into a table, where different ones may meet: that can only make the map look more crowded.
+    Cells are hashed into a table, where distinct cells may collide: this can only make the map look more crowded.
     """
     n, size = len(positions), 64
     while size < 8 * n:
@@ -235,13 +237,14 @@ def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
 
 @compiled
 def _cell(x: float, y: float, size: int) -> int:
-    """Entry of a table of `size`, a power of 2."""
+    """Index of a cell in a hash table of `size`, a power of 2."""
     return int((np.int64(x) * 73856093 ^ np.int64(y) * 19349663) & (size - 1))
 
 
 @compiled
 def _relative_variance(mapped: Mapped, sample: IntArray, neighbours: IntArray) -> float:
-    """[m²] per axis: half that of the difference to a neighbour, the mean over `sample`; NaN where that is empty."""
+    """[m²] per axis: half the variance of the difference to a neighbour, averaged over `sample`; NaN for an empty
+    sample."""
     total = 0.0
     for j in sample:
         xx, _, yy = difference_covariance(mapped, j, neighbours[j])
@@ -250,47 +253,48 @@ def _relative_variance(mapped: Mapped, sample: IntArray, neighbours: IntArray) -
 
 
 Rows = tuple[IntArray, BoolArray, Array, Array, IntArray]
-"""Of the rows of a prediction: features, which of them are near, positions (k, 2), covariances (k, 2, 2), sightings."""
+"""The rows of a prediction: features, whether they are near, positions (k, 2), covariances (k, 2, 2), sightings."""
 
 
 @compiled
-def unambiguous_rows(rows: Rows, P: Array, per_area: float, most: float, kept: IntArray) -> int:
-    """Rows of a prediction but for old features with more than `most` accidental matches to be expected.
+def unambiguous_rows(rows: Rows, P: Array, per_area: float, most: float, selected: IntArray) -> int:
+    """The rows of a prediction without old features for which more than `most` accidental matches are expected.
 
-    Old are features near none of those lately paired. How well one is known is taken relative to the feature amid those
-    that are near: what the robot does not know of its own place is the same for all. How many others are in its gate is
-    taken from the area of that, as if features were spread evenly.
+    Old features are those that are not near: not local to any that was paired lately. The uncertainty of an old feature
+    is measured relative to the most central near feature, because the uncertainty of the robot's pose is common to all.
+    The number of other features in its gate is proportional to the gate's area, as if features were uniformly
+    distributed.
 
-    `P` is the covariance of the map, upper triangle; `per_area` the number of features in a gate for each [m²] of √det
-    of its covariance. The rows are entered in `kept` (k,); returns their number.
+    `P` is the covariance of the map, upper triangle; `per_area` is the number of features in a gate for each [m²] of
+    √det of its covariance. The rows are written to `selected` (k,). Returns their number.
     """
     features, near, positions, _, _ = rows
     x = y = 0.0
-    around = 0
+    near_count = 0
     for row in range(len(near)):
         if near[row]:
-            x, y, around = x + positions[row, 0], y + positions[row, 1], around + 1
-    amid, least = UNPAIRED, math.inf
+            x, y, near_count = x + positions[row, 0], y + positions[row, 1], near_count + 1
+    central, least = UNPAIRED, math.inf
     for row in range(len(near)):
         if near[row]:
-            u, v = positions[row, 0] - x / around, positions[row, 1] - y / around
+            u, v = positions[row, 0] - x / near_count, positions[row, 1] - y / near_count
             if u * u + v * v < least:
-                amid, least = features[row], u * u + v * v
+                central, least = features[row], u * u + v * v
     count = 0
     for row in range(len(near)):
-        if not near[row] and amid != UNPAIRED:
-            xx, xy, yy = relative_covariance(P, amid, features[row])
+        if not near[row] and central != UNPAIRED:
+            xx, xy, yy = relative_covariance(P, central, features[row])
             if per_area * math.sqrt(max(xx * yy - xy * xy, 0.0)) > most:
                 continue
-        kept[count] = row
+        selected[count] = row
         count += 1
     return count
 
 
 def are_accidental(scan: Scan, prediction: Prediction, features: IntArray, max_probability: float) -> BoolArray:
-    """(m,) which of the pairings of a scan with `features` (m,) are rejected: all those with old features, or none.
+    """(m,) which pairings of a scan with `features` (m,) are rejected: all those with old features, or none.
 
-    They are where more than `max_probability` accidental hypotheses with as many of them are expected.
+    They are rejected where more than `max_probability` accidental hypotheses of as many pairings are expected.
     """
     old = np.isin(features, prediction.features[~prediction.near])
     if old.any() and log_expected_old(scan, prediction, features, old) <= math.log(max_probability):
@@ -299,25 +303,26 @@ def are_accidental(scan: Scan, prediction: Prediction, features: IntArray, max_p
 
 
 def log_expected_old(scan: Scan, prediction: Prediction, features: IntArray, old: BoolArray) -> float:
-    """log of the number of accidental hypotheses, expected as the head of this file has it, with as many pairings as
-    there are `old` (m,) ones among those of a scan with `features` (m,); the others are given."""
-    given = np.flatnonzero(np.isin(features, prediction.features[prediction.near]))
-    paired, k = np.concatenate([given, np.flatnonzero(old)]), int(old.sum())
+    """log of the expected number of accidental hypotheses (see the head of this file) with as many pairings with old
+    features as `old` (m,) marks among the pairings of a scan with `features` (m,). The pairings with near features are
+    held fixed."""
+    near = np.flatnonzero(np.isin(features, prediction.features[prediction.near]))
+    paired, k = np.concatenate([near, np.flatnonzero(old)]), int(old.sum())
     rows, noise, p = np.searchsorted(prediction.features, features[paired]), scan.covariances[paired], len(paired)
     S = prediction.joint(rows)
     S.reshape(p, 2, p, 2)[np.arange(p), :, np.arange(p), :] += noise
-    log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(given), : 2 * len(given)])[1]
+    log_det = np.linalg.slogdet(S)[1] - np.linalg.slogdet(S[: 2 * len(near), : 2 * len(near)])[1]
     gates, n, state = joint_gates(k, prediction.confidence), prediction.size[1], prediction.source[1]
-    blocks = (prediction.covariances[rows] + noise)[len(given) :]
-    sizes, places = np.sqrt(np.linalg.det(blocks)), cKDTree(state[3 : 3 + 2 * n].reshape(n, 2))
-    everywhere = places.count_neighbors(places, np.sqrt(gates[1] * sizes)) / n - 1.0
-    seen = prediction.positions[~prediction.provisional]
-    apart = seen[:, None] - seen[None]
-    squared = np.einsum("abi,kij,abj->kab", apart, np.linalg.inv(blocks), apart)
-    in_reach = (squared < gates[1]).sum(axis=(1, 2)) / max(len(seen), 1) - 1.0
+    blocks = (prediction.covariances[rows] + noise)[len(near) :]
+    sizes, tree = np.sqrt(np.linalg.det(blocks)), cKDTree(state[3 : 3 + 2 * n].reshape(n, 2))
+    everywhere = tree.count_neighbors(tree, np.sqrt(gates[1] * sizes)) / n - 1.0
+    confirmed = prediction.positions[~prediction.provisional]
+    differences = confirmed[:, None] - confirmed[None]
+    squared = np.einsum("abi,kij,abj->kab", differences, np.linalg.inv(blocks), differences)
+    in_reach = (squared < gates[1]).sum(axis=(1, 2)) / max(len(confirmed), 1) - 1.0
     others = np.maximum(np.maximum(everywhere, in_reach), 1.0 / n)
     log_densities = np.log(others / (math.pi * gates[1] * sizes))
-    left = len(features) - len(given)
-    log_choices = gammaln(left + 1) - gammaln(k + 1) - gammaln(left - k + 1)
+    unexplained = len(features) - len(near)
+    log_choices = gammaln(unexplained + 1) - gammaln(k + 1) - gammaln(unexplained - k + 1)
     log_volume = k * math.log(math.pi * gates[k]) - gammaln(k + 1) + 0.5 * log_det
     return float(log_choices + log_volume + log_densities.sum())

@@ -1,9 +1,9 @@
-"""Compatibility: which pairings of a measurement with a mapped feature are worth considering at all.
+"""Compatibility tests: which pairings of a measurement with a mapped feature are plausible.
 
 With innovation ν_ij = z_i − h_j(x) and S_ij = H_j P H_jᵀ + R_i, measurement i and feature j are **individually
-compatible** when D²_ij = ν_ijᵀ S_ij⁻¹ ν_ij < χ²_{2,conf}. A hypothesis H is **jointly compatible** when the same holds
-of all its pairings stacked, with full cross-covariances: D²_H = ν_Hᵀ S_H⁻¹ ν_H < χ²_{2|H|,conf} (Neira and Tardós,
-"Data association in stochastic mapping using the joint compatibility test", IEEE TRA 17(6), 2001).
+compatible** when D²_ij = ν_ijᵀ S_ij⁻¹ ν_ij < χ²_{2,conf}. A hypothesis H is **jointly compatible** when the stacked
+innovations of all its pairings, with full cross-covariances, satisfy D²_H = ν_Hᵀ S_H⁻¹ ν_H < χ²_{2|H|,conf} (Neira and
+Tardós, "Data association in stochastic mapping using the joint compatibility test", IEEE TRA 17(6), 2001).
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ _FAULTS = (
     "scan.covariances[{}] leaves the innovation covariance singular",
 )
 Fault = tuple[int, int]
-"""Number of what is wrong with scan or prediction, and the entry at fault."""
+"""The number of a fault of the scan or the prediction in `_FAULTS`, and the index of the faulty entry."""
 
 NO_FAULT: Fault = (0, -1)
 _EVERY_ROW = np.empty(0, np.bool_)
 
 
 class Candidates(NamedTuple):
-    """Individually compatible pairings, gathered by measurement (compressed rows), by ascending D² within each.
+    """Individually compatible pairings, grouped by measurement (compressed rows), by ascending D² within each group.
 
-    Those of `measurements[i]` are entries `starts[i]:starts[i + 1]` of the arrays (c,).
+    The pairings of `measurements[i]` are entries `starts[i]:starts[i + 1]` of the arrays (c,).
     """
 
-    measurements: IntArray  # (l,) the measurements that were offered features
+    measurements: IntArray  # (l,) the measurements that were considered
     starts: IntArray  # (l + 1,)
     measured: IntArray  # (c,) measurement of the pairing
     slots: IntArray  # (c,) its feature, as an index into `rows`
     distances: Array  # (c,) D²_ij
     innovations: Array  # (c, 2) [m] ν_ij in R
-    rows: IntArray  # (u,) the distinct rows of the prediction among them, ascending
+    rows: IntArray  # (u,) the distinct rows of the prediction that occur, ascending
     tests: int  # pairings tested
 
 
 @functools.lru_cache(maxsize=1024)
 def chi2_gate(dof: int, confidence: float) -> float:
-    """χ²_{dof,conf}: what χ² with `dof` degrees of freedom stays below with probability `confidence`.
+    """χ²_{dof,conf}: the quantile of χ² with `dof` degrees of freedom at probability `confidence`.
 
     Raises ValueError unless dof ≥ 1 and 0 < confidence < 1.
     """
@@ -68,21 +68,21 @@ def chi2_gate(dof: int, confidence: float) -> float:
 
 @functools.lru_cache(maxsize=1024)
 def joint_gates(pairings: int, confidence: float) -> Array:
-    """χ²_{2p,conf} for p = 0 … pairings, (pairings + 1,); 0 for p = 0. Shared: not to be written to."""
+    """χ²_{2p,conf} for p = 0 … pairings, (pairings + 1,); 0 for p = 0. The array is cached: do not write to it."""
     return np.array([0.0] + [chi2_gate(2 * p, confidence) for p in range(1, pairings + 1)])
 
 
 def plain(array: NDArray[Entry]) -> NDArray[Entry]:
-    """The array itself, or a view that compiled functions take for it where it is marked read-only.
+    """The array itself, or for a read-only array a view that is marked writeable.
 
-    They are compiled anew for read-only arrays, and write to none of their arguments.
+    Compiled functions would be compiled once more for read-only arrays; they write to none of their arguments.
     """
     if array.flags.writeable:
         return array
     view = array.view()
     try:
         view.flags.writeable = True
-    except ValueError:  # its memory cannot be written to
+    except ValueError:  # its memory is read-only
         return array.copy()
     return view
 
@@ -96,22 +96,22 @@ def individual(
 ) -> Candidates:
     """All individually compatible pairings of `measurements` (default: all) with the rows of the prediction.
 
-    The gate's confidence is the prediction's unless another is given. Raises ValueError naming the field and entry that
-    is not finite, or a covariance that is none.
+    The gate uses the confidence of the prediction unless another is given. Raises ValueError naming the field and entry
+    that is not finite or not a covariance.
     """
     if measurements is None:
         measurements = np.arange(len(scan.points))
     gate = chi2_gate(2, prediction.confidence if confidence is None else confidence)
     points, noise = plain(scan.points), plain(scan.covariances)
     positions, covariances = plain(prediction.positions), plain(prediction.covariances)
-    most = len(positions)  # all
+    most = len(positions)  # of a measurement: no limit
     fault, candidates = gate_pairings(points, noise, positions, covariances, measurements, _EVERY_ROW, gate, most)
     check_fault(fault)
     return candidates
 
 
 def check_fault(fault: Fault) -> None:
-    """Raise ValueError naming what is not finite, or is no covariance, where a compiled search reports a fault."""
+    """Raise ValueError for a fault that a compiled search reports: what is not finite or not a covariance."""
     number, entry = fault
     if number:
         raise ValueError(_FAULTS[number].format(entry))
@@ -128,11 +128,12 @@ def gate_pairings(
     gate: float,
     most: int,
 ) -> tuple[Fault, Candidates]:
-    """`individual`, of eligible rows, or of all where `eligible` is empty; of each measurement the `most` nearest."""
+    """`individual` for the eligible rows (all where `eligible` is empty), limited to the `most` nearest rows of each
+    measurement."""
     offered, fault = _offered(points, noise, positions, covariances, measurements, eligible, gate)
-    count, room = 0, len(measurements) * len(offered)
-    starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(room, np.int64)
-    slots, distances, innovations = np.empty(room, np.int64), np.empty(room), np.empty((room, 2))
+    count, capacity = 0, len(measurements) * len(offered)
+    starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(capacity, np.int64)
+    slots, distances, innovations = np.empty(capacity, np.int64), np.empty(capacity), np.empty((capacity, 2))
     for level in range(len(measurements) if fault[0] == 0 else 0):
         i = measurements[level]
         for o in range(len(offered)):
@@ -150,7 +151,7 @@ def gate_pairings(
             distance = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant
             if not distance < gate:
                 continue
-            if count - starts[level] == most:  # the farthest gives way, which may be this one
+            if count - starts[level] == most:  # drop the farthest, which may be this one
                 if distances[count - 1] <= distance:
                     continue
                 count -= 1
@@ -165,7 +166,7 @@ def gate_pairings(
         starts[level + 1] = count
     rows = offered[_number_distinct(slots[:count], len(offered))]
     return fault, Candidates(
-        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, room
+        measurements, starts, measured[:count], slots[:count], distances[:count], innovations[:count], rows, capacity
     )
 
 
@@ -179,8 +180,8 @@ def _offered(
     eligible: BoolArray,
     gate: float,
 ) -> tuple[IntArray, Fault]:
-    """Eligible rows whose gate reaches into the box around the measurements: the others are compatible with none. And
-    the first bad number of a measurement or feature, whether it is among them or not."""
+    """The eligible rows whose gate reaches into the bounding box of the measurements; no other row is compatible. Also
+    the first fault of a measurement or feature, even of one that is not considered."""
     for i in range(len(points)):
         if not math.isfinite(points[i, 0] + points[i, 1]):
             return np.empty(0, np.int64), (1, i)

@@ -1,9 +1,9 @@
-"""What the stochastic map expects of a scan: arrays only, and the compiled functions that look more up in them.
+"""What the stochastic map expects of a scan: arrays only, and compiled functions that compute more from them.
 
 With the measurement function h_j(x) = (⊖R) ⊕ F_j and its Jacobian H_j, feature j is predicted at h_j(x) with covariance
-H_j P H_jᵀ, without the sensor's own noise. What would cost more than everything else together is worked out only for
-the features that a search asks for: the joint covariance H P Hᵀ of several features, which of them are local to each
-other, and whether the sensor should have them in view.
+H_j P H_jᵀ, without the sensor noise. Expensive quantities are computed only for the features that a search asks for:
+the joint covariance H P Hᵀ of several features, which of them are local to each other, and the probability that they
+are in view.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from slam_gym.types._records import quick
 Entry = TypeVar("Entry", bound=np.generic)
 
 SourceArrays = tuple[Array, Array, Array, IntArray, IntArray, SightArrays, Array]
-"""What more is looked up in: pose (4,) that is predicted, and the variance of its heading; state x and covariance P
-(upper triangle) of the map; neighbours and degrees of its covisibility graph, empty where all features are local to
-all; the field of view and the explored space; a visibility (k,) that is given, or (0,)."""
+"""The arrays for further queries: predicted pose and variance of its heading (4,); state x and covariance P (upper
+triangle) of the map; neighbours and degrees of its covisibility graph, empty where all features are local to each
+other; field of view and explored space; a fixed visibility (k,), or (0,)."""
 
 Sizes = tuple[int, int, bool, bool]
-"""Rows k of the prediction; features n of the map; whether joint covariances are to second order; whether what is in
-view may be looked up from other poses than the predicted one."""
+"""Number k of rows of the prediction; number n of features of the map; whether joint covariances are of second order;
+whether visibility may be computed for other poses than the predicted one."""
 
 PredictionArrays = tuple[RowArrays, SourceArrays, Sizes]
-"""A prediction as compiled functions take it: plain tuples, which cross from Python faster than named ones."""
+"""A prediction as compiled functions take it: plain tuples, which pass from Python faster than named ones."""
 
 _NO_SENSOR: SightArrays = ((0.0, 0.0, 0.0, 0.0), (np.empty((0, 0), np.uint8), np.zeros(2), 1.0))
 _NOTHING = np.empty(0)
@@ -58,7 +58,7 @@ _FEATURES, _KINDS, _AGES, _SIGHTINGS = range(4)  # rows of the first array of `R
 
 
 class Expected(NamedTuple):
-    """A prediction within compiled functions: k features, and where more is looked up."""
+    """A prediction inside compiled functions: the k features in reach, and the arrays for further queries."""
 
     features: IntArray  # (k,) as in `Prediction`, up to `across`
     kinds: IntArray
@@ -70,7 +70,7 @@ class Expected(NamedTuple):
     positions: Array
     covariances: Array
     across: Array  # (k, 2) H_j P e_θ
-    pose: Array  # (4,) predicted, and the variance of its heading; from here on as in `SourceArrays`
+    pose: Array  # (4,) predicted pose and variance of its heading; this and the rest as in `SourceArrays`
     state: Array
     covariance: Array
     neighbours: IntArray
@@ -84,7 +84,7 @@ class Expected(NamedTuple):
 
 @compiled
 def expected_of(rows: RowArrays, source: SourceArrays, sizes: Sizes) -> Expected:
-    """The same, taken apart."""
+    """A prediction's plain tuples as named fields."""
     (counted, sized, near, positions, covariances, across), (k, n, second_order, view_moves) = rows, sizes
     pose, state, covariance, neighbours, degrees, sight, visible = source
     return Expected(
@@ -97,13 +97,13 @@ def expected_of(rows: RowArrays, source: SourceArrays, sizes: Sizes) -> Expected
 
 @compiled
 def joint(expected: Expected, rows: IntArray) -> Array:
-    """H P Hᵀ (2j, 2j) [m²] of the features at `rows` (j,) together, with all cross-covariances."""
+    """Joint covariance H P Hᵀ (2j, 2j) [m²] of the features at `rows` (j,), with all cross-covariances."""
     return joint_covariance(expected.state, expected.covariance, expected.features[rows], expected.second_order)
 
 
 @compiled
 def local(expected: Expected, rows: IntArray) -> BoolArray:
-    """(j, j) which of the features at `rows` (j,) are local to each other; (0, 0): all are, to all."""
+    """(j, j) which of the features at `rows` (j,) are local to each other; (0, 0): all are local to all."""
     if len(expected.neighbours) == 0:
         return np.empty((0, 0), np.bool_)
     return among(expected.neighbours, expected.degrees, expected.n, expected.features[rows])
@@ -111,8 +111,8 @@ def local(expected: Expected, rows: IntArray) -> BoolArray:
 
 @compiled
 def visibility(expected: Expected, positions: Array, covariances: Array) -> tuple[Array, int]:
-    """Probability (k,) that the sensor has features in view that lie at `positions` (k, 2) [m] in R, and the first one
-    whose numbers are not finite, or −1. (0,) where nobody can tell."""
+    """Probability (k,) that the sensor has features at `positions` (k, 2) [m] in R in view, and the index of the first
+    one whose numbers are not finite, or −1. The probabilities are (0,) where visibility is unknown."""
     if len(expected.visible) > 0 or expected.sight[0][2] <= 0.0:
         return expected.visible, -1
     return probabilities_in_view(positions, covariances, expected.sight[0], expected.sight[1], expected.pose[:3])
@@ -121,40 +121,40 @@ def visibility(expected: Expected, positions: Array, covariances: Array) -> tupl
 @quick
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What the stochastic map expects to measure from the predicted pose: the k features in reach, one a row.
+    """What the stochastic map expects to measure from the predicted pose: the k features in reach, one per row.
 
-    Its arrays are read-only. `joint`, `local` and `visibility` look things up in the map, and so are valid until that
-    next changes.
+    Its arrays are read-only. `joint`, `local` and `visibility` read the map, and so are valid until the map next
+    changes.
     """
 
     rows: RowArrays
     source: SourceArrays
     size: Sizes
     confidence: float  # of the χ² gates
-    confirmations: int = 0  # sightings that confirm a feature
-    experience: Experience | None = None  # of the associator, from its last hypothesis of this run that had any
-    estimate: Estimate = field(default_factory=Estimate)  # that the map had as it predicted
+    confirmations: int = 0  # number of sightings that confirm a feature
+    experience: Experience | None = None  # of the associator, from its last hypothesis of this run that had one
+    estimate: Estimate = field(default_factory=Estimate)  # the estimate of the map at the time of prediction
 
     @property
     def arrays(self) -> PredictionArrays:
-        """As compiled functions take it; not to be written to."""
+        """The arrays for compiled functions; do not write to them."""
         return self.rows, self.source, self.size
 
     @property
     def counted(self) -> tuple[IntArray, IntArray]:
-        """`features` and `sightings`, not to be written to."""
+        """`features` and `sightings`; do not write to them."""
         known, k = self.rows[0], self.size[0]
         return known[_FEATURES, :k], known[_SIGHTINGS, :k]
 
     @property
     def points(self) -> tuple[Array, Array, Array]:
-        """`positions`, `covariances` and `sizes`, not to be written to."""
+        """`positions`, `covariances` and `sizes`; do not write to them."""
         k = self.size[0]
         return self.rows[3][:k], self.rows[4][:k], self.rows[1][ekf.SIZES, :k]
 
     @property
     def expected(self) -> tuple[Array, Array, int]:
-        """Positions (≥ k, 2) and covariances (≥ k, 2, 2), and k; not to be written to."""
+        """Positions (≥ k, 2) and covariances (≥ k, 2, 2), and k; do not write to them."""
         return self.rows[3], self.rows[4], self.size[0]
 
     @property
@@ -164,7 +164,7 @@ class Prediction:
 
     @property
     def kinds(self) -> IntArray:
-        """(k,) class of each feature, UNKNOWN_KIND where it has none."""
+        """(k,) class of each feature, UNKNOWN_KIND where unknown."""
         return _locked(self.rows[0][_KINDS, : self.size[0]])
 
     @property
@@ -174,7 +174,7 @@ class Prediction:
 
     @property
     def sightings(self) -> IntArray:
-        """(k,) number of scans that updated or started each feature; 0 where nobody counts."""
+        """(k,) number of scans that updated or started each feature; 0 where the map does not count."""
         return _locked(self.rows[0][_SIGHTINGS, : self.size[0]])
 
     @property
@@ -184,12 +184,13 @@ class Prediction:
 
     @property
     def size_variances(self) -> Array:
-        """(k,) [m²]."""
+        """(k,) [m²] variance of each size."""
         return _locked(self.rows[1][ekf.VARIANCES, : self.size[0]])
 
     @property
     def near(self) -> BoolArray:
-        """(k,) paired in a recent scan, or local to a feature that was; all, without localities."""
+        """(k,) whether each feature was paired in a recent scan or is local to one that was; all true without
+        localities."""
         return _locked(self.rows[2][: self.size[0]])
 
     @property
@@ -214,17 +215,17 @@ class Prediction:
 
     @property
     def provisional(self) -> BoolArray:
-        """(k,) seen too seldom for the map to believe in it."""
+        """(k,) whether each feature has fewer sightings than confirm it."""
         return _locked(self.sightings < self.confirmations)
 
     @property
     def has_localities(self) -> bool:
-        """Whether covisibility tells which features are local to each other; otherwise all are, to all."""
+        """Whether a covisibility graph defines which features are local to each other; otherwise all are."""
         return len(self.source[3]) > 0
 
     @property
     def has_view(self) -> bool:
-        """Whether anybody can tell what the sensor should have in view."""
+        """Whether the probability that features are in view is known."""
         return bool(self.source[5][0][2] > 0.0 or len(self.source[6]))
 
     def __len__(self) -> int:
@@ -248,7 +249,7 @@ class Prediction:
         return among(neighbours, degrees, self.size[1], self.features[rows])
 
     def visibility(self) -> Array | None:
-        """(k,) probability that the sensor has each feature in view, walls considered; None where nobody can tell."""
+        """(k,) probability that each feature is in view of the sensor, walls considered; None where unknown."""
         pose, *_, sight, visible = self.source
         if not self.has_view:
             return None
@@ -258,9 +259,9 @@ class Prediction:
         return probabilities_in_view(rows[3][:k], rows[4][:k], *sight, pose[:3])[0]
 
     def with_visibility(self, visibility: ArrayLike | None) -> Prediction:
-        """The same with probabilities (k,) of being in view, whatever the pose; None: nobody can tell.
+        """A copy with probabilities (k,) of being in view, for any pose; None: unknown.
 
-        Raises ValueError for what is no probability.
+        Raises ValueError for values that are not probabilities.
         """
         visible = _NOTHING if visibility is None else floats("visibility", visibility, (len(self),))
         if not ((visible >= 0.0) & (visible <= 1.0)).all():
@@ -278,33 +279,33 @@ class Prediction:
         size_sigma: ArrayLike | None = None,
         kinds: ArrayLike | None = None,
     ) -> Prediction:
-        """Features 0 … k−1 of predicted positions `mean` (k, 2) [m] in R with their full covariance (2k, 2k) [m²].
+        """Prediction of features 0 … k−1 at `mean` (k, 2) [m] in R with their full covariance (2k, 2k) [m²].
 
-        The robot's pose is taken for known: it is that of a map whose features have that covariance. Other arguments
-        and errors are those of `Scan.from_points`.
+        The robot's pose is assumed known, and the features are those of a map with that covariance. Other arguments and
+        errors are those of `Scan.from_points`.
         """
-        at = floats("mean", mean, (-1, 2))
-        k = len(at)
+        means = floats("mean", mean, (-1, 2))
+        k = len(means)
         P = floats("covariance", covariance, (2 * k, 2 * k))
         side = padded(3 + 2 * k)
-        x, whole = np.zeros(side), np.zeros((side, side))
-        x[3 : 3 + 2 * k], whole[3 : 3 + 2 * k, 3 : 3 + 2 * k] = at.ravel(), P
+        x, padded_P = np.zeros(side), np.zeros((side, side))
+        x[3 : 3 + 2 * k], padded_P[3 : 3 + 2 * k, 3 : 3 + 2 * k] = means.ravel(), P
         blocks = np.ascontiguousarray(P.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :])
         counted = np.stack([np.arange(k), kinds_of(kinds, k), np.zeros(k, np.int64), np.zeros(k, np.int64)])
-        rows = counted, np.stack(sizes_of(sizes, size_sigma, k)), np.ones(k, np.bool_), at, blocks, np.zeros((k, 2))
-        source = np.zeros(4), x, whole, _NO_NEIGHBOURS, _NO_DEGREES, _NO_SENSOR, _NOTHING
+        rows = counted, np.stack(sizes_of(sizes, size_sigma, k)), np.ones(k, np.bool_), means, blocks, np.zeros((k, 2))
+        source = np.zeros(4), x, padded_P, _NO_NEIGHBOURS, _NO_DEGREES, _NO_SENSOR, _NOTHING
         return cls(rows, source, (k, k, False, False), confidence)
 
 
 Associator = Callable[[Scan, Prediction], Hypothesis]
-"""The narrow waist: whatever decides where measurements come from."""
+"""The interface of all associators: a function that decides which feature each measurement comes from."""
 
 
 NO_SIGHTINGS: IntArray = np.empty(0, np.int64)
 
 
 class StartRule(Enum):
-    """Why measurements have started features. Those of one scan have all done so by one rule."""
+    """The rule by which measurements of a scan start features. One rule applies to the whole scan."""
 
     FITS_NOTHING = "unpaired, and compatible with nothing that was expected"
     FITS_NOTHING_NEAR = "pairings with old features were rejected as accidental: compatible with nothing seen lately"
@@ -312,27 +313,27 @@ class StartRule(Enum):
 
     @classmethod
     def of(cls, hypothesis: Hypothesis) -> StartRule:
-        """The rule for a hypothesis that is learned from as it is."""
+        """The rule for a hypothesis that is learned from unchanged."""
         return cls.FITS_NOTHING if hypothesis.new is None else cls.ASSOCIATOR
 
 
 @quick
 @dataclass(frozen=True, slots=True)
 class SlamStep:
-    """What one SLAM step decided, in terms that outlive it.
+    """What one SLAM step decided, in terms that remain valid after later steps.
 
-    A map feature is addressed by its index 0..n−1, which shifts when features are removed, and known by its id, which
-    never changes and is never given twice.
+    A map feature has an index 0..n−1, which shifts when features are removed, and an id, which never changes and is
+    never reused.
     """
 
     prediction: Prediction  # before the scan
     hypothesis: Hypothesis
-    ids: IntArray  # (m,) id of the map feature that each measurement updated or created; NO_ID = discarded
+    ids: IntArray  # (m,) id of the map feature that each measurement updated or started; NO_ID = discarded
     created: BoolArray  # (m,) the measurement started a feature …
-    removed: IntArray  # ids of the features that the map has no longer at the end of the step
+    removed: IntArray  # ids of the features that were removed from the map during the step
     rule: StartRule = StartRule.FITS_NOTHING  # … and why
     returned: IntArray = field(default_factory=lambda: NO_SIGHTINGS)
-    # ids of features that were removed before, as another map was begun, and are back, as it was joined
+    # ids of features that were removed when another map was started, and are back since the two maps were joined
 
 
 def predict(
@@ -346,24 +347,25 @@ def predict(
     view_moves: bool = True,
     experience: Experience | None = None,
 ) -> Prediction:
-    """The robot moves by `odometry`, and what a scan should show from there: features within `reach` [m] + 3σ.
+    """Move the robot by `odometry`, and predict what a scan should show: the features within `reach` [m] + 3σ.
 
     Arguments:
-        graph: of which the localities are; without it, all features are local to all.
-        recent: (r,) features that recent scans paired, or UNPAIRED: near are these and what is local to them.
-        sight: what the sensor has in view from a pose.
-        view_moves: hypotheses may look that up from where they put the robot; False where the pose is poorly known.
+        graph: covisibility graph that defines the localities; None: all features are local to each other.
+        recent: (r,) features paired in recent scans, or UNPAIRED; they and the features local to them are near.
+        sight: computes what the sensor has in view from a pose.
+        view_moves: whether a hypothesis may compute visibility from the pose that it implies; False where the pose is
+            poorly known.
         experience: of the associator.
 
-    Raises ValueError where the odometry is not finite or its covariance is none.
+    Raises ValueError where the odometry is not finite or its covariance is not positive semi-definite.
     """
-    moves = odometry is not None
+    moving = odometry is not None
     motion, Q = (_STILL, _CERTAIN) if odometry is None else (odometry.motion, odometry.covariance)
     rows, pose, locality = rows_for(m.n), np.empty(4), (*local_arrays(graph), recent)
-    k = foresee(m.arrays, (m.n, m.step), (moves, motion, Q), float(reach), m.spec.second_order, locality, pose, rows)
+    k = foresee(m.arrays, (m.n, m.step), (moving, motion, Q), float(reach), m.spec.second_order, locality, pose, rows)
     if k < 0:
         raise refused_odometry(odometry)
-    if moves:
+    if moving:
         m.moved()
     return foreseen(m, rows, k, pose, locality, sight, view_moves, experience)
 
@@ -378,7 +380,7 @@ def foreseen(
     view_moves: bool = True,
     experience: Experience | None = None,
 ) -> Prediction:
-    """The prediction of a map of which k features have been entered in `rows`; arguments as `foresee` and `predict`."""
+    """The prediction of k features that have been written to `rows`. Arguments as in `foresee` and `predict`."""
     (x, P, _, _), (neighbours, degrees, _), spec = m.arrays, locality, m.spec
     source = pose, x, P, neighbours, degrees, _NO_SENSOR if sight is None else sight.arrays, _NOTHING
     size = k, m.n, spec.second_order, view_moves
@@ -386,12 +388,12 @@ def foreseen(
 
 
 def local_arrays(graph: CovisibilityGraph | None) -> tuple[IntArray, IntArray]:
-    """Neighbours and degrees of the graph; empty without one."""
+    """Neighbours and degrees of the graph; empty arrays for None."""
     return (_NO_NEIGHBOURS, _NO_DEGREES) if graph is None else graph.arrays[::2]
 
 
 def refused_odometry(odometry: Odometry | None) -> ValueError:
-    """Why the robot could not be moved."""
+    """The error for odometry by which the robot could not be moved."""
     return ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
 

@@ -1,8 +1,8 @@
 """The interpretation tree: level by level, each measurement is paired with a feature or with nothing (`*`, UNPAIRED).
 
-Everybody walks the same tree: `root` gives the node to start from, `branches` what may follow a node, `extend` the node
-that follows, `hypothesis` the answer that a node amounts to. A node keeps whatever may still follow it conditioned on
-its pairings H. With S_H = L Lᵀ and y = L⁻¹ν_H, a candidate pairing c has
+All searches use the same tree. `root` returns the first node, `branches` the pairings that may follow a node, `extend`
+the node that follows, `hypothesis` the hypothesis of a node. A node stores all pairings that may still follow it,
+conditioned on its own pairings H. With S_H = L Lᵀ and y = L⁻¹ν_H, a candidate pairing c has
 
     w_c = L⁻¹ S_{H,c},   e_c = ν_c − w_cᵀy,   S_c|H = S_c − w_cᵀw_c,   D² of H ∪ {c} = D²_H + e_cᵀ (S_c|H)⁻¹ e_c.
 
@@ -10,9 +10,10 @@ A further pairing d appends two rows to every w_c: with S_d|H = l lᵀ,
 
     v = l⁻¹ (S_dc − w_dᵀw_c),   w_c ← (w_c, v),   e_c ← e_c − vᵀ l⁻¹e_d,   S_c|H ← S_c|H − vᵀv.
 
-This is a Cholesky factorisation of the path, updated for all that may continue it, in O(|H|) for each candidate:
-nothing is ever factored anew. `condition` is that step, and the only one: branch and bound applies it to all candidates
-that may still become legal, a walk to all of later levels, the beam and 1-point RANSAC to the candidate at hand.
+This is a Cholesky factorisation of the path that is updated for every candidate, in O(|H|) for each; nothing is
+factored a second time. `condition` is the only implementation of this step. Branch and bound applies it to all
+candidates that may still become legal, a walk to all candidates of later levels, the beam and 1-point RANSAC to one
+candidate at a time.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, Hypothesis, IntAr
 
 
 class Pairings(NamedTuple):
-    """What may be paired with what, as compiled functions take it: the given pairings, then those of each level.
+    """The candidate pairings as compiled functions take them: first the fixed pairings, then those of each level.
 
-    Features are known by their slot.
+    Features are identified by their slot.
     """
 
     slots: IntArray  # (c,) feature of the pairing
@@ -39,19 +40,19 @@ class Pairings(NamedTuple):
     innovations: Array  # (c, 2) [m] ν_c in R
     noise: Array  # (m, 2, 2) [m²] of the measurements
     covariance: Array  # (2u, 2u) [m²] joint H P Hᵀ of the features
-    local: BoolArray  # (u, u) which features are local to each other; (0, 0): all are, to all
-    given: int  # pairings of the root, the first ones
+    local: BoolArray  # (u, u) which features are local to each other; (0, 0): all are local to all
+    fixed: int  # number of fixed pairings, those of the root; they come first
 
 
 class Tree(NamedTuple):
-    """A scan's interpretation tree over its individually compatible pairings: what all walks of it share."""
+    """A scan's interpretation tree over its individually compatible pairings: the data shared by all walks of it."""
 
     scan: Scan
     prediction: Prediction
     candidates: Candidates  # level i decides measurement candidates.measurements[i]
     rows: IntArray  # (u,) row of the prediction of each slot
     pairings: Pairings
-    gates: Array  # (g + l + 1,) χ² gate of a hypothesis by its number of pairings
+    gates: Array  # (g + l + 1,) χ² gate of a hypothesis, by its number of pairings
 
     @property
     def levels(self) -> int:
@@ -59,13 +60,13 @@ class Tree(NamedTuple):
         return len(self.candidates.measurements)
 
     def level(self, number: int) -> tuple[int, int]:
-        """Where the pairings of a level begin and end."""
+        """Indices of the first pairing of a level and of the first one after it."""
         starts = self.candidates.starts
         return int(starts[number]), int(starts[number + 1])
 
 
 class Innovation(NamedTuple):
-    """e and S of a pairing, conditioned on those before it."""
+    """e and S of a pairing, conditioned on the pairings before it."""
 
     x: float  # [m]
     y: float
@@ -75,7 +76,7 @@ class Innovation(NamedTuple):
 
 
 class Pivot(NamedTuple):
-    """What a pairing that joins the path does to the candidates: l⁻¹ and l⁻¹e, with S = l lᵀ."""
+    """l⁻¹ and l⁻¹e of a pairing that joins the path, with S = l lᵀ: what `condition` applies to the candidates."""
 
     slot: int
     inverse_xx: float  # 1 / l_xx
@@ -86,45 +87,43 @@ class Pivot(NamedTuple):
 
 
 class Node(NamedTuple):
-    """The decisions that lead to a node, and what may still follow, conditioned on its pairings H."""
+    """The decisions that lead to a node, and the pairings that may follow, conditioned on its pairings H."""
 
-    level: int  # decisions taken so far; the level that decides next
-    path: IntArray  # (p,) the pairings, first to last, those given first
+    level: int  # number of decisions taken so far; the level to decide next
+    path: IntArray  # (p,) the pairings in order, fixed ones first
     distance: float  # D²_H
-    innovations: Array  # (c, 5) `Innovation` of each pairing of later levels given H; of those in H, as they joined it
-    added: Array  # (c,) what each of later levels would add to D²_H
-    w: Array  # (c, 2p + 2, 2) their w, with room for what one more pairing appends
+    innovations: Array  # (c, 5) `Innovation` of pairings of later levels given H; of pairings in H, as they joined it
+    added: Array  # (c,) increase of D²_H by each pairing of later levels
+    w: Array  # (c, 2p + 2, 2) their w, with room for the rows of one more pairing
 
 
 class Branches(NamedTuple):
-    """What a node's measurement may be paired with, by ascending D²_ij. `*` is always legal besides, and comes last."""
+    """Features that a node's measurement may be paired with, by ascending D²_ij. `*` is always legal and not listed."""
 
     rows: IntArray  # (b,) individually compatible rows of the prediction
     individual: Array  # (b,) D²_ij
-    joint: Array  # (b,) D²_H with the pairing added; inf where the feature is taken or not local
-    legal: BoolArray  # (b,) the hypothesis stays jointly compatible
+    joint: Array  # (b,) D²_H with the pairing added; inf where the feature is already paired or not local
+    legal: BoolArray  # (b,) whether the hypothesis stays jointly compatible
 
 
 def interpretation_tree(scan: Scan, prediction: Prediction, candidates: Candidates) -> Tree:
-    """The tree that decides `candidates.measurements`, in that order, at the confidence of the prediction."""
+    """The tree that decides `candidates.measurements` in that order, at the confidence of the prediction."""
     rows = candidates.rows
-    everything_is_local = np.empty((0, 0), np.bool_)
+    all_local = np.empty((0, 0), np.bool_)
     covariance = prediction.joint(rows) if len(rows) else np.empty((0, 0))
     noise = plain(scan.covariances)
-    pairings = Pairings(
-        candidates.slots, candidates.measured, candidates.innovations, noise, covariance, everything_is_local, 0
-    )
+    pairings = Pairings(candidates.slots, candidates.measured, candidates.innovations, noise, covariance, all_local, 0)
     gates = joint_gates(len(candidates.measurements), prediction.confidence)
     return Tree(scan, prediction, candidates, rows, pairings, gates)
 
 
 def root(tree: Tree) -> Node:
-    """The root: nothing decided but the pairings given."""
+    """The root: nothing is decided but the fixed pairings."""
     return root_of(tree.pairings)
 
 
 def branches(tree: Tree, node: Node) -> Branches:
-    """What may follow `node`. Raises ValueError at a leaf."""
+    """The branches of `node`. Raises ValueError at a leaf."""
     if node.level >= tree.levels:
         raise ValueError(f"node: at a leaf, all {tree.levels} measurements are decided")
     first, last = tree.level(node.level)
@@ -135,7 +134,7 @@ def branches(tree: Tree, node: Node) -> Branches:
 
 
 def extend(tree: Tree, node: Node, row: int) -> Node:
-    """The node reached by deciding the next measurement: paired with `row` of the prediction, or UNPAIRED.
+    """The node after the next measurement is paired with `row` of the prediction, or left UNPAIRED.
 
     Raises ValueError at a leaf, and where the pairing is not legal.
     """
@@ -151,14 +150,14 @@ def extend(tree: Tree, node: Node, row: int) -> Node:
 
 
 def decided(tree: Tree, node: Node) -> IntArray:
-    """Row of the prediction paired with each measurement of the scan, (m,); UNPAIRED for `*` and what is undecided."""
+    """Row of the prediction paired with each measurement, (m,); UNPAIRED for `*` and for undecided measurements."""
     rows = np.full(len(tree.scan), UNPAIRED)
     write_rows(tree.pairings, node.path, tree.rows, rows)
     return rows
 
 
 def hypothesis(tree: Tree, node: Node, effort: Effort, *, exclusive: bool = True) -> Hypothesis:
-    """The answer that `node` amounts to, with `*` for what is undecided."""
+    """The hypothesis of `node`, with `*` for undecided measurements."""
     return as_hypothesis(tree.prediction, decided(tree, node), node.distance, effort, exclusive=exclusive)
 
 
@@ -171,14 +170,15 @@ def as_hypothesis(
     exclusive: bool = True,
     new: BoolArray | None = None,
 ) -> Hypothesis:
-    """Rows of the prediction (m,), or UNPAIRED, turned into map features; `exclusive`, `new`: see `Hypothesis`."""
+    """The hypothesis that pairs measurements with `rows` (m,) of the prediction, or UNPAIRED. For `exclusive` and `new`
+    see `Hypothesis`."""
     features, pairings = _features(plain(prediction.features), rows)
     return Hypothesis(features, distance, 2 * pairings, effort, new=new, exclusive=exclusive)
 
 
 @inlined
 def innovation_of(pairings: Pairings, c: int) -> Innovation:
-    """ν and S of a pairing, given nothing."""
+    """ν and S of a pairing, without any conditioning."""
     i, s, P = pairings.measured[c], 2 * pairings.slots[c], pairings.covariance
     xx, xy = P[s, s] + pairings.noise[i, 0, 0], P[s, s + 1] + pairings.noise[i, 0, 1]
     return Innovation(
@@ -197,7 +197,7 @@ def squared(e: Innovation) -> float:
 
 @inlined
 def pivot_of(slot: int, e: Innovation) -> Pivot:
-    """The pivot of a pairing with innovation e given all pairings before it."""
+    """The pivot of a pairing with innovation e, conditioned on all pairings before it."""
     xx = math.sqrt(e.xx)
     yx = e.xy / xx
     yy = math.sqrt(e.yy - yx * yx)
@@ -209,10 +209,10 @@ def pivot_of(slot: int, e: Innovation) -> Pivot:
 def condition(
     covariance: Array, w: Array, pivot: Pivot, d: int, p: int, c: int, slot: int, e: Innovation
 ) -> Innovation:
-    """Add a pairing to the path, as candidate c with innovation e sees it: e and S given that pairing as well.
+    """Condition candidate c, whose innovation is e, on a pairing that joins the path. Returns its new e and S.
 
-    `pivot` is that of the pairing, which is the p-th of the path; w[d] and w[c] are the w of pairing and candidate, of
-    which rows 2p and 2p + 1 of w[c] are written here.
+    `pivot` is the pivot of that pairing, the p-th of the path. w[d] is the w of the pairing, w[c] that of the
+    candidate; rows 2p and 2p + 1 of w[c] are written.
     """
     a, b = 2 * pivot.slot, 2 * slot
     s00, s01, s10, s11 = covariance[a, b], covariance[a, b + 1], covariance[a + 1, b], covariance[a + 1, b + 1]
@@ -235,24 +235,25 @@ def condition(
 
 @inlined
 def is_local(local: BoolArray, anchor: int, slot: int) -> bool:
-    """The locality rule: `anchor` is the feature of the first pairing below the root; an empty `local` allows all."""
+    """Whether a feature is local to `anchor`, that of the first pairing below the root; an empty `local` allows all
+    features."""
     return bool(local.size == 0 or local[anchor, slot])
 
 
 @inlined
 def may_follow(pairings: Pairings, path: IntArray, p: int, c: int) -> bool:
-    """Whether pairing c takes a feature that the p pairings of a path left free, and that is local to the first one."""
+    """Whether the feature of pairing c is not among the p pairings of a path, and is local to that of the first one."""
     for q in range(p):
         if pairings.slots[path[q]] == pairings.slots[c]:
             return False
-    if p > pairings.given:
-        return is_local(pairings.local, pairings.slots[path[pairings.given]], pairings.slots[c])
+    if p > pairings.fixed:
+        return is_local(pairings.local, pairings.slots[path[pairings.fixed]], pairings.slots[c])
     return True
 
 
 @compiled
 def root_of(pairings: Pairings) -> Node:
-    """`root`."""
+    """`root`, compiled."""
     count = len(pairings.slots)
     innovations, added = np.empty((count, 5)), np.empty(count)
     for c in range(count):
@@ -260,14 +261,14 @@ def root_of(pairings: Pairings) -> Node:
         store(innovations, c, e)
         added[c] = squared(e)
     node = Node(0, np.empty(0, np.int64), 0.0, innovations, added, np.empty((count, 2, 2)))
-    for d in range(pairings.given):
+    for d in range(pairings.fixed):
         node = add_pairing(pairings, node, d, d + 1)
     return Node(0, node.path, node.distance, node.innovations, node.added, node.w)
 
 
 @inlined
 def store(innovations: Array, c: int, e: Innovation) -> None:
-    """Enter an innovation in row c of (c, 5)."""
+    """Write an innovation to row c of (c, 5)."""
     innovations[c, 0], innovations[c, 1] = e.x, e.y
     innovations[c, 2], innovations[c, 3], innovations[c, 4] = e.xx, e.xy, e.yy
 
@@ -280,7 +281,7 @@ def read(innovations: Array, c: int) -> Innovation:
 
 @compiled
 def add_pairing(pairings: Pairings, node: Node, d: int, following: int) -> Node:
-    """The node after pairing d, with the pairings from `following` on conditioned on it."""
+    """The node after pairing d, with the pairings from index `following` on conditioned on it."""
     p, count, slots = len(node.path), len(pairings.slots), pairings.slots
     path, innovations, added = np.empty(p + 1, np.int64), np.empty((count, 5)), np.empty(count)
     w, pivot = np.empty((count, 2 * p + 4, 2)), pivot_of(slots[d], read(node.innovations, d))
@@ -289,9 +290,9 @@ def add_pairing(pairings: Pairings, node: Node, d: int, following: int) -> Node:
     path[p] = d
     for q in range(p + 1):
         store(innovations, path[q], read(node.innovations, path[q]))
-        _fill_rows(w[path[q]], node.w[path[q]], 2 * p)
+        _copy_rows(w[path[q]], node.w[path[q]], 2 * p)
     for c in range(following, count):
-        _fill_rows(w[c], node.w[c], 2 * p)
+        _copy_rows(w[c], node.w[c], 2 * p)
         e = condition(pairings.covariance, w, pivot, d, p, c, slots[c], read(node.innovations, c))
         store(innovations, c, e)
         added[c] = squared(e)
@@ -299,14 +300,14 @@ def add_pairing(pairings: Pairings, node: Node, d: int, following: int) -> Node:
 
 
 @inlined
-def _fill_rows(target: Array, source: Array, rows: int) -> None:
+def _copy_rows(target: Array, source: Array, rows: int) -> None:
     for r in range(rows):
         target[r, 0], target[r, 1] = source[r, 0], source[r, 1]
 
 
 @compiled
 def added_by(pairings: Pairings, path: IntArray, added: Array, first: int, last: int) -> Array:
-    """What the pairings first … last − 1 would add to D²_H, (last − first,); inf where they may not follow."""
+    """The increase of D²_H by each of the pairings first … last − 1, (last − first,); inf where one may not follow."""
     out = np.empty(last - first)
     for c in range(first, last):
         out[c - first] = added[c] if may_follow(pairings, path, len(path), c) else math.inf
@@ -315,7 +316,7 @@ def added_by(pairings: Pairings, path: IntArray, added: Array, first: int, last:
 
 @compiled
 def write_rows(pairings: Pairings, path: IntArray, rows: IntArray, out: IntArray) -> None:
-    """Enter the pairings of a path in `out` (m,), as rows (u,) of their slots."""
+    """Write the pairings of a path to `out` (m,), as the prediction `rows` (u,) of their slots."""
     for c in path:
         out[pairings.measured[c]] = rows[pairings.slots[c]]
 

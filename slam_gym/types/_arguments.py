@@ -52,7 +52,7 @@ def deviations(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def in_radians(name: str, angles: Array) -> Array:
-    """`angles` unchanged. Raises ValueError where one is more than a full turn, since it is then probably in degrees."""
+    """`angles` unchanged. Raises ValueError where one is more than a full turn: it is probably in degrees."""
     if (np.abs(angles) > 2.0 * math.pi).any():
         largest = angles.flat[np.abs(angles).argmax()]
         raise ValueError(f"{name}: {largest:g} rad is more than a turn; are these degrees? (numpy.deg2rad)")

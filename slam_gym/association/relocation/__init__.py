@@ -1,1 +1,1 @@
-"""Searches without a prior on the pose, and the constraints, the location and the acceptance rule that they share."""
+"""Searches without a prior on the pose, and the constraints, location and acceptance rule that they share."""

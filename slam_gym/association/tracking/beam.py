@@ -104,7 +104,7 @@ def search(pairings: Pairings, levels: IntArray, prices: Prices) -> tuple[Beam, 
 def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Path, int]:
     """Room for `width` hypotheses, or fewer where the levels have no more to offer, with that of the given pairings
     entered; and the number of nodes in use."""
-    place = pairings.given + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
+    place = pairings.fixed + max(min(len(levels), len(pairings.covariance) // 2), 1) + 1
     most, count, used = 0, 1, _LOOKED_AT + 1
     for level in range(len(levels)):
         offers = 1 + levels[level, 1] - levels[level, 0]
@@ -114,9 +114,9 @@ def _begin(pairings: Pairings, levels: IntArray, width: int) -> tuple[_Room, Pat
         np.zeros((2, count, place), np.int64), np.zeros(count, np.int64), np.empty((place + 1, 5)),
         np.empty((count, 1 + most)), np.empty(count * (1 + most)),
     )  # fmt: skip
-    N = max(_NODES, pairings.given + 2)
+    N = max(_NODES, pairings.fixed + 2)
     joined = Path(np.empty(N, np.int64), np.empty((N, 5)), np.empty((N, 2 * place, 2)))
-    for d in range(pairings.given):
+    for d in range(pairings.fixed):
         e = _join(pairings, joined, room.made[0, 0], room.nodes[0, 0], d, d, used)
         room.score[0, 0] += -0.5 * squared(e) - 0.5 * math.log(e.xx * e.yy - e.xy * e.xy) - _LOG_TWO_PI
         room.pairings[0, 0], used = d + 1, used + 1
@@ -166,7 +166,7 @@ def _offer_pairing(
     """
     room, joined, now, kept = level
     gain, margin = price
-    slots, covariance, local, given = pairings.slots, pairings.covariance, pairings.local, pairings.given
+    slots, covariance, local, given = pairings.slots, pairings.covariance, pairings.local, pairings.fixed
     made, path, count, score, along = room.made, room.nodes, room.pairings, room.score, room.along
     together, offered = room.together, room.offered
     pivots, w, slot = joined.pivots, joined.w, slots[c]

@@ -135,8 +135,8 @@ def affordable(width: int, problems: list[ScanProblem]) -> int:
     """The width of a beam, or what `JOINT_TESTS` and `MEMORY` admit of it where all these problems are searched."""
     tests, size = 1, 1
     for problem in problems:
-        nodes = len(problem.levels) + problem.pairings.given + 1
-        place = min(nodes, len(problem.rows) + problem.pairings.given + 1)
+        nodes = len(problem.levels) + problem.pairings.fixed + 1
+        place = min(nodes, len(problem.rows) + problem.pairings.fixed + 1)
         tests, size = tests + len(problem.pairings.slots), size + 32 * place * nodes  # bytes of the w of a hypothesis
     return max(min(width, JOINT_TESTS // tests, MEMORY // size), 1)
 
@@ -160,10 +160,10 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
     fit, unpaired = beam.score.copy(), np.empty(len(beam.score), np.int64)
     decided = np.full((len(fit), len(pairings.noise)), UNPAIRED)
     for b in range(len(fit)):
-        made = beam.pairings[b] - pairings.given
+        made = beam.pairings[b] - pairings.fixed
         unpaired[b] = len(starts) - 1 - made
         fit[b] -= (len(problem.levels) - made) * prices.unpaired
-        for q in range(pairings.given, beam.pairings[b]):
+        for q in range(pairings.fixed, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
         write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
     return Searched(beam, decided, fit, unpaired, nodes, tests, cut)
@@ -176,7 +176,7 @@ def levels_of(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
     path, some, others = path_of(pairings, 2), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
     most, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
     for i in range(len(starts) - 1):
-        first, last = pairings.given + starts[i], pairings.given + starts[i + 1]
+        first, last = pairings.fixed + starts[i], pairings.fixed + starts[i + 1]
         for c in range(first, last):
             if most[some] > -others:
                 most[some] = min(most[some], -support_of(pairings, path, c, gate))
@@ -207,7 +207,7 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
     possible[rows] = False
     both = np.concatenate((rows, np.flatnonzero(possible)))
     joint = joint_in(expected, part, both)
-    wider = Pairings(p.slots, p.measured, p.innovations, p.noise, joint, p.local, p.given)
+    wider = Pairings(p.slots, p.measured, p.innovations, p.noise, joint, p.local, p.fixed)
     positions, covariances = updated(wider, beam, part.positions[both])
     first = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
     width = len(first) * len(both)

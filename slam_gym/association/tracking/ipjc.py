@@ -68,13 +68,13 @@ def _search(
 
     `errors` (c, 2, 4) are the vectors of e(φ).
     """
-    levels, first = len(starts) - 1, pairings.given + starts
+    levels, first = len(starts) - 1, pairings.fixed + starts
     later = np.zeros(levels + 1, np.int64)  # levels from here on that have a candidate
     for level in range(levels - 1, -1, -1):
         later[level] = later[level + 1] + (first[level] < first[level + 1])
-    path = np.arange(pairings.given + levels)
-    distance, made = np.zeros(levels + 1), np.full(levels + 1, pairings.given)
-    distance[0] = _distance(pairings, errors, path[: pairings.given], variance)
+    path = np.arange(pairings.fixed + levels)
+    distance, made = np.zeros(levels + 1), np.full(levels + 1, pairings.fixed)
+    distance[0] = _distance(pairings, errors, path[: pairings.fixed], variance)
     best, least, best_path = -1, math.inf, path[:0].copy()
     trial, level, nodes = first.copy(), 0, 0
     while level >= 0 and nodes < node_limit:

@@ -59,7 +59,7 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_l
     for search in range(2):
         found = offer(scan, expected, rows, search == 0, gates[1], len(expected.features))
         fault, best = found.fault, _Best(distance, 0, 0, False)
-        if fault[0] == 0 and len(found.pairings.slots) > found.pairings.given:
+        if fault[0] == 0 and len(found.pairings.slots) > found.pairings.fixed:
             best = branch_and_bound(found.pairings, found.rows, gates, node_limit, rows)
         distance = best.distance
         spent = Spent(
@@ -109,7 +109,7 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
 
     By p: path[p] the pairing that comes next, position[p] in alive[p] of the candidate to try next, level[p] its level.
     """
-    measured, given, depth = pairings.measured, pairings.given, len(gates)
+    measured, given, depth = pairings.measured, pairings.fixed, len(gates)
     path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
     path[:given] = np.arange(given)
     stack = _stack_at(pairings, path)

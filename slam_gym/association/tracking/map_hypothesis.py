@@ -88,7 +88,7 @@ def _decide(
         found = offer(scan, expected, rows, search == 0, limits.gate, most)
         fault, tests = found.fault, spent.individual_tests + found.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
-        if fault[0] == 0 and (search == 0 or len(found.pairings.slots) > found.pairings.given):
+        if fault[0] == 0 and (search == 0 or len(found.pairings.slots) > found.pairings.fixed):
             levels = levels_of(found.pairings, found.starts, limits.gate)
             problem = ScanProblem(part, found.pairings, found.starts, levels, found.rows, visible, rates)
             width = affordable(limits.width, [problem])

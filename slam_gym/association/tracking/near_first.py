@@ -153,7 +153,7 @@ def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntA
         found = _offer_to(scan.arrays, prediction.arrays, rows, near, gate)
         check_fault(found.fault)
         effort = _together(effort, Effort(individual_tests=found.tests))
-        if len(found.pairings.slots) > found.pairings.given:
+        if len(found.pairings.slots) > found.pairings.fixed:
             effort = _together(effort, search(found, rows))
         if not prediction.has_localities or prediction.near.all() or not (rows == UNPAIRED).any():
             break

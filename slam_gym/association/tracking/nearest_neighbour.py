@@ -49,7 +49,7 @@ def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     gate = chi2_gate(2, prediction.confidence)
 
     def search(offer: Offer, rows: IntArray) -> Effort:
-        p, g = offer.pairings, offer.pairings.given
+        p, g = offer.pairings, offer.pairings.fixed
         measured, level = np.unique(p.measured[g:], return_inverse=True)
         features, columns = offer.rows[p.slots[g:]], len(offer.rows)
         S = prediction.covariances[features] + scan.covariances[p.measured[g:]]

@@ -39,7 +39,7 @@ def one_point_ransac(
     gate, rng = chi2_gate(2, prediction.confidence), np.random.default_rng(seed)
 
     def search(offer: Offer, rows: IntArray) -> Effort:
-        pairings, g = offer.pairings, offer.pairings.given
+        pairings, g = offer.pairings, offer.pairings.fixed
         count = len(pairings.slots) - g
         chosen, drawn = _draw(pairings, g + rng.permutation(count), gate, success, tries)
         rows[pairings.measured[chosen]] = offer.rows[pairings.slots[chosen]]
@@ -68,7 +68,7 @@ def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, trie
             best, best_sum = inliers, total
             fraction = len(best) / count
             needed = math.log(1.0 - success) / math.log(1.0 - fraction) if fraction < 1.0 else 1.0
-    p = pairings.given
+    p = pairings.fixed
     for c in best:
         append(path, p, c, follow(pairings, path, p, c))
         p += 1

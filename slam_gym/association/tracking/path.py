@@ -37,9 +37,9 @@ class Path(NamedTuple):
 @compiled
 def path_of(pairings: Pairings, room: int) -> Path:
     """The path of the pairings given, with room for `room` more."""
-    P = pairings.given + room
+    P = pairings.fixed + room
     path = Path(np.zeros(P, np.int64), np.empty((P, 5)), np.empty((P, 2 * P, 2)))
-    for d in range(pairings.given):
+    for d in range(pairings.fixed):
         append(path, d, d, follow(pairings, path, d, d))
     return path
 
@@ -67,7 +67,7 @@ def append(path: Path, p: int, c: int, e: Innovation) -> None:
 def distances_after(pairings: Pairings, path: Path, p: int, out: Array) -> None:
     """D² (c,) of each candidate after an update with the first p pairings of a path; of the given ones, inf."""
     for c in range(len(pairings.slots)):
-        out[c] = math.inf if c < pairings.given else squared(follow(pairings, path, p, c))
+        out[c] = math.inf if c < pairings.fixed else squared(follow(pairings, path, p, c))
 
 
 @compiled
@@ -76,7 +76,7 @@ def distances_with(pairings: Pairings, path: Path, anchor: int, out: Array) -> N
 
     The anchor's own is that after an update with the given ones only.
     """
-    p, slots, measured = pairings.given, pairings.slots, pairings.measured
+    p, slots, measured = pairings.fixed, pairings.slots, pairings.measured
     e = follow(pairings, path, p, anchor)
     own = squared(e)
     if own < math.inf:
@@ -93,7 +93,7 @@ def distances_with(pairings: Pairings, path: Path, anchor: int, out: Array) -> N
 @compiled
 def support_of(pairings: Pairings, path: Path, anchor: int, gate: float) -> int:
     """How many other measurements have a candidate within the gate, after an update with the anchor alone."""
-    p, slots, measured = pairings.given, pairings.slots, pairings.measured
+    p, slots, measured = pairings.fixed, pairings.slots, pairings.measured
     e = follow(pairings, path, p, anchor)
     if squared(e) == math.inf:
         return 0
