@@ -1,10 +1,10 @@
-"""The reference corridor: a robot loops once through a square corridor and comes back with a drifted heading.
+"""The reference corridor: a robot drives once round a square corridor and returns with a drifted heading.
 
-The simulator of Neira and Tardós' teaching material, re-created; it has no walls that would hide anything. Spelt out,
-since the figures depend on it: the square has sides of 10 m; each side carries 22 point features; the robot makes 44
-steps of 1 m from (0, 0) along +x, turning left by 90° at the end of steps 10, 20, 30 and 40, so that the last four
-repeat the first side. It scans at step 0 and after every step. All features in range and field of view are measured,
-without clutter.
+A re-creation of the simulator of Neira and Tardós' teaching material, without walls that hide features. Its figures
+depend on these details: the square has sides of 10 m; each side carries 22 point features; the robot makes 44 steps of
+1 m from (0, 0) along +x, turning left by 90° at the end of steps 10, 20, 30 and 40, so that the last four repeat the
+first side. It scans at step 0 and after every step. All features in range and field of view are measured, without
+clutter.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from slam_gym.types import Array, Odometry, Scan, Truth
 SIDE = 10.0  # [m]
 STEPS = 44
 RANGE = 5.0  # [m]
-RANGE_SIGMA = 0.01  # of the range
+RANGE_SIGMA = 0.01  # [m/m] of the range
 BEARING_SIGMA = math.radians(0.125)
-STRAIGHT_SIGMA = (0.01, 0.01, math.radians(2.0))  # [m, m, rad] of a step
+STRAIGHT_SIGMA = (0.01, 0.01, math.radians(2.0))  # [m, m, rad] per step
 TURN_SIGMA = (0.03, 0.03, math.radians(2.5))
 
 
@@ -40,7 +40,7 @@ def features() -> Array:
 
 
 def walk_round(rng: np.random.Generator, q: float = 1.0) -> Iterator[tuple[Odometry, Scan, Truth]]:
-    """The 45 looks of one loop, each with the motion before it; `q` scales the covariance told of the motion."""
+    """The 45 scans of one loop, each with the motion before it; `q` scales the reported covariance of the motion."""
     world, pose = features(), np.zeros(3)
     for step in range(STEPS + 1):
         pose, odometry = _move(step, pose, q, rng)
@@ -48,7 +48,7 @@ def walk_round(rng: np.random.Generator, q: float = 1.0) -> Iterator[tuple[Odome
 
 
 def _move(step: int, pose: Array, q: float, rng: np.random.Generator) -> tuple[Array, Odometry]:
-    """True pose after `step`, and the odometry that tells of it. Step 0 stands still and knows it."""
+    """The true pose after `step`, and the odometry of that step. At step 0 the robot rests, without uncertainty."""
     if step == 0:
         return pose, Odometry(np.zeros(3), np.zeros((3, 3)))
     turning = step % int(SIDE) == 0
@@ -59,7 +59,7 @@ def _move(step: int, pose: Array, q: float, rng: np.random.Generator) -> tuple[A
 
 
 def _scan(world: Array, pose: Array, rng: np.random.Generator) -> tuple[Scan, Truth]:
-    """Range and bearing of what is within 5 m and ±90°, handed on in Cartesian form."""
+    """A scan of the features within 5 m and ±90°: noisy ranges and bearings, in Cartesian form."""
     local = observe(pose, world)
     seen = np.flatnonzero((np.hypot(local[:, 0], local[:, 1]) <= RANGE) & (local[:, 0] >= 0.0))
     ranges = np.hypot(local[seen, 0], local[seen, 1])

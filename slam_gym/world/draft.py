@@ -1,4 +1,4 @@
-"""A floor plan under construction: rooms, doors between them, and what stands in the rooms."""
+"""A floor plan under construction: rooms, doors between them, and the contents of the rooms."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from slam_gym.types import Array, BoolArray
 from slam_gym.world.floor_plan import Door, Features, FloorPlan, Kind, Room
 
 MAX_CORNER_SIZE = 4.0  # [m] a longer wall at a corner counts as this long
-_PASSAGE = 0.8  # [m] between any two things that stand in a room
+_PASSAGE = 0.8  # [m] between any two objects in a room
 _DOOR_AREA = 0.6  # [m] kept free around a door, beyond half its width
 _CENTRE_AREA = 0.5  # [m] kept free around the centre of a room
 _TO_CORNER = 0.6  # [m] between a pilaster and the corners of the room
-_TRIES = 40  # draws for one thing to find its place
+_TRIES = 40  # random places that are tried for one object
 
 Limits = tuple[float, float]
 """Smallest and largest value."""
@@ -23,7 +23,7 @@ Limits = tuple[float, float]
 
 @dataclass(frozen=True)
 class Contents:
-    """What stands in the rooms. Each thing is drawn at random and left out where it does not fit."""
+    """The contents of the rooms. Each object is placed at random, and left out where it does not fit."""
 
     pilasters: float = 0.04  # [1/m] mean number along a wall; each adds four corners
     pilaster_width: Limits = (0.3, 0.6)  # [m] along the wall
@@ -41,18 +41,18 @@ class Contents:
 
 
 def check_limits(name: str, value: Limits, low: float, high: float) -> None:
-    """ValueError unless `value` is a range within [low, high]."""
+    """Raise ValueError unless `value` is a range within [low, high]."""
     if not low <= value[0] <= value[1] <= high:
         raise ValueError(f"{name}: {value} is not a range (smallest, largest) within [{low:g}, {high:g}]")
 
 
 def draw(rng: np.random.Generator, limits: Limits) -> float:
-    """Uniform in `limits` [m], a whole number of millimetres."""
+    """A length drawn uniformly from `limits` [m], rounded to whole millimetres."""
     return round(float(rng.uniform(*limits)), 3)
 
 
 class Rectangle(NamedTuple):
-    """[m] W."""
+    """A rectangle along the axes, [m] W."""
 
     x1: float
     y1: float
@@ -65,7 +65,7 @@ class Rectangle(NamedTuple):
 
     @property
     def sides(self) -> tuple[float, float]:
-        """Along x and along y."""
+        """Lengths [m] along x and along y."""
         return self.x2 - self.x1, self.y2 - self.y1
 
 
@@ -80,44 +80,44 @@ class Draft:
         self.blocked: list[Rectangle] = []
         self.pillars: list[tuple[float, float, float]] = []  # x, y, diameter
         self.furniture: list[tuple[float, float, float, float, float]] = []
-        self.kept_free: list[tuple[float, float, float]] = []  # x, y, radius of the discs in which nothing may stand
+        self.kept_free: list[tuple[float, float, float]] = []  # x, y, radius of discs in which nothing may stand
 
     def add_room(self, name: str, floor: Rectangle) -> None:
         self.rooms[name] = floor
         self.kept_free.append((*floor.centre, _CENTRE_AREA))
 
     def add_door(self, a: str, b: str, opening: Rectangle, upright: bool) -> None:
-        """A door as the rectangle that it cuts out of a wall; `upright`: the wall runs along y."""
+        """Add a door, given the rectangle that it cuts out of a wall; `upright` says that the wall runs along y."""
         width = round(opening.sides[int(upright)], 3)
         self.openings.append(opening)
         self.doors.append(Door(np.array(opening.centre), width, (a, b)))
         self.kept_free.append((*opening.centre, width / 2 + _DOOR_AREA))
 
     def fits(self, x: float, y: float, radius: float) -> bool:
-        """A thing of this radius leaves doors, room centres and passages free."""
+        """Whether an object of this radius leaves doors, room centres and passages free."""
         return all((x - u) ** 2 + (y - v) ** 2 >= (radius + r) ** 2 for u, v, r in self.kept_free)
 
     def furnish(self, floor: Rectangle) -> None:
-        """Pilasters, then pillars, then furniture, each where it finds a place."""
-        things = self.contents
-        for _ in range(self.rng.poisson(things.pilasters * 2 * (floor.x2 - floor.x1 + floor.y2 - floor.y1))):
+        """Place pilasters, then pillars, then furniture, each where it fits."""
+        contents = self.contents
+        for _ in range(self.rng.poisson(contents.pilasters * 2 * (floor.x2 - floor.x1 + floor.y2 - floor.y1))):
             self._place_pilaster(floor)
-        for _ in range(self.rng.poisson(things.pillars)):
-            diameter = draw(self.rng, things.pillar_diameter)
+        for _ in range(self.rng.poisson(contents.pillars)):
+            diameter = draw(self.rng, contents.pillar_diameter)
             if place := self._place(floor, diameter / 2, _PASSAGE):
                 self.pillars.append((*place, diameter))
-        for _ in range(self.rng.poisson(things.furniture)):
-            sides = draw(self.rng, things.furniture_side), draw(self.rng, things.furniture_side)
+        for _ in range(self.rng.poisson(contents.furniture)):
+            sides = draw(self.rng, contents.furniture_side), draw(self.rng, contents.furniture_side)
             length, width, heading = max(sides), min(sides), float(np.round(self.rng.uniform(-np.pi, np.pi), 3))
             if place := self._place(floor, float(np.hypot(length, width)) / 2, 0.05):
                 self.furniture.append((*place, length, width, heading))
 
-    def _place(self, floor: Rectangle, radius: float, wall: float) -> tuple[float, float] | None:
-        """A place in a room for a thing of `radius` that keeps `wall` [m] from the walls; None if none was found.
+    def _place(self, floor: Rectangle, radius: float, clearance: float) -> tuple[float, float] | None:
+        """A place in a room for an object of `radius` [m] at least `clearance` [m] from the walls, or None.
 
-        Rooms too narrow for a passage on either side of it, like corridors, get none.
+        A room that is too narrow for a passage on either side of the object, such as a corridor, has no place for it.
         """
-        margin = radius + wall
+        margin = radius + clearance
         if min(floor.sides) < 2 * (radius + _PASSAGE):
             return None
         for _ in range(_TRIES):
@@ -129,7 +129,7 @@ class Draft:
         return None
 
     def _place_pilaster(self, floor: Rectangle) -> None:
-        """A block against a wall of the room, clear of its corners."""
+        """Place a block against a wall of the room, clear of its corners, if it fits."""
         width, depth = draw(self.rng, self.contents.pilaster_width), draw(self.rng, self.contents.pilaster_depth)
         (x1, y1, x2, y2), (across, along) = floor, floor.sides
         side = int(self.rng.choice(4, p=np.array([across, across, along, along]) / (2 * (across + along))))
@@ -152,7 +152,7 @@ class Draft:
                 return
 
     def finish(self, name: str) -> FloorPlan:
-        """Walls and features from the outline of what is free."""
+        """The floor plan, with walls and features from the outline of free space."""
         free = np.array([*self.rooms.values(), *self.openings])
         walls, corners, sizes = outline(free, np.array(self.blocked).reshape(-1, 4))
         kinds = np.full(len(corners), int(Kind.CORNER))
@@ -176,14 +176,14 @@ class Draft:
 
 
 def pillar_outline(x: float, y: float, diameter: float) -> Array:
-    """(8, 4) [m] the octagon inscribed in a pillar."""
+    """The octagon inscribed in a pillar, (8, 4) [m]."""
     angles = (np.arange(9) + 0.5) * np.pi / 4
     ring = np.stack([x + np.cos(angles) * diameter / 2, y + np.sin(angles) * diameter / 2], axis=1)
     return np.hstack([ring[:-1], ring[1:]])
 
 
 def _covered(rectangles: Array, xs: Array, ys: Array) -> BoolArray:
-    """Which cells (len(ys) − 1, len(xs) − 1) of the grid xs × ys lie in one of `rectangles` (r, 4) x₁ y₁ x₂ y₂ [m]."""
+    """(len(ys) − 1, len(xs) − 1) which cells of the grid xs × ys lie in one of `rectangles` (r, 4) x₁ y₁ x₂ y₂ [m]."""
     cells = np.zeros((len(ys) - 1, len(xs) - 1), dtype=bool)
     for x1, y1, x2, y2 in rectangles:
         (i1, i2), (j1, j2) = np.searchsorted(ys, (y1, y2)), np.searchsorted(xs, (x1, x2))
@@ -191,26 +191,27 @@ def _covered(rectangles: Array, xs: Array, ys: Array) -> BoolArray:
     return cells
 
 
-def _runs(edges: BoolArray, corners: BoolArray, at: Array) -> Array:
-    """Maximal runs of wall along the grid lines, cut at corners: (s, 3) line, from, to [m].
+def _runs(edges: BoolArray, corners: BoolArray, coordinates: Array) -> Array:
+    """Maximal runs of wall along the grid lines, cut at corners: (s, 3) index of the line, start [m], end [m].
 
     `edges` (lines, cells) says where a line separates free from blocked, `corners` (lines, cells + 1) where it turns.
+    `coordinates` (cells + 1,) [m] are the positions along the lines.
     """
     runs = []
     for line, (edge, corner) in enumerate(zip(edges, corners)):
         joined = np.concatenate([[False], edge, [False]])
         starts = joined[1:] & (~joined[:-1] | corner)
         ends = joined[:-1] & (~joined[1:] | corner)
-        runs += [(line, at[i], at[j]) for i, j in zip(np.flatnonzero(starts), np.flatnonzero(ends))]
+        runs += [(line, coordinates[i], coordinates[j]) for i, j in zip(np.flatnonzero(starts), np.flatnonzero(ends))]
     return np.array(runs, dtype=np.float64).reshape(-1, 3)
 
 
 def outline(free: Array, blocked: Array) -> tuple[Array, Array, Array]:
     """Outline of ∪ `free` ∖ ∪ `blocked`, both rectangles (·, 4) x₁ y₁ x₂ y₂ [m].
 
-    Returns walls (s, 4) [m], each from one corner to the next; corners (c, 2) [m], each once; and the length [m] of the
-    shorter of the walls that meet at each corner, (c,). A grid point is a corner unless the free cells around it are
-    none, all, or two side by side.
+    Returns walls (s, 4) [m], each from one corner to the next; corners (c, 2) [m], without repetition; and (c,) [m] the
+    length of the shorter of the walls that meet at each corner. A grid point is a corner unless none, all, or two
+    adjacent ones of the four cells around it are free.
     """
     edges = np.vstack([free, blocked])
     xs, ys = np.unique(edges[:, 0::2]), np.unique(edges[:, 1::2])

@@ -1,9 +1,9 @@
-"""How the robot drives, compiled: the push of its wheels, and its motion where nothing is within reach.
+"""Compiled motion of the robot: the push of its wheels, and whole ticks in which it touches nothing.
 
-A robot that touches nothing moves as pymunk would integrate it: in each substep first the position by the velocity,
-then the velocity by the push. When it then touches two things at once, what pymunk makes of it depends on which of them
-it finds first, and that on where its tree has last entered the robot: at a place where the robot left the box, larger
-than itself, of the entry before. The state of the robot therefore has that entry as well.
+A robot that touches nothing is integrated as pymunk does it: each substep first moves the position by the velocity,
+then changes the velocity by the push. When the robot later touches two bodies at once, pymunk's result depends on which
+body its bounding-box tree finds first, and therefore on when the robot was last entered in that tree. A body is entered
+again when it leaves its box in the tree, which is larger than the body. The robot's state includes this last entry.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from slam_gym.geometry import relative, wrap_angle
 from slam_gym.types import Array
 from slam_gym.world.ray_casting import Grid, Packed, box_distance, squared_distance
 
-X, Y, HEADING, VX, VY, TURNING, RIM, SPIN, ENTERED, BOX = *range(9), 12
+X, Y, HEADING, VX, VY, TURNING, WHEEL_SPEED, WHEEL_TURNING, ENTRY, BOX = *range(9), 12
 ENTRIES = 16
-"""Entries of the robot's state: x, y [m] and heading [rad, not wrapped] in W; velocities [m/s], [rad/s] of the body;
-those [m/s], [rad/s] that the turning of the wheels amounts to; x, y and velocities as its body was last entered in
-pymunk's tree; and the box there, xmin, ymin, xmax, ymax [m]."""
+"""Length of the robot's state: x, y [m] and heading [rad, not wrapped] in W; velocities of the body in W [m/s, m/s,
+rad/s]; speed and turning rate of the wheels [m/s, rad/s]; x, y [m] and their velocities [m/s] when the body was last
+entered in pymunk's tree; its box there, xmin, ymin, xmax, ymax [m]. The names above are the indices."""
 
-_BOX_MARGIN = float(np.float32(0.1))  # of the box's side, and [s] of the velocity, by which the box is larger
+_BOX_MARGIN = float(np.float32(0.1))  # a box in the tree is larger by this fraction of its side, or [s] times velocity
 
 GRAVITY = 9.81  # [m/s²]
-_NEAR = 1e-3  # [m] from which on a body that comes near may touch: pymunk decides
+_NEAR = 1e-3  # [m] bodies closer than this may touch, so pymunk integrates the tick
 
 
-class Figures(NamedTuple):
-    """What the motion depends on."""
+class DriveParameters(NamedTuple):
+    """The settings on which the motion depends."""
 
     step: float  # [s] of a substep
     substeps: int  # in a tick
@@ -45,98 +45,98 @@ class Figures(NamedTuple):
     traction: float  # the wheels push with at most traction · mass · g
 
 
-PackedFigures = tuple[float, int, float, float, float, float, float, float, float, float]
-"""`Figures` as a plain tuple."""
+PackedDriveParameters = tuple[float, int, float, float, float, float, float, float, float, float]
+"""`DriveParameters` as a plain tuple."""
 
 
 @compiled
-def push(packed: PackedFigures, forward: float, turn: float, state: Array, wheels: Array) -> tuple[float, float, float]:
-    """Push the robot towards the wheels' next speeds, as hard as their traction allows: force (x, y) [N] in W, torque
-    [N m].
+def push(
+    packed: PackedDriveParameters, forward: float, turn: float, state: Array, wheels: Array
+) -> tuple[float, float, float]:
+    """Force (x, y) [N] in W and torque [N m] that push the robot towards the wheels' next speeds, limited by traction.
 
-    The push takes effect at the end of the substep, so it is aimed along the chord of the arc that the robot will drive
-    in the next one. What it would make of the robot's motion, if nothing pushed back, is what the wheels do: their
-    speeds in `state` are those from then on, and `wheels` (3,), the pose in R at the tick's start that they have led to
-    so far, goes on by this substep.
-
-    `forward` and `turn` are fractions in [−1, 1] of the full speeds.
+    `forward` and `turn` are the commanded fractions in [−1, 1] of the full speeds. The push takes effect at the end of
+    the substep, so it is aimed along the chord of the arc that the robot will drive in the next substep. Updates the
+    wheels' speeds in `state` to the speeds that the push would give the robot if nothing pushed back, and advances
+    `wheels` (3,), the pose by wheel odometry in R at the tick's start, by this substep.
     """
-    figures = Figures(*packed)
-    step = figures.step
-    way, turned = state[RIM] * step, state[SPIN] * step
-    wheels[0] += way * math.cos(wheels[2] + 0.5 * turned)
-    wheels[1] += way * math.sin(wheels[2] + 0.5 * turned)
-    wheels[2] += turned
-    faster, quicker = figures.max_acceleration * step, figures.max_angular_acceleration * step  # at most
-    rim = state[RIM] + min(max(figures.max_speed * forward - state[RIM], -faster), faster)
-    spin = state[SPIN] + min(max(figures.max_turn * turn - state[SPIN], -quicker), quicker)
-    now = state[TURNING]
-    grip = figures.traction * GRAVITY * step  # [m/s] by which the wheels change the speed at most in a substep
-    limit = grip * figures.mass * figures.radius / figures.moment
-    spin = now + min(max(spin - now, -limit), limit)
-    aim = state[HEADING] + now * step + 0.5 * spin * step
+    parameters = DriveParameters(*packed)
+    step = parameters.step
+    distance, angle = state[WHEEL_SPEED] * step, state[WHEEL_TURNING] * step
+    wheels[0] += distance * math.cos(wheels[2] + 0.5 * angle)
+    wheels[1] += distance * math.sin(wheels[2] + 0.5 * angle)
+    wheels[2] += angle
+    max_gain, max_turn_gain = parameters.max_acceleration * step, parameters.max_angular_acceleration * step
+    speed = state[WHEEL_SPEED] + min(max(parameters.max_speed * forward - state[WHEEL_SPEED], -max_gain), max_gain)
+    turn_error = parameters.max_turn * turn - state[WHEEL_TURNING]
+    spin = state[WHEEL_TURNING] + min(max(turn_error, -max_turn_gain), max_turn_gain)
+    turning = state[TURNING]
+    grip = parameters.traction * GRAVITY * step  # [m/s] largest change of speed that traction allows in a substep
+    limit = grip * parameters.mass * parameters.radius / parameters.moment
+    spin = turning + min(max(spin - turning, -limit), limit)
+    aim = state[HEADING] + turning * step + 0.5 * spin * step
     c, s = math.cos(aim), math.sin(aim)
-    dx, dy = rim * c - state[VX], rim * s - state[VY]
+    dx, dy = speed * c - state[VX], speed * s - state[VY]
     needed = math.hypot(dx, dy)
     if needed > grip:
         dx, dy = dx * grip / needed, dy * grip / needed
-        rim = (state[VX] + dx) * c + (state[VY] + dy) * s
-    state[RIM], state[SPIN] = rim, spin
-    return figures.mass * dx / step, figures.mass * dy / step, figures.moment * (spin - now) / step
+        speed = (state[VX] + dx) * c + (state[VY] + dy) * s
+    state[WHEEL_SPEED], state[WHEEL_TURNING] = speed, spin
+    return parameters.mass * dx / step, parameters.mass * dy / step, parameters.moment * (spin - turning) / step
 
 
 @compiled
 def drive_freely(
     walls: Packed,
     furniture: Array,
-    packed: PackedFigures,
+    packed: PackedDriveParameters,
     forward: float,
     turn: float,
     state: Array,
     motion: Array,
 ) -> bool:
-    """One tick among resting `furniture` (f, 5) where the robot comes near nothing; False, nothing done, where it does.
+    """Drive for one tick among resting `furniture` (f, 5); False, and nothing done, if the robot comes near anything.
 
-    Rows of `motion` (3, 3): the pose at the end, wrapped, the pose before it that is replaced by the motion in R, and
-    the same as the wheels tell it.
+    `motion` (3, 3) enters with the pose before the tick in its first row. It leaves with the pose after the tick,
+    heading wrapped; the motion in R at the tick's start; and that motion by wheel odometry.
     """
-    figures, grid, after = Figures(*packed), Grid(*walls), state.copy()
-    step, reach = figures.step, figures.radius + _NEAR
+    parameters, grid, after = DriveParameters(*packed), Grid(*walls), state.copy()
+    step, reach = parameters.step, parameters.radius + _NEAR
     wheels = motion[2]
     wheels[:] = 0.0
-    for _ in range(figures.substeps):
+    for _ in range(parameters.substeps):
         x, y, torque = push(packed, forward, turn, after, wheels)
         after[X] += after[VX] * step
         after[Y] += after[VY] * step
         after[HEADING] += after[TURNING] * step
-        entered(after, figures.radius)
+        update_tree_entry(after, parameters.radius)
         if _walls_within(grid, after[X], after[Y], reach) or box_distance(after[X], after[Y], furniture) < reach:
             return False
-        after[VX] += x * (1.0 / figures.mass) * step
-        after[VY] += y * (1.0 / figures.mass) * step
-        after[TURNING] += torque * (1.0 / figures.moment) * step
+        after[VX] += x * (1.0 / parameters.mass) * step
+        after[VY] += y * (1.0 / parameters.mass) * step
+        after[TURNING] += torque * (1.0 / parameters.moment) * step
     state[:] = after
     end_of_tick(state, motion)
     return True
 
 
 @compiled
-def entered(state: Array, radius: float) -> None:
-    """Note down whether pymunk's tree enters the robot anew where it is now, with the velocity that has led there."""
+def update_tree_entry(state: Array, radius: float) -> None:
+    """Update the last entry in pymunk's tree, as pymunk does, if the robot has left its box there."""
     x, y, box = state[X], state[Y], state[BOX:]
     if box[0] <= x - radius and box[1] <= y - radius and x + radius <= box[2] and y + radius <= box[3]:
         return
     margin = ((x + radius) - (x - radius)) * _BOX_MARGIN, ((y + radius) - (y - radius)) * _BOX_MARGIN
     for axis in range(2):
-        at, ahead = state[X + axis], state[VX + axis] * _BOX_MARGIN
-        state[ENTERED + axis], state[ENTERED + 2 + axis] = at, state[VX + axis]
-        box[axis] = at - radius + min(-margin[axis], ahead)
-        box[2 + axis] = at + radius + max(margin[axis], ahead)
+        centre, ahead = state[X + axis], state[VX + axis] * _BOX_MARGIN
+        state[ENTRY + axis], state[ENTRY + 2 + axis] = centre, state[VX + axis]
+        box[axis] = centre - radius + min(-margin[axis], ahead)
+        box[2 + axis] = centre + radius + max(margin[axis], ahead)
 
 
 @compiled
 def end_of_tick(state: Array, motion: Array) -> None:
-    """Enter the pose of `state`, and the motion since that which `motion` (3, 3) has held so far, in its first rows."""
+    """Replace the pose in row 0 of `motion` (3, 3) by the pose of `state`; row 1 receives the motion between them."""
     before = motion[0].copy()
     motion[0, 0], motion[0, 1], motion[0, 2] = state[X], state[Y], wrap_angle(state[HEADING])
     motion[1] = relative(before, motion[0])

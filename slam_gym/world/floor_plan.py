@@ -1,6 +1,6 @@
 """FloorPlan: walls, point features, rooms, doors, furniture. Pure data in the world frame W.
 
-A plan is checked when it is built: what it holds is finite, of sane size and refers to nothing that is missing.
+A plan is checked when it is built: its numbers are finite, its sizes are within limits, and all references resolve.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 from slam_gym.types import Array, BoolArray, IntArray
 
 MAX_EXTENT = 2_000.0  # [m] longest side of a plan, and farthest coordinate from the origin
-MAX_PIXELS = 1 << 24  # of an image that becomes a plan: 200 m × 200 m at 5 cm
+MAX_PIXELS = 1 << 24  # in an image that becomes a plan: 200 m × 200 m at 5 cm
 MAX_SIZE = 100.0  # [m] largest feature, door or piece of furniture
 _SAME_POINT = 1e-3  # [m] features closer than this are one feature
 
 
 class FloorPlanError(ValueError):
-    """A floor plan that cannot be: names the field, the reason and, when it was read from one, the file."""
+    """An invalid floor plan: names the field, the reason and, for a plan read from a file, the file."""
 
     def __init__(self, field: str, reason: str, file: str | None = None) -> None:
         super().__init__(field, reason, file)
@@ -41,7 +41,7 @@ class Kind(IntEnum):
 
 
 def checked_array(field: str, value: ArrayLike, *columns: int) -> Array:
-    """`value` as a new float64 array (rows, *columns); FloorPlanError unless finite and of that shape."""
+    """`value` as a new float64 array (rows, *columns). Raises FloorPlanError unless it is finite and has that shape."""
     try:
         raw = np.array(value)
     except ValueError:  # rows of different lengths
@@ -58,7 +58,7 @@ def checked_array(field: str, value: ArrayLike, *columns: int) -> Array:
 
 
 def _refuse(field: str, bad: ArrayLike, reason: str) -> None:
-    """FloorPlanError naming the first row where `bad` (n,) holds."""
+    """Raise FloorPlanError, naming the first row where `bad` (n,) holds, if any."""
     if np.any(bad):
         raise FloorPlanError(f"{field}[{int(np.argmax(bad))}]", reason)
 
@@ -69,7 +69,7 @@ def _refuse_sizes(field: str, sizes: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """The point features that a sensor may see, in no particular order; a feature is known by its index."""
+    """The point features that a sensor may see, in any order; the index of a feature identifies it."""
 
     positions: Array  # (N, 2) [m] W
     kinds: IntArray  # (N,) values of `Kind`
@@ -93,7 +93,7 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """A named region of the plan. Its outline is closed implicitly and may run either way round."""
+    """A named region of the plan. Its outline is closed implicitly and may run in either direction."""
 
     name: str
     polygon: Array  # (p, 2) [m] W
@@ -141,7 +141,7 @@ class Door:
 
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
-    """One floor. Raises FloorPlanError, a ValueError naming the field, for anything that cannot be built."""
+    """One floor. Raises FloorPlanError, a ValueError that names the field, for an invalid plan."""
 
     name: str
     walls: Array  # (s, 4) [m] x₁ y₁ x₂ y₂ W
@@ -179,10 +179,10 @@ class FloorPlan:
 
 
 def _set(record: object, **fields: object) -> None:
-    """Put the checked values into a frozen record that is still being built."""
+    """Assign the checked values to fields of a frozen record that is still being built."""
     for name, value in fields.items():
         object.__setattr__(record, name, value)
 
 
 Generator = Callable[[np.random.Generator], FloorPlan]
-"""Draws a floor plan: the same plan from the same state of the random generator."""
+"""A function that draws a floor plan. The same state of the random generator gives the same plan."""

@@ -1,4 +1,4 @@
-"""Floor plans as files: JSON in and out, occupancy images and ROS maps in."""
+"""Floor plan files: JSON for reading and writing, occupancy images and ROS maps for reading."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from slam_gym.world.floor_plan import (
 )
 
 FORMAT, VERSION = "slam_gym floor plan", 1
-_MAX_JSON, _MAX_YAML = 1 << 24, 1 << 13  # bytes; real floors take less than a tenth of them
-_MAX_ARRAY = 8 * MAX_PIXELS + 1024  # bytes: labels of 64 bits, and a header
-_LARGEST = 1e9  # of any number of a ROS map
+_MAX_JSON, _MAX_YAML = 1 << 24, 1 << 13  # bytes; files of real floors take less than a tenth
+_MAX_ARRAY = 8 * MAX_PIXELS + 1024  # bytes: 64-bit labels and a header
+_LARGEST = 1e9  # any number in a ROS map
 
 
 def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
-    """Write `plan` as JSON; `load_floor_plan` gives back exactly the same numbers."""
+    """Write `plan` as JSON; `load_floor_plan` reads exactly the same numbers."""
     features = plan.features
     document = {
         "format": FORMAT,
@@ -56,8 +56,8 @@ def save_floor_plan(plan: FloorPlan, path: str | Path) -> None:
 def load_floor_plan(path: str | Path, resolution: float | None = None) -> FloorPlan:
     """Read a floor plan: `.json` as written by `save_floor_plan`, a ROS map `.yaml`, or an occupancy image.
 
-    Images (`.pgm`, `.png`, `.npy`, `.npy.gz`) need their `resolution` [m/pixel]; a ROS map brings its own.
-    Raises FloorPlanError naming file, field and reason, FileNotFoundError, and ImportError naming the missing extra.
+    Images (`.pgm`, `.png`, `.npy`, `.npy.gz`) need a `resolution` [m/pixel]; a ROS map contains its own. Raises
+    FloorPlanError naming file, field and reason, FileNotFoundError, or ImportError naming the missing extra.
     """
     path = Path(path)
     if not path.is_file():
@@ -120,7 +120,7 @@ def _values(where: str, record: Any, keys: tuple[str, ...]) -> list[Any]:
 
 
 def _columns(where: str, records: Any, keys: tuple[str, ...]) -> list[list[Any]]:
-    """By key, the values of the objects of a JSON list."""
+    """The values of the objects in a JSON list, one list for each key."""
     if not isinstance(records, list):
         raise FloorPlanError(where, "is not a list")
     rows = [_values(f"{where}[{i}]", record, keys) for i, record in enumerate(records)]
@@ -140,10 +140,10 @@ def _text(where: str, value: Any) -> str:
 
 
 def _read_labelled_image(path: Path, resolution: float | None) -> dict[str, Any]:
-    """An image file, as the arguments of `from_raster`.
+    """The arguments of `from_raster` for an image file.
 
-    An array named `…_occ_map.npy.gz` is read together with its room labels `…_valid_space.npy.gz` where they lie beside
-    it, the naming of the KTH floor plan data set.
+    An array named `…_occ_map.npy.gz` is read together with the room labels `…_valid_space.npy.gz` beside it, if there
+    are any: these are the names of the KTH floor plan data set.
     """
     if not path.name.lower().endswith((".pgm", ".png", ".npy", ".npy.gz")):
         raise FloorPlanError("file", f"unknown suffix {path.suffix!r}; known: .json .yaml .pgm .png .npy .npy.gz")
@@ -156,16 +156,16 @@ def _read_labelled_image(path: Path, resolution: float | None) -> dict[str, Any]
 
 
 def _read_ros_map(path: Path, resolution: float | None) -> dict[str, Any]:
-    """The same of the map_server format: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
-    given = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
-    resolution, threshold, negate = (_number(key, given[key]) for key in ("resolution", "free_thresh", "negate"))
-    origin = given["origin"]
+    """The same for a map_server file: `image`, `resolution`, `origin` [x, y, yaw = 0], `negate`, `free_thresh`."""
+    values = {"origin": [0.0, 0.0, 0.0], "resolution": resolution, "free_thresh": 0.196, "negate": 0} | _yaml(path)
+    resolution, threshold, negate = (_number(key, values[key]) for key in ("resolution", "free_thresh", "negate"))
+    origin = values["origin"]
     if not isinstance(origin, list) or len(origin) != 3 or _number("origin", origin[2]) != 0.0:
         raise FloorPlanError("origin", f"{_short(origin)} is not [x, y, 0]")
     x, y = _number("origin", origin[0]), _number("origin", origin[1])
     if max(abs(x), abs(y)) > MAX_EXTENT:
         raise FloorPlanError("origin", f"{_short(origin)} lies beyond {MAX_EXTENT:g} m")
-    image = _read_image(path.parent / str(given.get("image")))
+    image = _read_image(path.parent / str(values.get("image")))
     if image.dtype != np.uint8:
         raise FloorPlanError("image", f"holds {image.dtype}, expected uint8")
     grey = np.arange(256.0)
@@ -190,7 +190,7 @@ def _yaml(path: Path) -> dict[Any, Any]:
 
 
 def _read_image(path: Path) -> NDArray[Any]:
-    """The pixels (h, w) of an image: uint8 of PGM and PNG, integers or bools of arrays."""
+    """The pixels (h, w) of an image: uint8 from PGM and PNG, integers or bools from arrays."""
     try:
         content = content_of(path)
         if path.name.endswith((".npy", ".npy.gz")):
@@ -213,12 +213,12 @@ def _read_image(path: Path) -> NDArray[Any]:
 
 
 def _number(field: str, value: Any) -> float:
-    """A finite number of a file."""
+    """A finite number from a file. Raises FloorPlanError for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
         raise FloorPlanError(field, f"{_short(value)} is not a number, or too large")
     return float(value)
 
 
 def _short(value: Any) -> str:
-    """A value of a file in a message: whatever it is, on one line of some length."""
+    """A value from a file, shortened to one line for a message."""
     return reprlib.repr(value)

@@ -1,10 +1,10 @@
 """Seeded floor plans: `office`, `aliased`, `hall`, `loop`.
 
-A generator is a frozen record of parameters, called with an rng.
+A generator is a frozen record of parameters that is called with a random generator.
 
-Every plan is one connected floor for a robot of radius .2 m: rooms are joined by doors, walls have thickness (so that
-the two sides of a wall show different corners), and whatever stands in a room keeps its distance from the doors, from
-the room's centre and from everything else. Coordinates are whole millimetres.
+Every plan is one connected floor for a robot of radius 0.2 m: rooms are joined by doors, walls have thickness (so that
+the two sides of a wall have different corners), and every object in a room keeps its distance from the doors, from the
+room's centre and from all other objects. Coordinates are whole millimetres.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _JAMB = 0.3  # [m] between a door and the corner of its room
 
 
 class _Bay(NamedTuple):
-    """A room off the corridor, as drawn: its size and its door."""
+    """A room off the corridor: its size and its door, as drawn at random."""
 
     width: float  # [m] along the corridor
     depth: float  # [m]
@@ -37,7 +37,7 @@ def _draw_bay(rng: np.random.Generator, width: float, depths: Limits, doors: Lim
 
 
 def _lay_out(draft: Draft, rows: list[list[_Bay]], corridor: float, wall: float) -> list[list[str]]:
-    """Put the first row of rooms above the corridor and the second, mirrored, below it; the names of both."""
+    """Put the first row of rooms above the corridor and the second, mirrored, below it; returns the names by row."""
     length = max(sum(bay.width + wall for bay in row) - wall for row in rows)
     draft.add_room("corridor", Rectangle(0.0, 0.0, round(length, 3), corridor))
     placed: list[list[str]] = []
@@ -65,7 +65,7 @@ def _sided(side: int, corridor: float, x1: float, y1: float, x2: float, y2: floa
 
 @dataclass(frozen=True)
 class _Building:
-    """Rooms off a corridor. Raises ValueError, naming the field, for what cannot be built."""
+    """Rooms off a corridor. Raises ValueError, naming the field, for parameters that cannot be built."""
 
     rooms: int = 9
     room_width: Limits = (3.6, 6.0)  # [m] along the corridor, before stretching
@@ -81,14 +81,14 @@ class _Building:
         check_limits(f"{name}.door_width", self.door_width, _MIN_DOOR, 5.0)
         check_limits(f"{name}.wall_thickness", (self.wall_thickness,) * 2, 0.05, 1.0)
         check_limits(f"{name}.corridor_width", self.corridor_width, 1.5, 20.0)
-        smallest = 1.25 * (self.door_width[1] + 2 * _JAMB)  # a row may be shortened to .8 of its length
+        smallest = 1.25 * (self.door_width[1] + 2 * _JAMB)  # a row may be shortened to 0.8 of its length
         check_limits(f"{name}.room_width", self.room_width, smallest, 50.0)
         check_limits(f"{name}.room_depth", self.room_depth, smallest, 50.0)
 
 
 @dataclass(frozen=True)
 class OfficeGenerator(_Building):
-    """Rooms of different sizes on both sides of a corridor, a door each; some neighbours share a second door.
+    """Rooms of different sizes on both sides of a corridor, each with a door to it; doors also join some neighbours.
 
     The rows of the two sides are stretched towards one length, each by at most a quarter.
     """
@@ -119,7 +119,7 @@ class OfficeGenerator(_Building):
         return draft.finish("office")
 
     def _join(self, draft: Draft, a: str, b: str) -> None:
-        """A door through the wall between two neighbours, a on the left."""
+        """Add a door through the wall between two neighbours, `a` being the left one."""
         left, right = draft.rooms[a], draft.rooms[b]
         bottom, top = max(left.y1, right.y1), min(left.y2, right.y2)
         width = draw(draft.rng, self.door_width)
@@ -129,7 +129,7 @@ class OfficeGenerator(_Building):
 
 @dataclass(frozen=True)
 class AliasedGenerator(_Building):
-    """Identical rooms, equally spaced on both sides of a corridor: only the ends of the corridor tell them apart."""
+    """Identical rooms, equally spaced on both sides of a corridor. Only the ends of the corridor distinguish them."""
 
     rooms: int = 10
     room_width: Limits = (3.6, 4.4)  # [m] along the corridor
@@ -148,7 +148,7 @@ class AliasedGenerator(_Building):
         return draft.finish("aliased")
 
     def _repeat(self, draft: Draft, placed: list[list[str]], corridor: float, pitch: float) -> None:
-        """Put what stands in the first room into all others."""
+        """Copy the contents of the first room to all others."""
         blocked, pillars, furniture = list(draft.blocked), list(draft.pillars), list(draft.furniture)
         for side, row in enumerate(placed):
             y0, sign = side * corridor, 1.0 - 2.0 * side
@@ -165,7 +165,7 @@ class AliasedGenerator(_Building):
 
 @dataclass(frozen=True)
 class HallGenerator:
-    """One large room with irregular pillars."""
+    """One large room with irregularly placed pillars."""
 
     length: Limits = (18.0, 22.0)  # [m]
     width: Limits = (18.0, 22.0)  # [m]
@@ -186,7 +186,7 @@ class HallGenerator:
 
 @dataclass(frozen=True)
 class LoopGenerator:
-    """A corridor round a block, with a few pilasters: who comes back to its start has seen nothing of it on the way."""
+    """A corridor round a block, with a few pilasters. A robot sees its start again only after the whole round."""
 
     length: Limits = (18.0, 22.0)  # [m] outside
     width: Limits = (13.0, 16.0)  # [m] outside
@@ -200,13 +200,13 @@ class LoopGenerator:
 
     def __call__(self, rng: np.random.Generator) -> FloorPlan:
         draft = Draft(rng, self.contents)
-        x, y, wide = draw(rng, self.length), draw(rng, self.width), draw(rng, self.corridor_width)
-        low_x, low_y = round(x - wide, 3), round(y - wide, 3)
-        sides = ((0.0, 0.0, x, wide), (low_x, 0.0, x, y), (0.0, low_y, x, y), (0.0, 0.0, wide, y))
+        x, y, corridor = draw(rng, self.length), draw(rng, self.width), draw(rng, self.corridor_width)
+        low_x, low_y = round(x - corridor, 3), round(y - corridor, 3)
+        sides = ((0.0, 0.0, x, corridor), (low_x, 0.0, x, y), (0.0, low_y, x, y), (0.0, 0.0, corridor, y))
         for name, side in zip(("south", "east", "north", "west"), sides):
             draft.add_room(name, Rectangle(*side))
-        for u in (wide / 2, x - wide / 2):  # where corridors meet nothing stands, for each is open to the other there
-            draft.kept_free += [(u, v, 0.75 * wide) for v in (wide / 2, y - wide / 2)]
+        for u in (corridor / 2, x - corridor / 2):  # corners are kept free, where two corridors meet
+            draft.kept_free += [(u, v, 0.75 * corridor) for v in (corridor / 2, y - corridor / 2)]
         for floor in draft.rooms.values():
             draft.furnish(floor)
         return draft.finish("loop")

@@ -1,7 +1,7 @@
-"""People: scripted discs that stroll through the rooms, and wait for whatever stands in their way.
+"""People: scripted discs that stroll through the rooms and wait for whatever stands in their way.
 
-A stroll leads to a random place some metres of walking away: breadth-first over free cells, then pulled straight. A
-person never walks into the robot, another person or furniture; after waiting too long they go somewhere else.
+A stroll leads to a random place some metres of walking away: a breadth-first path over free cells, straightened. A
+person never walks into the robot, another person or furniture; a person who has waited too long goes elsewhere.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from slam_gym.world.reachability import free_cells, indoor
 
 _CLEARANCE = 0.02  # [m] from walls
 _MARGIN = 0.1  # [m] kept from furniture and other people
-_STROLL = 15.0  # [m] longest way walked at once
+_STROLL = 15.0  # [m] longest path of one stroll
 _PAUSE = 3.0  # [s] longest rest between strolls
-_PATIENCE = 2.0  # [s] of waiting before another way is tried
+_PATIENCE = 2.0  # [s] of waiting before another path is tried
 _START_DISTANCE = 1.5  # [m] from the robot's first position
 _MAX_WAYPOINTS = 64
 
 
 class People:
-    """`count` people of one `radius` [m] and `speed` [m/s] in `plan`, none near `robot` (2,) [m] W at first.
+    """`count` people of equal `radius` [m] and `speed` [m/s] in `plan`, none of whom starts near `robot` (2,) [m] W.
 
-    `keep` [m] is how near the edge of a person and the centre of the robot may come by the person's own walking.
-    Raises ValueError where the plan has no room for so many.
+    `keep` [m] is the least distance from a person's edge to the robot's centre to which a person walks. Raises
+    ValueError where the plan has no room for so many people.
     """
 
     def __init__(
@@ -45,9 +45,9 @@ class People:
         self.discs = np.empty((0, 3))  # (p, 3) [m] x y radius, W
         self.velocities = np.zeros((count, 2))  # [m/s] W, during the present tick
         self._speed, self._keep = speed, keep
-        self._ways = np.zeros((count, _MAX_WAYPOINTS, 2))  # [m] W, centres of free cells
+        self._paths = np.zeros((count, _MAX_WAYPOINTS, 2))  # [m] W, centres of free cells
         self._ahead = np.ones((count, 2), np.int64)  # next waypoint and number of waypoints
-        self._timers = np.zeros((count, 2))  # [s] left to rest, waited
+        self._timers = np.zeros((count, 2))  # [s] rest that is left, time waited
         if count:
             self._walls, self._outlines = wall_grid(plan.walls), outlines(plan.furniture)
             self._cells = free_cells(plan, radius + _CLEARANCE, obstacles=self._outlines)
@@ -55,17 +55,17 @@ class People:
             self._passed = self.discs[:, :2].copy()  # (p, 2) [m] W the waypoint last reached
 
     def walk(self, tick: float, robot: Array, furniture: Array, rng: np.random.Generator) -> None:
-        """Take one tick's steps [s] among the `robot` (2,) [m] W and `furniture` (f, 5)."""
+        """Walk for one `tick` [s] among the `robot` (2,) [m] W and `furniture` (f, 5)."""
         if len(self.discs) == 0:
             return
-        crowd = (self.discs, self.velocities, self._ways, self._ahead, self._passed, self._timers)
+        crowd = (self.discs, self.velocities, self._paths, self._ahead, self._passed, self._timers)
         idle = _walk(tick, self._speed, self._keep, robot, furniture, crowd)
         if idle:
             for person in np.flatnonzero(self._ahead[:, 0] >= self._ahead[:, 1]):
                 self._plan_stroll(int(person), rng)
 
     def _places(self, plan: FloorPlan, count: int, radius: float, robot: Array, rng: np.random.Generator) -> Array:
-        """Where people stand at first: discs (count, 3)."""
+        """The first positions of people: discs (count, 3)."""
         centres = self._cells.centres(indoor(plan, self._cells))
         centres = centres[np.hypot(*(centres - robot).T) >= _START_DISTANCE]
         discs = np.empty((0, 3))
@@ -77,22 +77,22 @@ class People:
         raise ValueError(f"floor plan {plan.name!r} has room for {len(discs)} people, not for {count}")
 
     def _plan_stroll(self, person: int, rng: np.random.Generator) -> None:
-        where, rest = rng.random(2)
+        choice, rest = rng.random(2)
         last = self._passed[person]  # a person who turns back passes it again
-        way = _stroll(self._cells.free, self._cells.origin, self._cells.cell, last, where)
+        path = _stroll(self._cells.free, self._cells.origin, self._cells.cell, last, choice)
         radius = self.discs[person, 2]
-        self._ahead[person] = 0, _pull_straight(self._walls, self._outlines, way, radius, self._ways[person])
+        self._ahead[person] = 0, _straighten(self._walls, self._outlines, path, radius, self._paths[person])
         self._timers[person] = _PAUSE * rest, 0.0
 
 
 _Crowd = tuple[Array, Array, Array, IntArray, Array, Array]
-"""The arrays of `People`: discs, velocities, ways, ahead, passed, timers."""
+"""The arrays of `People`: discs, velocities, paths, ahead, passed, timers."""
 
 
 @compiled
 def _walk(tick: float, speed: float, keep: float, robot: Array, furniture: Array, crowd: _Crowd) -> bool:
-    """Move everybody, one after the other; whether somebody has nowhere to go."""
-    discs, velocities, ways, ahead, passed, timers = crowd
+    """Move all people, one after another; returns whether somebody needs a new path."""
+    discs, velocities, paths, ahead, passed, timers = crowd
     idle = False
     for p in range(discs.shape[0]):
         velocities[p, 0] = velocities[p, 1] = 0.0
@@ -100,10 +100,10 @@ def _walk(tick: float, speed: float, keep: float, robot: Array, furniture: Array
             timers[p, 0] -= tick
             continue
         while ahead[p, 0] < ahead[p, 1]:
-            dx, dy = ways[p, ahead[p, 0], 0] - discs[p, 0], ways[p, ahead[p, 0], 1] - discs[p, 1]
-            left = math.hypot(dx, dy)
-            if left > 1e-9:
-                step = min(speed * tick / left, 1.0)  # fraction of what is left
+            dx, dy = paths[p, ahead[p, 0], 0] - discs[p, 0], paths[p, ahead[p, 0], 1] - discs[p, 1]
+            remaining = math.hypot(dx, dy)
+            if remaining > 1e-9:
+                step = min(speed * tick / remaining, 1.0)  # fraction of the remaining distance
                 if _blocked(p, discs[p, 0] + step * dx, discs[p, 1] + step * dy, keep, robot, furniture, discs):
                     timers[p, 1] += tick
                     if timers[p, 1] > _PATIENCE:
@@ -114,7 +114,7 @@ def _walk(tick: float, speed: float, keep: float, robot: Array, furniture: Array
                     discs[p, 0] += step * dx
                     discs[p, 1] += step * dy
                 break
-            passed[p, 0], passed[p, 1] = ways[p, ahead[p, 0], 0], ways[p, ahead[p, 0], 1]
+            passed[p, 0], passed[p, 1] = paths[p, ahead[p, 0], 0], paths[p, ahead[p, 0], 1]
             ahead[p, 0] += 1
         idle = idle or ahead[p, 0] >= ahead[p, 1]
     return idle
@@ -122,7 +122,7 @@ def _walk(tick: float, speed: float, keep: float, robot: Array, furniture: Array
 
 @compiled
 def _blocked(person: int, x: float, y: float, keep: float, robot: Array, furniture: Array, discs: Array) -> bool:
-    """Whether a step of `person` to (x, y) comes too near to something, and nearer than they are."""
+    """Whether a step of `person` to (x, y) comes too near to something, and nearer than before the step."""
     from_x, from_y, radius = discs[person, 0], discs[person, 1], discs[person, 2]
     gap = math.hypot(x - robot[0], y - robot[1])
     if gap < radius + keep and gap < math.hypot(from_x - robot[0], from_y - robot[1]):
@@ -137,13 +137,16 @@ def _blocked(person: int, x: float, y: float, keep: float, robot: Array, furnitu
 
 
 @compiled
-def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, where: float) -> Array:
-    """A way (q, 2) [m] over free cells from that of `place` (2,) to one of the farther half of those within reach."""
+def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, choice: float) -> Array:
+    """A path (q, 2) [m] over free cells from that of `place` (2,) to one of the farther half of the cells in reach.
+
+    `choice` in [0, 1) selects the destination.
+    """
     rows, columns = free.shape
     start = round((place[1] - origin[1]) / cell) * columns + round((place[0] - origin[0]) / cell)
     parents, steps = np.zeros(rows * columns, np.int64), np.zeros(rows * columns, np.int64)
     queue = np.empty(rows * columns, np.int64)
-    steps[start], queue[0], head, tail = 1, start, 0, 1  # steps from the start, plus 1: 0 where nobody came yet
+    steps[start], queue[0], head, tail = 1, start, 0, 1  # steps from the start, plus 1; 0 where not visited
     while head < tail:
         c = queue[head]
         head += 1
@@ -155,25 +158,25 @@ def _stroll(free: BoolArray, origin: Array, cell: float, place: Array, where: fl
             if 0 <= row < rows and 0 <= column < columns and free[row, column] and steps[n] == 0:
                 parents[n], steps[n], queue[tail] = c, steps[c] + 1, n
                 tail += 1
-    c = queue[min(int((0.5 + 0.5 * where) * tail), tail - 1)]
-    way = np.empty((steps[c], 2))
+    c = queue[min(int((0.5 + 0.5 * choice) * tail), tail - 1)]
+    path = np.empty((steps[c], 2))
     for k in range(steps[c] - 1, -1, -1):
-        way[k, 0], way[k, 1] = origin[0] + cell * (c % columns), origin[1] + cell * (c // columns)
+        path[k, 0], path[k, 1] = origin[0] + cell * (c % columns), origin[1] + cell * (c // columns)
         c = parents[c]
-    return way
+    return path
 
 
 @compiled
-def _pull_straight(packed: Packed, outlines: Array, way: Array, radius: float, waypoints: Array) -> int:
-    """Write as few points of `way` (q, 2) to `waypoints` as lead a disc straight from one to the next; how many."""
-    grid, x, y = Grid(*packed), way[0, 0], way[0, 1]
+def _straighten(packed: Packed, outlines: Array, path: Array, radius: float, waypoints: Array) -> int:
+    """Write to `waypoints` points of `path` (q, 2) between which a disc can move straight; returns their number."""
+    grid, x, y = Grid(*packed), path[0, 0], path[0, 1]
     waypoints[0, 0], waypoints[0, 1] = x, y
     count, here = 1, 0
-    while here < len(way) - 1 and count < len(waypoints):
+    while here < len(path) - 1 and count < len(waypoints):
         there = here + 1
-        while there < len(way) - 1 and _passable(grid, outlines, x, y, way[there + 1, 0], way[there + 1, 1], radius):
+        while there < len(path) - 1 and _passable(grid, outlines, x, y, path[there + 1, 0], path[there + 1, 1], radius):
             there += 1
-        x, y, here = way[there, 0], way[there, 1], there
+        x, y, here = path[there, 0], path[there, 1], there
         waypoints[count, 0], waypoints[count, 1] = x, y
         count += 1
     return count
@@ -181,7 +184,7 @@ def _pull_straight(packed: Packed, outlines: Array, way: Array, radius: float, w
 
 @compiled
 def _passable(grid: Grid, outlines: Array, x1: float, y1: float, x2: float, y2: float, radius: float) -> bool:
-    """Whether a disc fits between walls and furniture all the way: its middle and both flanks see the far end."""
+    """Whether a disc can move straight from (x1, y1) to (x2, y2): lines along its centre and both flanks are free."""
     dx, dy = x2 - x1, y2 - y1
     length, movers = math.hypot(dx, dy), Movers(np.empty((0, 3)), outlines)
     for flank in (-radius, 0.0, radius):

@@ -1,8 +1,8 @@
 """The physical world in pymunk: static walls, a differential-drive robot, furniture that it can push, people.
 
-Seen from above, so nothing falls; friction on the floor is a joint to the ground that bears a bounded force. A world
-is built anew for every episode: a pymunk space whose bodies are put back diverges from a fresh one. The same plan,
-start, generator state and actions give the same trajectory, bit for bit.
+The world is seen from above and has no gravity; friction on the floor is a joint to the ground with a bounded force.
+Every episode builds a new world, since a pymunk space whose bodies are put back diverges from a fresh one. The same
+plan, start, generator state and actions give the same trajectory, bit for bit.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from slam_gym.world.floor_plan import FloorPlan
 from slam_gym.world.people import People
 from slam_gym.world.ray_casting import NO_DISCS, outlines, wall_grid
 
-_OVERLAP = 1e-3  # [m] that touching bodies keep, so that contacts last
-_OVERLAP_LEFT = 0.5  # fraction of any more overlap that is left after a substep
+_OVERLAP = 1e-3  # [m] overlap that touching bodies keep, so that contacts last
+_OVERLAP_LEFT = 0.5  # fraction of any further overlap that is left after a substep
 _LEVER = 0.38  # mean distance from the centre of a square of side 1 to its points
 _SETTLED = 3  # ticks after the last touch in which pymunk still remembers it
 _FAR_AWAY = (1e6, 1e6, 0.0, 0.0)  # [m] x, y, [m/s] velocities
@@ -49,13 +49,13 @@ class RobotSpec:
 
 @dataclass(frozen=True)
 class DynamicsSpec:
-    """Time, and what moves beside the robot."""
+    """Time steps, friction, furniture and people."""
 
     tick: float = 0.1  # [s]
     substeps: int = 2  # physics steps in a tick
-    friction: float = 0.3  # between bodies that touch
-    furniture_density: float = 15.0  # [kg/m²] of the floor that it covers
-    furniture_friction: float = 0.25  # on the floor
+    friction: float = 0.3  # coefficient between bodies that touch
+    furniture_density: float = 15.0  # [kg/m²] mass per floor area that it covers
+    furniture_friction: float = 0.25  # coefficient on the floor
     people: int = 0
     person_radius: float = 0.25  # [m]
     person_speed: float = 0.8  # [m/s]
@@ -67,15 +67,15 @@ class DynamicsSpec:
 @quick
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What one tick did to the robot."""
+    """The robot's motion in one tick."""
 
-    moved: Array  # (3,) [m, m, rad] its pose at the end of the tick, in R at the tick's start
-    wheels: Array  # (3,) [m, m, rad] the same as the wheels turned: another one where they slipped
-    contact: bool  # it touched something during the tick
+    moved: Array  # (3,) [m, m, rad] pose at the end of the tick, in R at the tick's start
+    wheels: Array  # (3,) [m, m, rad] the same by the turning of the wheels; it differs where they slipped
+    contact: bool  # the robot touched something during the tick
 
 
-class _Touch:
-    """What the collision callbacks note; apart from World, so that the space does not keep its world alive."""
+class _Contacts:
+    """What the collision callbacks record; separate from World, so that the space does not keep its world alive."""
 
     robot = 0  # bodies that touch the robot now
     robot_in_tick = False  # something touched it during this tick
@@ -83,9 +83,9 @@ class _Touch:
 
 
 class World:
-    """A floor plan with a robot at `start` (3,) W, built from nothing; `rng` draws where people stand and walk.
+    """A physical world of `plan` with the robot at `start` (3,) W; `rng` draws where people stand and walk.
 
-    Raises ValueError where `start` is not finite or there is no room for so many people.
+    Raises ValueError where `start` is not finite or the plan has no room for so many people.
     """
 
     def __init__(
@@ -100,8 +100,8 @@ class World:
             raise ValueError(f"start must be a finite pose (3,), not {start}")
         self.robot, self.dynamics, self._rng = robot, dynamics, rng
         self._step = self.dynamics.tick / self.dynamics.substeps
-        self._touch = _Touch()
-        self._space = _empty_space(self._step, self._touch)
+        self._contacts = _Contacts()
+        self._space = _empty_space(self._step, self._contacts)
         self._add_walls(plan.walls)
         self._walls = wall_grid(plan.walls)
         self.furniture = plan.furniture.copy()  # (f, 5) [m, m, m, m, rad] x y length width heading, W
@@ -109,11 +109,11 @@ class World:
         self._pieces = [self._add_furniture(box) for box in self.furniture]
         self._body = self._add_robot(start)
         self.pose = np.array([start[0], start[1], wrap_angle(start[2])])  # (3,) [m, m, rad] W
-        self._figures = _figures(robot, self._step, dynamics.substeps, self._body.moment)
-        self._state = np.zeros(driving.ENTRIES)  # of the robot; its body is told when it may touch something
+        self._drive_parameters = _drive_parameters(robot, self._step, dynamics.substeps, self._body.moment)
+        self._state = np.zeros(driving.ENTRIES)  # of the robot; its body follows only when it may touch something
         self._state[: driving.VX] = start
-        driving.entered(self._state, robot.radius)
-        self._body_knows, self._alone = True, _SETTLED  # … that; ticks since anything touched the robot
+        driving.update_tree_entry(self._state, robot.radius)
+        self._body_is_current, self._ticks_without_contact = True, _SETTLED
         keep = self.robot.radius + self.robot.max_speed * self.dynamics.tick + 0.05
         self._people = People(
             plan,
@@ -142,59 +142,59 @@ class World:
         if not self._drive_freely(forward, turn, motion):
             self._drive_among_others(forward, turn, motion)
         self.pose = motion[0]
-        return Motion(motion[1], motion[2], self._touch.robot_in_tick)
+        return Motion(motion[1], motion[2], self._contacts.robot_in_tick)
 
     def _drive_freely(self, forward: float, turn: float, motion: Array) -> bool:
-        """The tick of a robot that touches nothing and moves nothing; False, and nothing done, where it may."""
-        if self._alone < _SETTLED or self._walkers or self._touch.furniture:
+        """One tick without pymunk; False, and nothing done, if the robot may touch something or anything else moves."""
+        if self._ticks_without_contact < _SETTLED or self._walkers or self._contacts.furniture:
             return False
-        figures, furniture = self._figures, self.furniture
-        free = driving.drive_freely(self._walls, furniture, figures, forward, turn, self._state, motion)
-        self._touch.robot_in_tick, self._body_knows = False, self._body_knows and not free
+        parameters, furniture = self._drive_parameters, self.furniture
+        free = driving.drive_freely(self._walls, furniture, parameters, forward, turn, self._state, motion)
+        self._contacts.robot_in_tick, self._body_is_current = False, self._body_is_current and not free
         return free
 
     def _drive_among_others(self, forward: float, turn: float, motion: Array) -> None:
-        """The tick with whatever touches, by pymunk."""
-        self._touch.robot_in_tick = self._touch.robot > 0
+        """One tick by pymunk, with contacts."""
+        self._contacts.robot_in_tick = self._contacts.robot > 0
         self._people.walk(self.dynamics.tick, self.pose[:2], self.furniture, self._rng)
         for walker, (vx, vy) in zip(self._walkers, self._people.velocities.tolist()):
             walker.velocity = (vx, vy)
-        if not self._body_knows:
-            self._tell_body()
+        if not self._body_is_current:
+            self._move_body()
         state, body, motion[2] = self._state, self._body, 0.0
         for _ in range(self.dynamics.substeps):
-            x, y, torque = driving.push(self._figures, forward, turn, state, motion[2])
+            x, y, torque = driving.push(self._drive_parameters, forward, turn, state, motion[2])
             body.force, body.torque = (x, y), torque
             self._space.step(self._step)
             state[: driving.VX] = *body.position, body.angle
-            driving.entered(state, self.robot.radius)
-            state[driving.VX : driving.RIM] = *body.velocity, body.angular_velocity
-        if self._touch.furniture:
+            driving.update_tree_entry(state, self.robot.radius)
+            state[driving.VX : driving.WHEEL_SPEED] = *body.velocity, body.angular_velocity
+        if self._contacts.furniture:
             self._follow_furniture()
-        self._alone = 0 if self._touch.robot_in_tick else self._alone + 1
+        self._ticks_without_contact = 0 if self._contacts.robot_in_tick else self._ticks_without_contact + 1
         driving.end_of_tick(state, motion)
 
-    def _tell_body(self) -> None:
-        """Put the body where the robot has driven to meanwhile."""
-        x, y, heading, vx, vy, turning, _, _, *entered = self._state[: driving.BOX].tolist()
+    def _move_body(self) -> None:
+        """Move the body in pymunk to the robot's present state."""
+        x, y, heading, vx, vy, turning, _, _, *last_entry = self._state[: driving.BOX].tolist()
         body = self._body
-        for place in (_FAR_AWAY, entered):  # out of the box that the tree has of it, so that it is entered anew
+        for place in (_FAR_AWAY, last_entry):  # first out of its box in the tree, so that pymunk enters it again
             body.position, body.velocity = tuple(place[:2]), tuple(place[2:])
             self._space.reindex_shapes_for_body(body)
         body.position, body.angle, body.velocity, body.angular_velocity = (x, y), heading, (vx, vy), turning
-        self._body_knows = True
+        self._body_is_current = True
 
     def place(self, pose: Array) -> None:
-        """Carry the robot to `pose` (3,) W and put it down at rest. Raises ValueError where that is not finite."""
+        """Put the robot at `pose` (3,) W, at rest. Raises ValueError where `pose` is not finite."""
         if np.shape(pose) != (3,) or not np.isfinite(pose).all():
             raise ValueError(f"pose must be a finite pose (3,), not {pose}")
-        self._state[: driving.ENTERED] = *pose.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0
-        driving.entered(self._state, self.robot.radius)
-        self._tell_body()
+        self._state[: driving.ENTRY] = *pose.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0
+        driving.update_tree_entry(self._state, self.robot.radius)
+        self._move_body()
         self.pose = np.array([pose[0], pose[1], wrap_angle(pose[2])])
 
     def _follow_furniture(self) -> None:
-        """Take over where the furniture is, until all of it sleeps. Arrays handed out earlier stay as they are."""
+        """Read the furniture's poses from pymunk, until all of it sleeps. Arrays returned earlier stay unchanged."""
         furniture, moving = self.furniture.copy(), False
         for row, body in zip(furniture, self._pieces):
             if not body.is_sleeping:
@@ -202,7 +202,7 @@ class World:
                 row[4] = body.angle
                 moving = True
         self.furniture, self.furniture_segments = furniture, outlines(furniture)
-        self._touch.furniture = moving
+        self._contacts.furniture = moving
 
     def _add_walls(self, walls: Array) -> None:
         ground = self._space.static_body
@@ -223,7 +223,7 @@ class World:
         return self._add(body, pymunk.Circle(body, float(disc[2])), _PERSON, _ROBOT)
 
     def _add_furniture(self, box: Array) -> pymunk.Body:
-        """A box that rubs on the floor: joints to the ground hold it with as much force and torque as friction does."""
+        """A box with friction on the floor: joints to the ground hold it with the force and torque of friction."""
         x, y, length, width, heading = box.tolist()
         mass = self.dynamics.furniture_density * length * width
         body = pymunk.Body(mass, pymunk.moment_for_box(mass, (length, width)))
@@ -248,32 +248,32 @@ class World:
         return body
 
 
-def _figures(robot: RobotSpec, step: float, substeps: int, moment: float) -> driving.PackedFigures:
+def _drive_parameters(robot: RobotSpec, step: float, substeps: int, moment: float) -> driving.PackedDriveParameters:
     limits = robot.max_speed, robot.max_turn, robot.max_acceleration, robot.max_angular_acceleration
-    real = (robot.radius, robot.mass, moment, *limits, robot.traction)
-    return (float(step), int(substeps), *map(float, real))  # type: ignore[return-value]
+    reals = (robot.radius, robot.mass, moment, *limits, robot.traction)
+    return (float(step), int(substeps), *map(float, reals))  # type: ignore[return-value]
 
 
-def _empty_space(step: float, touch: _Touch) -> pymunk.Space:
-    """A space in SI units (pymunk's own settings suit pixels) that notes in `touch` who touches whom."""
+def _empty_space(step: float, contacts: _Contacts) -> pymunk.Space:
+    """A space in SI units (pymunk's defaults suit pixels) whose callbacks record contacts in `contacts`."""
     space = pymunk.Space()
     space.collision_slop = _OVERLAP
     space.collision_bias = _OVERLAP_LEFT ** (1.0 / step)
     space.idle_speed_threshold = 0.01  # [m/s]
     space.sleep_time_threshold = 0.3  # [s]
-    space.on_collision(_ROBOT, None, begin=_robot_touches, separate=_robot_lets_go, data=touch)
-    space.on_collision(_FURNITURE, None, begin=_furniture_touched, data=touch)
+    space.on_collision(_ROBOT, None, begin=_robot_touches, separate=_robot_lets_go, data=contacts)
+    space.on_collision(_FURNITURE, None, begin=_furniture_touched, data=contacts)
     return space
 
 
-def _robot_touches(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> None:
-    touch.robot += 1
-    touch.robot_in_tick = True
+def _robot_touches(arbiter: pymunk.Arbiter, space: pymunk.Space, contacts: Any) -> None:
+    contacts.robot += 1
+    contacts.robot_in_tick = True
 
 
-def _robot_lets_go(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> None:
-    touch.robot -= 1
+def _robot_lets_go(arbiter: pymunk.Arbiter, space: pymunk.Space, contacts: Any) -> None:
+    contacts.robot -= 1
 
 
-def _furniture_touched(arbiter: pymunk.Arbiter, space: pymunk.Space, touch: Any) -> None:
-    touch.furniture = True
+def _furniture_touched(arbiter: pymunk.Arbiter, space: pymunk.Space, contacts: Any) -> None:
+    contacts.furniture = True

@@ -1,7 +1,7 @@
-"""Occupancy grids → floor plans: real buildings as worlds. Needs the extra `maps`.
+"""Floor plans from occupancy grids: real buildings as worlds. Needs the extra `maps`.
 
-Images are grey: dark = wall, light = free, and whatever lies between (a ROS map's 205) is unknown and counts as wall.
-Row 0 is the upper edge, so y = (h − row) · resolution.
+Images are grey: dark = wall, light = free; levels between (such as a ROS map's 205) are unknown and count as wall. Row
+0 is the upper edge, so y = (h − row) · resolution.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _PASSAGE = 1.0  # [m] deepest doorway: unlabelled free pixels between two labell
 _OPENING = 0.5  # [m] passages and spikes narrower than this are closed in maps without labels
 _MIN_ROOM = 1.0  # [m²]
 _SPECK = 0.05  # [m²] smaller obstacles in maps without labels are noise
-_SIZEABLE = 4.0  # [m²] an enclosed part of at least this area is a floor
-_DRAWN, _MEASURED = 0.8, 1.25  # [pixels] by how much outlines may be simplified in maps with and without labels
+_MIN_FLOOR = 4.0  # [m²] an enclosed part of at least this area is a floor
+_DRAWN, _MEASURED = 0.8, 1.25  # [pixels] tolerance of simplified outlines in maps with and without labels
 _MIN_DOOR = 0.3  # [m]
 _MAX_DOOR = 3.0  # [m] rooms that meet along more than this are open to each other
-_MAX_OPENING = 1.2e10  # pixels of an image times those of the opening that is looked for everywhere in it
+_MAX_OPENING = 1.2e10  # pixels of an image times pixels of the square by which it is opened
 _MAX_ROOMS = 2_000
 _JAMB_REACH = 0.4  # [m] from the end of a door line to the corners that frame it
-_EXTENT = 0.4  # [m] how far before and after a corner its walls are looked at
+_EXTENT = 0.4  # [m] length of wall before and after a corner over which its turn is measured
 _TURN = np.deg2rad(40.0)  # smallest change of direction at a corner
-_APART = 0.3  # [m] between two corners
+_MIN_DISTANCE = 0.3  # [m] between two corners
 _PILLAR = (0.15, 1.0)  # [m] an island of this diameter is a pillar; a smaller one is noise, a larger one has corners
-_MAX_WORK = 10_000**2  # sum of the squares of the vertices of all rings, which `straightened` takes a time like
+_MAX_WORK = 10_000**2  # sum over all rings of their squared numbers of vertices, the cost of `straightened`
 
 Mask = NDArray[np.uint8]  # (h, w), 0 or 1
 
@@ -52,9 +52,9 @@ def from_raster(
 
     `resolution` [m/pixel]; `valid` (h, w) integer room labels, 0 = wall or outside; `origin` [m] W of the lower left
     corner. With labels, free = occupancy ∩ (labelled ∪ doorways), a doorway being a straight run of unlabelled free
-    pixels, at most 1 m long, from one labelled pixel to another. Without labels there is one room: the largest free
-    part that does not touch the image's border (if only one does, that one), after everything narrower than 0.5 m is
-    closed. Raises FloorPlanError, naming what is wrong.
+    pixels, at most 1 m long, from one labelled pixel to another. Without labels, everything narrower than 0.5 m is
+    closed, and there is one room: the largest free part that does not touch the image's border, or, if no such part has
+    4 m², the largest of all. Raises FloorPlanError, naming the field at fault.
     """
     occupancy = _checked(occupancy, resolution, valid)
     free = (occupancy > FREE_ABOVE).astype(np.uint8)
@@ -74,7 +74,7 @@ def from_raster(
 
 
 def import_cv2() -> Any:
-    """OpenCV, or ImportError naming the extra that brings it."""
+    """Import OpenCV. Raises ImportError, naming the extra that installs it."""
     try:
         import cv2
     except ImportError as error:
@@ -84,14 +84,14 @@ def import_cv2() -> Any:
 
 @dataclass(frozen=True)
 class _Frame:
-    """Pixels of an image → W."""
+    """The transformation from pixels of an image to W."""
 
     height: int  # [pixel]
     resolution: float  # [m/pixel]
     origin: tuple[float, float]  # [m] W of the lower left corner
 
     def __call__(self, points: Array) -> Array:
-        """(n, 2) [pixel], x to the right and y down from the upper edge → (n, 2) [m] W."""
+        """Points (n, 2) [m] W of `points` (n, 2) [pixel], x to the right and y down from the upper edge."""
         flipped = np.stack([points[:, 0], self.height - points[:, 1]], axis=1)
         return np.asarray(np.round(self.origin + self.resolution * flipped, 4))
 
@@ -116,14 +116,14 @@ def _checked(occupancy: NDArray[Any], resolution: float, valid: NDArray[Any] | N
 
 
 def _largest(free: Mask) -> Mask:
-    """The largest 4-connected part."""
+    """The largest 4-connected part of `free`."""
     cv2 = import_cv2()
     count, parts, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=4)
     return np.asarray(parts == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]), np.uint8) if count > 1 else free
 
 
 def _doorways(free: Mask, labelled: NDArray[np.bool_], longest: int) -> NDArray[np.bool_]:
-    """Straight runs of at most `longest` unlabelled free pixels from a labelled pixel to another."""
+    """(h, w) the straight runs of at most `longest` unlabelled free pixels from one labelled pixel to another."""
     doorway = np.zeros(free.shape, dtype=bool)
     for gaps, inside, out in (
         ((free > 0) & ~labelled, labelled, doorway),
@@ -142,11 +142,11 @@ def _doorways(free: Mask, labelled: NDArray[np.bool_], longest: int) -> NDArray[
 
 
 def _enclosed(free: Mask, resolution: float) -> Mask:
-    """The floor in a map without labels: specks filled, spikes cut, what lies outside dropped."""
+    """The floor in a map without labels: specks are filled, spikes cut, and free space outside is dropped."""
     cv2 = import_cv2()
     _, parts, stats, _ = cv2.connectedComponentsWithStats(1 - free, connectivity=8)
     speck = stats[:, cv2.CC_STAT_AREA] * resolution**2 < _SPECK
-    speck[0] = False  # component 0 is what is free
+    speck[0] = False  # component 0 is free space
     free = free | speck[parts].astype(np.uint8)
     free = _opened(free, _OPENING / resolution)
     _, parts, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=4)
@@ -155,15 +155,15 @@ def _enclosed(free: Mask, resolution: float) -> Mask:
     border = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
     inner = areas.copy()
     inner[border] = 0
-    if inner.max() * resolution**2 >= _SIZEABLE:
+    if inner.max() * resolution**2 >= _MIN_FLOOR:
         areas = inner
     return _opened(np.asarray((parts == np.argmax(areas)) & (free > 0), np.uint8), _OPENING / resolution, one_part=True)
 
 
 def _opened(free: Mask, width: float, one_part: bool = False) -> Mask:
-    """What a square of `width` [pixels] can cover, turned to any of four orientations, so that corners stay sharp.
+    """The opening of `free` by a square of `width` [pixels] in four orientations, so that corners stay sharp.
 
-    With `one_part`, only what it covers from the largest connected part of its centre's places.
+    With `one_part`, the square's centre stays in the largest connected part of the places where it fits.
     """
     cv2 = import_cv2()
     reach = max(1, round(0.75 * width))
@@ -180,12 +180,12 @@ def _opened(free: Mask, width: float, one_part: bool = False) -> Mask:
 
 
 def _outermost(name: str, rings: list[Array]) -> Room:
-    """The room in the largest of its outlines [m]."""
+    """The room within the largest of the outlines `rings`, each (p, 2) [m]."""
     return max((Room(name, ring) for ring in rings), key=lambda room: room.area)
 
 
 def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
-    """One room per connected part of a label, and a door wherever two of them meet along a short line."""
+    """One room per connected part of a label, and a door wherever two rooms meet along a short line."""
     cv2 = import_cv2()
     labels, compact = np.unique(np.where(free > 0, valid, 0), return_inverse=True)
     compact = compact.reshape(valid.shape)
@@ -202,7 +202,7 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
         offset = np.array([box[1].start, box[0].start])
         for part in 1 + np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] * frame.resolution**2 >= _MIN_ROOM):
             rings = trace((parts == part).astype(np.uint8), frame.resolution, _DRAWN).rings
-            if not rings:  # a few large pixels
+            if not rings:  # a room of a few large pixels
                 continue
             name = f"room {label}" if all(room.name != f"room {label}" for room in rooms) else f"room {label}.{part}"
             rooms.append(_outermost(name, [frame(ring + offset) for ring in rings]))
@@ -213,7 +213,7 @@ def _rooms_and_doors(free: Mask, valid: NDArray[Any], frame: _Frame) -> tuple[tu
 
 
 def _spread(index: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Every pixel that has no room gets the nearest one's."""
+    """`index` (h, w) with every pixel without a room assigned to the nearest room."""
     cv2 = import_cv2()
     _, nearest = cv2.distanceTransformWithLabels(
         (index == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
@@ -224,8 +224,8 @@ def _spread(index: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _doors(index: NDArray[np.int32], rooms: list[Room], frame: _Frame) -> tuple[Door, ...]:
-    """Doors from the lines along which pixels of two rooms touch."""
-    contacts = []  # y, x [pixel] of the middle between the two pixels, and the two rooms
+    """The doors on the lines along which pixels of two rooms touch."""
+    contacts = []  # x, y [pixel] of the middle between the two pixels, and the two rooms
     for dy, dx in ((0, 1), (1, 0)):
         a, b = index[: index.shape[0] - dy, : index.shape[1] - dx], index[dy:, dx:]
         y, x = np.nonzero((a != b) & (a > 0) & (b > 0))
@@ -248,14 +248,14 @@ def _doors(index: NDArray[np.int32], rooms: list[Room], frame: _Frame) -> tuple[
 
 
 def _features(outlines: Outlines, rings: list[Array], doors: tuple[Door, ...], frame: _Frame) -> Features:
-    """Corners of the walls, those that frame a door as jambs; islands as pillars."""
-    found = [corners(ring) for ring, pillar in zip(rings, outlines.is_pillar) if not pillar]
-    positions = np.vstack([np.zeros((0, 2)), *(position for position, _ in found)])
-    sizes = np.clip(np.concatenate([np.zeros(0), *(size for _, size in found)]), frame.resolution, MAX_CORNER_SIZE)
+    """The features: corners of the walls, as door jambs where they frame a door, and small islands as pillars."""
+    by_ring = [corners(ring) for ring, pillar in zip(rings, outlines.is_pillar) if not pillar]
+    positions = np.vstack([np.zeros((0, 2)), *(position for position, _ in by_ring)])
+    sizes = np.clip(np.concatenate([np.zeros(0), *(size for _, size in by_ring)]), frame.resolution, MAX_CORNER_SIZE)
     kinds = np.full(len(positions), int(Kind.CORNER))
     for door in doors:
-        off = np.abs(np.hypot(*(positions - door.position).T) - door.width / 2)
-        jamb = off < _JAMB_REACH
+        from_end = np.abs(np.hypot(*(positions - door.position).T) - door.width / 2)
+        jamb = from_end < _JAMB_REACH
         kinds[jamb], sizes[jamb] = int(Kind.DOOR_JAMB), door.width
     kept = thinned(positions, kinds.astype(np.float64))
     centres, diameters = frame(outlines.pillars[:, :2]), outlines.pillars[:, 2] * frame.resolution
@@ -278,24 +278,24 @@ class Outlines:
 def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
     """Outlines of `mask` along the edges of its pixels of side `pixel` [m], simplified by at most `tolerance` [pixels].
 
-    The mask is traced on a lattice of twice its density, on which the edges between free and blocked pixels are nodes
-    of their own: passages keep their full width. Simplification is Douglas and Peucker's (1973).
+    The mask is traced on a lattice of twice its density, in which edges between free and blocked pixels are nodes, so
+    that passages keep their full width. Simplification is by the algorithm of Douglas and Peucker (1973).
     """
     cv2 = import_cv2()
     lattice = np.zeros((2 * mask.shape[0] + 1, 2 * mask.shape[1] + 1), dtype=np.uint8)
     lattice[1::2, 1::2] = mask
     lattice = cv2.dilate(lattice, np.ones((3, 3), np.uint8))
-    found, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    contours, hierarchy = cv2.findContours(lattice, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings, pillars, is_pillar = [], [], []
-    left = _MAX_WORK
-    for contour, (_, _, _, parent) in zip(found, hierarchy[0] if len(found) else []):
+    work_left = _MAX_WORK
+    for contour, (_, _, _, parent) in zip(contours, hierarchy[0] if len(contours) else []):
         (x, y), radius = cv2.minEnclosingCircle(contour) if parent >= 0 else ((0.0, 0.0), np.inf)
         diameter = radius * pixel  # a lattice step is half a pixel, so radius in steps = diameter in pixels
         if diameter < _PILLAR[0]:
             continue
         contour = cv2.approxPolyDP(_with_corners(contour[:, 0], lattice)[:, None], 2.0 * tolerance, True)
-        left -= len(contour) ** 2
-        if left < 0:
+        work_left -= len(contour) ** 2
+        if work_left < 0:
             raise FloorPlanError("occupancy", "its outlines have too many corners: noise is no floor")
         ring = straightened(contour[:, 0] / 2.0)
         if len(ring) < 3:
@@ -308,7 +308,7 @@ def trace(mask: Mask, pixel: float, tolerance: float) -> Outlines:
 
 
 def _with_corners(contour: NDArray[np.int32], lattice: Mask) -> NDArray[np.int32]:
-    """The contour (n, 2) with the node put back at every corner that the tracing cuts by a diagonal step."""
+    """`contour` (n, 2) with a node inserted at every corner that the tracing cuts by a diagonal step."""
     following = np.roll(contour, -1, axis=0)
     cut = np.flatnonzero((contour != following).all(axis=1))
     one = np.stack([contour[cut, 0], following[cut, 1]], axis=1)
@@ -318,36 +318,36 @@ def _with_corners(contour: NDArray[np.int32], lattice: Mask) -> NDArray[np.int32
 
 
 def straightened(ring: Array) -> Array:
-    """The ring (p, 2) without vertices at which it hardly turns or turns back on itself."""
+    """`ring` (p, 2) [pixels] without vertices at which it hardly turns or turns back on itself."""
     while len(ring) >= 3:
         before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
         cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-        off = np.abs(cross) / np.maximum(np.hypot(*(before + after).T), 1e-9)  # distance from its neighbours' chord
-        worst = int(np.argmin(off))
-        if off[worst] > 0.25:
+        distances = np.abs(cross) / np.maximum(np.hypot(*(before + after).T), 1e-9)  # from the neighbours' chord
+        flattest = int(np.argmin(distances))
+        if distances[flattest] > 0.25:
             break
-        ring = np.delete(ring, worst, axis=0)
+        ring = np.delete(ring, flattest, axis=0)
     return ring
 
 
 def corners(ring: Array) -> tuple[Array, Array]:
-    """The corners (c, 2) of a ring (p, 2) [m], and for each the shorter [m] of the edges that meet there, (c,).
+    """The corners (c, 2) [m] of `ring` (p, 2) [m], and (c,) [m] the shorter of the edges that meet at each.
 
-    A corner is a vertex at which the direction over the last 0.4 m and that over the next differ by 40° or more: the
-    ends of thin walls count and small steps do not. Of corners closer than 0.3 m the sharper stays.
+    A corner is a vertex at which the directions over the last and the next 0.4 m differ by 40° or more, so that the
+    ends of thin walls count and small steps do not. Of corners closer than 0.3 m, the sharpest remains.
     """
     edges = np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)
     length = float(edges.sum())
     if length < 4 * _EXTENT:
         return np.zeros((0, 2)), np.zeros(0)
-    at = np.concatenate([[0.0], np.cumsum(edges)])
+    lengths = np.concatenate([[0.0], np.cumsum(edges)])  # along the ring, up to each vertex
     closed = np.vstack([ring, ring[:1]])
 
     def along(s: Array) -> Array:
         s = np.mod(s, length)
-        return np.stack([np.interp(s, at, closed[:, 0]), np.interp(s, at, closed[:, 1])], axis=1)
+        return np.stack([np.interp(s, lengths, closed[:, 0]), np.interp(s, lengths, closed[:, 1])], axis=1)
 
-    before, after = ring - along(at[:-1] - _EXTENT), along(at[:-1] + _EXTENT) - ring
+    before, after = ring - along(lengths[:-1] - _EXTENT), along(lengths[:-1] + _EXTENT) - ring
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     turn = np.abs(np.arctan2(cross, np.sum(before * after, axis=1)))
     sharp = np.flatnonzero(turn >= _TURN)
@@ -355,11 +355,11 @@ def corners(ring: Array) -> tuple[Array, Array]:
     return ring[sharp][kept], np.minimum(edges, np.roll(edges, 1))[sharp][kept]
 
 
-def thinned(points: Array, weights: Array, apart: float = _APART) -> IntArray:
-    """Indices of `points` (n, 2) [m], heaviest first kept, so that no two are closer than `apart`, in their order."""
+def thinned(points: Array, weights: Array, distance: float = _MIN_DISTANCE) -> IntArray:
+    """Indices, in order, of `points` (n, 2) [m] chosen by falling weight so that no two are closer than `distance`."""
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
-    near = cKDTree(points).query_ball_point(points, apart * (1.0 - 1e-9))
+    near = cKDTree(points).query_ball_point(points, distance * (1.0 - 1e-9))
     dropped = np.zeros(len(points), dtype=bool)
     for i in np.argsort(-weights, kind="stable"):
         if not dropped[i]:

@@ -1,10 +1,10 @@
-"""Line of sight over thousands of walls: a uniform grid of cells, each with the walls that touch it, walked by rays.
+"""Ray casting among thousands of walls, over a uniform grid whose cells list the walls that touch them.
 
 A ray visits cells in the order in which it crosses them (the digital differential analyser of Amanatides and Woo, "A
 fast voxel traversal algorithm for ray tracing", 1987) and stops at the first cell that holds its nearest hit, so its
-cost depends on how far it flies and how dense the walls are there, not on how many walls the building has. Whatever
-moves is few and tested one by one: people are discs (d, 3) [m] `x y radius`, furniture is boxes (f, 5) `x m, y m,
-length m, width m, heading rad`, the centre first, whose sides are segments.
+cost depends on its length and on how dense the walls are along it, not on how many walls the building has. Moving
+objects are few and are tested one by one: people are discs (d, 3) [m] `x y radius`; furniture is boxes (f, 5) `x m,
+y m, length m, width m, heading rad`, (x, y) being the centre, whose sides are segments.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from slam_gym.types import Array, BoolArray, IntArray
 from slam_gym.types._arguments import floats
 from slam_gym.world.floor_plan import Features, Kind
 
-_PADDING = 1e-6  # [cells] walls are entered in every cell this close to them, against rounding at the borders
-_MAX_CELLS = 1 << 20  # larger buildings get larger cells
+_PADDING = 1e-6  # [cells] a wall is listed in every cell this close to it, against rounding at the borders
+_MAX_CELLS = 1 << 20  # cells grow where a building needs more
 
 NO_DISCS: Array = np.empty((0, 3))
 NO_SEGMENTS: Array = np.empty((0, 4))
 
-_SURFACE = 1e-3  # [m] how far before a feature a line of sight ends, so that the feature's own walls do not hide it
+_SURFACE = 1e-3  # [m] a line of sight ends this far before a feature, so that the walls of a corner do not hide it
 
 
 class Grid(NamedTuple):
@@ -42,22 +42,22 @@ class Grid(NamedTuple):
 
 
 Packed = tuple[Array, IntArray, IntArray, float, float, float, int, int]
-"""A `Grid` as a plain tuple: numba recognises one in .5 µs at a call from Python, a named one in 3 µs."""
+"""A `Grid` as a plain tuple, which crosses from Python to compiled functions in 0.5 µs; a named tuple takes 3 µs."""
 
 
 class Movers(NamedTuple):
-    """What moves."""
+    """Objects that move."""
 
     discs: Array  # (d, 3) [m] x y radius
     segments: Array  # (o, 4) [m] x1 y1 x2 y2
 
 
 class WallIndex:
-    """Static walls, indexed once, then asked for ranges and lines of sight from anywhere.
+    """Static walls, indexed once for many ranges and lines of sight.
 
-    `walls` (s, 4) [m] are segments `x1 y1 x2 y2` in any one frame, which is then the frame of all questions; `cell`
-    [m] is the side of the grid's cells (doubled until a million of them suffice). Raises ValueError where walls are
-    not finite or of another shape, or `cell` is not positive.
+    `walls` (s, 4) [m] are segments `x1 y1 x2 y2` in any frame; all arguments and results are in the same frame. `cell`
+    [m] is the side of the grid's cells, doubled until a million of them suffice. Raises ValueError where `walls` is not
+    finite or has another shape, or `cell` is not positive.
     """
 
     def __init__(self, walls: Array, cell: float = 1.0) -> None:
@@ -71,8 +71,8 @@ class WallIndex:
     ) -> Array:
         """Ranges (b,) [m] from `origin` (2,) along `angles` (b,) [rad] to the first surface, at most `max_range`.
 
-        `discs` (d, 3) [m] `x y radius` and `segments` (o, 4) [m] stop a ray as walls do. A disc around the origin is
-        not seen from within.
+        `discs` (d, 3) [m] `x y radius` and `segments` (o, 4) [m] stop a ray as walls do. A disc that contains the
+        origin stops no ray.
         """
         origin, angles = floats("origin", origin, (2,)), floats("angles", angles, (-1,))
         return cast(self.packed, origin, angles, float(max_range), _movers(discs, segments))
@@ -82,7 +82,7 @@ class WallIndex:
     ) -> BoolArray:
         """(k,) whether nothing stands between `origin` (2,) and each of `targets` (k, 2).
 
-        The line of sight ends `pull_back` (k,) [m] short of its target, outside the thing whose position it is.
+        A line of sight ends `pull_back` (k,) [m] short of its target, outside the object whose position it is.
         """
         origin, targets = floats("origin", origin, (2,)), floats("targets", targets, (-1, 2))
         pull_back = floats("pull_back", pull_back, (len(targets),))
@@ -94,14 +94,14 @@ def _movers(discs: Array, segments: Array) -> tuple[Array, Array]:
 
 
 def pull_back(features: Features) -> Array:
-    """(N,) [m] how far before its position each feature is met: corners at once, pillars at their outline."""
+    """(N,) [m] how far before each feature a line of sight to it ends: at the outline of a pillar, or at the corner."""
     return np.where(features.kinds == Kind.PILLAR, 0.5 * features.sizes, 0.0) + _SURFACE
 
 
 def wall_grid(walls: Array, cell: float = 1.0) -> Packed:
-    """The grid of walls (s, 4) [m]; `cell` [m] is the side of its cells, doubled until a million of them suffice.
+    """The grid of `walls` (s, 4) [m]; `cell` [m] is the side of its cells, doubled until a million of them suffice.
 
-    Raises ValueError where walls are not finite or of another shape, or `cell` is not positive.
+    Raises ValueError where `walls` is not finite or has another shape, or `cell` is not positive.
     """
     walls = np.array(walls, dtype=np.float64, order="C")
     if walls.ndim != 2 or walls.shape[1] != 4:
@@ -120,7 +120,7 @@ def wall_grid(walls: Array, cell: float = 1.0) -> Packed:
 
 
 def _enter_walls(walls: Array, low: Array, cell: float, columns: int, rows: int) -> tuple[IntArray, IntArray]:
-    """Which walls touch which cell of a grid: its `starts` and `members`."""
+    """The `starts` and `members` of a `Grid`: which walls touch which cell."""
     pad, (xmin, ymin) = _PADDING * cell, low
     x, y, dx, dy = walls[:, 0], walls[:, 1], walls[:, 2] - walls[:, 0], walls[:, 3] - walls[:, 1]
     first = np.maximum(np.floor((np.minimum(x, x + dx) - pad - xmin) / cell), 0).astype(np.int64)
@@ -142,7 +142,7 @@ def _enter_walls(walls: Array, low: Array, cell: float, columns: int, rows: int)
 
 
 def _ranges(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
-    """All pairs (k, i) with first[k] ≤ i ≤ last[k], in order: the k and the i."""
+    """All pairs (k, i) with first[k] ≤ i ≤ last[k], in order, as an array of the k and one of the i."""
     counts = np.maximum(last - first + 1, 0)
     k = np.repeat(np.arange(len(counts)), counts)
     return k, first[k] + np.arange(len(k)) - (np.cumsum(counts) - counts)[k]
@@ -160,7 +160,7 @@ def outlines(boxes: Array) -> Array:
 
 @compiled
 def box_distance(x: float, y: float, boxes: Array) -> float:
-    """[m] from a point to the nearest of boxes (f, 5), 0 within one; inf where there are none."""
+    """Distance [m] from (x, y) to the nearest of `boxes` (f, 5): 0 inside a box, inf where there are none."""
     nearest = math.inf
     for f in range(boxes.shape[0]):
         dx, dy = x - boxes[f, 0], y - boxes[f, 1]
@@ -173,7 +173,7 @@ def box_distance(x: float, y: float, boxes: Array) -> float:
 
 @compiled
 def _segment_hit(x: float, y: float, dx: float, dy: float, segments: Array, s: int) -> float:
-    """t in [0, 1] at which (x, y) + t (dx, dy) crosses row s of segments (…, 4), or its ends; inf where it does not."""
+    """t in [0, 1] at which (x, y) + t (dx, dy) meets row s of `segments` (…, 4), or an end of it; inf if it misses."""
     ax, ay, bx, by = segments[s, 0] - x, segments[s, 1] - y, segments[s, 2] - x, segments[s, 3] - y
     if (dx * ay - dy * ax) * (dx * by - dy * bx) > 0.0:  # both ends on one side of the ray
         return math.inf
@@ -184,7 +184,7 @@ def _segment_hit(x: float, y: float, dx: float, dy: float, segments: Array, s: i
 
 @compiled
 def _entry(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
-    """t in [0, 1] at which the ray enters the grid's rectangle, 0 from within; inf where it never does."""
+    """t in [0, 1] at which the ray enters the grid's rectangle: 0 if it starts inside, inf if it never enters."""
     if 0.0 <= x - grid.xmin < grid.cell * grid.columns and 0.0 <= y - grid.ymin < grid.cell * grid.rows:
         return 0.0
     enter, leave = 0.0, 1.0
@@ -236,7 +236,7 @@ def _wall_hit(grid: Grid, x: float, y: float, dx: float, dy: float) -> float:
 
 @compiled
 def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> float:
-    """As `_wall_hit`, for the few things that move. A disc is not met from within."""
+    """As `_wall_hit`, for moving objects. A disc that contains (x, y) is not met."""
     nearest = math.inf
     for d in range(movers.discs.shape[0]):
         cx, cy, radius = x - movers.discs[d, 0], y - movers.discs[d, 1], movers.discs[d, 2]
@@ -253,7 +253,7 @@ def _mover_hit(x: float, y: float, dx: float, dy: float, movers: Movers) -> floa
 
 @compiled
 def squared_distance(x: float, y: float, segments: Array, s: int) -> float:
-    """[m²] from a point to row s of segments (…, 4)."""
+    """Squared distance [m²] from (x, y) to row s of `segments` (…, 4)."""
     ax, ay = segments[s, 0] - x, segments[s, 1] - y
     ex, ey = segments[s, 2] - segments[s, 0], segments[s, 3] - segments[s, 1]
     length = ex * ex + ey * ey
@@ -264,7 +264,7 @@ def squared_distance(x: float, y: float, segments: Array, s: int) -> float:
 
 @compiled
 def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
-    """Those that come within `reach` [m] of (x, y)."""
+    """The movers within `reach` [m] of (x, y)."""
     discs, segments = np.empty(movers.discs.shape), np.empty(movers.segments.shape)
     d = s = 0
     for disc in movers.discs:
@@ -281,16 +281,16 @@ def movers_near(x: float, y: float, reach: float, movers: Movers) -> Movers:
 
 @compiled
 def sees(grid: Grid, movers: Movers, x: float, y: float, dx: float, dy: float, pull_back: float) -> bool:
-    """Whether nothing stands between (x, y) and (x, y) + (dx, dy), the latter `pull_back` [m] nearer."""
+    """Whether nothing stands between (x, y) and the point `pull_back` [m] short of (x, y) + (dx, dy)."""
     distance = math.hypot(dx, dy)
-    left = 1.0 - pull_back / distance if distance > pull_back else 0.0
-    dx, dy = left * dx, left * dy
+    fraction = 1.0 - pull_back / distance if distance > pull_back else 0.0
+    dx, dy = fraction * dx, fraction * dy
     return _mover_hit(x, y, dx, dy, movers) == math.inf and _wall_hit(grid, x, y, dx, dy) == math.inf
 
 
 @compiled
 def range_along(grid: Grid, x: float, y: float, angle: float, max_range: float, movers: Movers) -> float:
-    """[m] from (x, y) along `angle` [rad] to the first surface, at most `max_range`."""
+    """Range [m] from (x, y) along `angle` [rad] to the first surface, at most `max_range`."""
     dx, dy = max_range * math.cos(angle), max_range * math.sin(angle)
     t = min(_wall_hit(grid, x, y, dx, dy), _mover_hit(x, y, dx, dy, movers))
     return max_range * min(t, 1.0)
@@ -311,7 +311,7 @@ def cast(packed: Packed, origin: Array, angles: Array, max_range: float, moving:
 def seen_from(
     packed: Packed, places: Array, targets: Array, pull_back: Array, reach: float, moving: tuple[Array, Array]
 ) -> BoolArray:
-    """(k,) which of `targets` (k, 2) at least one of `places` (c, 2) sees from `reach` [m]: see `WallIndex.visible`."""
+    """(k,) whether one of `places` (c, 2) sees each of `targets` (k, 2) within `reach` [m]; see `WallIndex.visible`."""
     grid, movers, seen = Grid(*packed), Movers(*moving), np.zeros(targets.shape[0], np.bool_)
     for i in range(targets.shape[0]):
         for c in range(places.shape[0]):

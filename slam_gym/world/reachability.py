@@ -1,4 +1,4 @@
-"""Where a robot of some radius can go in a floor plan, and which features it can see from there."""
+"""Where a robot of a given radius can go in a floor plan, and which features it can see from there."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _START_CLEARANCE = 0.3  # [m] from a robot's first position to the furniture aro
 
 @dataclass(frozen=True)
 class FreeCells:
-    """The cells of a plan in which the centre of a disc of some radius may lie, whether or not it can get there."""
+    """The cells of a plan in which the centre of a disc of a given radius may lie, reachable or not."""
 
     free: BoolArray  # (h, w), row = y, column = x; its outermost cells lie outside the plan
     origin: Array  # (2,) [m] W, centre of free[0, 0]
@@ -32,9 +32,9 @@ class FreeCells:
 def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25, obstacles: Array = NO_SEGMENTS) -> FreeCells:
     """Cells with no wall of `plan`, and none of `obstacles` (o, 4) [m], within `radius` [m] of their centres.
 
-    Cells are made smaller than `cell` [m] where a wall could otherwise slip between two centres: a disc of that
-    radius can then move straight between any two free cells that share a side. Raises ValueError unless both lengths
-    are positive.
+    The side `cell` [m] is reduced where a wall could otherwise lie between two free centres, so that a disc of this
+    radius can move straight between any two free cells that share a side. Raises ValueError unless both lengths are
+    positive.
     """
     if not (0.0 < radius < math.inf and 0.0 < cell < math.inf):
         raise ValueError(f"radius and cell must be positive lengths [m], not {radius} and {cell}")
@@ -50,9 +50,10 @@ def free_cells(plan: FloorPlan, radius: float, cell: float = 0.25, obstacles: Ar
 def reachable(plan: FloorPlan, radius: float, cell: float = 0.25) -> Array:
     """(c, 2) [m] W: centres of the free cells of the largest connected part of the plan's rooms.
 
-    Connected through sides of cells. A part counts by its cells within rooms, so that the open ground around a
-    building never does; where a plan names no rooms, every part but the ground around it is a room. Furniture can be
-    pushed and does not count. Empty where nothing is free. Raises ValueError unless both lengths [m] are positive.
+    Cells are connected through their sides. The size of a part is the number of its cells within rooms, so that the
+    open ground around a building is never chosen; where a plan names no rooms, every part but the ground around it
+    counts as a room. Furniture can be pushed and is ignored. The result is empty where nothing is free. Raises
+    ValueError unless both lengths [m] are positive.
     """
     cells = free_cells(plan, radius, cell)
     return cells.centres(indoor(plan, cells))
@@ -75,9 +76,9 @@ def indoor(plan: FloorPlan, cells: FreeCells) -> IntArray:
 
 
 def observable(plan: FloorPlan, index: WallIndex, cells: Array, max_range: float) -> BoolArray:
-    """(N,) whether each feature of the plan can be seen from at least one of `cells` (c, 2) [m], `max_range` [m] off.
+    """(N,) whether each feature of the plan is seen from one of `cells` (c, 2) [m] within `max_range` [m].
 
-    Only walls hide: furniture and people move.
+    Only walls hide features here, since furniture and people move.
     """
     features = plan.features
     cells, nothing = np.ascontiguousarray(cells), (NO_DISCS, NO_SEGMENTS)
@@ -85,7 +86,7 @@ def observable(plan: FloorPlan, index: WallIndex, cells: Array, max_range: float
 
 
 def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearance: float = _START_CLEARANCE) -> Array:
-    """A pose (3,) in W: a random one of `cells` (c, 2) [m], `clearance` [m] from all furniture, any heading.
+    """A random pose (3,) in W: one of `cells` (c, 2) [m] at least `clearance` [m] from all furniture, any heading.
 
     Raises ValueError where there is no such cell.
     """
@@ -99,7 +100,7 @@ def free_start(plan: FloorPlan, cells: Array, rng: np.random.Generator, clearanc
 
 
 def _block(free: BoolArray, origin: Array, cell: float, segments: Array, radius: float) -> None:
-    """Clear `free` wherever a cell's centre lies closer than `radius` to a segment."""
+    """Set `free` to False where a cell's centre lies closer than `radius` [m] to one of `segments` (s, 4) [m]."""
     left, bottom = origin.tolist()
     xs, ys = left + np.arange(free.shape[1]) * cell, bottom + np.arange(free.shape[0]) * cell
     for x1, y1, x2, y2 in segments.tolist():
@@ -111,5 +112,5 @@ def _block(free: BoolArray, origin: Array, cell: float, segments: Array, radius:
 
 
 def _between(low: float, high: float, cell: float) -> slice:
-    """The cells with centres from `low` to `high` [m] beyond that of the first cell."""
+    """The cells whose centres lie from `low` to `high` [m] beyond the centre of the first cell."""
     return slice(max(math.ceil(low / cell), 0), max(math.floor(high / cell) + 1, 0))

@@ -1,7 +1,7 @@
-"""What the robot senses: a `Scan` of point features with the `Truth` behind it, `Beams`, and `Odometry`.
+"""The robot's senses: a `Scan` of point features with the `Truth` behind it, `Beams`, and `Odometry`.
 
-Noise is drawn in range and bearing; what leaves this module is Cartesian, in the robot frame R, with the covariance
-J diag(σ_r², σ_β²) Jᵀ of the polar-to-Cartesian map at the measured range and bearing.
+Noise is drawn in range and bearing. Measurements leave this module in Cartesian form, in the robot frame R, with the
+covariance J diag(σ_r², σ_β²) Jᵀ of the polar-to-Cartesian map at the measured range and bearing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from slam_gym.world.ray_casting import (
 if TYPE_CHECKING:
     from slam_gym.world.physics import Motion
 
-_SURFACE = 1e-3  # [m] a line of sight to a person ends so far before them
+_SURFACE = 1e-3  # [m] a line of sight to a person ends this far before the person's surface
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,14 @@ class SensorSpec:
     bearing_sigma: float = 0.01  # [rad]
     size_sigma: float = 0.05  # [m]
     detection: float = 0.9  # probability that a feature in sight is measured
-    clutter: float = 0.3  # mean number of spurious measurements a scan (Poisson), anywhere in sight
+    clutter: float = 0.3  # mean number of spurious measurements per scan (Poisson), anywhere in sight
     person_detection: float = 0.5  # probability that a person in sight yields a spurious measurement
     max_features: int = 20  # measurements in a scan; the nearest are kept
     kinds: bool = False  # the detector tells corners from door jambs and pillars
 
     @property
     def sigma_halfway(self) -> float:
-        """[m] what a measurement at half the range is off by, along and across the view together."""
+        """[m] standard deviation of a measurement at half the range, along and across the view together."""
         return math.hypot(self.range_sigma, self.bearing_sigma * self.range / 2.0)
 
     def __post_init__(self) -> None:
@@ -69,10 +69,10 @@ class SensorSpec:
 
 @dataclass(frozen=True)
 class BeamSpec:
-    """The range finder: the only source of what is free and what is wall."""
+    """The range finder, the only source of information on free space and walls."""
 
     count: int = 40
-    field_of_view: float = 2.0 * math.pi  # [rad] centred on the heading, cut into `count` parts with a beam in each
+    field_of_view: float = 2.0 * math.pi  # [rad] centred on the heading; `count` equal parts with a beam in each
     range: float = 6.0  # [m]
     sigma: float = 0.03  # [m]
 
@@ -82,24 +82,24 @@ class BeamSpec:
 
 @dataclass(frozen=True)
 class OdometrySpec:
-    """Noise of the wheels' report. Variances add up along the way, however it is cut into ticks."""
+    """Noise of the odometry. Variances add up along the path, independently of its division into ticks."""
 
     forward: float = 0.03  # [m/√m] along the heading
     lateral: float = 0.01  # [m/√m] across it
     turn_per_radian: float = 0.03  # [rad/√rad]
     turn_per_metre: float = 0.02  # [rad/√m]
-    floor: float = 1e-4  # [m] and [rad] a tick, even at rest
-    slip_forward: float = 0.8  # [m/m] of the way that the wheels turn, while the robot touches something
+    floor: float = 1e-4  # [m] and [rad] per tick, even at rest
+    slip_forward: float = 0.8  # [m/m] of the wheels' distance, while the robot touches something
     slip_lateral: float = 0.4  # [m/m]
     slip_turn: float = 0.7  # [rad/m]
-    slip_floor: float = 0.005  # [m] and [rad] a tick then
+    slip_floor: float = 0.005  # [m] and [rad] per tick, while the robot touches something
 
     def __post_init__(self) -> None:
         check_settings(self)
 
 
 class Senses(NamedTuple):
-    """What a tick has to tell, and the truth behind the scan."""
+    """All that the robot senses in a tick, and the truth behind the scan."""
 
     odometry: Odometry
     scan: Scan
@@ -108,10 +108,10 @@ class Senses(NamedTuple):
 
 
 class Sensor:
-    """All senses of a robot in one floor plan. Holds no state but the plan: all noise comes from the given generator.
+    """All senses of a robot in one floor plan. It has no state but the plan; noise comes from the generator passed in.
 
-    `index` holds the plan's walls. Poses (3,) are true poses in W. What moves is given at each call: `people` (p, 3)
-    [m] as discs `x y radius`, `furniture` (o, 4) [m] as segments `x1 y1 x2 y2`.
+    `index` holds the plan's walls. Poses (3,) are true poses in W. Moving objects are passed to each call: `people`
+    (p, 3) [m] as discs `x y radius`, `furniture` (o, 4) [m] as segments `x1 y1 x2 y2`.
     """
 
     def __init__(
@@ -145,25 +145,25 @@ class Sensor:
         people: Array = NO_DISCS,
         furniture: Array = NO_SEGMENTS,
     ) -> Senses:
-        """All that a tick has to tell, from the random numbers that `odometry`, `scan` and `beams` would draw."""
-        moving, out, room = (people, furniture), np.empty((4, 3)), self._room_in_sight(people)
+        """Odometry, scan and beams of one tick, with the random numbers that the three methods would draw in turn."""
+        moving, out, buffers = (people, furniture), np.empty((4, 3)), self._buffers_in_sight(people)
         wheels = (self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
-        k = _report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, room)
-        scan, truth, ranges = self._measured(pose, (k, *room), moving, self._bearings, rng)
-        swept = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
-        return Senses(Odometry(out[0], out[1:]), scan, truth, swept)
+        k = _report_and_in_sight(wheels, self._walls, pose, self._targets, moving, self._settings, buffers)
+        scan, truth, ranges = self._measured(pose, (k, *buffers), moving, self._bearings, rng)
+        beams = Beams(self._bearings.copy(), ranges, self.beam_spec.range)
+        return Senses(Odometry(out[0], out[1:]), scan, truth, beams)
 
     def scan(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> tuple[Scan, Truth]:
-        """One look from `pose`: a sweep of measurements by rising bearing, spurious ones among them.
+        """One scan from `pose`: measurements by rising bearing, including spurious ones.
 
-        Furniture and people hide features, and a person is now and then taken for one (at their near side). Neither
-        order nor sizes tell which measurements are spurious: their sizes are those of features of the plan.
+        Furniture and people hide features, and a person is sometimes measured as a feature, at the near side. Neither
+        order nor size reveals a spurious measurement, since its size is that of a random feature of the plan.
         """
-        moving, room = (people, furniture), self._room_in_sight(people)
-        k = _in_sight(self._walls, pose, self._targets, moving, self._settings, room)
-        return self._measured(pose, (k, *room), moving, self._bearings[:0], rng)[:2]
+        moving, buffers = (people, furniture), self._buffers_in_sight(people)
+        k = _in_sight(self._walls, pose, self._targets, moving, self._settings, buffers)
+        return self._measured(pose, (k, *buffers), moving, self._bearings[:0], rng)[:2]
 
     def _measured(
         self,
@@ -174,22 +174,23 @@ class Sensor:
         rng: np.random.Generator,
     ) -> tuple[Scan, Truth, Array]:
         """The scan of what is `seen` (see `_in_sight`), the truth behind it, and the ranges (b,) of beams."""
-        n, beams = seen[0] + rng.poisson(self.spec.clutter), len(bearings)  # measurements that there may be
-        noise, room, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), _room_for(n), np.empty(beams)
-        out = room, (bearings, self._finder, ranges)
+        n, beams = seen[0] + rng.poisson(self.spec.clutter), len(bearings)  # n: most measurements that are possible
+        noise, ranges = (rng.random(3 * n), rng.standard_normal(3 * n + beams)), np.empty(beams)
+        buffers = _measurement_buffers(n)
+        out = buffers, (bearings, self._finder, ranges)
         m = _measure(self._walls, pose, seen, self._sizes, moving, noise, self._settings, out)
-        points, covariances, sizes, size_variances, sources = room
+        points, covariances, sizes, size_variances, sources = buffers
         kinds = self._kinds(sources[:m], rng) if self.spec.kinds else self._unknown_kinds[:m].copy()
         scan = Scan(points[:m], covariances[:m], sizes[:m], size_variances[:m], kinds)
         return scan, Truth(pose.copy(), sources[:m]), ranges
 
-    def _room_in_sight(self, people: Array) -> tuple[Array, IntArray]:
-        """For what `_in_sight` finds."""
+    def _buffers_in_sight(self, people: Array) -> tuple[Array, IntArray]:
+        """The arrays that `_in_sight` fills."""
         most = len(self._features) + len(people)
         return np.empty((most, 2)), np.empty(most, np.int64)
 
     def _kinds(self, sources: IntArray, rng: np.random.Generator) -> IntArray:
-        """Kind (m,) of each measurement; those of spurious ones are drawn from the plan, if it has any."""
+        """Kind (m,) of each measurement; kinds of spurious ones are drawn from the plan's features, if it has any."""
         known = self._features.kinds
         if len(known) == 0:
             return np.full(len(sources), UNKNOWN_KIND)
@@ -198,13 +199,13 @@ class Sensor:
     def beams(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> Beams:
-        """One sweep of the range finder from `pose`: noisy ranges to what comes first, the full range for nothing."""
+        """One sweep of the range finder from `pose`: noisy ranges to the first surface, the full range if there is none."""
         noise, ranges = rng.standard_normal(self.beam_spec.count), np.empty(self.beam_spec.count)
         _noisy_ranges(self._walls, pose, self._bearings, self._finder, (people, furniture), noise, ranges)
         return Beams(self._bearings.copy(), ranges, self.beam_spec.range)
 
     def odometry(self, motion: Motion, rng: np.random.Generator) -> Odometry:
-        """The wheels' report of one tick. Its covariance grows with the motion, and more so in contact."""
+        """The odometry of one tick. Its covariance grows with the motion, and faster in contact."""
         out = np.empty((4, 3))
         _report(self._wheels, motion.wheels, motion.contact, rng.standard_normal(3), out)
         return Odometry(out[0], out[1:])
@@ -242,9 +243,9 @@ def _in_sight(
     packed: _PackedSettings,
     out: tuple[Array, IntArray],
 ) -> int:
-    """How many of the features (positions and pull-backs) are in sight, and people (at their near side).
+    """Number of features (positions and pull-backs) and people (at their near side) that are in sight.
 
-    The first array of `out` (N + p, 2) receives their true ranges and bearings, the second (N + p,) what they are.
+    The first array of `out` (N + p, 2) receives their true ranges and bearings, the second (N + p,) their sources.
     """
     grid, settings, (positions, pull_backs), (polar, sources) = Grid(*walls), _Settings(*packed), features, out
     x, y = pose[0], pose[1]
@@ -275,24 +276,24 @@ def _in_sight(
 
 
 _Measured = tuple[Array, Array, Array, Array, IntArray]
-"""Room for a scan of up to n measurements: points (n, 2) [m] in R, covariances (n, 2, 2) [m²], sizes (n,) [m], their
+"""Buffers for a scan of up to n measurements: points (n, 2) [m] in R, covariances (n, 2, 2) [m²], sizes (n,) [m], their
 variances (n,) [m²], sources (n,)."""
 
 
-def _room_for(n: int) -> _Measured:
-    """For n measurements."""
+def _measurement_buffers(n: int) -> _Measured:
+    """Empty buffers for n measurements."""
     return np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n), np.empty(n, np.int64)
 
 
 _Finder = tuple[float, float]
-"""Reach [m] and sigma [m] of a `BeamSpec`, for compiled functions."""
+"""Range and sigma [m] of a `BeamSpec`, for compiled functions."""
 
 
 @compiled
 def _noisy_ranges(
     walls: Packed, pose: Array, bearings: Array, finder: _Finder, moving: _Moving, noise: Array, out: Array
 ) -> None:
-    """Ranges (b,) along `bearings`, with noise where something was hit, kept within [0, reach], entered in `out`."""
+    """Write to `out` (b,) the ranges along `bearings`, with noise where something was hit, clipped to [0, reach]."""
     reach, sigma = finder
     free = cast(walls, pose, pose[2] + bearings, reach, moving)
     for b in range(len(bearings)):
@@ -310,11 +311,11 @@ def _measure(
     packed: _PackedSettings,
     out: tuple[_Measured, tuple[Array, _Finder, Array]],
 ) -> int:
-    """A scan of what is `seen`, the answer of `_in_sight` and its arrays, and the ranges of beams; length of the scan.
+    """Write a scan of what is `seen` and the ranges of beams to `out`; returns the length of the scan.
 
-    `sizes` are those of all features, from which those of spurious measurements are drawn. `noise` are uniform and
-    normal random numbers: three of each for each thing in sight, then for each piece of clutter, and normal ones for
-    the beams. `out` receives the scan, and the ranges along the bearings in it (see `_noisy_ranges`).
+    `seen` is the result of `_in_sight` and its arrays. `sizes` are the sizes of all features, from which sizes of
+    spurious measurements are drawn. `noise` are uniform and normal random numbers: three of each for everything in
+    sight and for each piece of clutter, then normal ones for the beams. For the ranges in `out`, see `_noisy_ranges`.
     """
     grid, settings, movers = Grid(*walls), _Settings(*packed), Movers(*moving)
     (k, polar, sources), (uniform, normal), (scan, (bearings, finder, ranges)) = seen, noise, out
@@ -347,7 +348,7 @@ def _measure(
 
 @compiled
 def _sweep(measured: Array, origins: IntArray, count: int, settings: _Settings, out: _Measured) -> int:
-    """The nearest `max_features` of the first `count` measurements (3, …), by rising bearing, made Cartesian."""
+    """Write to `out`, by rising bearing, the nearest `max_features` of the first `count` columns of `measured`."""
     points, covariances, sizes, size_variances, sources = out
     nearest = np.argsort(measured[0, :count], kind="mergesort")[: settings.max_features]
     order = nearest[np.argsort(measured[1][nearest], kind="mergesort")]
@@ -384,9 +385,12 @@ _PackedWheels = tuple[float, float, float, float, float, float, float, float, fl
 
 
 @compiled
-def _report(packed: _PackedWheels, way: Array, contact: bool, noise: Array, out: Array) -> None:
-    """The wheels' report of one tick, with three normal random numbers: rows of `out` (4, 3), motion and covariance."""
-    spec, dx, dy, turn = _Wheels(*packed), way[0], way[1], way[2]
+def _report(packed: _PackedWheels, wheels: Array, contact: bool, noise: Array, out: Array) -> None:
+    """Write the odometry of one tick to `out` (4, 3): the motion and the rows of its covariance.
+
+    `wheels` (3,) is the motion by the wheels, `noise` (3,) are normal random numbers.
+    """
+    spec, dx, dy, turn = _Wheels(*packed), wheels[0], wheels[1], wheels[2]
     distance = math.hypot(dx, dy)
     forward = spec.floor**2 + spec.forward**2 * distance
     lateral = spec.floor**2 + spec.lateral**2 * distance
@@ -394,7 +398,7 @@ def _report(packed: _PackedWheels, way: Array, contact: bool, noise: Array, out:
     out[0, 0] = dx + math.sqrt(forward) * noise[0]
     out[0, 1] = dy + math.sqrt(lateral) * noise[1]
     out[0, 2] = turn + math.sqrt(heading) * noise[2]
-    if contact:  # what may have slipped is in the way of the wheels already
+    if contact:  # the slip itself is in the motion of the wheels already
         forward += (spec.slip_forward * distance) ** 2 + spec.slip_floor**2
         lateral += (spec.slip_lateral * distance) ** 2 + spec.slip_floor**2
         heading += (spec.slip_turn * distance) ** 2 + spec.slip_floor**2

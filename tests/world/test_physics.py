@@ -183,7 +183,7 @@ def test_motion_between_contacts_and_in_them_is_that_of_pymunk(seed):
             motion = world.tick(*action)
             trace.append(np.concatenate([world.pose, motion.moved, motion.wheels, [motion.contact]]))
             trace.append(world.furniture.ravel())
-        free += not worlds[0]._body_knows
+        free += not worlds[0]._body_is_current
     ours, theirs = (np.concatenate(trace) for trace in traces)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
     assert 0.3 * ticks < free < 0.97 * ticks, "both ways were taken"
