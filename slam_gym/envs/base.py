@@ -1,4 +1,4 @@
-"""What the three environments have in common: resets, steps, snapshots and copies, pictures, and being closed."""
+"""The base class of the three environments: reset, step, snapshots and copies, rendering, closing."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ RenderMode = Literal["rgb_array", "rgb_array_list", "human"]
 T = TypeVar("T")
 
 _CARRIED_OVER = ("_np_random_seed", "action_space", "observation_space", "spec")
-"""Attributes that a copy takes over, since no replay brings them back: the spaces have random states of their own."""
+"""Attributes that a copy takes over, since replay does not restore them: spaces have random states of their own."""
 
 
 class Snapshot(NamedTuple):
-    """What it takes to come back to the present state of an environment: the rest follows by replay."""
+    """Everything that determines the present state of an environment, which is restored by replay."""
 
     generator: dict[str, Any]  # state of `np_random` when the episode began
-    series: tuple[int, ...]  # what the environment had brought along from its earlier episodes
+    series: tuple[int, ...]  # state that the environment carries from episode to episode
     options: dict[str, Any]  # of the reset
-    actions: list[Any]  # since then
+    actions: list[Any]  # since the reset
 
 
 def chosen_scenario(scenario: str | Scenario, overrides: Mapping[str, Plain] | None = None) -> Scenario:
-    """A scenario given by name or itself, with fields changed. Raises ValueError as `get_scenario` and `overridden`."""
-    found = get_scenario(scenario) if isinstance(scenario, str) else scenario
-    return overridden(found, overrides) if overrides else found
+    """A scenario, itself or by name, with `overrides` applied. Raises ValueError as `get_scenario` and `overridden`."""
+    original = get_scenario(scenario) if isinstance(scenario, str) else scenario
+    return overridden(original, overrides) if overrides else original
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class Settings:
     """The arguments that all environments take.
 
     - `scenario`: a name from `slam_gym.scenarios.SCENARIOS`, a level of the suite such as `"closure/0"`, or a
-      `Scenario`; by default `"office"`. `floor_plan` (a file) with `resolution` [m per pixel] for occupancy images puts
-      the scenario's robot on that floor instead, by default that of `"building"`.
+      `Scenario`; by default `"office"`. `floor_plan` (a file), with `resolution` [m per pixel] for occupancy images,
+      replaces the scenario's worlds by that floor; the scenario is then `"building"` by default.
     - `split`: `"train"` or `"test"`, whose worlds never overlap.
     - `overrides`: fields of the scenario to change, by dotted name, such as
       `{"sensor.range": 4.0, "odometry.turn_per_metre": 0.1, "dynamics.people": 3}`.
-    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (every picture since the last call: for films) or `"human"`.
+    - `render_mode`: `"rgb_array"`, `"rgb_array_list"` (all pictures since the last call, for films) or `"human"`.
     """
 
     scenario: Any = None
@@ -69,9 +69,9 @@ class Settings:
 
     @property
     def scenario_on_floor(self) -> Scenario:
-        """The scenario with its overrides, on the floor plan if there is one; by default `"office"`, or `"building"`.
+        """The scenario with its overrides: by default `"office"`, or with a floor plan `"building"` on that floor.
 
-        Raises ValueError for a resolution without a floor plan, and for faults of the file as `load_floor_plan` does.
+        Raises ValueError for a resolution without a floor plan, and for an invalid file as `load_floor_plan` does.
         """
         if self.floor_plan is None:
             if self.resolution is not None:
@@ -82,18 +82,18 @@ class Settings:
 
 
 class BaseEnv(gym.Env[Observation, Any], ABC):
-    """An environment whose episodes follow from the generator's state at the reset, its options, and the actions.
+    """An environment whose episodes are determined by the generator's state and options at reset, and the actions.
 
-    Where a reset has no seed, the episode has the generator that lies one jump (2¹²⁷ numbers and more) beyond that of
-    the episode before: which episodes follow a seed does not depend on what is done in them.
+    A reset without a seed uses the generator that lies one jump (at least 2¹²⁷ numbers) beyond the generator of the
+    previous episode, so that the episodes after a seeded one do not depend on the actions taken in it.
 
-    A subclass says how an episode begins (`_begin`) and what an action does (`_act`), what the agent sees and is told
-    (`_observe`, `_info`), when the episode is `over` and what it looks like (`_picture`). It calls `_changed` whenever
-    there is something new to see.
+    A subclass defines how an episode begins (`_begin`), what an action does (`_act`), the observation and info
+    (`_observe`, `_info`), when the episode is `over`, and its picture (`_picture`). It calls `_changed` whenever there
+    is something new to render.
 
-    Environments pickle and deepcopy while they run: a copy is constructed from the same arguments and replays the
-    episode, so that it takes as long as that; it goes on like the original, bit for bit. Watchers and windows stay
-    behind. Where an argument does not pickle (a lambda as associator), the `snapshot` still does.
+    Environments can be pickled and deepcopied during an episode. The copy is constructed from the same arguments and
+    replays the episode, which takes as long as the episode did; it then continues like the original, bit for bit. It
+    has no watchers and no window. If an argument does not pickle (a lambda as associator), the `snapshot` still does.
     """
 
     settings: type[Settings] = Settings  # names and defaults of the arguments
@@ -104,21 +104,21 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         self._snapshot: Snapshot | None = None
         self._episode_generator: np.random.Generator | None = None
         self._series: tuple[int, ...] = ()
-        self._failed = False  # half-way through a step
+        self._failed = False  # a step raised an error half-way
         self._site: Site | None = None
         self._watchers: list[Callable[[Any], None]] = []
         self._replaying = False
         self._window: Any = None
-        self._frames: list[NDArray[np.uint8]] = []  # not handed out yet
+        self._frames: list[NDArray[np.uint8]] = []  # not yet returned by `render`
 
     # -- Gymnasium ---------------------------------------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
-        """Start an episode. `options={"world": i}` chooses the world; any other option raises ValueError."""
+        """Start an episode. `options={"world": i}` selects a world; any other option raises ValueError."""
         options = dict(options or {})
         if unknown := set(options) - {"world"}:
             raise ValueError(f"unknown reset option {sorted(unknown)[0]!r}; known: world")
-        world_seed(self.split, options.get("world", 0))  # refuses a world outside the split, while nothing has changed
+        world_seed(self.split, options.get("world", 0))  # raises for a world outside the split, before any change
         super().reset(seed=seed)
         if seed is not None:
             self._series = ()
@@ -132,9 +132,9 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """Carry out one action.
 
-        Raises RuntimeError before the first reset and once the episode is over, ValueError for an action outside the
-        space; nothing has changed then. Where the step itself fails, as when an associator raises, the episode ends
-        with the error: every further step raises RuntimeError, and `snapshot` is that of before the step.
+        Raises RuntimeError before the first reset and after the end of the episode, and ValueError for an action
+        outside the space; neither changes anything. If an error occurs within the step, for example in an associator,
+        the episode ends with it: every further step raises RuntimeError, and `snapshot` returns the state before it.
         """
         history = self._snapshot if self._snapshot is not None else self._started(self._snapshot)
         if self._failed:
@@ -150,9 +150,9 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         return outcome
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
-        """(h, w, 3) picture in `rgb_array` mode; in `human` mode the window is updated and None returned.
+        """The picture (h, w, 3) in `rgb_array` mode; in `human` mode, updates the window and returns None.
 
-        In `rgb_array_list` mode all pictures since the last call: one a tick, however long a goal takes.
+        In `rgb_array_list` mode, returns all pictures since the last call, one per tick.
         """
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode: pass render_mode='rgb_array' or 'human' to gym.make")
@@ -161,7 +161,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         if self.render_mode == "rgb_array_list":
             frames, self._frames = self._frames, []
             return frames
-        # pygame is an extra, and runs without pictures never need it
+        # imported here, since pygame is an extra that only pictures need
         from slam_gym.rendering.canvas import Window, pixels
 
         picture = self._picture()
@@ -173,7 +173,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one. May be called twice; rendering again opens it anew."""
+        """Close the window, if there is one. May be called repeatedly; rendering opens a new window."""
         if self._window is not None:
             self._window.close()
             self._window = None
@@ -181,15 +181,15 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
     # -- beyond Gymnasium --------------------------------------------------------------------------------------------
 
     def watch(self, callback: Callable[[Any], None]) -> None:
-        """Call `callback(env)` whenever there is something new to see, from now on (for films)."""
+        """From now on, call `callback(env)` whenever there is something new to render, for example to make a film."""
         self._watchers.append(callback)
 
     def snapshot(self) -> Snapshot:
-        """What it takes to come back here. Raises RuntimeError before the first reset."""
+        """The present state, for `restore`. Raises RuntimeError before the first reset."""
         return copy.deepcopy(self._started(self._snapshot))
 
     def restore(self, snapshot: Snapshot) -> tuple[Observation, Info]:
-        """Replay a snapshot of an env with the same arguments; returns its last observation and info."""
+        """Replay the snapshot of an environment with the same arguments; returns its last observation and info."""
         generator = np.random.default_rng()
         generator.bit_generator.state = copy.deepcopy(snapshot.generator)
         self.np_random, self._series = generator, snapshot.series
@@ -213,7 +213,7 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def _act(self, action: Any) -> float:
-        """Carry out an action that was `_checked`; returns the reward."""
+        """Carry out an action that `_checked` returned; returns the reward."""
 
     @abstractmethod
     def _observe(self) -> Observation: ...
@@ -228,17 +228,17 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def _picture(self) -> Any:
-        """A surface with the present state."""
+        """A pygame surface that shows the present state."""
 
     # -- what a subclass may use or change ---------------------------------------------------------------------------
 
     def _draw_world(self, options: dict[str, Any]) -> int:
-        """The world of an episode: the one asked for, or any of the split."""
+        """The world of an episode: the one in `options`, else a random one of the split."""
         drawn = int(self.np_random.integers(SPLITS[self.split][1]))
         return int(options.get("world", drawn))
 
     def _checked(self, action: Any) -> Any:
-        """The action in the form that `_act` takes. Raises ValueError where it is outside the space."""
+        """The action in the form that `_act` takes. Raises ValueError for an action outside the space."""
         space = self.action_space
         assert isinstance(space, gym.spaces.Discrete)
         if not space.contains(action):
@@ -246,11 +246,11 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
         return int(action)
 
     def _carried_over(self) -> dict[str, Any]:
-        """Attributes that a copy takes over before it replays the episode, and again afterwards."""
+        """Attributes that are assigned to a copy before it replays the episode, and again afterwards."""
         return {name: getattr(self, name) for name in _CARRIED_OVER}
 
     def _changed(self) -> None:
-        """Show the present state to whoever watches."""
+        """Call the watchers, and render the present state in modes that show every change."""
         if self._replaying or not (self._watchers or self.render_mode):
             return
         for callback in self._watchers:
@@ -263,20 +263,20 @@ class BaseEnv(gym.Env[Observation, Any], ABC):
             self._frames.append(pixels(self._picture()))
 
     def _started(self, part: T | None) -> T:
-        """A part of the running episode. Raises RuntimeError before the first reset, when there is none."""
+        """`part`, a part of the running episode. Raises RuntimeError where it is None, before the first reset."""
         if part is None:
             raise RuntimeError("no episode yet: call reset() first")
         return part
 
     def _next_generator(self) -> np.random.Generator:
-        """The generator of the next episode: the one of this, as it was at the reset, a jump further."""
+        """The generator of the next episode: this episode's generator as it was at the reset, jumped once."""
         assert self._snapshot is not None
         bits = type(self.np_random.bit_generator)()
         bits.state = self._snapshot.generator
         return np.random.Generator(cast(Any, bits).jumped())
 
     def _survey(self, scenario: Scenario, world: int) -> Site:
-        """The floor of a world; one that is the same in every episode is surveyed once."""
+        """The surveyed floor of a world. A floor that is the same in every episode is surveyed only once."""
         plan = scenario.generator(world_generator(self.split, world))
         if self._site is None or self._site.plan is not plan:
             self._site = survey(plan, scenario)
@@ -294,6 +294,6 @@ def _copy(
     vars(env).update(carried_over)
     if snapshot is not None and generator is not None:
         env.restore(snapshot)
-        env.np_random.bit_generator.state = generator.bit_generator.state  # the episode draws from the same one
+        env.np_random.bit_generator.state = generator.bit_generator.state  # the episode shares this generator
         vars(env).update(carried_over)
     return env

@@ -1,4 +1,4 @@
-"""`slam_gym/Explore-v0`: the agent is the driver, the associator a parameter, and the reward is the map."""
+"""`slam_gym/Explore-v0`: the agent drives, the associator is an argument, and the reward measures the map."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from slam_gym.validation import one_of
 
 @dataclass(frozen=True)
 class ExploreSettings(Settings):
-    """The arguments of `ExploreEnv`, which says what they are."""
+    """The arguments of `ExploreEnv`, where they are documented."""
 
     associator: str | Associator | None = None
     action: Literal["goal", "twist"] = "goal"
@@ -54,48 +54,48 @@ class ExploreEnv(BaseEnv):
     """Explore an unknown building with a robot whose SLAM depends on where it goes.
 
     ## Description
-    A differential-drive robot is put into rooms that it has never seen. At every tick it drives, reads its wheels,
-    scans point features, and takes one step of EKF-SLAM, whose data association is the job of `associator`. The agent
-    decides where to go; it is scored by the map that results.
+    A differential-drive robot starts in a building that it has never seen. At every tick it drives, reads its odometry,
+    scans point features, and takes one step of EKF-SLAM, with data association by `associator`. The agent decides where
+    the robot goes, and is rewarded for the map that results.
 
     ## Action space
     - `action="goal"`: `Discrete(16)`. Slot 0 looks around (always legal), 1–10 go to frontiers, nearest first, 11–15
-      revisit known places that promise to improve the map. The step lasts until the goal is reached, lost or out of
-      date; `info["ticks"]` says how long that took. `action_masks()` and `info["action_mask"]` tell which slots are
-      legal; an illegal one looks around.
+      revisit known places that are expected to improve the map. A step lasts until the goal is reached, lost or out of
+      date; `info["ticks"]` is its duration. `action_masks()` and `info["action_mask"]` say which slots are legal; an
+      illegal slot looks around.
     - `action="twist"`: `Box(−1, 1, (2,))`, fractions of the greatest forward and turning speed, for one tick. An
       action outside the box, or NaN, raises ValueError.
 
     ## Observation space
-    A flat `Dict` of float32 vectors, scaled into [−1, 1] or [0, 1], and one image; all of it in the estimate's frame:
-    `scan` and `features` (what the map expected to see in it), nearest first, `observation.POINT_FIELDS` per row;
-    `uncertainty` (σ of x, y, θ), `budget` (fraction left), `image` (3, 48, 48) uint8: free, wall, feature density, the
-    robot in the middle heading up; and, in goal mode, `goals` (`GOAL_FIELDS` per slot;
-    `observation.unsquash_goals` gives the numbers back in their units).
+    A flat `Dict` of float32 vectors, scaled into [−1, 1] or [0, 1], and one image, all relative to the estimated pose:
+    `scan` and `features` (those that the map expected in the scan), nearest first, with `observation.POINT_FIELDS` per
+    row; `uncertainty` (σ of x, y, θ); `budget` (fraction left); `image` (3, 48, 48) uint8: free space, walls, feature
+    density, with the robot in the middle and its heading up; and, in goal mode, `goals` (`GOAL_FIELDS` per slot;
+    `observation.unsquash_goals` converts them to their units).
 
     ## Rewards
-    The decrease, since the last step, of `map_error` (uses the truth) or of `a_opt`, `d_opt`, `entropy` of a virtual
-    map (use none, and so pay for overconfidence): see `rewards`.
+    The decrease, since the last step, of `map_error`, which uses the truth, or of `a_opt`, `d_opt` or `entropy` of a
+    virtual map, which do not use it and therefore reward overconfidence: see `slam_gym.envs.rewards`.
 
     ## Starting state
-    A world drawn from the seeds of the `split`, and a free place and heading in it; with `floor_plan` always that
-    floor. `reset(options={"world": i})` takes the i-th world of the split. Same seed and options, same episode.
+    A world drawn from the seeds of the `split` (with `floor_plan`, always that floor), and a random free pose in it.
+    `reset(options={"world": i})` selects the i-th world of the split. Same seed and options, same episode.
 
     ## Episode end
-    The budget of ticks is spent (`terminated`); the observation tells how much is left.
+    The budget of ticks is spent (`terminated`); the observation contains the fraction that is left.
 
     ## Arguments
     Those of `slam_gym.envs.base.Settings`, and:
 
     - `associator`: a name, `"module:function"` or a callable from `Scan` and `Prediction` to `Hypothesis`; None: that
-      of the scenario, `"jcbb"` where drift is small and `"learned"` where it counts.
+      of the scenario, which is `"jcbb"` where drift is small and `"learned"` where it is large.
     - `locality`: `"covisibility"` restricts associations to localities, None does not.
-    - `relocation`: the search that finds a lost robot again, by name (`slam_gym.association.RELOCATORS`),
-      `"module:function"` or a callable; None: a robot that has lost itself never finds back. `relocation_locality`:
-      `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None. `atlas`: beside relocation, loops are closed,
-      and a robot that is lost for long starts another map, joined once it is recognised; False: neither.
+    - `relocation`: the search that relocates a lost robot, by name (`slam_gym.association.RELOCATORS`),
+      `"module:function"` or a callable; None: a lost robot is not relocated. `relocation_locality`: `"covisibility"`,
+      `"two-hop covisibility"`, `"distance"` or None. `atlas`: with relocation, loops are closed as well, and a robot
+      that remains lost starts another map, which is joined once a place is recognised; False: neither.
     - `render_covisibility`: the picture shows the edges of the covisibility graph. `"rgb_array_list"` has one picture
-      a tick.
+      per tick.
     """
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's convention)
@@ -109,7 +109,7 @@ class ExploreEnv(BaseEnv):
         self.scenario = settings.scenario_on_floor
         self.goal_mode = settings.action == "goal"
         self.associator = settings.associator or self.scenario.associator
-        resolve_associator(self.associator)  # refuses an unknown one now
+        resolve_associator(self.associator)  # raises for an unknown one
         self.relocate = None
         if settings.relocation is not None:
             self.relocate = relocate_by(settings.relocation, settings.relocation_locality)
@@ -139,13 +139,13 @@ class ExploreEnv(BaseEnv):
         return self._goals
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(SLOTS,) the slots that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
+        """(SLOTS,) the slots that are legal now, as sb3-contrib's MaskablePPO expects them."""
         if not self.goal_mode:
             raise AttributeError("action masks exist in goal mode only")
         return self.goals.legal.copy()
 
     def map_quality(self) -> dict[str, float]:
-        """All measures of the map, the trajectory and the associations of the episode so far."""
+        """All measures of the map, the trajectory and the associations in the episode so far."""
         return quality(self.episode)
 
     # -- parts of a step ---------------------------------------------------------------------------------------------
@@ -163,7 +163,7 @@ class ExploreEnv(BaseEnv):
         )
         self._places = Places()
         self._begin_step()
-        observation = self._observe()  # first, so that watchers and pictures find the goals on offer
+        observation = self._observe()  # first, since watchers and pictures need the goals
         self._after_tick()
         self._last_error = self._error(self._episode)
         return observation
@@ -213,8 +213,10 @@ class ExploreEnv(BaseEnv):
     def _observe(self) -> Observation:
         episode = self._episode
         slam_map, expected = episode.slam.map, episode.last_step.prediction
-        left = 1.0 - episode.ticks / self.scenario.budget
-        observation: Observation = observe(episode.scan, expected, slam_map, episode.grid, self.measurements, left)
+        budget_left = 1.0 - episode.ticks / self.scenario.budget
+        observation: Observation = observe(
+            episode.scan, expected, slam_map, episode.grid, self.measurements, budget_left
+        )
         if self.goal_mode:
             self._goals = goals_module.propose(self.scenario, slam_map, episode.grid, self._places, episode.tried)
             observation["goals"] = encode_goals(self._goals, slam_map.pose)
@@ -222,7 +224,9 @@ class ExploreEnv(BaseEnv):
 
     def _info(self) -> Info:
         episode = self._episode
-        right, *wrong, missed = [now - before for now, before in zip(episode.identities.decided, self._decided_before)]
+        right, *wrong, missed = [
+            after - before for after, before in zip(episode.identities.decided, self._decided_before)
+        ]
         sources, truth = np.empty(self.measurements, np.int64), episode.truth
         sources.fill(SPURIOUS)
         sources[: len(truth.sources)] = truth.sources

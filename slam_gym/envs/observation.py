@@ -1,4 +1,4 @@
-"""What an agent sees: flat, finite, scaled vectors and one egocentric image, all of it in the estimate's frame."""
+"""Observations of `Explore-v0`: finite, scaled, flat vectors and one egocentric image, relative to the estimate."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from slam_gym.types import Array, Scan
 Float32Array = NDArray[np.float32]
 
 POINT_FIELDS = ("present", "x", "y", "sigma_x", "correlation", "sigma_y", "size")
-"""Columns of a measurement, and of a map feature as the last prediction had it."""
+"""Columns of a measurement, and of a map feature in the last prediction."""
 
 GOAL_FIELDS = ("legal", "x", "y", "path", "area", "reduction", "frontier", "revisit", "in_view")
-"""Columns of `observation["goals"]` reshaped to (SLOTS, 9); `unsquash_goals` gives them back in their units."""
+"""Columns of `observation["goals"]` reshaped to (SLOTS, 9); `unsquash_goals` converts them to their units."""
 
-FEATURES = 32  # nearest map features shown
-PIXELS = 48
+FEATURES = 32  # nearest map features in an observation
+PIXELS = 48  # side of the image
 METRES = 24.0  # [m] side of the square that the image shows
 
 POSITION_SCALE = 6.0  # [m]
@@ -36,22 +36,22 @@ SIZE_SCALE = 1.0  # [m]
 GOAL_SCALE = 10.0  # [m] of x, y in the robot frame, and of the path length
 AREA_SCALE = 10.0  # [m²]
 REDUCTION_SCALE = 0.1  # [m²]
-VIEW_SCALE = 5.0  # features in view on the way
+VIEW_SCALE = 5.0  # features in view along the path
 
 
 def squash(value: Any, scale: float) -> Any:
-    """v / (|v| + scale): monotone, 0 at 0, into (−1, 1)."""
+    """v / (|v| + scale), which maps monotonically to (−1, 1), and 0 to 0."""
     return value / (np.abs(value) + scale)
 
 
 def unsquash(value: Any, scale: float) -> Any:
-    """The inverse of `squash`; the ends ±1 are taken for the largest float32 below 1."""
+    """The inverse of `squash`; values are clipped to ±(1 − 1e-6) before."""
     value = np.clip(value, -1.0 + 1e-6, 1.0 - 1e-6)
     return scale * value / (1.0 - np.abs(value))
 
 
 def observation_space(measurements: int, goals: tuple[int, int] | None) -> spaces.Dict:
-    """The space for scans of at most `measurements`; `goals` = (slots, fields) in goal mode, None in twist mode."""
+    """The observation space for scans of at most `measurements`; `goals` is (slots, fields), or None in twist mode."""
 
     def box(length: int, low: float) -> spaces.Box:
         return spaces.Box(low, 1.0, (length,), np.float32)
@@ -74,22 +74,21 @@ _Points = tuple[Array, Array, Array]  # points (k, 2), their covariances (k, 2, 
 def observe(
     scan: Scan, prediction: Prediction, slam_map: StochasticMap, grid: ExploredGrid, measurements: int, left: float
 ) -> dict[str, Any]:
-    """All that does not depend on the kind of action, for scans of at most so many `measurements`, the fraction `left`
-    of the budget among it.
+    """The observation without goals, for scans of at most `measurements`; `left` is the fraction of the budget left.
 
-    Measurements, and map features where they were expected before the scan, in the robot frame; standard deviations of
-    the pose; free space, walls and feature density around the robot, heading up.
+    It contains measurements, and map features where they were expected before the scan, in the robot frame; standard
+    deviations of the pose; and an image of free space, walls and feature density around the robot, heading up.
     """
     x, P, _, _ = slam_map.arrays
-    seen, foreseen, uncertainty, image = _observe(
+    measured, expected, uncertainty, image = _observe(
         (scan.points, scan.covariances, scan.sizes), prediction.points, x, P, slam_map.n, grid.drawn, measurements
     )
     budget = np.array([left], np.float32)
-    return {"scan": seen, "features": foreseen, "uncertainty": uncertainty, "image": image, "budget": budget}
+    return {"scan": measured, "features": expected, "uncertainty": uncertainty, "image": image, "budget": budget}
 
 
 def encode_goals(goals: Goals, pose: Array) -> Float32Array:
-    """Goals as the flat observation (SLOTS · 9,): positions turned into the frame of `pose` (3,)."""
+    """Goals as a flat observation (SLOTS · 9,), with positions in the frame of `pose` (3,)."""
     local = seen_from(pose, goals.positions)
     out = np.zeros((SLOTS, len(GOAL_FIELDS)), np.float32)
     out[:, 0] = 1.0
@@ -105,9 +104,9 @@ def encode_goals(goals: Goals, pose: Array) -> Float32Array:
 
 
 def unsquash_goals(observed: NDArray[np.float32]) -> dict[str, Array]:
-    """The goals of an observation in their units, by `GOAL_FIELDS`: [m], [m²], 0 or 1, and features, each (SLOTS,).
+    """The goals of an observation by `GOAL_FIELDS`, each (SLOTS,): in [m], [m²], numbers of features, or 0 and 1.
 
-    Raises ValueError where the length does not fit.
+    Raises ValueError where the length is not a multiple of the number of fields.
     """
     if np.size(observed) % len(GOAL_FIELDS):
         raise ValueError(f"goals: {np.size(observed)} numbers do not divide into rows of {len(GOAL_FIELDS)}")
@@ -128,26 +127,26 @@ def _observe(
     measurements: int,
 ) -> tuple[Float32Array, Float32Array, Float32Array, Cells]:
     """Scan and prediction as `POINT_FIELDS`, the uncertainty of the pose, and the image."""
-    seen, expected = np.zeros(7 * measurements, np.float32), np.zeros(7 * FEATURES, np.float32)
+    measured, expected = np.zeros(7 * measurements, np.float32), np.zeros(7 * FEATURES, np.float32)
     uncertainty, image = np.empty(3, np.float32), np.empty((3, PIXELS, PIXELS), np.uint8)
-    _encode(*scan, seen)
+    _encode(*scan, measured)
     _encode(*prediction, expected)
     for i in range(3):
         sigma = math.sqrt(max(P[i, i], 0.0))
         uncertainty[i] = sigma / (sigma + (HEADING_SCALE if i == 2 else SIGMA_SCALE))
     draw_egocentric(*drawn, x[:3], x[3 : 3 + 2 * n].reshape(n, 2), METRES, image)
-    return seen, expected, uncertainty, image
+    return measured, expected, uncertainty, image
 
 
 @compiled
 def _encode(points: Array, covariances: Array, sizes: Array, out: Float32Array) -> None:
-    """The nearest of the points (k, 2) with covariances (k, 2, 2) as `POINT_FIELDS`, nearest first, as many as fit.
+    """Write the nearest of `points` (k, 2), with covariances (k, 2, 2), to `out` as rows of `POINT_FIELDS`.
 
-    What comes after them is left as it is. An unknown size, NaN, shows as 0.
+    Writes as many rows as fit, nearest first, and leaves the rest of `out` unchanged. An unknown size, NaN, becomes 0.
     """
     order = np.argsort(points[:, 0] ** 2 + points[:, 1] ** 2, kind="mergesort")
-    for place in range(min(len(out) // 7, points.shape[0])):
-        i, at = order[place], 7 * place
+    for row in range(min(len(out) // 7, points.shape[0])):
+        i, at = order[row], 7 * row
         sx, sy = math.sqrt(max(covariances[i, 0, 0], 0.0)), math.sqrt(max(covariances[i, 1, 1], 0.0))
         out[at] = 1.0
         out[at + 1] = points[i, 0] / (abs(points[i, 0]) + POSITION_SCALE)

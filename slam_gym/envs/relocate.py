@@ -1,4 +1,4 @@
-"""`slam_gym/Relocate-v0`: the agent finds a kidnapped robot in a map, with no prior on its pose."""
+"""`slam_gym/Relocate-v0`: the agent locates a kidnapped robot in a map, without a prior on its pose."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from slam_gym.slam.relocate import LocalityName
 from slam_gym.types import UNPAIRED, IntArray
 from slam_gym.validation import one_of
 
-_MAPS = 4  # maps that are kept
+_MAPS = 4  # maps in the cache
 
 
 @dataclass(frozen=True)
 class RelocateSettings(Settings):
-    """The arguments of `RelocateEnv`, which says what they are."""
+    """The arguments of `RelocateEnv`, where they are documented."""
 
     locality: LocalityName | None = "covisibility"
     candidates: int = 8
@@ -57,53 +57,56 @@ class RelocateSettings(Settings):
 
 
 class RelocateEnv(BaseEnv):
-    """Find out where the robot is: one scan, one map, no prior.
+    """Locate the robot from one scan and one map, without a prior.
 
     ## Description
-    Somebody has carried the robot away, to a place in its map or to one that is not. The agent walks the interpretation
-    tree of the scan: level by level it pairs a measurement with a feature of the map, or with nothing (`*`). A pairing
-    is legal by what holds wherever the robot is: unary constraints, distances and orientation with all pairings made,
-    the locality of the first one. Levels where only `*` is legal are passed by. At a leaf the hypothesis is located and
-    held against the joint test, and the best so far is kept; the agent may go back to the root as long as it has nodes.
+    The robot has been carried to another place, inside its map or outside. The agent walks the interpretation tree of
+    the scan: level by level it pairs a measurement with a feature of the map, or leaves it unpaired (`*`). A pairing is
+    legal if it satisfies the constraints that hold for every pose: unary constraints, distances to and orientation of
+    all earlier pairings, and the locality of the first pairing. Levels at which only `*` is legal are skipped. At a
+    leaf the pose is estimated and the hypothesis takes the joint test; the best hypothesis so far is remembered. The
+    agent may return to the root as long as nodes are left.
 
     ## Action space
-    `Discrete(K + 2)` with K = `candidates`. Action a < K pairs the current measurement with the a-th of the legal
-    features, ranked by how many other measurements keep a legal partner then (at the root: one in its locality whose
-    distance agrees); K is `*`, and at a leaf stops; K + 1 restarts: the hypothesis of the path is judged like a leaf,
-    and the next try begins at the root, which counts as a node. `action_masks()` and `info["action_mask"]` tell what is
-    legal; an illegal action is taken for `*`. Where K hides a candidate, `info["hidden"]` says how many.
+    `Discrete(K + 2)` with K = `candidates`. Action a < K pairs the current measurement with the a-th legal feature.
+    Features are ranked by the number of other measurements that would keep a legal partner (at the root: a partner in
+    the feature's locality at a consistent distance). Action K is `*`, and at a leaf it stops. Action K + 1 restarts:
+    the hypothesis of the path is evaluated as at a leaf, and the next try begins at the root, which costs a node.
+    `action_masks()` and `info["action_mask"]` say which actions are legal; an illegal action counts as `*`.
+    `info["hidden"]` is the number of candidates beyond the first K.
 
     ## Observation space
     A flat `Dict` of float32 vectors in [−1, 1]: `measurement`, `candidates` (K rows), `scan`, `path` and `search`, as
     `slam_gym.association.relocation.observation` lists them.
 
     ## Rewards
-    −`node_cost` for every node; and at the end, what the best hypothesis earns. It is believed where it has as many
-    pairings as `slam_gym.association.acceptance` asks for, and no other pose was found that explains as
-    many measurements. Believed, it earns 1 if its pose is right, −`wrong_cost` if not; not believed, it earns 1 outside
-    the map and 0 inside. A pose is right within `position_tolerance` and `heading_tolerance` of where the true pose
-    lies in the map: carried there by the rigid motion that aligns the true features in reach with their mapped
-    counterparts, so that the drift of the map is no error of the agent.
+    −`node_cost` for every node and, at the end, a reward for the best hypothesis. The hypothesis is accepted if it has
+    as many pairings as `slam_gym.association.acceptance` requires and no other pose was found that explains as many
+    measurements. If accepted, it earns 1 for a right pose and −`wrong_cost` for a wrong one; otherwise the reward is 1
+    outside the map and 0 inside. A pose is right if it lies within `position_tolerance` and `heading_tolerance` of the
+    true pose in the map's frame. The rigid motion that aligns the true features in reach with their mapped counterparts
+    transforms the true pose to that frame, so that the map's drift does not count as an error of the agent.
 
     ## Starting state
-    A robot has explored a world drawn from the seeds of the `split`, with a baseline driver and `associator`. Inside,
-    the scan is from where it has been, with any heading, and has at least 5 measurements of mapped features if places
-    with that are to be had; outside, it is from another world. `kidnappings_per_map` episodes in a row, from a reset
-    with a seed on, are in one world: mapping it takes longer than an episode. `reset(options={"world": i})` takes the
-    i-th world of the split. Same seed and options, same episode; what was mapped before makes no difference.
+    A robot has explored a world drawn from the seeds of the `split`, with a baseline driver and `associator`. Inside
+    the map, the scan is taken at a place that the robot has visited, with a random heading, and has at least 5
+    measurements of mapped features if such places exist; outside, it is from another world. From a reset with a seed
+    on, `kidnappings_per_map` successive episodes are in one world, since mapping takes longer than an episode.
+    `reset(options={"world": i})` selects the i-th world of the split. Same seed and options, same episode; maps made
+    before make no difference.
 
     ## Episode end
-    The agent stops, or the nodes are spent (`terminated`; the observation tells how many are left).
+    The agent stops, or no nodes are left (`terminated`). The observation contains the fraction that is left.
 
     ## Arguments
-    Those of `slam_gym.envs.base.Settings`; scans from outside a `floor_plan` are from worlds of the scenario. And:
+    Those of `slam_gym.envs.base.Settings` (with `floor_plan`, scans from outside are from the scenario's worlds), and:
 
     - `locality`: `"covisibility"`, `"two-hop covisibility"`, `"distance"` or None.
     - `candidates`, `order`, `node_limit`, `sizes`: see `slam_gym.association.relocation.walk.WalkSpec`.
-    - `outside`: probability that the robot is not in the map; `kidnappings_per_map`: episodes in a row in one world.
-    - `node_cost`, `wrong_cost`: what a node and a wrong answer cost, in right answers; `position_tolerance` [m] and
-      `heading_tolerance` [rad]: how far off a right pose may be.
-    - `associator`: that of the robot that made the map.
+    - `outside`: probability that the robot is not in the map; `kidnappings_per_map`: successive episodes in one world.
+    - `node_cost`, `wrong_cost`: costs of a node and of a wrong answer, where a right answer earns 1;
+      `position_tolerance` [m] and `heading_tolerance` [rad]: largest errors of a right pose.
+    - `associator`: the associator with which the map is made.
     """
 
     metadata = {"render_modes": ["rgb_array", "rgb_array_list", "human"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's convention)
@@ -115,7 +118,7 @@ class RelocateEnv(BaseEnv):
         settings = RelocateSettings(scenario, **arguments)
         super().__init__(settings)
         self.scenario = settings.scenario_on_floor
-        # a floor has no other worlds: scans from outside it are from those of the scenario
+        # a floor plan has no other worlds: scans from outside are from the scenario's worlds
         self._elsewhere = None if settings.floor_plan is None else chosen_scenario(scenario or "building")
         self.walk_spec = WalkSpec(
             settings.candidates,
@@ -124,7 +127,7 @@ class RelocateEnv(BaseEnv):
             settings.sizes,
             self.scenario.slam.map.confidence,
         )
-        resolve_associator(settings.associator)  # refuses an unknown one now
+        resolve_associator(settings.associator)  # raises for an unknown one
         self.measurements = self.scenario.sensor.max_features
         shapes = walk_shapes(settings.candidates, self.measurements)
         self.observation_space = spaces.Dict(
@@ -142,13 +145,13 @@ class RelocateEnv(BaseEnv):
         return self._started(self._walk)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(K + 2,) the actions that are legal now: the mask that sb3-contrib's MaskablePPO asks for."""
+        """(K + 2,) the actions that are legal now, as sb3-contrib's MaskablePPO expects them."""
         mask = self.walk.mask
-        mask[self.walk_spec.star] = True  # once the episode is over, too
+        mask[self.walk_spec.star] = True  # also after the end of the episode
         return mask
 
     def verdict(self) -> tuple[int, int]:
-        """(right, wrong) of the answer as it stands: (1, 0), (0, 1), or (0, 0) for no answer inside the map."""
+        """(right, wrong) for the present answer: (1, 0), (0, 1), or (0, 0) for no answer inside the map."""
         answer = self.walk.best
         if not answer.accepted:
             return int(not self.kidnapped.inside), 0
@@ -160,27 +163,27 @@ class RelocateEnv(BaseEnv):
         return int(right), int(not right)
 
     def right_action(self) -> int:
-        """What the truth would decide now: K (`*`) for what is spurious or not mapped, and at a leaf; −1 where the
-        right feature is not on offer."""
+        """The right action: K (`*`) for a measurement that is spurious or not mapped and at a leaf, −1 where the
+        right feature is not among the candidates."""
         action = self.action_of(self.kidnapped.features)
         return NOT_OFFERED if action is None else action
 
     def action_of(self, features: IntArray) -> int | None:
-        """The action by which a hypothesis (m,) on the scan decides now, and stops; None where that is not on offer."""
+        """The action that follows the hypothesis `features` (m,), or stops; None if it is not among the candidates."""
         i = self.walk.measurement
         return self.walk_spec.star if i is None else self.walk.action_of(int(features[i]))
 
     # -- parts of a step ---------------------------------------------------------------------------------------------
 
     def _draw_world(self, options: dict[str, Any]) -> int:
-        """The one asked for; else that of the series, a new one where no kidnapping is left in it."""
+        """The world in `options`, else the world of the series, else, where the series has ended, a new world."""
         if "world" in options:
             return int(options["world"])
         if not self._series:
             drawn = int(self.np_random.integers(SPLITS[self.split][1]))
             self._series = drawn, self.arguments.kidnappings_per_map
-        world, left = self._series
-        self._series = (world, left - 1) if left > 1 else ()
+        world, remaining = self._series
+        self._series = (world, remaining - 1) if remaining > 1 else ()
         return world
 
     def _begin(self, world: int) -> Observation:
@@ -214,10 +217,10 @@ class RelocateEnv(BaseEnv):
         return relocate_view.draw(self.walk, self.mapped, self.kidnapped, self._figures())
 
     def _carried_over(self) -> dict[str, Any]:
-        return super()._carried_over() | {"_maps": dict(self._maps)}  # it takes long to make them
+        return super()._carried_over() | {"_maps": dict(self._maps)}  # maps take long to make
 
     def _map(self, world: int) -> MappedWorld:
-        """The map of a world: the one kept, or made anew; the last few asked for are kept."""
+        """The map of a world. The most recently used maps are cached."""
         mapped = self._maps.pop(world, None)
         if mapped is None:
             mapped = map_world(self.scenario, self.split, world, self.arguments.associator, self._elsewhere)
@@ -244,7 +247,7 @@ class RelocateEnv(BaseEnv):
             "action_mask": self.action_masks(),
             "truth": {
                 "inside": kidnapped.inside,
-                "pose": np.nan_to_num(kidnapped.pose),  # outside there is none
+                "pose": np.nan_to_num(kidnapped.pose),  # outside there is no pose
                 "features": features,
                 "action": self.right_action(),
             },

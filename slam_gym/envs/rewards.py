@@ -1,7 +1,7 @@
-"""What a driver is paid for: the decrease of one number per step, so that an episode's rewards sum to first minus last.
+"""Quantities whose decrease in a step is the reward of `Explore-v0`, so that rewards sum to the total decrease.
 
-`map_error` uses the truth. The others use none: they are functions of the covariances that the robot believes in, over
-the fixed cells of a virtual map, and so they pay an overconfident associator for its overconfidence.
+`map_error` uses the truth. The others do not: they are functions of the robot's own covariances over the fixed cells of
+a virtual map, and therefore reward an overconfident associator.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Many worlds as one vector environment: `gym.make_vec("slam_gym/Explore-v0", 8, "vector_entry_point")`.
 
-Several processes, this one among them, step a group of worlds each. Actions, observations, rewards and ends lie in
-memory that all of them map; infos are sent over the standard output of the workers. A worker does not import the
-caller's main module, which therefore needs no guard, and ends when its standard input does, however this one ended.
+Several processes, including this one, each step a group of worlds. Actions, observations, rewards and the flags
+`terminated` and `truncated` lie in shared memory; infos are sent over the standard output of the workers. A worker does
+not import the caller's main module, which therefore needs no guard. It ends when its standard input does, so it ends
+with this process.
 """
 
 from __future__ import annotations
@@ -37,21 +38,21 @@ from slam_gym.envs.explore import ExploreEnv
 from slam_gym.envs.relocate import RelocateEnv
 from slam_gym.types import Array, BoolArray, IntArray
 
-Infos = dict[str, Any]  # by key arrays (N, …); beside every `key`, `_key` (N,) tells which worlds have it
-WorldInfos = list[tuple[int, dict[str, Any]]]  # worlds and their infos, to be entered in this order
+Infos = dict[str, Any]  # arrays (N, …) by key; beside every `key`, `_key` (N,) says which worlds have it
+WorldInfos = list[tuple[int, dict[str, Any]]]  # worlds and their infos, in the order in which they are merged
 
 _WORKER = "import sys; sys.path[:] = {path!r}; from slam_gym.envs.vector import serve; serve()"
 
 
 class WorldError(RuntimeError):
-    """An error in one of the worlds, which the message numbers; a note has the traceback."""
+    """An error in one world. The message names the world by its number; a note contains the traceback."""
 
 
 class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
-    """N worlds of one of the environments, each bit for bit what the single environment is with the same seed.
+    """N worlds of one environment, each bit for bit equal to the single environment with the same seed.
 
-    A step that fails or is interrupted closes the vector environment for good: its worlds are no longer at the same
-    step. Other errors in a world are raised when all worlds have answered, and change nothing else.
+    A step that fails or is interrupted closes the vector environment, since its worlds are no longer at the same step.
+    Other errors in a world are raised after all worlds have answered, and change nothing else.
     """
 
     def __init__(
@@ -67,12 +68,12 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         """Make the worlds.
 
         Args:
-            of: the class of the single environment, which `gym.make_vec` knows by its id.
-            num_envs: how many worlds.
-            workers: processes, of which this is the first; 0 or 1: all in this one; None: as many as there are cores.
-            autoreset_mode: what happens at the end of an episode, as Gymnasium has it.
-            max_episode_steps: after so many steps an episode is `truncated`; None: never.
-            **arguments: of every single environment.
+            of: the class of the single environment, which `gym.make_vec` finds by its id.
+            num_envs: number of worlds.
+            workers: number of processes including this one; 0 or 1: only this process; None: the number of cores.
+            autoreset_mode: what happens at the end of an episode, as defined by Gymnasium.
+            max_episode_steps: number of steps after which an episode is `truncated`; None: never.
+            **arguments: arguments of every single environment.
         """
         if not (isinstance(num_envs, int) and num_envs >= 1):
             raise ValueError(f"num_envs={num_envs}: expected a whole number >= 1")
@@ -81,35 +82,35 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             env: gym.Env[Any, Any] = of(**arguments)
             return env if max_episode_steps is None else gym.wrappers.TimeLimit(env, max_episode_steps)
 
-        single, self._autoreset = make(), AutoresetMode(autoreset_mode)  # refuses bad arguments now
+        single, self._autoreset = make(), AutoresetMode(autoreset_mode)  # raises for bad arguments
         self.num_envs, self.render_mode = num_envs, single.render_mode
         self.metadata = {**single.metadata, "autoreset_mode": self._autoreset}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
-        self._failure = ""  # why the environment is closed
+        self._failure = ""  # the reason why the environment is closed
         self._started, self._groups = False, list[Any]()  # `_Worlds` here, then each `_Worker`
         processes = int(cast(Any, numba.config).NUMBA_DEFAULT_NUM_THREADS) if workers is None else workers
         groups = np.array_split(np.arange(num_envs), min(max(processes, 1), num_envs))
         kind, folder = _row_type(single), "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
         handle, path = tempfile.mkstemp(prefix="slam_gym-", dir=folder)
         with os.fdopen(handle, "wb") as file:
-            file.write(bytes(num_envs * kind.itemsize))  # all of it: a folder that is full says so now
+            file.write(bytes(num_envs * kind.itemsize))  # the whole file, so that a full disk raises an error here
             file.flush()
             self._shared: NDArray[Any] = np.asarray(np.memmap(path, kind, "r+"))
-            others = [_Worker(worlds, make, self._autoreset, path, kind) for worlds in groups[1:]]
-            self._groups = [_Worlds(groups[0], make, self._autoreset, path, kind), *others]
-            self._exchange("call", "render_mode", (), {})  # all are ready when they have answered
-        with contextlib.suppress(PermissionError):  # Windows keeps files that are mapped
+            other_groups = [_Worker(worlds, make, self._autoreset, path, kind) for worlds in groups[1:]]
+            self._groups = [_Worlds(groups[0], make, self._autoreset, path, kind), *other_groups]
+            self._exchange("call", "render_mode", (), {})  # waits until all groups are ready
+        with contextlib.suppress(PermissionError):  # Windows does not delete mapped files
             Path(path).unlink()
 
     def reset(  # type: ignore[override]
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Infos]:
-        """Begin an episode in every world. `seed` is that of world 0, that of world i being i more, or one for each.
+        """Begin an episode in every world. World i has the seed `seed` + i, or `seed[i]` of a sequence.
 
-        `options` are those of the single environment, where `world` may be a sequence with one for each world; and
-        `reset_mask` (N,) bool, the worlds to reset.
+        `options` are those of the single environment, in which `world` may be a sequence with one entry for each
+        world, and `reset_mask` (N,) bool, which selects the worlds to reset.
         """
         options, count = dict(options or {}), self.num_envs
         mask = np.asarray(options.pop("reset_mask", np.ones(count, np.bool_)))
@@ -124,8 +125,8 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
     def step(self, actions: Any) -> tuple[Observation, Array, BoolArray, BoolArray, Infos]:  # type: ignore[override]
         """Carry out an action in every world.
 
-        Raises ValueError for an action outside the space and RuntimeError for a world without an episode or, where
-        nothing resets it, with one that is over; both name the world, and no world has moved then.
+        Raises ValueError for an action outside the space, and RuntimeError for a world without an episode or, unless
+        it is reset automatically, after the end of its episode. Both name the world, and no world changes.
         """
         self._check_open()
         self._shared["action"] = self._checked(actions)
@@ -141,17 +142,17 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             group.close()
 
     def call(self, name: str, *arguments: Any, **named: Any) -> tuple[Any, ...]:
-        """What the method or attribute `name` of each world gives."""
+        """The results of the method, or the values of the attribute, `name` of each world."""
         return tuple(itertools.chain(*self._exchange("call", name, arguments, named)))
 
     get_attr = call
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute in each world: to the value of each, given as a sequence, or to one and the same."""
+        """Set an attribute in each world: `values` is a sequence with a value for each world, or one value for all."""
         self._exchange("set_attr", name, self._each(name, values))
 
     def action_masks(self) -> BoolArray:
-        """(N, actions) which actions are legal in each world now. AttributeError where there are no masks."""
+        """(N, actions) which actions are legal in each world. Raises AttributeError where actions are not discrete."""
         if not isinstance(self.single_action_space, spaces.Discrete):
             raise AttributeError("action masks exist in goal mode only")
         if not self._started:
@@ -163,7 +164,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             raise ClosedEnvironmentError(f"the environment is closed{self._failure}: make it anew")
 
     def _exchange(self, name: str, *arguments: Any) -> list[Any]:
-        """What a method of each group of worlds gives. All answers are read before the first error is raised."""
+        """The results of a method of each group of worlds. All answers are read before the first error is raised."""
         self._check_open()
         try:
             for group in self._groups:
@@ -172,7 +173,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
             errors = [answer for answer in answers if isinstance(answer, WorldError)]
             if errors and name == "step":
                 raise errors[0]
-        except BaseException as error:  # worlds are at different steps, or an answer is left for the next call to find
+        except BaseException as error:  # worlds may be at different steps, or an answer unread
             self._failure = f" since a {name} failed ({error!r})"
             self.close()
             raise
@@ -181,7 +182,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         return answers
 
     def _outcome(self, pairs: list[WorldInfos]) -> tuple[Observation, Infos]:
-        """The observations and infos of all worlds, the latter from what the groups tell."""
+        """The observations of all worlds, and their infos merged from the answers of the groups."""
         shared: Any = self._shared["observation"]
         infos: Infos = {}
         self._started = True
@@ -190,7 +191,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         return {name: np.array(shared[name]) for name in shared.dtype.names}, infos
 
     def _checked(self, actions: Any) -> NDArray[Any]:
-        """(N,) or (N, 2) actions. Raises as `step`; those of worlds that are about to be reset may be anything."""
+        """(N,) or (N, 2) actions. Raises as `step`. Actions of worlds that are about to be reset may be anything."""
         over = self._shared["terminated"] | self._shared["truncated"]
         if not self._started:
             raise RuntimeError("no episode yet: call reset() first")
@@ -207,7 +208,7 @@ class ManyWorlds(gym.vector.VectorEnv[Observation, Any, Array]):
         return values
 
     def _each(self, name: str, values: Any) -> list[Any]:
-        """The values as a list, one that is no sequence for all. ValueError where there is not one for each world."""
+        """The values as a list with an entry for each world; one value is repeated. ValueError for a wrong length."""
         if not isinstance(values, list | tuple | np.ndarray):
             return [values] * self.num_envs
         if len(values) != self.num_envs:
@@ -221,7 +222,7 @@ RelocateWorlds = partial(ManyWorlds, RelocateEnv)
 
 
 def _row_type(env: gym.Env[Any, Any]) -> np.dtype[Any]:
-    """What a world has in shared memory. An action is a whole number, or two float64, which hold a float32 exactly."""
+    """A world's row in shared memory. An action is an integer, or two float64, which represent float32 exactly."""
     assert isinstance(env.observation_space, spaces.Dict)
     parts = np.dtype([(name, box.dtype, box.shape) for name, box in env.observation_space.items()], align=True)
     action: list[Any] = [("action", np.float64, (2,))]
@@ -232,7 +233,7 @@ def _row_type(env: gym.Env[Any, Any]) -> np.dtype[Any]:
 
 
 class _Worlds:
-    """The `worlds` with these numbers, stepped one after the other; a file of shared memory has a row for each."""
+    """The worlds with the numbers `worlds`, stepped in turn. Each has a row in shared memory, the file at `path`."""
 
     def __init__(self, worlds: IntArray, make: Callable[[], Any], mode: AutoresetMode, path: str, kind: Any) -> None:
         self._autoreset, self._envs = mode, {world: make() for world in worlds.tolist()}
@@ -242,28 +243,28 @@ class _Worlds:
         self._method = partial(getattr(self, name), *arguments)
 
     def answer(self) -> Any:
-        """What the method requested gives; a WorldError where it fails."""
+        """The result of the requested method, or the WorldError that it raised."""
         try:
             return self._method()
         except WorldError as error:
             return error
 
     def reset(self, resets: Mapping[int, dict[str, Any]]) -> WorldInfos:
-        """Begin an episode in each of these worlds, with these arguments."""
+        """Begin an episode in each of the worlds that are keys of `resets`; the values are arguments of `reset`."""
         pairs: WorldInfos = []
         for world in filter(self._envs.get, resets):
-            with _numbered(world):
+            with _numbered_errors(world):
                 observation, info = self._envs[world].reset(**resets[world])
             pairs.append((world, info))
-            self._hand_out(world, observation, info, 0.0, False, False)
+            self._write_row(world, observation, info, 0.0, False, False)
         return pairs
 
     def step(self) -> WorldInfos:
-        """Carry out the actions; where an episode was or is over, begin the next as the mode has it."""
+        """Carry out the actions. Where an episode was or is over, begin the next according to the autoreset mode."""
         pairs: WorldInfos = []
         for world, env in self._envs.items():
             row = self._shared[world]
-            with _numbered(world):
+            with _numbered_errors(world):
                 if (row["terminated"] or row["truncated"]) and self._autoreset is AutoresetMode.NEXT_STEP:
                     (observation, info), ends = env.reset(), (0.0, False, False)
                 else:
@@ -272,14 +273,14 @@ class _Worlds:
                     pairs.append((world, {"final_obs": observation, "final_info": info}))
                     observation, info = env.reset()
             pairs.append((world, info))
-            self._hand_out(world, observation, info, *ends)
+            self._write_row(world, observation, info, *ends)
         return pairs
 
     def call(self, name: str, arguments: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
-        """What the method or attribute of each world gives."""
+        """The results of the method, or the values of the attribute, `name` of each world."""
         values = []
         for world, env in self._envs.items():
-            with _numbered(world):
+            with _numbered_errors(world):
                 value = env.get_wrapper_attr(name)
                 values.append(value(*arguments, **named) if callable(value) else value)
         return values
@@ -292,7 +293,7 @@ class _Worlds:
         for env in self._envs.values():
             env.close()
 
-    def _hand_out(self, world: int, observation: Observation, info: dict[str, Any], *ends: Any) -> None:
+    def _write_row(self, world: int, observation: Observation, info: dict[str, Any], *ends: Any) -> None:
         row = self._shared[world]
         row["reward"], row["terminated"], row["truncated"] = ends
         if "action_mask" in info:
@@ -302,7 +303,7 @@ class _Worlds:
 
 
 class _Worker:
-    """`_Worlds` of another process, which answers later. Raises RuntimeError where the process is no more."""
+    """`_Worlds` in another process, which answer asynchronously. Raises RuntimeError if the process has ended."""
 
     def __init__(self, *arguments: Any) -> None:
         command = [sys.executable, "-c", _WORKER.format(path=[str(Path(place).resolve()) for place in sys.path])]
@@ -312,16 +313,16 @@ class _Worker:
         self.request("", *arguments)
 
     def request(self, name: str, *arguments: Any) -> None:
-        with _ending_told():
+        with _report_ended_worker():
             cloudpickle.dump((name, arguments), self.process.stdin)  # arguments may be functions of the caller's script
             self.process.stdin.flush()
 
     def answer(self) -> Any:
-        with _ending_told():
+        with _report_ended_worker():
             return pickle.load(self.process.stdout)
 
     def close(self) -> None:
-        """Let the process end by itself, which it does at the end of its input; else kill it."""
+        """Close the process's input, at which it ends by itself; kill it if it does not."""
         for pipe in (self.process.stdin, self.process.stdout):
             with contextlib.suppress(OSError):
                 pipe.close()
@@ -333,7 +334,7 @@ class _Worker:
 
 
 @contextlib.contextmanager
-def _ending_told() -> Iterator[None]:
+def _report_ended_worker() -> Iterator[None]:
     try:
         yield
     except (EOFError, OSError, pickle.UnpicklingError) as error:
@@ -341,10 +342,10 @@ def _ending_told() -> Iterator[None]:
 
 
 def serve() -> None:
-    """In a worker: make worlds and answer requests until the standard input ends."""
+    """The main loop of a worker: make worlds and answer requests until the standard input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what worlds print must not get among the answers
+    os.dup2(2, 1)  # output printed by worlds must not mix with the answers
     with contextlib.suppress(EOFError, BrokenPipeError):
         worlds = _Worlds(*pickle.load(requests)[1])
         while True:
@@ -360,11 +361,11 @@ def serve() -> None:
 
 
 @contextlib.contextmanager
-def _numbered(world: int) -> Iterator[None]:
-    """Raises any error as a WorldError with the number of the world."""
+def _numbered_errors(world: int) -> Iterator[None]:
+    """Convert any error to a WorldError with the number of the world."""
     try:
         yield
     except Exception as error:
         numbered = WorldError(f"world {world}: {type(error).__name__}: {error}")
-        numbered.add_note(traceback.format_exc())  # the cause stays behind in a worker
+        numbered.add_note(traceback.format_exc())  # the cause itself is not pickled
         raise numbered from error

@@ -1,7 +1,7 @@
-"""Observations in the form that other libraries expect: one flat vector, or the mask within; films of every tick.
+"""Wrappers for other libraries: flat observations, masks within observations, and films with every tick.
 
-They wrap any of the three environments, and each other: `MaskInObservation(FlatObservation(env))` is the form of
-RLlib's and TorchRL's masked policies. Whatever they change, `action_masks()` is still found by sb3-contrib.
+They wrap any of the three environments, and each other: masked policies of RLlib and TorchRL take
+`MaskInObservation(FlatObservation(env))`. All of them leave `action_masks()` available to sb3-contrib.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 MASK, REST = "action_mask", "observations"
-"""Where `MaskInObservation` puts the mask, and an observation that is no Dict."""
+"""Keys under which `MaskInObservation` puts the mask, and an observation that is not a Dict."""
 
 
 class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -22,7 +22,7 @@ class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
 
     Arguments:
         env: an environment whose observation is a Dict of Boxes.
-        image: keep images as well, scaled to [0, 1]; they are most of the numbers, and left out otherwise.
+        image: whether to include images, scaled to [0, 1]; they would be most of the numbers.
     """
 
     def __init__(self, env: gym.Env[Any, Any], image: bool = False) -> None:
@@ -46,7 +46,7 @@ class FlatObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordCon
 class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """The mask of legal actions is a part of the observation, `action_mask`, (n,) int8.
 
-    A Dict gets one part more; any other observation becomes the part `observations` beside it.
+    A Dict gets this additional part; any other observation becomes the part `observations` beside the mask.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -65,10 +65,10 @@ class MaskInObservation(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordC
 
 
 class RecordEveryTick(gym.wrappers.RecordVideo):
-    """Gymnasium's RecordVideo, which takes one picture a step, for goals, whose steps are many ticks long.
+    """Gymnasium's RecordVideo with a picture of every tick instead of every step, since a goal takes many ticks.
 
-    Takes what RecordVideo takes, and an environment with `render_mode="rgb_array_list"`, which has a picture of every
-    tick since it was asked last.
+    It has the arguments of RecordVideo, and needs an environment with `render_mode="rgb_array_list"`, whose `render`
+    returns the pictures of all ticks since the last call.
     """
 
     def _capture_frame(self) -> None:
@@ -77,7 +77,7 @@ class RecordEveryTick(gym.wrappers.RecordVideo):
 
 
 def _parts(env: gym.Env[Any, Any], wrapper: str) -> dict[str, spaces.Box]:
-    """The parts of an observation. Raises ValueError where it is no Dict of Boxes."""
+    """The parts of an observation. Raises ValueError where the space is not a Dict of Boxes."""
     space = env.observation_space
     if not (isinstance(space, spaces.Dict) and all(isinstance(box, spaces.Box) for box in space.spaces.values())):
         raise ValueError(f"{wrapper}: expected a Dict of Boxes, got {space}")

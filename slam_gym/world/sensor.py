@@ -199,7 +199,7 @@ class Sensor:
     def beams(
         self, pose: Array, rng: np.random.Generator, people: Array = NO_DISCS, furniture: Array = NO_SEGMENTS
     ) -> Beams:
-        """One sweep of the range finder from `pose`: noisy ranges to the first surface, the full range if there is none."""
+        """One sweep of the range finder from `pose`: noisy ranges to the first surface, or the full range."""
         noise, ranges = rng.standard_normal(self.beam_spec.count), np.empty(self.beam_spec.count)
         _noisy_ranges(self._walls, pose, self._bearings, self._finder, (people, furniture), noise, ranges)
         return Beams(self._bearings.copy(), ranges, self.beam_spec.range)
