@@ -13,21 +13,21 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, BoolArray, IntArray
 
-_ROOM, _WIDTH = 64, 16  # nodes and neighbours to make room for at first
+_ROOM, _WIDTH = 64, 16  # initial capacity: nodes, and neighbours of each
 
 
 class Edges(NamedTuple):
     """Pairs of features that were seen together."""
 
     pairs: IntArray  # (e, 2) i < j
-    counts: IntArray  # (e,) scans that saw both
+    counts: IntArray  # (e,) number of scans that saw both
 
 
 class CovisibilityGraph:
     """Undirected graph over the features 0 … n−1 of a map, with a count on each edge.
 
     Row j of the adjacency holds the neighbours of j in ascending order, so memory is nodes × largest degree. Features
-    are indices as in the map; `add` and `keep` follow what the map adds and removes.
+    are indices as in the map; `add` and `keep` are called where the map adds and removes features.
     """
 
     def __init__(self) -> None:
@@ -38,15 +38,15 @@ class CovisibilityGraph:
 
     @property
     def arrays(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Neighbours and counts (≥ n, width), degrees (≥ n,), themselves, for compiled functions."""
+        """Neighbours and counts (≥ n, width) and degrees (≥ n,) for compiled functions, without copying."""
         return self._neighbours, self._counts, self._degrees
 
     def learned(self, created: int) -> None:
-        """Take over what a compiled step has made of the arrays: so many nodes were added, or removed where < 0."""
+        """Register that a compiled step has added `created` nodes to the arrays, or removed −`created`."""
         self.n += created
 
     def make_room(self, more: int) -> None:
-        """For so many more nodes, by doubling."""
+        """Make room for `more` nodes, by doubling the capacity."""
         room = len(self._degrees)
         while self.n + more > room:
             room *= 2
@@ -57,7 +57,7 @@ class CovisibilityGraph:
             self._counts = np.pad(self._counts, ((0, rows), (0, 0)))
 
     def widen(self, needed: int) -> None:
-        """Room for so many neighbours of each node, or more."""
+        """Make room for at least `needed` neighbours of each node."""
         columns = max(needed, 2 * self._neighbours.shape[1]) - self._neighbours.shape[1]
         self._neighbours = np.pad(self._neighbours, ((0, 0), (0, columns)))
         self._counts = np.pad(self._counts, ((0, 0), (0, columns)))
@@ -71,7 +71,7 @@ class CovisibilityGraph:
         self.n += count
 
     def see_together(self, features: IntArray) -> None:
-        """Count +1 for each pair of `features` (j,), those of one scan; UNPAIRED and repetitions count for nothing.
+        """Add 1 to the count of each pair of `features` (j,) of one scan; UNPAIRED and repetitions are ignored.
 
         Raises ValueError where a feature is not in the graph.
         """
@@ -84,7 +84,7 @@ class CovisibilityGraph:
     def keep(self, kept: IntArray) -> None:
         """Keep only the nodes `kept` (n',) (old indices, ascending), which become 0 … n'−1.
 
-        Raises ValueError, the graph unchanged, where they are not ascending nodes of it.
+        Raises ValueError, before the graph is changed, where they are not ascending nodes of it.
         """
         kept = np.ascontiguousarray(kept, dtype=np.int64)
         if len(kept) and (kept[0] < 0 or kept[-1] >= self.n or (np.diff(kept) <= 0).any()):
@@ -93,29 +93,29 @@ class CovisibilityGraph:
         self.n = len(kept)
 
     def followed_by(self, other: CovisibilityGraph) -> CovisibilityGraph:
-        """A graph of these nodes, then those of `other`, with the edges of both."""
+        """The graph of the nodes of this graph, then those of `other`, with the edges of both."""
         ours, theirs = self.edges(), other.edges()
         pairs = np.concatenate([ours.pairs, theirs.pairs + self.n])
         return graph_of(self.n + other.n, Edges(pairs, np.concatenate([ours.counts, theirs.counts])))
 
     def fused(self, kept: IntArray, dropped: IntArray) -> CovisibilityGraph:
-        """A graph in which node kept[i] takes over the edges of dropped[i], (k,), and the latter are gone.
+        """A graph in which node kept[i] takes over the edges of dropped[i], (k,), which are removed.
 
-        Where both saw the same node, the counts add up; what they saw of each other is forgotten.
+        The counts of edges to a common neighbour add up; edges between kept[i] and dropped[i] are dropped.
         """
         became = np.arange(self.n)
         became[dropped] = kept
         edges = self.edges()
         pairs = np.sort(became[edges.pairs], axis=1)
-        apart = pairs[:, 0] != pairs[:, 1]
-        pairs, where = np.unique(pairs[apart], axis=0, return_inverse=True)
-        counts = np.bincount(where.ravel(), weights=edges.counts[apart], minlength=len(pairs)).astype(np.int64)
+        are_distinct = pairs[:, 0] != pairs[:, 1]
+        pairs, edge_of = np.unique(pairs[are_distinct], axis=0, return_inverse=True)
+        counts = np.bincount(edge_of.ravel(), weights=edges.counts[are_distinct], minlength=len(pairs)).astype(np.int64)
         graph = graph_of(self.n, Edges(pairs, counts))
         graph.keep(np.delete(np.arange(self.n), dropped))
         return graph
 
     def count(self, i: int, j: int) -> int:
-        """How many scans saw both features. Raises IndexError where one is not in the graph."""
+        """The number of scans that saw both features. Raises IndexError where one is not in the graph."""
         if not (0 <= i < self.n and 0 <= j < self.n):
             raise IndexError(f"features {i} and {j} in a graph of {self.n}")
         neighbours = self._neighbours[i, : self._degrees[i]]
@@ -129,11 +129,11 @@ class CovisibilityGraph:
         return self._neighbours[i, : self._degrees[i]].copy()
 
     def local_to(self, features: IntArray) -> BoolArray:
-        """(n,) the features given, but for UNPAIRED, and all their neighbours. Raises ValueError as `see_together`."""
+        """(n,) whether each node is one of `features` or a neighbour of one. Raises ValueError as `see_together`."""
         return mark_local(self._neighbours, self._degrees, self.n, self._existing(features, UNPAIRED))
 
     def among(self, features: IntArray) -> BoolArray:
-        """(j, j) which of `features` (j,) are neighbours of each other or the same; symmetric.
+        """(j, j) whether each two of `features` (j,) are neighbours or the same; symmetric.
 
         Raises ValueError where a feature is not in the graph.
         """
@@ -150,12 +150,12 @@ class CovisibilityGraph:
         filled = np.arange(self._neighbours.shape[1]) < self._degrees[: self.n, None]
         start = np.repeat(np.arange(self.n), self._degrees[: self.n])
         end, counts = self._neighbours[: self.n][filled], self._counts[: self.n][filled]
-        once = start < end
-        return Edges(np.column_stack([start[once], end[once]]), counts[once])
+        is_ascending = start < end
+        return Edges(np.column_stack([start[is_ascending], end[is_ascending]]), counts[is_ascending])
 
 
 def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
-    """The graph of n nodes with these edges, each given once. Raises ValueError for pairs of other than two of them."""
+    """The graph of n nodes with `edges`, each listed once. Raises ValueError unless each joins two different nodes."""
     pairs = np.asarray(edges.pairs, np.int64).reshape(-1, 2)
     if np.any((pairs < 0) | (pairs >= n)) or np.any(pairs[:, 0] == pairs[:, 1]):
         raise ValueError(f"edges: not pairs of two different ones of {n} nodes")
@@ -175,7 +175,7 @@ def graph_of(n: int, edges: Edges) -> CovisibilityGraph:
 
 @compiled
 def count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int, features: IntArray) -> int:
-    """Count each pair; returns the row length needed, with nothing counted if there is less."""
+    """Count each pair of `features`; returns the row width needed. If the rows are narrower, nothing is counted."""
     seen, k, needed = np.empty(len(features), np.int64), 0, 0
     for f in features:
         at = k
@@ -199,17 +199,17 @@ def count_pairs(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: in
 
 @compiled
 def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: IntArray) -> int:
-    """Count `seen` (ascending) but f in the ascending row of f; returns its new degree."""
-    fresh, at = 0, 0
+    """Count `seen` (ascending), except f, in the ascending row of f; returns the new degree of f."""
+    added, at = 0, 0
     for g in seen:
         while at < degree and neighbours[at] < g:
             at += 1
         if at < degree and neighbours[at] == g:
             counts[at] += 1
         elif g != f:
-            fresh += 1
-    # place the fresh ones from the right, so that nothing is overwritten before it has moved
-    read, write, s = degree - 1, degree + fresh - 1, len(seen) - 1
+            added += 1
+    # insert new neighbours from the right, so that nothing is overwritten before it has moved
+    read, write, s = degree - 1, degree + added - 1, len(seen) - 1
     while write > read:
         if seen[s] == f or (read >= 0 and neighbours[read] == seen[s]):
             s -= 1
@@ -219,7 +219,7 @@ def _merge(neighbours: IntArray, counts: IntArray, degree: int, f: int, seen: In
         else:
             neighbours[write], counts[write] = seen[s], 1
             s, write = s - 1, write - 1
-    return degree + fresh
+    return degree + added
 
 
 @compiled
@@ -240,7 +240,7 @@ def keep_nodes(neighbours: IntArray, counts: IntArray, degrees: IntArray, n: int
 
 @compiled
 def mark_local(neighbours: IntArray, degrees: IntArray, n: int, features: IntArray) -> BoolArray:
-    """`CovisibilityGraph.local_to`; without any arrays of a graph, all n features are local."""
+    """`CovisibilityGraph.local_to`; if the graph's arrays are empty, all n features are local."""
     local = np.full(n, len(neighbours) == 0)
     if len(neighbours) == 0:
         return local

@@ -1,11 +1,11 @@
 """The equations of EKF-SLAM with point features, compiled (Castellanos, Neira and Tardós 2006, chapter 9).
 
 State x = (robot R = [x m, y m, θ rad]; features F_1 … F_n [m]), all in B; d = 3 + 2n, feature j starts at 3 + 2j.
-**Only the upper triangle of P is kept**: symmetric by construction, and half the work. Arrays are `padded`;
-what lies beyond d and below the diagonal means nothing.
+**Only the upper triangle of P is stored**: P is symmetric by construction, and the work is halved. Arrays are `padded`;
+entries beyond d and below the diagonal are meaningless.
 
-What is known of a feature besides is in the columns of two arrays: `counted` (5, ≥ n) of integers, rows IDS to KINDS,
-and `sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown.
+The other properties of features are the columns of two arrays: `counted` (5, ≥ n) of integers, rows IDS to KINDS, and
+`sized` (2, ≥ n), rows SIZES [m] and VARIANCES [m²], NaN where unknown.
 
 The robot's rotation is C and its position t; J = [0 −1; 1 0], so that JΔ = (−Δ_y, Δ_x)ᵀ. Measurements: `update`.
 """
@@ -21,7 +21,7 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.mapping.linear_algebra import is_covariance
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, IntArray, ScanArrays
 
-IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS = range(5)  # id, steps in which it was seen, first and last of them, class
+IDS, SEEN, FIRST_SEEN, LAST_SEEN, KINDS = range(5)  # id, number of steps that saw it, the first and the last, class
 SIZES, VARIANCES = range(2)
 
 MapArrays = tuple[Array, Array, IntArray, Array]
@@ -37,7 +37,7 @@ def turned(c: float, s: float, xx: float, xy: float, yy: float) -> tuple[float, 
 
 @compiled
 def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
-    """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF; False (and nothing done) where u or Q is no good.
+    """x_R ← x_R ⊕ u, P_RR ← F P_RR Fᵀ + G Q Gᵀ, P_RF ← F P_RF; False (nothing is changed) where u or Q is invalid.
 
     F = [I JΔ; 0 1] with Δ the robot's displacement in B; G = diag(C, 1). u (3,) [m, m, rad], Q (3, 3) its covariance.
     """
@@ -64,7 +64,7 @@ def predict(x: Array, P: Array, d: int, motion: Array, Q: Array) -> bool:
 
 @compiled
 def symmetric(P: Array, d: int) -> Array:
-    """P[:d, :d] with both triangles, a copy."""
+    """A copy of P[:d, :d] with both triangles filled in."""
     out = np.empty((d, d))
     for i in range(d):
         for j in range(i, d):
@@ -88,7 +88,7 @@ def relative_covariance(P: Array, i: int, j: int) -> tuple[float, float, float]:
 def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gate: float) -> Array:
     """(a, b) D²_ij = (F_i − F_j)ᵀ (P_ii + P_jj − P_ij − P_ji)⁻¹ (F_i − F_j), inf where it is not less than the gate.
 
-    As P_ii + P_jj − P_ij − P_ji ≤ 2 (P_ii + P_jj), most pairs are refused before their covariance is looked up.
+    As P_ii + P_jj − P_ij − P_ji ≤ 2 (P_ii + P_jj), most pairs are rejected before P_ij is read.
     """
     out = np.full((len(first), len(second)), np.inf)
     for a in range(len(first)):
@@ -109,7 +109,7 @@ def distances_between(x: Array, P: Array, first: IntArray, second: IntArray, gat
 
 @compiled
 def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i: int) -> bool:
-    """Append feature n, x_F = x_R ⊕ z with z measurement i, its covariance by linearisation; False where z is no good.
+    """Append feature n, x_F = x_R ⊕ z with z measurement i, its covariance by linearisation; False where z is invalid.
 
     P_F· = [I JΔ] P_R·, P_FF = [I JΔ] P_RR [I JΔ]ᵀ + C R Cᵀ, with Δ = x_F − t.
     """
@@ -134,7 +134,7 @@ def add(arrays: MapArrays, n: int, step: int, next_id: int, scan: ScanArrays, i:
 
 @compiled
 def keep(arrays: MapArrays, kept: IntArray) -> None:
-    """Keep only the robot and the features `kept` (n',), ascending: marginalisation, in place."""
+    """Marginalise, in place, all features out of the map except `kept` (n',), which ascend."""
     x, P, counted, sized = arrays
     first = 0  # everything before the first gap stays where it is
     while first < len(kept) and kept[first] == first:
@@ -165,10 +165,10 @@ def confirmed(x: Array, counted: IntArray, n: int, confirmations: int) -> Array:
 
 @compiled
 def record(arrays: MapArrays, step: int, scan: ScanArrays, features: IntArray) -> None:
-    """Count the step in which `features` (m,) were seen, once each; learn their sizes and kinds from the measurements.
+    """Count this step once for each of `features` (m,), and learn their sizes and kinds from the measurements.
 
-    A size is updated by a scalar Kalman filter: an unknown one (NaN) takes over the first measured, and a NaN
-    measurement says nothing. The last kind that was reported holds.
+    A scalar Kalman filter updates a size: the first measured size replaces an unknown one (NaN), and a measured size of
+    NaN is ignored. The kind is the last that was reported.
     """
     (_, _, counted, sized), (_, _, measured_sizes, measured_variances, measured_kinds) = arrays, scan
     seen, last_seen, kinds = counted[SEEN], counted[LAST_SEEN], counted[KINDS]

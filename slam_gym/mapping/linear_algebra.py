@@ -1,6 +1,6 @@
-"""The linear algebra of an EKF update, compiled: plain loops, laid out so that the compiler vectorises them.
+"""The linear algebra of an EKF update, compiled: simple loops, laid out so that the compiler vectorises them.
 
-Matrices are C-contiguous. Loops over long rows run over whole cache lines (`padded`), which spares them a remainder.
+Matrices are C-contiguous. Loops over long rows run over whole cache lines (`padded`), so that no remainder is left.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 _NUMBA: Any = config
 _LANES = 8  # doubles in a cache line
 _CAPSULE = type(np.from_dlpack(np.zeros(1)).base)
-ROUNDING = 1e-13  # fraction of what cancels in S and in P that is given back to their diagonals: keeps both definite
+ROUNDING = 1e-13  # fraction of the cancelling terms that is added to the diagonals of S and P, to keep both definite
 _SLACK = 1e-9  # a covariance may miss symmetry and positive semi-definiteness by this fraction of its trace
 
 
 @compiled
 def padded(d: int) -> int:
-    """d rounded up to whole cache lines: the least length of x and `at` and side of P."""
+    """d rounded up to whole cache lines: the least length of x and side of P."""
     return (d + _LANES - 1) // _LANES * _LANES
 
 
 def aligned_zeros(*shape: int) -> Array:
-    """An array of zeros that starts at a cache line: the update runs a third faster on it."""
+    """An array of zeros that starts at a cache line, on which the update runs a third faster."""
     size = math.prod(shape)
     room = np.zeros(size + _LANES)
     start = -room.ctypes.data // room.itemsize % _LANES
@@ -41,7 +41,7 @@ def aligned_zeros(*shape: int) -> Array:
 
 @compiled
 def cholesky(A: Array) -> bool:
-    """A ← its Cholesky factor L in the lower triangle, which alone is read; False where A is not positive definite."""
+    """A ← its Cholesky factor L, in place; only the lower triangle is used. False where A is not positive definite."""
     for j in range(A.shape[0]):
         pivot = A[j, j]
         for k in range(j):
@@ -59,7 +59,7 @@ def cholesky(A: Array) -> bool:
 
 @compiled
 def is_covariance(A: Array) -> bool:
-    """Finite, symmetric and positive semi-definite, to 1e-9 of its trace."""
+    """Whether A is finite, symmetric and positive semi-definite, within 1e-9 of its trace."""
     slack, factor = 0.0, np.empty(A.shape)
     for i in range(A.shape[0]):
         slack += _SLACK * abs(A[i, i])
@@ -99,7 +99,7 @@ def _eliminate(p: Array, q: Array, w: Array, v: Array, by_p: Array, by_q: Array)
 
 
 def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:
-    """a·b + c, rounded once: the same on every machine, and one instruction where products would cost two."""
+    """a·b + c, rounded once: the same result on every machine, in one instruction instead of two."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
@@ -108,7 +108,7 @@ def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 def _rounded_twice(a: float, b: float, c: float) -> float:
-    """What stands in for it where nothing is compiled (NUMBA_DISABLE_JIT=1, for debugging)."""
+    """a·b + c, rounded twice: replaces `_fused` where nothing is compiled (NUMBA_DISABLE_JIT=1, for debugging)."""
     return a * b + c
 
 
@@ -119,8 +119,8 @@ _fma: Any = _rounded_twice if _NUMBA.DISABLE_JIT else intrinsic(_fused)
 def subtract_squares(P: Array, W: Array) -> None:
     """Upper triangle of P −= Wᵀ W for W (2k, padded d): four rows of P and one pairing at a time, by whole cache lines.
 
-    This is where the time of an update goes; so blocked it is as fast as BLAS's dsyrk, and faster in small maps. What
-    rounding may have taken too much is given back to the diagonal.
+    Most time of an update is spent here; blocked like this it is as fast as BLAS's dsyrk, and faster in small maps. The
+    diagonal is raised by `ROUNDING`, to make up for rounding errors.
     """
     rows, d = W.shape
     lost = np.zeros(d)
@@ -151,10 +151,10 @@ def _subtract_from(p: Array, q: Array, r: Array, s: Array, w: Array, v: Array, b
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """The same memory, in an array that cannot be written to: what is handed on must not be a way to change the map.
+    """A view of the array that cannot be written to, so that its receiver cannot change the map.
 
-    An ordinary view could be made writable again, and has the array itself as its `base`; what comes by DLPack cannot,
-    and has not. Memory that DLPack does not know (another byte order) is copied.
+    An ordinary view could be made writable again, and its `base` is the array itself; neither holds for a view by
+    DLPack. An array of a type that DLPack does not support (another byte order) is copied.
     """
     if not array.flags.writeable and isinstance(array.base, _CAPSULE):
         return array

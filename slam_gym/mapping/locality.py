@@ -1,8 +1,8 @@
-"""Which features of a map are local to which: the three ways of the source, as compressed rows.
+"""Which features of a map are local to each other, by the three definitions of the source, as compressed rows.
 
-A search without a prior on the pose takes the features for its later pairings from the locality of the first one, so
-that its effort is linear in the size of the map (Neira, Tardós and Castellanos 2003). Every `Locality` here is
-symmetric and reflexive. None stands for everything, and searches in full.
+A search without a prior on the pose takes the features for its later pairings from the locality of the first paired
+feature, so that its effort is linear in the size of the map (Neira, Tardós and Castellanos 2003). Every `Locality` here
+is symmetric and reflexive. None means that all features are local to each other, and the search is complete.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from slam_gym.types import Array, IntArray, Locality
 
 
 def covisible(graph: CovisibilityGraph, at_least: int = 1, hops: int = 1) -> Locality:
-    """Features seen together in at least so many scans, or linked by up to `hops` such pairs.
+    """The locality of features seen together in `at_least` scans, or linked by up to `hops` such pairs.
 
-    One hop is the source's choice. It misses pairs that lie side by side but never met in one scan; two hops find those
-    that were both seen with a third feature, at several times the size. Raises ValueError where either is below 1.
+    One hop is the source's choice. It misses pairs that lie side by side but were never seen in one scan; two hops find
+    pairs that were both seen with a third feature, but make localities several times as large. Raises ValueError where
+    either argument is below 1.
     """
     if at_least < 1:
         raise ValueError(f"at_least: {at_least} is less than 1")
@@ -32,9 +33,9 @@ def covisible(graph: CovisibilityGraph, at_least: int = 1, hops: int = 1) -> Loc
 
 
 def linked(n: int, pairs: IntArray, hops: int = 1) -> Locality:
-    """Of n features, those linked by up to `hops` of these pairs (e, 2); no pair is given twice.
+    """The locality of n features in which those linked by up to `hops` of the `pairs` (e, 2), all different, are local.
 
-    Raises ValueError for fewer than one hop and for pairs of other than two different features.
+    Raises ValueError for fewer than one hop, and for a pair that is not of two different features.
     """
     pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     if hops < 1:
@@ -42,18 +43,18 @@ def linked(n: int, pairs: IntArray, hops: int = 1) -> Locality:
     bad = (pairs < 0).any(axis=1) | (pairs >= n).any(axis=1) | (pairs[:, 0] == pairs[:, 1])
     if bad.any():
         raise ValueError(f"pairs[{int(bad.argmax())}]: {pairs[bad.argmax()].tolist()} are not two of {n} features")
-    once = further = _relation(n, pairs)
+    one_hop = reached = _relation(n, pairs)
     for _ in range(hops - 1):
-        further = further @ once
-    return _locality_of(further)
+        reached = reached @ one_hop
+    return _locality_of(reached)
 
 
 def within(positions: Array, distance: float) -> Locality:
-    """Features (n, 2) at most `distance` [m] apart, by a k-d tree.
+    """The locality of features at `positions` (n, 2) [m] that are at most `distance` [m] apart, by a k-d tree.
 
-    Two features of one scan may be twice the sensor's range apart, so that is the distance to ask for. Walls are not
-    considered: features that can never be seen together count as local too. Raises ValueError for positions that are
-    not finite points or a distance that is negative or not finite.
+    Two features of one scan may be apart by twice the range of the sensor, which is the distance to choose. Walls are
+    ignored: features that can never be seen together count as local too. Raises ValueError for positions that are not
+    finite points, or a distance that is negative or not finite.
     """
     points = np.ascontiguousarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
@@ -70,10 +71,10 @@ def within(positions: Array, distance: float) -> Locality:
 
 
 def same_local_map(map_of: ArrayLike) -> Locality:
-    """Features of the same local map; map_of (n,) is the number of each feature's map.
+    """The locality of features of the same local map; `map_of` (n,) is the index of each feature's map.
 
-    Where two maps meet, features seen in one scan belong to different ones: a robot there finds half its scan in either
-    and may find too little in both. Raises ValueError where a number is negative.
+    Where two maps meet, the features of one scan belong to both: each map contains only half the scan, and neither may
+    contain enough of it. Raises ValueError where an index is negative.
     """
     numbers = np.array(map_of, dtype=np.int64).reshape(-1)
     if (numbers < 0).any():
@@ -85,9 +86,9 @@ def same_local_map(map_of: ArrayLike) -> Locality:
 
 
 def locality_sizes(locality: Locality | None, n: int) -> IntArray:
-    """|L(j)| of each of n features, itself included, (n,); c of eq. 9.22 is their maximum.
+    """(n,) size |L(j)| of the locality of each feature, itself included; c of eq. 9.22 is their maximum.
 
-    Raises ValueError where the locality is of another number of features.
+    Raises ValueError where the locality is of another number of features than n.
     """
     if locality is None:
         return np.full(n, n)
@@ -97,10 +98,10 @@ def locality_sizes(locality: Locality | None, n: int) -> IntArray:
 
 
 def hypothesis_count(sizes: IntArray, m: int) -> float:
-    """Hypotheses of the unpruned tree of m measurements under localities of these sizes (n,), each at least 1.
+    """The number of hypotheses of the unpruned tree of m measurements, for localities of `sizes` (n,), each at least 1.
 
-    N_h = 1 + Σ_j ((|L(j)| + 1)^m − 1) / |L(j)|: later pairings take their features from the locality of the first one,
-    which counts in it; a feature may serve two measurements.
+    N_h = 1 + Σ_j ((|L(j)| + 1)^m − 1) / |L(j)|: later pairings take their features from the locality of the first
+    feature, which is in it; a feature may be paired with two measurements.
     """
     c = np.asarray(sizes, dtype=np.float64)
     return float(1.0 + (((c + 1.0) ** m - 1.0) / c).sum())
@@ -109,13 +110,13 @@ def hypothesis_count(sizes: IntArray, m: int) -> float:
 def hypothesis_bound(n: int, m: int, c: float) -> float:
     """Eq. 9.22 for n features, m measurements and localities of c ≥ 1 features: N_h ≤ n ((c + 1)^m − 1) / c + 1.
 
-    Exact where all localities are of one size, a bound with the largest one; with the mean size it lies below N_h.
+    Exact where all localities have one size, a bound where c is the largest size, and below N_h for the mean size.
     """
     return float(n * ((c + 1.0) ** m - 1.0) / c + 1.0)
 
 
 def _relation(n: int, pairs: IntArray) -> Any:
-    """(n, n) the symmetric, reflexive relation of n features with these pairs (e, 2), i ≠ j, sparse."""
+    """(n, n) sparse matrix of the symmetric, reflexive relation of n features given by `pairs` (e, 2), i ≠ j."""
     every = np.arange(n)
     rows, columns = np.concatenate([every, pairs[:, 0], pairs[:, 1]]), np.concatenate([every, pairs[:, 1], pairs[:, 0]])
     return csr_array((np.ones(len(rows), np.bool_), (rows, columns)), shape=(n, n))

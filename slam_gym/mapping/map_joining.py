@@ -1,16 +1,16 @@
 """Map joining: two statistically independent stochastic maps become one (Tardós, Neira, Newman and Leonard, IJRR 2002).
 
-Map A, in base B_A, ends with its robot at R_A; map B has its base there: x_B is given in the frame of R_A. The joined
-state, all in B_A, with x_R the robot of B, is
+Map A, in base B_A, ends with its robot at R_A, which is the base of map B: x_B is given in the frame of R_A. The joined
+state, all in B_A, is
 
     x = (R_A ⊕ R_B; F_A; R_A ⊕ F_B),    P = J_A P_A J_Aᵀ + J_B P_B J_Bᵀ,
 
-where J_A, J_B are the Jacobians of x by x_A and x_B. Features that both maps hold are then matched, made equal by an
-update with the noise-free measurement F_a − F_b = 0, and one of each pair is deleted.
+where J_A, J_B are the Jacobians of x with respect to x_A and x_B. Features that both maps hold are then matched, an
+update with the noise-free measurement F_a − F_b = 0 makes them equal, and one of each pair is deleted.
 
-Many maps are joined at once by least squares (`join_all`): each is a measurement (R_i; F_i), of covariance P_i, of the
-next base and of its features as seen from its own base. That is exact but for rounding, linearised at the result, and
-sparse: two maps have to do with each other where they share features, or where one follows the other.
+Many maps are joined at once by least squares (`join_all`): each map is a measurement (R_i; F_i), of covariance P_i, of
+the next base and of its features, relative to its own base. The solution is exact except for rounding, linearised at
+the result, and sparse: only maps that share features or follow each other are coupled.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from slam_gym.mapping.stochastic_map import MapState, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray
 
 UNKNOWN_POSE = np.diag([10.0**2, 10.0**2, math.pi**2 / 3.0])
-"""[m², m², rad²] Covariance of a pose, or of the relation of two maps, before it is found: it says nothing."""
-_AT_LEAST = 1e-12  # [m²], [rad²] of a local map that is joined with others
+"""[m², m², rad²] Uninformative covariance of a pose, or of the relation of two maps, before it is estimated."""
+_MIN_VARIANCE = 1e-12  # [m²], [rad²] added to the variances of a local map that is joined with others
 
 
 def join(a: StochasticMap, b: StochasticMap) -> StochasticMap:
-    """Both maps in the base of `a`: the features of `a`, then those of `b`, none of them matched yet.
+    """Join two maps in the base of `a`: the features of `a`, then those of `b`, without matching them.
 
-    The robot is that of `b`, whose base is the robot of `a`; the settings are those of `a`. Raises ValueError where
-    both have given an id.
+    The base of `b` is the robot pose of `a`. The robot is that of `b`; the settings are those of `a`. Raises ValueError
+    where both maps use an id.
     """
     first, second = a.state, b.state
-    twice = np.intersect1d(first.counted[ekf.IDS], second.counted[ekf.IDS])
-    if len(twice):
-        raise ValueError(f"ids: both maps have features {twice[:5].tolist()}")
+    common = np.intersect1d(first.counted[ekf.IDS], second.counted[ekf.IDS])
+    if len(common):
+        raise ValueError(f"ids: both maps have features {common[:5].tolist()}")
     mean, covariance = joined_estimate(first.mean, first.covariance, second.mean, second.covariance)
     step, next_id = max(first.step, second.step), max(first.next_id, second.next_id)
     counted = np.concatenate([first.counted, second.counted], axis=1)
@@ -52,9 +52,9 @@ def join(a: StochasticMap, b: StochasticMap) -> StochasticMap:
 
 
 def join_at(a: StochasticMap, b: StochasticMap, base: Array) -> StochasticMap:
-    """Both maps in the base of `a`, that of `b` at the pose `base` (3,), of which nothing is known for certain.
+    """Join two maps in the base of `a`, with the base of `b` at the pose `base` (3,), of uninformative covariance.
 
-    What is known of it comes with `equate`. Neither map is changed. Raises as `join`.
+    `equate` then determines that pose. Neither map is changed. Raises as `join`.
     """
     placed = a.copy()
     placed.place(base, UNKNOWN_POSE)
@@ -62,18 +62,18 @@ def join_at(a: StochasticMap, b: StochasticMap, base: Array) -> StochasticMap:
 
 
 def join_all(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Smoothed:
-    """All maps in the base of the first, each of which has its base where the robot of the one before it ended.
+    """Join maps in the base of the first; the base of each map is the last robot pose of the map before it.
 
-    Features of one name are one: `names` has those (n_i,) of the features of each map, different within a map. The
-    poses are the bases of the maps, then that of the robot. To every variance (1 µm)² is added, for a robot that has
-    not moved since its map began knows its pose exactly. Raises ValueError where the iterations run out.
+    Features with the same name are one: `names` (n_i,) are those of the features of each map, distinct within a map.
+    The poses are the bases of the maps, then the pose of the robot. Every variance is raised by (1 µm)², because a
+    robot that has not moved since its map began knows its pose exactly. Raises ValueError where the iterations run out.
     """
     count, sizes = len(maps), [m.n for m in maps]
     ids, feature = np.unique(np.concatenate(names), return_inverse=True)
     rows, columns, values = [], [], []
     for number, (m, first) in enumerate(zip(maps, 3 * count + 2 * np.cumsum([0, *sizes]))):
         entries = np.concatenate([3 * number + np.arange(3), first + np.arange(2 * m.n)])
-        values.append(np.linalg.inv(m.covariance + _AT_LEAST * np.eye(len(entries))).ravel())
+        values.append(np.linalg.inv(m.covariance + _MIN_VARIANCE * np.eye(len(entries))).ravel())
         rows.append(np.repeat(entries, len(entries)))
         columns.append(np.tile(entries, len(entries)))
     total = 3 * count + 2 * sum(sizes)
@@ -85,10 +85,10 @@ def join_all(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> Smooth
 
 
 def joined_map(maps: Sequence[StochasticMap], names: Sequence[IntArray]) -> StochasticMap:
-    """`join_all` as one map with its full covariance, whose time and memory grow with the cube and square of its size.
+    """`join_all` as one map with full covariance. Time and memory grow with the cube and the square of its size.
 
-    Names are ids, each that of the oldest of the features of this name; ids ascend from map to map. What was known of
-    a feature in all maps goes to it; settings are those of the first map, the robot is that of the last.
+    A name is the id of the oldest of the features with this name; ids ascend from map to map. Each feature takes over
+    the sightings, size and kind from all maps. The settings are those of the first map, the robot is that of the last.
     """
     best, states = join_all(maps, names), [m.state for m in maps]
     counted = np.concatenate([state.counted for state in states], axis=1)
@@ -107,19 +107,19 @@ def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tup
     """x (3 + 2(n_a + n_b),) and P of the joined state, from x_A (3 + 2n_a,), x_B (3 + 2n_b,) and their covariances."""
     (x0, y0, heading), d, rest = mean_a[:3], len(mean_b), len(mean_a) - 3
     c, s = math.cos(heading), math.sin(heading)
-    along = np.concatenate([[0], np.arange(3, d, 2)])  # where x coordinates of the robot and features of B are
-    across = along + 1
+    xs = np.concatenate([[0], np.arange(3, d, 2)])  # entries of the x coordinates of robot and features of B
+    ys = xs + 1
     moved = mean_b.copy()
-    moved[along] = x0 + c * mean_b[along] - s * mean_b[across]
-    moved[across] = y0 + s * mean_b[along] + c * mean_b[across]
+    moved[xs] = x0 + c * mean_b[xs] - s * mean_b[ys]
+    moved[ys] = y0 + s * mean_b[xs] + c * mean_b[ys]
     moved[2] = wrap_angle(heading + mean_b[2])
-    M = np.zeros((d, 3))  # ∂(R_A ⊕ x_B)/∂R_A; by x_B it is the rotation of each point
-    M[along, 0] = M[across, 1] = M[2, 2] = 1.0
-    M[along, 2], M[across, 2] = y0 - moved[across], moved[along] - x0
+    M = np.zeros((d, 3))  # ∂(R_A ⊕ x_B)/∂R_A; the Jacobian with respect to x_B is the rotation of each point
+    M[xs, 0] = M[ys, 1] = M[2, 2] = 1.0
+    M[xs, 2], M[ys, 2] = y0 - moved[ys], moved[xs] - x0
     turned = P_b.copy()
-    turned[along], turned[across] = c * P_b[along] - s * P_b[across], s * P_b[along] + c * P_b[across]
-    x_columns, y_columns = turned[:, along].copy(), turned[:, across].copy()
-    turned[:, along], turned[:, across] = c * x_columns - s * y_columns, s * x_columns + c * y_columns
+    turned[xs], turned[ys] = c * P_b[xs] - s * P_b[ys], s * P_b[xs] + c * P_b[ys]
+    x_columns, y_columns = turned[:, xs].copy(), turned[:, ys].copy()
+    turned[:, xs], turned[:, ys] = c * x_columns - s * y_columns, s * x_columns + c * y_columns
     of_b = M @ P_a[:3, :3] @ M.T + turned
     between = M @ P_a[:3, 3:]
     mean = np.concatenate([moved[:3], mean_a[3:], moved[3:]])
@@ -132,10 +132,10 @@ def joined_estimate(mean_a: Array, P_a: Array, mean_b: Array, P_b: Array) -> tup
 
 
 def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
-    """The map in which features pairs[i, 0] and pairs[i, 1], (k, 2), are one: the first of each is left.
+    """Fuse the features pairs[i, 0] and pairs[i, 1], (k, 2), and return the new map, which keeps the first of each.
 
-    Equality update, then the second features are deleted; what was known of them (sightings, size, kind) goes to the
-    first. Raises ValueError where a feature does not exist or is to be deleted twice, or where S is singular.
+    An equality update, after which the second features are deleted; the first take over their sightings, sizes and
+    kinds. Raises ValueError where a feature does not exist or would be deleted twice, or where S is singular.
     """
     pairs = np.ascontiguousarray(pairs, dtype=np.int64).reshape(-1, 2)
     kept, dropped = pairs[:, 0], pairs[:, 1]
@@ -146,15 +146,15 @@ def equate(m: StochasticMap, pairs: IntArray) -> StochasticMap:
     state = m.state
     mean, covariance = equality_update(state.mean, state.covariance, pairs)
     take_over(state.counted, state.sized, kept, dropped)
-    equal = StochasticMap.of_state(m.spec, replace(state, mean=mean, covariance=covariance))
-    equal.remove(dropped)
-    return equal
+    fused = StochasticMap.of_state(m.spec, replace(state, mean=mean, covariance=covariance))
+    fused.remove(dropped)
+    return fused
 
 
 def take_over(counted: IntArray, sized: Array, kept: IntArray, dropped: IntArray) -> None:
-    """Feature kept[i] takes over what was known of its duplicate dropped[i], both (k,); nothing is deleted.
+    """Merge the sightings, size and kind of feature dropped[i] into feature kept[i], both (k,); nothing is deleted.
 
-    Sightings add up, sizes are averaged by their variances, and an unknown kind gives way to a known one. `counted` and
+    Sightings add up, sizes are averaged by their variances, and a known kind replaces an unknown one. `counted` and
     `sized` are those of `MapState`, changed in place.
     """
     seen, first_seen, last_seen, kinds = (counted[row] for row in (ekf.SEEN, ekf.FIRST_SEEN, ekf.LAST_SEEN, ekf.KINDS))
@@ -174,7 +174,7 @@ def take_over(counted: IntArray, sized: Array, kept: IntArray, dropped: IntArray
 
 
 def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Array]:
-    """x (d,) and P (d, d) given F_a = F_b for all pairs (k, 2) at once; P is left singular, for they are equal now.
+    """x (d,) and P (d, d) given F_a = F_b for all pairs (k, 2) at once; P becomes singular, as both are then equal.
 
     H = [… I … −I …], ν = −H x, S = H P Hᵀ = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν, P ← P − Wᵀ W. Raises ValueError where
     S is not positive definite, as when two features are known exactly.
@@ -184,8 +184,8 @@ def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Arra
     d, side = len(mean), padded(len(mean))
     first, second = (3 + 2 * pairs[:, column, None] + np.arange(2) for column in (0, 1))
     first, second = first.ravel(), second.ravel()
-    W, left = np.zeros((len(first), side)), aligned_zeros(side, side)
-    W[:, :d], left[:d, :d] = P[first] - P[second], P
+    W, posterior = np.zeros((len(first), side)), aligned_zeros(side, side)
+    W[:, :d], posterior[:d, :d] = P[first] - P[second], P
     S = np.ascontiguousarray(W[:, first] - W[:, second])
     S[np.diag_indices(len(S))] += ROUNDING * (P[first, first] + P[second, second])
     if not cholesky(S):
@@ -194,5 +194,5 @@ def equality_update(mean: Array, P: Array, pairs: IntArray) -> tuple[Array, Arra
     whiten(S, W, nu)
     out = mean + (W[:, :d] * nu[:, None]).sum(axis=0)
     out[2] = wrap_angle(out[2])
-    subtract_squares(left, W)
-    return out, ekf.symmetric(left, d)
+    subtract_squares(posterior, W)
+    return out, ekf.symmetric(posterior, d)

@@ -1,20 +1,21 @@
-"""What the map expects of a scan: the features in reach, their positions in R, and the covariances of these. Compiled.
+"""The measurements that the map predicts: features in reach, their positions in R, and the covariances. Compiled.
 
 State x and P (upper triangle) are those of `ekf`; h_j(x) = Cᵀ(F_j − t) and H_j = Cᵀ[−I  −JΔ  0 … I … 0] are its
 measurement function and Jacobian.
 
-**To second order** a heading that is poorly known bends the prediction. With ν = H_j δ the linear error of the
-prediction and δθ that of the heading, Gaussian as P has them, in the coordinates of the group (see `update`),
+**To second order** an uncertain heading shifts and widens the prediction. With ν = H_j δ the linear error of the
+prediction and δθ the error of the heading, Gaussian with covariances from P, in the coordinates of the group (see
+`update`),
 
     h_j(x ⊞ δ) = h_j(x) + ν − ½ δθ J ν + …,
 
-the mean of which is h_j − ½ J c_j with c_j = H_j P e_θ, and the covariance, of two features,
+whose mean is h_j − ½ J c_j with c_j = H_j P e_θ, and whose covariance, for two features, is
 
     H_i P H_jᵀ + ¼ J (σ_θ² H_i P H_jᵀ + c_i c_jᵀ) Jᵀ.
 
-Where P knows the heading alone poorly, ν = −δθ J h, that is h shortened by ½ σ_θ² and ½ σ_θ⁴ h hᵀ: the first terms of
-the moments of a point that is turned by a Gaussian angle. A heading that is off together with all features bends
-nothing.
+If only the heading is uncertain, ν = −δθ J h: the mean is h shortened by ½ σ_θ², and ½ σ_θ⁴ h hᵀ is added to the
+covariance, the first terms of the moments of a point rotated by a Gaussian angle. A heading error that all features
+share has no such effect.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ paired, or UNPAIRED."""
 
 
 def rows_for(n: int) -> RowArrays:
-    """Room for what is known of n features."""
+    """Empty row arrays for up to n features."""
     return (
         np.empty((4, n), np.int64), np.empty((2, n)), np.empty(n, np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)),
         np.empty((n, 2)),
@@ -50,11 +51,11 @@ def rows_for(n: int) -> RowArrays:
 def _relative_covariance(x: Array, P: Array, f: int) -> tuple[float, float, float]:
     """G P Gᵀ with G = C H, for the feature that starts at f: entries xx, xy, yy."""
     dx, dy = x[f] - x[0], x[f + 1] - x[1]
-    # rows x, y and θ of P Gᵀ for the robot
+    # rows x, y and θ of P Gᵀ, those of the robot
     xx, xy = P[0, f] - P[0, 0] + P[0, 2] * dy, P[0, f + 1] - P[0, 1] - P[0, 2] * dx
     yy = P[1, f + 1] - P[1, 1] - P[1, 2] * dx
     tx, ty = P[2, f] - P[0, 2] + P[2, 2] * dy, P[2, f + 1] - P[1, 2] - P[2, 2] * dx
-    # then for the feature
+    # then the rows of the feature
     fxx, fxy = P[f, f] - P[0, f] + P[2, f] * dy, P[f, f + 1] - P[1, f] - P[2, f] * dx
     fyy = P[f + 1, f + 1] - P[1, f + 1] - P[2, f + 1] * dx
     return fxx - xx + dy * tx, fxy - xy + dy * ty, fyy - yy - dx * ty
@@ -64,11 +65,11 @@ def _relative_covariance(x: Array, P: Array, f: int) -> tuple[float, float, floa
 def _features_in_reach(
     x: Array, P: Array, n: int, reach: float, second_order: bool, out: tuple[IntArray, Array, Array, Array]
 ) -> int:
-    """How many features have ‖h_j(x)‖ ≤ reach + 3σ, σ² being the largest eigenvalue of H_j P H_jᵀ.
+    """The number of features with ‖h_j(x)‖ ≤ reach + 3σ, where σ² is the largest eigenvalue of H_j P H_jᵀ.
 
-    Entered in the first rows of `out`: their indices (n,), positions h_j (n, 2), covariances H_j P H_jᵀ (n, 2, 2), and
-    those with the robot's heading, H_j P e_θ (n, 2). With `second_order`, positions and covariances are the mean and
-    covariance to that order.
+    Their indices (n,), positions h_j (n, 2), covariances H_j P H_jᵀ (n, 2, 2), and covariances with the robot's
+    heading H_j P e_θ (n, 2) are entered in the first rows of `out`. With `second_order`, positions and covariances are
+    mean and covariance to second order.
     """
     (features, positions, covariances, across), k = out, 0
     c, s = math.cos(x[2]), math.sin(x[2])
@@ -77,7 +78,7 @@ def _features_in_reach(
         dx, dy = x[f] - x[0], x[f + 1] - x[1]
         beyond = math.sqrt(dx * dx + dy * dy) - reach
         xx, xy, yy = _relative_covariance(x, P, f)
-        # 9σ² is compared; the trace bounds σ² and spares most features the root
+        # the test compares 9σ²; the trace bounds σ², and for most features no root is needed
         if beyond > 0.0 and beyond * beyond > 9.0 * (xx + yy):
             continue
         largest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
@@ -110,12 +111,12 @@ def foresee(
     pose: Array,
     out: RowArrays,
 ) -> int:
-    """`ekf.predict` where the robot moves, then the k features in reach with what is known of them; −1: refused.
+    """`ekf.predict` if the robot moves, then predict the features in reach; their number k, or −1: odometry is invalid.
 
     Arguments:
-        arrays: of a map.
-        counts: its features n, and the steps that have ended in it.
-        odometry: whether the robot moves; by what (3,), and the covariance (3, 3) of that.
+        arrays: arrays of a map.
+        counts: number n of its features, and number of steps that have ended in it.
+        odometry: whether the robot moves, its motion (3,), and the covariance (3, 3) of the motion.
         pose: (4,) receives the predicted pose and the variance of its heading.
         out: receives the features.
     """
@@ -141,20 +142,20 @@ def keep_rows(out: RowArrays, kept: IntArray) -> None:
     """Move the rows `kept` (j,), ascending, to the front."""
     known, sizes, near, positions, covariances, across = out
     for row in range(len(kept)):
-        was = kept[row]  # entry by entry: slices take two seconds to compile
-        near[row] = near[was]
+        old = kept[row]  # entry by entry: slices take two seconds to compile
+        near[row] = near[old]
         for k in range(2):
-            sizes[k, row], positions[row, k], across[row, k] = sizes[k, was], positions[was, k], across[was, k]
-            covariances[row, k, 0], covariances[row, k, 1] = covariances[was, k, 0], covariances[was, k, 1]
+            sizes[k, row], positions[row, k], across[row, k] = sizes[k, old], positions[old, k], across[old, k]
+            covariances[row, k, 0], covariances[row, k, 1] = covariances[old, k, 0], covariances[old, k, 1]
         for k in range(4):
-            known[k, row] = known[k, was]
+            known[k, row] = known[k, old]
 
 
 @compiled
 def joint_covariance(x: Array, P: Array, features: IntArray, second_order: bool) -> Array:
-    """H P Hᵀ (2j, 2j) of the features (j,) together, with all cross-covariances; to second order, if so.
+    """H P Hᵀ (2j, 2j), the joint covariance of the predictions of `features` (j,), to second order if asked.
 
-    The robot's terms are those of `_relative_covariance`, computed once for each feature instead of once a pair.
+    The robot's terms are those of `_relative_covariance`, computed once per feature instead of once per pair.
     """
     m = len(features)
     out, offset, robot = np.empty((2 * m, 2 * m)), np.empty((m, 2)), np.empty((m, 6))

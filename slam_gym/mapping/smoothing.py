@@ -1,8 +1,8 @@
-"""Batch least squares: the trajectory and map that explain a whole run best, its pairings taken as given.
+"""Batch least squares: the trajectory and map that best explain a whole run, for known pairings.
 
 Minimises χ² = Σ_t ‖u_t − (⊖x_{t−1}) ⊕ x_t‖²_{Q_t} + Σ_i ‖z_i − (⊖x_{t(i)}) ⊕ m_{j(i)}‖²_{R_i} over poses x and
-positions m by Gauss–Newton with Levenberg's damping (smoothing and mapping: Dellaert and Kaess, IJRR 2006). No
-estimate that is given the same pairings can be expected to be better: it is the floor of every table.
+positions m by Gauss–Newton with Levenberg's damping (smoothing and mapping: Dellaert and Kaess, IJRR 2006). No other
+estimate from the same pairings can be expected to have smaller errors: this is the lower bound in every table.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from scipy.sparse.linalg import SuperLU, splu
 from slam_gym.geometry import compose, relative, wrap_angles
 from slam_gym.types import Array, IntArray, Odometry, Scan
 
-_TOLERANCE, _ITERATIONS = 1e-9, 100  # an iteration that gains less of χ² is the last
+_TOLERANCE, _ITERATIONS = 1e-9, 100  # stop where an iteration gains less than this fraction of χ²; most iterations
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """The best fit of a run, in the frame in which it starts."""
+    """The least-squares estimate of a run, in the frame in which the run starts."""
 
-    poses: Array  # (T, 3) [m, m, rad], the first of which is held
-    ids: IntArray  # (L,) what the pairings call each feature, ascending
+    poses: Array  # (T, 3) [m, m, rad]; the first is held fixed
+    ids: IntArray  # (L,) number by which the pairings identify each feature, ascending
     positions: Array  # (L, 2) [m]
     chi2: float
     information: csc_array  # (3(T − 1) + 2L, …) of poses 1 … T − 1, then positions: JᵀΛJ at the optimum
@@ -38,8 +38,8 @@ class Smoothed:
     def covariance(self, poses: ArrayLike = (), ids: ArrayLike = ()) -> Array:
         """(3p + 2k, 3p + 2k) joint covariance [m², m·rad, rad²] of `poses` (p,), by step, and features (k,), by id.
 
-        One sparse factorisation, kept for the next call, and two triangular solutions for each column. That of the
-        first pose is zero. Raises ValueError where a pose or a feature does not exist.
+        It takes one sparse factorisation, stored for the next call, and two triangular solves per column. The
+        covariance of the first pose is zero. Raises ValueError where a pose or a feature does not exist.
         """
         steps, features = np.atleast_1d(np.asarray(poses, np.int64)), np.atleast_1d(np.asarray(ids, np.int64))
         if ((steps < 0) | (steps >= len(self.poses))).any():
@@ -67,17 +67,16 @@ def smooth(
     pairings: Sequence[ArrayLike],
     initial: ArrayLike | None = None,
 ) -> Smoothed:
-    """The least-squares optimum of a run of T steps, of whose measurements it is known which are of one feature.
+    """Compute the least-squares optimum of a run of T steps whose pairings are known.
 
-    `smooth(*zip(*recording.steps()))` is that of a log with its identities.
+    For a log with identities: `smooth(*zip(*recording.steps()))`.
 
     Arguments:
-        odometry: before each scan. The first pose is held where the first motion leads to from the origin.
-        scans: T of them.
-        pairings: for each scan (m,) integers that tell features apart; a measurement whose number is negative is left
-            out.
-        initial: (T, 3) poses to start from, such as a filter's, in any frame; by default those of dead reckoning, from
-            which a long run ends in a local minimum. Features start where they were first seen from there.
+        odometry: the motion before each scan. The first pose is fixed where the first motion leads from the origin.
+        scans: T scans.
+        pairings: for each scan (m,) integers that name the features; a measurement with a negative number is left out.
+        initial: (T, 3) initial poses, such as a filter's, in any frame. By default they are those of dead reckoning,
+            from which a long run ends in a local minimum. Features start where the initial poses first see them.
 
     Raises ValueError, naming the argument, where lengths do not fit, nothing is paired, a number is not finite or a
     covariance not positive definite; and where the iterations run out.
@@ -86,13 +85,13 @@ def smooth(
     if len(scans) != T or len(pairings) != T:
         raise ValueError(f"scans, pairings: {len(scans)} and {len(pairings)} of them for {T} of odometry")
     numbers = [_pairing(step, pairing, len(scan)) for step, (scan, pairing) in enumerate(zip(scans, pairings))]
-    kept = [pairing >= 0 for pairing in numbers]
-    pose = np.repeat(np.arange(T), [which.sum() for which in kept])
+    masks = [pairing >= 0 for pairing in numbers]
+    pose = np.repeat(np.arange(T), [mask.sum() for mask in masks])
     if not len(pose):
         raise ValueError("pairings: no measurement is paired with a feature")
-    ids, feature = np.unique(np.concatenate([n[which] for n, which in zip(numbers, kept)]), return_inverse=True)
-    points = np.concatenate([scan.points[which] for scan, which in zip(scans, kept)])
-    covariances = np.concatenate([scan.covariances[which] for scan, which in zip(scans, kept)])
+    ids, feature = np.unique(np.concatenate([n[mask] for n, mask in zip(numbers, masks)]), return_inverse=True)
+    points = np.concatenate([scan.points[mask] for scan, mask in zip(scans, masks)])
+    covariances = np.concatenate([scan.covariances[mask] for scan, mask in zip(scans, masks)])
     motions, noise = np.array([u.motion for u in odometry]), np.array([u.covariance for u in odometry])
     for name, values, steps in (("odometry", motions, np.arange(T)), ("scans", points, pose)):
         _refuse(name, steps, np.isfinite(values).all(axis=1), "is not finite")
@@ -107,16 +106,16 @@ def smooth(
 
 @dataclass(frozen=True, eq=False)
 class FactorGraph:
-    """What is known of T poses and L positions: motions between consecutive poses and points seen from poses."""
+    """Measurements of T poses and L positions: motions between consecutive poses, and points seen from poses."""
 
     motions: Array  # (T − 1, 3) [m, m, rad] each pose in the frame of the one before
-    points: Array  # (M, 2) [m] in the frame of …
-    pose: IntArray  # (M,) … this pose
-    feature: IntArray  # (M,) row of the feature that each is
+    points: Array  # (M, 2) [m] in the frame of the pose that sees each
+    pose: IntArray  # (M,) index of that pose
+    feature: IntArray  # (M,) row of the feature that each point measures
     information: csc_array  # Λ (3(T − 1) + 2M, …) of the motions, then of the points
 
     def optimum(self, poses: Array, ids: IntArray) -> Smoothed:
-        """The optimum from poses (T, 3), the first of which is held; ids (L,) of the features.
+        """The optimum reached from initial `poses` (T, 3), the first of which stays fixed; `ids` (L,) of the features.
 
         Raises ValueError where the iterations run out.
         """
@@ -127,40 +126,40 @@ class FactorGraph:
             weighted = (self.information @ jacobian).T
             normal = csc_array(weighted @ jacobian)
             step = _factor(normal + damping * eye_array(len(x))).solve(weighted @ errors)
-            moved = x - step
-            moved[2 : self.motions.size : 3] = wrap_angles(moved[2 : self.motions.size : 3])
-            further = self.linearise(poses[0], moved)
-            chi2_before, chi2_after = chi2, float(further[0] @ (self.information @ further[0]))
+            x_new = x - step
+            x_new[2 : self.motions.size : 3] = wrap_angles(x_new[2 : self.motions.size : 3])
+            linearised = self.linearise(poses[0], x_new)
+            chi2_before, chi2_after = chi2, float(linearised[0] @ (self.information @ linearised[0]))
             least_gain = _TOLERANCE * max(chi2_before, 1.0)
             if not chi2_after <= chi2_before + least_gain:
                 damping *= 10.0
                 continue
-            x, damping, (errors, jacobian), chi2 = moved, 0.1 * damping, further, chi2_after
+            x, damping, (errors, jacobian), chi2 = x_new, 0.1 * damping, linearised, chi2_after
             if chi2_before - chi2 <= least_gain:
-                found, positions = self.split(poses[0], x)
-                return Smoothed(found, ids, positions, chi2, normal, iteration)
+                optimal_poses, positions = self.split(poses[0], x)
+                return Smoothed(optimal_poses, ids, positions, chi2, normal, iteration)
         raise ValueError(f"no optimum in {_ITERATIONS} iterations: χ² is {chi2:.6g} and still falls")
 
     def start(self, poses: Array) -> Array:
-        """Unknowns x (3(T − 1) + 2L,): all poses but the first, and each position where it was first seen from them."""
+        """Initial x (3(T − 1) + 2L,): all `poses` but the first, and each position where these first see it."""
         first = np.unique(self.feature, return_index=True)[1]
         at, seen = poses[self.pose[first]], self.points[first]
         return np.concatenate([poses[1:].ravel(), (at[:, :2] + _turned(at[:, 2], seen)).ravel()])
 
     def split(self, first: Array, x: Array) -> tuple[Array, Array]:
-        """Poses (T, 3), with the `first` (3,), and positions (L, 2)."""
+        """Split the unknowns x into poses (T, 3), after the `first` (3,), and positions (L, 2)."""
         unknown = self.motions.size
         return np.vstack([first, x[:unknown].reshape(-1, 3)]), x[unknown:].reshape(-1, 2)
 
     def linearise(self, first: Array, x: Array) -> tuple[Array, csc_array]:
-        """Errors of the motions and points as x has them, (3(T − 1) + 2M,), and their sparse Jacobian by x."""
+        """Errors of the motions and points at x, (3(T − 1) + 2M,), and their sparse Jacobian with respect to x."""
         poses, positions = self.split(first, x)
         before, after = poses[:-1], poses[1:]
-        moved, by_before, by_after = np.zeros((len(before), 3)), *np.zeros((2, len(before), 3, 3))
-        moved[:, :2], by_before[:, :2], by_after[:, :2, :2] = _seen_from(before, after[:, :2])
-        moved[:, 2], by_before[:, 2, 2], by_after[:, 2, 2] = after[:, 2] - before[:, 2], -1.0, 1.0
+        predicted, by_before, by_after = np.zeros((len(before), 3)), *np.zeros((2, len(before), 3, 3))
+        predicted[:, :2], by_before[:, :2], by_after[:, :2, :2] = _seen_from(before, after[:, :2])
+        predicted[:, 2], by_before[:, 2, 2], by_after[:, 2, 2] = after[:, 2] - before[:, 2], -1.0, 1.0
         seen, by_pose, by_position = _seen_from(poses[self.pose], positions[self.feature])
-        motion_errors = moved - self.motions
+        motion_errors = predicted - self.motions
         motion_errors[:, 2] = wrap_angles(motion_errors[:, 2])
         k, width = np.arange(len(before)), poses.size
         by_poses = [_blocks(by_before, k, width) + _blocks(by_after, k + 1, width), _blocks(by_pose, self.pose, width)]
@@ -171,55 +170,55 @@ class FactorGraph:
 
 
 def _factor(matrix: Any) -> SuperLU:
-    """Sparse factors of a symmetric positive definite matrix."""
+    """The sparse factorisation of a symmetric positive definite matrix."""
     return splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def dead_reckoning(motions: ArrayLike) -> Array:
-    """(k + 1, 3) poses that motions (k, 3) lead to, each from the one before, the first of them at the origin."""
+    """(k + 1, 3) poses by composing the motions (k, 3), the first pose at the origin."""
     return np.array(list(accumulate(np.asarray(motions), compose, initial=np.zeros(3))))
 
 
 def _turned(headings: Array, vectors: Array) -> Array:
-    """Vectors (k, 2), each turned by its heading."""
+    """Vectors (k, 2), each rotated by its heading (k,) [rad]."""
     c, s = np.cos(headings), np.sin(headings)
     return np.column_stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]])
 
 
 def _seen_from(poses: Array, points: Array) -> tuple[Array, Array, Array]:
-    """(⊖x) ⊕ m (k, 2) for poses x (k, 3) and points m (k, 2), and its Jacobians (k, 2, 3) to x and (k, 2, 2) to m."""
+    """(⊖x) ⊕ m (k, 2) for poses x (k, 3) and points m (k, 2), and its Jacobians by x (k, 2, 3) and by m (k, 2, 2)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     seen = _turned(-poses[:, 2], points - poses[:, :2])
     by_point = np.array([[c, s], [-s, c]]).transpose(2, 0, 1)
-    aside = np.column_stack([seen[:, 1], -seen[:, 0]])
-    return seen, np.concatenate([-by_point, aside[:, :, None]], axis=2), by_point
+    by_heading = np.column_stack([seen[:, 1], -seen[:, 0]])
+    return seen, np.concatenate([-by_point, by_heading[:, :, None]], axis=2), by_point
 
 
 def _blocks(blocks: Array, columns: IntArray, width: int) -> bsr_array:
-    """Blocks (k, r, c), one below the other, each in its column of blocks, in a sparse array of so many columns."""
+    """A sparse array of `width` columns: blocks (k, r, c) one below the other, block i in block column columns[i]."""
     return bsr_array((blocks, columns, np.arange(len(blocks) + 1)), shape=(len(blocks) * blocks.shape[1], width))
 
 
 def _diagonal(blocks: Array) -> bsr_array:
-    """Blocks (k, d, d) along the diagonal of a sparse array."""
+    """The block-diagonal sparse array of blocks (k, d, d)."""
     return _blocks(blocks, np.arange(len(blocks)), len(blocks) * blocks.shape[1])
 
 
-# what is refused
+# validation
 
 
 def _pairing(step: int, pairing: ArrayLike, measurements: int) -> IntArray:
-    given = np.asarray(pairing)
-    if given.shape != (measurements,) or (given.size and given.dtype.kind not in "iu"):
+    numbers = np.asarray(pairing)
+    if numbers.shape != (measurements,) or (numbers.size and numbers.dtype.kind not in "iu"):
         raise ValueError(
-            f"pairings[{step}]: {given.dtype} of shape {given.shape}, expected ({measurements},) "
+            f"pairings[{step}]: {numbers.dtype} of shape {numbers.shape}, expected ({measurements},) "
             "integers, one for each measurement"
         )
-    return given.astype(np.int64)
+    return numbers.astype(np.int64)
 
 
 def _inverses(name: str, steps: IntArray, covariances: Array) -> Array:
-    """C⁻¹ of covariances (k, d, d), once all are positive definite."""
+    """C⁻¹ of covariances (k, d, d). Raises ValueError where one is not finite, symmetric and positive definite."""
     finite = np.isfinite(covariances).all(axis=(1, 2))
     _refuse(name, steps, finite, "has a covariance that is not finite")
     definite = np.linalg.eigvalsh(covariances)[:, 0] > 0.0
@@ -230,6 +229,6 @@ def _inverses(name: str, steps: IntArray, covariances: Array) -> Array:
 
 
 def _refuse(name: str, steps: IntArray, good: Any, fault: str) -> None:
-    """Raise ValueError at the first of them that is not `good` (k,), naming its step."""
+    """Raise ValueError for the first entry that is not `good` (k,), naming its step."""
     if not good.all():
         raise ValueError(f"{name}[{steps[good.argmin()]}]: {fault}")

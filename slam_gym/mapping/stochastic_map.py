@@ -1,7 +1,7 @@
 """The stochastic map: robot pose and point features with one full covariance, kept by an EKF.
 
-Everything lives in B, the base frame of the map. Features are addressed by index 0 … n−1, which shifts when features
-are removed, and known by an id that is never given twice.
+All quantities are in B, the base frame of the map. Features are addressed by index 0 … n−1, which shifts when features
+are removed, and identified by an id that is never given twice.
 """
 
 from __future__ import annotations
@@ -25,13 +25,11 @@ from slam_gym.mapping.update import ACCEPTED, NO_SUCH_FEATURE, update
 from slam_gym.types import Array, BoolArray, IntArray, Landmarks, Odometry, Scan
 from slam_gym.validation import check_settings
 
-_NONE, _NOBODY = np.empty(0, np.int64), np.empty((0, 0), np.int64)
-_LARGE = 512  # features
-_STILL, _CERTAIN = np.zeros(3), np.zeros((3, 3))
+_LARGE = 512  # [features] capacity from which memory grows by a quarter instead of doubling
 
 
 class Estimate:
-    """Whether an estimate still stands: shared by the map and whatever was predicted from it."""
+    """A flag, shared by a map and the predictions made from it, that says whether the estimate is still current."""
 
     __slots__ = ("stands",)
 
@@ -43,13 +41,13 @@ class Estimate:
 class MapSpec:
     """Settings of the estimator."""
 
-    confidence: float = 0.99  # of the χ² gates in data association: every prediction carries it
-    iterations: int = 3  # of an update, at most: 1 linearises at the prior
-    right_invariant: bool = True  # the error that the filter is linear in (see `mapping.update`); False: x itself
-    second_order: bool = True  # predictions allow for what a poorly known heading bends (see `mapping.measurement`)
+    confidence: float = 0.99  # of the χ² gates in data association
+    iterations: int = 3  # most iterations of an update; 1: linearise at the prior only
+    right_invariant: bool = True  # use the right-invariant error (see `mapping.update`); False: the error of x itself
+    second_order: bool = True  # predict to second order in the error of the heading (see `mapping.measurement`)
     confirmations: int = 2  # sightings that confirm a feature; until then it is provisional
-    unconfirmed_age: int | None = 2  # [steps] a provisional feature is dropped when older; None: never
-    settled: ClassVar[float] = 0.1  # [σ of the state] a pass that would move it by less than that is spared
+    unconfirmed_age: int | None = 2  # [steps] age above which a provisional feature is removed; None: never
+    settled: ClassVar[float] = 0.1  # [σ of the state] iterations end when the next would move the state by less
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -57,14 +55,14 @@ class MapSpec:
 
 @dataclass(frozen=True, slots=True)
 class MapState:
-    """All that a `StochasticMap` knows, but for its settings."""
+    """The complete contents of a `StochasticMap`, except for its settings."""
 
     mean: Array  # (3 + 2n,) robot [m, m, rad], features [m], in B
     covariance: Array  # (3 + 2n, 3 + 2n)
     counted: IntArray  # (5, n) rows IDS to KINDS, see `mapping.ekf`
     sized: Array  # (2, n) rows SIZES [m] and VARIANCES [m²], NaN where unknown
-    step: int  # steps ended so far
-    next_id: int  # of the next feature
+    step: int  # number of steps ended so far
+    next_id: int  # id of the next feature
 
 
 class StochasticMap:
@@ -72,9 +70,9 @@ class StochasticMap:
 
     Arguments:
         spec: settings.
-        pose: (3,) [m, m, rad] of the robot at the start, in B; the origin by default.
-        pose_covariance: (3, 3) of that pose; zero by default.
-        capacity: features to make room for at first; grows as needed.
+        pose: (3,) [m, m, rad] initial pose of the robot in B; the origin by default.
+        pose_covariance: (3, 3) [m², m·rad, rad²] of that pose; zero by default.
+        capacity: initial capacity [features], which grows as needed.
 
     Raises ValueError where an argument has the wrong shape, is not finite or is no covariance.
     """
@@ -92,31 +90,31 @@ class StochasticMap:
         if capacity < 1:
             raise ValueError(f"capacity: {capacity} is less than 1")
         self.spec = spec or MapSpec()
-        self.n = 0  # features
-        self.step = 0  # steps ended so far
-        self.next_id = 0  # of the next feature; all ids given so far are smaller
-        self.estimate = Estimate()  # as it stands now: what is predicted from it notices when it no longer does
+        self.n = 0  # number of features
+        self.step = 0  # number of steps ended so far
+        self.next_id = 0  # id of the next feature; all ids given so far are smaller
+        self.estimate = Estimate()  # shared with predictions, which refuse to be used once it has changed
         side = padded(3 + 2 * capacity)
-        self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # of P, the upper triangle
+        self._x, self._P = np.zeros(side), aligned_zeros(side, side)  # only the upper triangle of P is used
         self._counted, self._sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
         self._x[:3] = start
         self._P[:3, :3] = covariance
 
-    # what is estimated: fresh arrays, safe to keep and to change
+    # the estimate, as copies
 
     @property
     def pose(self) -> Array:
-        """(3,) [m, m, rad] of the robot in B."""
+        """(3,) [m, m, rad] pose of the robot in B."""
         return self._x[:3].copy()
 
     @property
     def pose_covariance(self) -> Array:
-        """(3, 3) [m², m·rad, rad²]."""
+        """(3, 3) [m², m·rad, rad²] covariance of the pose."""
         return ekf.symmetric(self._P, 3)
 
     @property
     def positions(self) -> Array:
-        """(n, 2) [m] of the features in B."""
+        """(n, 2) [m] positions of the features in B."""
         return self._x[3 : self._d].reshape(-1, 2).copy()
 
     @property
@@ -133,13 +131,13 @@ class StochasticMap:
 
     @property
     def covariance(self) -> Array:
-        """(3 + 2n, 3 + 2n) of the state, symmetric to the last bit."""
+        """(3 + 2n, 3 + 2n) covariance of the state, symmetric to the last bit."""
         return ekf.symmetric(self._P, self._d)
 
     def covariance_of(self, features: IntArray) -> Array:
-        """(2k, 2k) [m²] joint covariance of `features` (k,) in B, without that of the whole map.
+        """(2k, 2k) [m²] joint covariance of `features` (k,) in B, without copying that of the whole map.
 
-        Raises ValueError where one does not exist.
+        Raises ValueError where a feature does not exist.
         """
         entries = (3 + 2 * existing(features, self.n)[:, None] + np.arange(2)).ravel()
         of_both: Array = self._P[np.minimum.outer(entries, entries), np.maximum.outer(entries, entries)]
@@ -194,27 +192,27 @@ class StochasticMap:
 
     @property
     def provisional(self) -> BoolArray:
-        """(n,) seen in fewer steps than confirm a feature: by default, in one only."""
+        """(n,) whether each feature was seen in fewer than `confirmations` steps: by default, in one only."""
         return np.less(self._counted[ekf.SEEN, : self.n], self.spec.confirmations)
 
     # the filter
 
     def predict(self, odometry: Odometry) -> None:
-        """x_R ← x_R ⊕ u and its covariance. Raises ValueError where the odometry is not finite or has no covariance."""
+        """x_R ← x_R ⊕ u, and its covariance. Raises ValueError where the odometry or its covariance is invalid."""
         self.moved()
         if not ekf.predict(self._x, self._P, self._d, odometry.motion, odometry.covariance):
             raise ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
 
     def landmarks(self) -> Landmarks:
-        """The features with their full covariance, (2n, 2n), for searches without a prior on the pose. A copy."""
+        """A copy of the features with full covariance (2n, 2n), for searches without a prior on the pose."""
         landmarks = Landmarks.from_points(self.positions, covariance=self.covariance[3:, 3:])
         return replace(landmarks, sizes=self.sizes, size_variances=self.size_variances, kinds=self.kinds)
 
     def place(self, pose: ArrayLike, covariance: ArrayLike) -> None:
-        """Put the robot at `pose` (3,) with `covariance` (3, 3), independent of the features: all it knew is forgotten.
+        """Put the robot at `pose` (3,) with `covariance` (3, 3), without correlation with the features.
 
-        For relocation: place with a covariance that says nothing, then `update` with the pairings that were found.
-        Raises ValueError, the map unchanged, where the pose is not finite or the covariance is none.
+        For relocation: place the robot with an uninformative covariance, then `update` with the pairings found.
+        Raises ValueError, before the map is changed, where the pose is not finite or the covariance is invalid.
         """
         x, P = checked_pose(pose, covariance)
         self.moved()
@@ -225,8 +223,8 @@ class StochasticMap:
     def update(self, scan: Scan, features: IntArray) -> None:
         """Joint EKF update with every pairing (i, features[i]); features (m,) are map indices, or UNPAIRED.
 
-        Raises ValueError, the map unchanged, where a feature does not exist or a paired measurement is not finite or
-        has no covariance.
+        Raises ValueError, before the map is changed, where a feature does not exist, or where a paired measurement is
+        not finite or has an invalid covariance.
         """
         features = np.ascontiguousarray(features, dtype=np.int64)
         if len(features) != len(scan):
@@ -241,7 +239,8 @@ class StochasticMap:
     def add(self, scan: Scan, measurements: IntArray) -> IntArray:
         """Start a feature from each of `measurements` (a,) of the scan; returns their indices (a,) in the map.
 
-        Raises ValueError at the first measurement that is not finite or has no covariance; those before it are added.
+        Raises ValueError at the first measurement that is not finite or has an invalid covariance; the measurements
+        before it have then been added.
         """
         first, measured = self.n, scan.arrays
         for i in measurements:
@@ -252,9 +251,9 @@ class StochasticMap:
         return np.arange(first, self.n)
 
     def remove(self, features: IntArray) -> IntArray:
-        """Marginalise `features` (r,) out of the map; returns the old indices (n',) of those that stay, ascending.
+        """Marginalise `features` (r,) out of the map; returns the old indices (n',) of the others, ascending.
 
-        Raises ValueError where one does not exist.
+        Raises ValueError where a feature does not exist.
         """
         features = np.asarray(features, dtype=np.int64)
         if np.any((features < 0) | (features >= self.n)):
@@ -277,19 +276,19 @@ class StochasticMap:
         x, y, heading = self._x[:3]
         return f"StochasticMap of {self.n} features, robot at ({x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f}°)"
 
-    # as a whole
+    # the map as a whole
 
     @property
     def state(self) -> MapState:
-        """All that the map knows, as copies."""
+        """The complete contents of the map, as copies."""
         counted, sized = self._counted[:, : self.n].copy(), self._sized[:, : self.n].copy()
         return MapState(self.mean, self.covariance, counted, sized, self.step, self.next_id)
 
     @classmethod
     def of_state(cls, spec: MapSpec, state: MapState) -> StochasticMap:
-        """The map of a state.
+        """The map with the settings `spec` and the contents `state`.
 
-        Raises ValueError where lengths do not agree, numbers are not finite or the robot's covariance is none.
+        Raises ValueError where lengths do not agree, numbers are not finite or the robot's covariance is invalid.
         """
         n = state.counted.shape[1]
         d = 3 + 2 * n
@@ -304,14 +303,16 @@ class StochasticMap:
         return m
 
     def save(self, path: str | Path) -> None:
-        """Write all that the map knows, and its settings, into a file .npz."""
+        """Write the contents of the map and its settings into an .npz file."""
         parts = {field.name: getattr(self.state, field.name) for field in fields(MapState)}
         np.savez_compressed(path, spec=json.dumps(asdict(self.spec)), **parts)
 
     @classmethod
     def load(cls, path: str | Path) -> StochasticMap:
-        """The map that `save` wrote. ValueError names a file that is damaged or holds something else, OSError one that
-        cannot be read."""
+        """Read a map that `save` wrote.
+
+        Raises OSError for a file that cannot be read, ValueError for one that is damaged or does not contain a map.
+        """
         try:
             members = zip_members(content_of(Path(path)))
             state: dict[str, Any] = {
@@ -324,12 +325,12 @@ class StochasticMap:
             raise ValueError(f"{path}: no map that can be read ({error})") from error
 
     def plot(self, ax: Any = None) -> Any:
-        """The map as `slam_gym.rendering.plot.plot_map` draws it, into axes of matplotlib; the axes."""
-        plot = importlib.import_module("slam_gym.rendering.plot")  # of a room above: nothing here depends on it
+        """Draw the map into the matplotlib axes `ax`, as `slam_gym.rendering.plot.plot_map` does; returns the axes."""
+        plot = importlib.import_module("slam_gym.rendering.plot")  # at run time: mapping does not depend on rendering
         return plot.plot_map(self, ax)
 
     def successor(self) -> StochasticMap:
-        """An empty map whose base is where the robot stands now; ids and steps go on from those of this map."""
+        """An empty map whose base is the current pose of the robot; ids and steps continue those of this map."""
         fresh = StochasticMap(self.spec)
         fresh.step, fresh.next_id = self.step, self.next_id
         return fresh
@@ -338,10 +339,10 @@ class StochasticMap:
         """An independent copy."""
         return copy.deepcopy(self)
 
-    # for steps that are compiled as a whole
+    # access for compiled steps
 
     def make_room(self, more: int) -> None:
-        """Room for so many more features: twice as much, or a quarter more where memory counts."""
+        """Make room for `more` features: double the capacity, or add a quarter where the map is large."""
         capacity = self._counted.shape[1]
         while self.n + more > capacity:
             capacity = 2 * capacity if capacity < _LARGE else capacity + capacity // 4
@@ -350,7 +351,7 @@ class StochasticMap:
         d, side = self._d, padded(3 + 2 * capacity)
         x, P = np.zeros(side), aligned_zeros(side, side)
         x[:d] = self._x[:d]
-        for row in range(d):  # memory below the diagonal is never touched, and so never taken
+        for row in range(d):  # memory below the diagonal is never touched, so the system never allocates it
             P[row, row:d] = self._P[row, row:d]
         self._x, self._P = x, P
         counted, sized = np.zeros((5, capacity), np.int64), np.zeros((2, capacity))
@@ -359,21 +360,21 @@ class StochasticMap:
 
     @property
     def arrays(self) -> MapArrays:
-        """What compiled functions work on: no copies, so whoever writes to them says so with `learned`."""
+        """The arrays that compiled functions work on, not copied: after writing to them, call `moved` or `learned`."""
         return self._x, self._P, self._counted, self._sized
 
     @property
     def numbers(self) -> tuple[int, int, int]:
-        """Features, steps ended, and the id of the next feature."""
+        """Number of features, number of steps ended, and id of the next feature."""
         return self.n, self.step, self.next_id
 
     def moved(self) -> None:
-        """The estimate has changed: what was predicted from it is out of date, and says so when it is asked."""
+        """Register that the estimate has changed: predictions made from it before are out of date."""
         self.estimate.stands = False
         self.estimate = Estimate()
 
     def learned(self, created: int) -> None:
-        """Take over what a compiled step has made of the arrays: so many features were added, or removed where < 0."""
+        """Register that a compiled step has added `created` features to the arrays, or removed −`created`."""
         self.moved()
         self.n += created
         self.next_id += max(created, 0)
@@ -383,11 +384,11 @@ class StochasticMap:
         return 3 + 2 * self.n
 
 
-# what is refused
+# validation
 
 
 def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
-    """Fresh arrays (3,), its heading wrapped, and (3, 3)."""
+    """Copies of the pose (3,), its heading wrapped, and the covariance (3, 3). Raises ValueError for invalid ones."""
     x, P = np.array(pose, dtype=np.float64), np.array(covariance, dtype=np.float64)
     if x.shape != (3,) or not np.all(np.isfinite(x)):
         raise ValueError(f"pose: expected 3 finite numbers, got {x.tolist()}")
@@ -398,7 +399,7 @@ def checked_pose(pose: ArrayLike, covariance: ArrayLike) -> tuple[Array, Array]:
 
 
 def existing(features: IntArray, n: int) -> IntArray:
-    """`features` (k,), in one block of memory, once they all exist in a map of n features."""
+    """`features` (k,) as a contiguous array. Raises ValueError unless all exist in a map of n features."""
     features = np.ascontiguousarray(features, dtype=np.int64)
     if np.any((features < 0) | (features >= n)):
         raise ValueError(f"features: {features.tolist()} do not all exist in a map of {n} features")
@@ -406,7 +407,7 @@ def existing(features: IntArray, n: int) -> IntArray:
 
 
 def refused_update(refused: int, scan: Scan, features: IntArray, n: int) -> ValueError:
-    """Why an update of a map of n features with these pairings was `refused` (see `mapping.update`)."""
+    """The error for an update of a map of n features that `mapping.update.update` refused with the code `refused`."""
     if refused == NO_SUCH_FEATURE:
         return ValueError(f"features: {features.tolist()} for a map of {n} features")
     if refused == len(scan):
@@ -415,7 +416,7 @@ def refused_update(refused: int, scan: Scan, features: IntArray, n: int) -> Valu
 
 
 def bad_measurement(scan: Scan, i: int) -> ValueError:
-    """That measurement i can neither update nor start a feature."""
+    """The error for a measurement i that can neither update nor start a feature."""
     return ValueError(
         f"scan: measurement {i} is not finite, or its covariance is none: "
         f"point {scan.points[i].tolist()}, covariance {scan.covariances[i].tolist()}"

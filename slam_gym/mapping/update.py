@@ -1,4 +1,4 @@
-"""The joint EKF update with all pairings of a scan, iterated, its error ordinary or right-invariant. Compiled.
+"""The iterated joint EKF update with all pairings of a scan, with an ordinary or a right-invariant error. Compiled.
 
 State x and P (upper triangle) are those of `ekf`. Measurement function: h_j(x) = (⊖R) ⊕ F_j = Cᵀ(F_j − t), with C
 the robot's rotation and t its position. Its Jacobian is
@@ -7,13 +7,13 @@ the robot's rotation and t its position. Its Jacobian is
 
 Cᵀ is common to all features, so the kernels take innovations in axes parallel to B and turn only the results into R.
 
-**Right-invariant** (Barrau and Bonnabel 2015; Zhang et al., IEEE RA-L 2(2), 2017) is a filter whose error is that of
-the group of motions, δθ, δt − J t δθ and δF_j − J F_j δθ. In these coordinates neither motion nor measurement depends
-on the estimate, so what cannot be observed, where the whole lies in B and how it is turned, is never taken for
-observed. P is kept in ordinary coordinates all the same: predicting and adding are the same in both. Three things
-differ in the update. H takes Δ from the prior in every pass, and C alone from the last one. The correction δ goes along
-the group, x ← x + V(δθ) δ with V(φ) = ∫₀¹ Rot(sφ) ds. And P is expressed at the estimate that results: P ← M P Mᵀ, with
-M = I + J(x⁺ − x) e_θᵀ, J turning the position of the robot and of each feature.
+**A right-invariant filter** (Barrau and Bonnabel 2015; Zhang et al., IEEE RA-L 2(2), 2017) uses the error of the group
+of motions, δθ, δt − J t δθ and δF_j − J F_j δθ. In these coordinates neither motion nor measurement depends on the
+estimate, so the unobservable directions, position and orientation of the whole map in B, never gain information. P is
+stored in ordinary coordinates nevertheless, because prediction and adding are the same in both. The update differs in
+three ways. H takes Δ from the prior in every iteration, and only C from the latest iterate. The correction δ moves the
+state along the group, x ← x + V(δθ) δ with V(φ) = ∫₀¹ Rot(sφ) ds. And P is expressed at the resulting estimate:
+P ← M P Mᵀ, with M = I + J(x⁺ − x) e_θᵀ, where J turns the position of the robot and of each feature.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ from slam_gym.mapping.ekf import turned
 from slam_gym.mapping.linear_algebra import ROUNDING, cholesky, is_covariance, padded, subtract_squares, whiten
 from slam_gym.types import UNPAIRED, Array, IntArray
 
-ACCEPTED = -1  # what `update` returns
-NO_SUCH_FEATURE = -2
+ACCEPTED, NO_SUCH_FEATURE = -1, -2  # returned by `update`
 
 
 @compiled
@@ -45,49 +44,49 @@ def update(
     """Joint EKF update with all pairings (measurement i, feature features[i] ≠ UNPAIRED), in place.
 
     ν = z − h(x), S = H P Hᵀ + R = L Lᵀ, W = L⁻¹ H P; x ← x + Wᵀ L⁻¹ ν (= x + K ν), P ← P − Wᵀ W (= P − K S Kᵀ).
-    With more than one iteration, H and ν are taken anew at x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) until another
-    pass would move the state by less than `settled` of its own σ: Gauss–Newton from the prior x, which minimises the
-    cost of prior and measurements together (Bell and Cathey, IEEE TAC 38(2), 1993).
+    With more than one iteration, H and ν are recomputed at x_i+1 = x + K_i (z − h(x_i) − H_i (x − x_i)) until another
+    iteration would move the state by less than `settled` of its own σ. This is Gauss–Newton from the prior x, which
+    minimises the cost of prior and measurements together (Bell and Cathey, IEEE TAC 38(2), 1993).
 
     Arguments:
         scan: points (m, 2) and their covariances (m, 2, 2).
-        passes: iterations, at most; and `settled`, σ of the state.
-        invariant: the error is the right-invariant one.
+        passes: most iterations; and `settled` [σ of the state].
+        invariant: whether the error is right-invariant.
 
     Returns ACCEPTED; or, with nothing changed, NO_SUCH_FEATURE, the first measurement that is not finite or whose R is
     no covariance, or m where S is singular.
     """
     d = 3 + 2 * n
-    left, settled = passes
+    passes_left, settled = passes
     refused, z, R, paired = _pairings(scan, features, n)
     if refused != ACCEPTED:
         return refused
-    here, where, change = x, x, np.zeros(padded(d))  # where: the state that H is taken at
+    x_old, x_lin, change = x, x, np.zeros(padded(d))  # x_lin: the state at which H is evaluated
     while True:
-        nu, W, S = _innovation(here, where, change, P, d, (z, R, paired))
+        nu, W, S = _innovation(x_old, x_lin, change, P, d, (z, R, paired))
         if not cholesky(S):
             return len(features)
         whiten(S, W, nu)
-        before, left = change, left - 1
-        change, then = _corrected(x, W, nu, d, invariant)
-        if left <= 0 or _left_over(here, then, where, change - before, R, paired) <= settled * settled:
+        previous, passes_left = change, passes_left - 1
+        change, x_new = _corrected(x, W, nu, d, invariant)
+        if passes_left <= 0 or _step_error(x_old, x_new, x_lin, change - previous, R, paired) <= settled * settled:
             break
-        here, where = then, then
+        x_old, x_lin = x_new, x_new
         if invariant:
-            where = x.copy()
-            where[2] = then[2]
+            x_lin = x.copy()
+            x_lin[2] = x_new[2]
     subtract_squares(P, W)
     if invariant:
-        _express_at(P, d, x, then)
+        _express_at(P, d, x, x_new)
     for j in range(d):
-        x[j] = then[j]
+        x[j] = x_new[j]
     x[2] = wrap_angle(x[2])
     return ACCEPTED
 
 
 @compiled
 def _pairings(scan: tuple[Array, Array], features: IntArray, n: int) -> tuple[int, Array, Array, IntArray]:
-    """ACCEPTED, or why not (see `update`); points (k, 2), covariances (k, 2, 2) and features (k,) that are paired."""
+    """ACCEPTED or the refusal that `update` returns; points (k, 2), covariances (k, 2, 2) and features (k,) paired."""
     points, covariances = scan
     measured, k = np.empty(len(features), np.int64), 0
     refused = ACCEPTED
@@ -108,12 +107,12 @@ def _pairings(scan: tuple[Array, Array], features: IntArray, n: int) -> tuple[in
 
 @compiled
 def _innovation(
-    x: Array, where: Array, change: Array, P: Array, d: int, pairings: tuple[Array, Array, IntArray]
+    x: Array, x_lin: Array, change: Array, P: Array, d: int, pairings: tuple[Array, Array, IntArray]
 ) -> tuple[Array, Array, Array]:
     """ν (2k,), H P (2k, padded d) and S = H P Hᵀ + R (2k, 2k, lower triangle), in axes parallel to B.
 
-    Of the k pairings of points (k, 2) and covariances (k, 2, 2) with features (k,). H is taken at the state `where`,
-    and ν = z − h(x) + H `change`, what has led to x from the prior.
+    The k pairings are points (k, 2), their covariances (k, 2, 2) and features (k,). H is evaluated at the state
+    `x_lin`, and ν = z − h(x) + H `change`, where `change` is the correction that has led from the prior to x.
     """
     points, covariances, paired = pairings
     k = len(paired)
@@ -123,20 +122,20 @@ def _innovation(
         for j in range(d):
             robot[i, j] = P[min(i, j), max(i, j)]
     c, s = math.cos(x[2]), math.sin(x[2])
-    ca, sa = math.cos(where[2]), math.sin(where[2])
+    ca, sa = math.cos(x_lin[2]), math.sin(x_lin[2])
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
-        # z − h(x), turned by the heading at which H is taken
+        # z − h(x), turned by the heading at which H is evaluated
         hx, hy = x[f] - x[0], x[f + 1] - x[1]
         ex, ey = points[i, 0] - (c * hx + s * hy), points[i, 1] - (-s * hx + c * hy)
-        dx, dy = where[f] - where[0], where[f + 1] - where[1]
+        dx, dy = x_lin[f] - x_lin[0], x_lin[f + 1] - x_lin[1]
         nu[a] = ca * ex - sa * ey + (change[f] - change[0] + dy * change[2])
         nu[b] = sa * ex + ca * ey + (change[f + 1] - change[1] - dx * change[2])
-        _rows_of_HP(where, P, d, f, robot, HP[a], HP[b])
+        _rows_of_HP(x_lin, P, d, f, robot, HP[a], HP[b])
         S[a, a], S[b, a], S[b, b] = turned(ca, sa, covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 1, 1])
     for i in range(k):
         f, a, b = 3 + 2 * paired[i], 2 * i, 2 * i + 1
-        dx, dy = where[f] - where[0], where[f + 1] - where[1]
+        dx, dy = x_lin[f] - x_lin[0], x_lin[f + 1] - x_lin[1]
         S[a, a] += ROUNDING * (P[f, f] + P[0, 0] + dy * dy * P[2, 2])
         S[b, b] += ROUNDING * (P[f + 1, f + 1] + P[1, 1] + dx * dx * P[2, 2])
         for row in range(a, 2 * k):
@@ -146,9 +145,9 @@ def _innovation(
 
 
 @inlined
-def _rows_of_HP(where: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
+def _rows_of_HP(x_lin: Array, P: Array, d: int, f: int, robot: Array, out_x: Array, out_y: Array) -> None:
     """[−I −JΔ 0 … I … 0] P for the feature that starts at f; `robot` (3, d) are the robot's rows of P in full."""
-    dx, dy = where[f] - where[0], where[f + 1] - where[1]
+    dx, dy = x_lin[f] - x_lin[0], x_lin[f + 1] - x_lin[1]
     for j in range(f):
         out_x[j], out_y[j] = P[j, f], P[j, f + 1]
     out_x[f], out_x[f + 1] = P[f, f], P[f, f + 1]
@@ -185,22 +184,22 @@ def _corrected(x: Array, W: Array, nu: Array, d: int, invariant: bool) -> tuple[
 
 
 @compiled
-def _left_over(here: Array, then: Array, where: Array, change: Array, covariances: Array, paired: IntArray) -> float:
-    """What the linearisation leaves out of the step from `here` to `then`, squared, in the measurements' σ.
+def _step_error(x_old: Array, x_new: Array, x_lin: Array, change: Array, covariances: Array, paired: IntArray) -> float:
+    """The squared error of the linearisation in the step from `x_old` to `x_new`, in units of the measurements' σ.
 
-    r_i = h_i(then) − h_i(here) − H_i `change`, and the sum of r_iᵀ R_i⁻¹ r_i over the pairings. Another pass of
-    Gauss–Newton moves the state by P⁺ Hᵀ R⁻¹ r, which is by no more than the root of this sum, in units of the state's
-    own σ after the update (Mahalanobis), for Hᵀ R⁻¹ H ≤ (P⁺)⁻¹. That H has changed, too, moves it much less.
+    It is the sum of r_iᵀ R_i⁻¹ r_i over the pairings, r_i = h_i(x_new) − h_i(x_old) − H_i `change`. The next iteration
+    of Gauss–Newton moves the state by P⁺ Hᵀ R⁻¹ r, in units of the state's own σ after the update (Mahalanobis) by no
+    more than the root of this sum, since Hᵀ R⁻¹ H ≤ (P⁺)⁻¹. The change of H moves the state much less.
     """
-    c, s, total = math.cos(where[2]), math.sin(where[2]), 0.0
-    ch, sh = math.cos(where[2] - here[2]), math.sin(where[2] - here[2])
-    ct, st = math.cos(where[2] - then[2]), math.sin(where[2] - then[2])
+    c, s, total = math.cos(x_lin[2]), math.sin(x_lin[2]), 0.0
+    ch, sh = math.cos(x_lin[2] - x_old[2]), math.sin(x_lin[2] - x_old[2])
+    ct, st = math.cos(x_lin[2] - x_new[2]), math.sin(x_lin[2] - x_new[2])
     for i in range(len(paired)):
         f = 3 + 2 * paired[i]
-        hx, hy = here[f] - here[0], here[f + 1] - here[1]
-        tx, ty = then[f] - then[0], then[f + 1] - then[1]
-        dx, dy = where[f] - where[0], where[f + 1] - where[1]
-        # h(then) − h(here) − H change, in the axes of `_innovation`, then in R
+        hx, hy = x_old[f] - x_old[0], x_old[f + 1] - x_old[1]
+        tx, ty = x_new[f] - x_new[0], x_new[f + 1] - x_new[1]
+        dx, dy = x_lin[f] - x_lin[0], x_lin[f + 1] - x_lin[1]
+        # h(x_new) − h(x_old) − H change, in the axes of `_innovation`, then in R
         rx = ct * tx - st * ty - (ch * hx - sh * hy) - (change[f] - change[0] + dy * change[2])
         ry = st * tx + ct * ty - (sh * hx + ch * hy) - (change[f + 1] - change[1] - dx * change[2])
         u, v = c * rx + s * ry, c * ry - s * rx
@@ -212,12 +211,12 @@ def _left_over(here: Array, then: Array, where: Array, change: Array, covariance
 
 
 @compiled
-def _express_at(P: Array, d: int, x: Array, then: Array) -> None:
-    """P ← M P Mᵀ, M = I + a e_θᵀ with a = J(then − x): as b = P e_θ + ½ a P_θθ, that is P + a bᵀ + b aᵀ."""
+def _express_at(P: Array, d: int, x: Array, x_new: Array) -> None:
+    """P ← M P Mᵀ, M = I + a e_θᵀ with a = J(x_new − x); with b = P e_θ + ½ a P_θθ, this is P + a bᵀ + b aᵀ."""
     a, b = np.zeros(d), np.empty(d)
-    a[0], a[1] = x[1] - then[1], then[0] - x[0]
+    a[0], a[1] = x[1] - x_new[1], x_new[0] - x[0]
     for f in range(3, d, 2):
-        a[f], a[f + 1] = x[f + 1] - then[f + 1], then[f] - x[f]
+        a[f], a[f + 1] = x[f + 1] - x_new[f + 1], x_new[f] - x[f]
     for j in range(d):
         b[j] = P[min(j, 2), max(j, 2)] + 0.5 * P[2, 2] * a[j]
     for i in range(d):

@@ -86,8 +86,8 @@ def join_recognised(older: MappedArea, newer: MappedArea, recent: IntArray, spec
     """Join two maps in the base of the older, if features `recent` (g,) of the newer are recognised in it; else None.
 
     The features are those of the older map, then those of the newer; the robot is that of the newer. The relation of
-    the maps is determined by the pairs alone: they must have one shape under the covariance of joined maps, and be most
-    of the features of joined maps there. Neither map is changed.
+    the maps is determined by the pairs alone: they must have one shape under the covariance of both maps, and be most
+    of the features of both maps there. Neither map is changed.
     """
     a, b, among = older.map, newer.map, np.flatnonzero(~older.map.provisional)
     enough = min(len(among), len(recent)) >= spec.min_pairs
