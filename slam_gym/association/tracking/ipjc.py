@@ -1,13 +1,13 @@
-"""IPJC: joint compatibility tested after the pose has been optimised on the hypothesis.
+"""IPJC: joint compatibility tested after the pose has been optimised for the hypothesis.
 
 Olson and Li, "IPJC: the incremental posterior joint compatibility test for fast feature cloud matching", IROS 2012.
-JCBB tests linearised at the predicted pose, which is wrong by about r φ²/2 for a feature at range r once the robot
-turns out to have turned by φ. For a robot turned by φ from its predicted heading, a feature predicted at p̂_j lies at
-Rot(−φ)(p̂_j + δ_j), so that measurement i, turned into the predicted axes, misses it by
+JCBB linearises at the predicted pose. For a feature at range r this is wrong by about r φ²/2 if the true heading
+differs from the predicted one by φ. For a robot turned by φ from its predicted heading, a feature predicted at p̂_j
+lies at Rot(−φ)(p̂_j + δ_j). The error of measurement i, rotated into the predicted axes, is then
 
     e(φ) = ν + (cos φ − 1) z_i + sin φ J z_i − φ a_j,   a_j = J p̂_j + c_j / σ²,   J = [0 −1; 1 0],
 
-where σ² is the variance of the heading and c_j = Cov(h_j, θ); δ given φ is Gaussian with covariance S − c cᵀ/σ². With
+where σ² is the variance of the heading and c_j = Cov(h_j, θ); given φ, δ is Gaussian with covariance S − c cᵀ/σ². With
 G the 4 × 4 matrix of the products of these four vectors, whitened by S_{H|θ}, and q = (1, cos φ − 1, sin φ, −φ),
 
     D²_H = min over φ of φ²/σ² + qᵀ G q.
@@ -32,13 +32,14 @@ _ITERATIONS, _CONVERGED = 30, 1e-10  # [rad]
 
 
 def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hypothesis:
-    """The hypothesis with most pairings, then least D²_H, each prefix compatible at the pose that fits it best.
+    """The hypothesis with the most pairings, then least D²_H, of which each prefix is compatible at its best-fitting
+    pose.
 
-    Candidates must pass the individual gate at the predicted pose, as in `jcbb`; a prediction whose heading is certain
-    is linear, and this is JCBB. Every hypothesis is factored as a whole: a plain baseline, many times slower than JCBB.
+    Candidates must pass the individual gate at the predicted pose, as in `jcbb`. A prediction whose heading is certain
+    is linear: the result is then that of JCBB. Every hypothesis is factored anew, which makes this plain baseline many
+    times slower than JCBB.
 
-    `joint_distance` is D²_H so optimised. `node_limit`, locality, `effort.limit_hit` and errors are those
-    of `jcbb`.
+    `joint_distance` is the optimised D²_H. `node_limit`, localities, `effort.limit_hit` and errors are those of `jcbb`.
     """
     check_node_limit(node_limit)
     variance = prediction.heading_variance
@@ -47,9 +48,9 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
     gates, optimised = joint_gates(len(scan), prediction.confidence), [0.0]
 
     def search(offer: Offer, rows: IntArray) -> Effort:
-        p, at, across = offer.pairings, prediction.positions[offer.rows], prediction.heading_covariances[offer.rows]
+        p, mean, across = offer.pairings, prediction.positions[offer.rows], prediction.heading_covariances[offer.rows]
         z = scan.points[p.measured]
-        slopes = (np.column_stack([-at[:, 1], at[:, 0]]) + across / variance)[p.slots]
+        slopes = (np.column_stack([-mean[:, 1], mean[:, 0]]) + across / variance)[p.slots]
         errors = np.stack([p.innovations, z, np.column_stack([-z[:, 1], z[:, 0]]), slopes], axis=2)
         p = p._replace(covariance=p.covariance - np.outer(across, across) / variance)
         path, nodes, limit_hit = _search(p, offer.starts, errors, variance, gates, node_limit)
@@ -64,12 +65,12 @@ def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hyp
 def _search(
     pairings: Pairings, starts: IntArray, errors: Array, variance: float, gates: Array, node_limit: int
 ) -> tuple[IntArray, int, bool]:
-    """The pairings of the best hypothesis, the nodes visited, and whether there were too many: depth first, `*` last.
+    """The pairings of the best hypothesis, the nodes visited, and whether the limit was reached. Depth first, `*` last.
 
-    `errors` (c, 2, 4) are the vectors of e(φ).
+    `errors` (c, 2, 4) are the four vectors of e(φ).
     """
     levels, first = len(starts) - 1, pairings.fixed + starts
-    later = np.zeros(levels + 1, np.int64)  # levels from here on that have a candidate
+    later = np.zeros(levels + 1, np.int64)  # number of levels from this one on that have a candidate
     for level in range(levels - 1, -1, -1):
         later[level] = later[level + 1] + (first[level] < first[level + 1])
     path = np.arange(pairings.fixed + levels)
@@ -103,7 +104,7 @@ def _search(
 
 @compiled
 def _distance(pairings: Pairings, errors: Array, path: IntArray, variance: float) -> float:
-    """min over φ of φ²/σ² + qᵀ G q, by Gauss–Newton from φ = 0."""
+    """min over φ of φ²/σ² + qᵀ G q, by Gauss–Newton from φ = 0 with step halving."""
     p = len(path)
     S, E = np.empty((2 * p, 2 * p)), np.empty((2 * p, 4))
     for a in range(p):
@@ -120,9 +121,9 @@ def _distance(pairings: Pairings, errors: Array, path: IntArray, variance: float
         Gq = G @ q
         step = -(phi / variance + slope @ Gq) / (1.0 / variance + slope @ (G @ slope))
         while True:
-            at = phi + step
-            q = np.array([1.0, math.cos(at) - 1.0, math.sin(at), -at])
-            after = float(at * at / variance + q @ (G @ q))
+            trial = phi + step
+            q = np.array([1.0, math.cos(trial) - 1.0, math.sin(trial), -trial])
+            after = float(trial * trial / variance + q @ (G @ q))
             if not (after > value and abs(step) > _CONVERGED):
                 break
             step *= 0.5

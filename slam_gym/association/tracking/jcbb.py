@@ -1,7 +1,7 @@
 """JCBB: joint compatibility branch and bound (Neira and Tardós, IEEE TRA 17(6), 2001), with covisibility locality.
 
-The search is depth first. Every candidate that may still follow the hypothesis H on the path is kept conditioned on H,
-as in a `tree.Node`, but for each number of pairings on the path, so that the search can step back.
+The search is depth first. As in a `tree.Node`, every candidate that may still follow the hypothesis H on the path is
+kept conditioned on H. A stack holds these for each number of pairings on the path, so that the search can step back.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from slam_gym._jit import compiled, inlined
 from slam_gym.association.compatibility import NO_FAULT, joint_gates
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
-from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_over, offer
+from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_finished, offer
 from slam_gym.association.tree import (
     Pairings,
     condition,
@@ -29,17 +29,17 @@ from slam_gym.association.tree import (
 )
 from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Scan, ScanArrays
 
-NODE_LIMIT = 100_000  # of a search, unless another is given
-TEST_LIMIT = 1_000_000  # joint tests of a search: where a robot is lost, a node has thousands of candidates
-_UNDECIDED = -1  # in place of a level
+NODE_LIMIT = 100_000  # default limit of a search
+TEST_LIMIT = 1_000_000  # joint tests of a search: where the robot is lost, a node has thousands of candidates
+_UNDECIDED = -1  # in place of a level that is not known yet
 
 
 def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) -> Hypothesis:
-    """The jointly compatible hypothesis with most pairings, and of those the one with least D²_H.
+    """The jointly compatible hypothesis with the most pairings, and of these the one with the least D²_H.
 
-    Where the prediction carries a locality, there are two searches (`near_first`). `node_limit` bounds each of them,
-    and so do a million joint tests; where one is met, `effort.limit_hit` says so and the best hypothesis found until
-    then is returned. Raises ValueError as `check_fault`, and for a node limit below 1.
+    Where the prediction has localities, two searches are made (`near_first`). Each is limited to `node_limit` nodes and
+    a million joint tests. Where a limit is reached, `effort.limit_hit` is set and the best hypothesis so far is
+    returned. Raises ValueError as `check_fault`, and for a node limit below 1.
     """
     check_node_limit(node_limit)
     gates = joint_gates(max(len(scan), 1), prediction.confidence)
@@ -47,7 +47,7 @@ def jcbb(scan: Scan, prediction: Prediction, *, node_limit: int = NODE_LIMIT) ->
 
 
 def check_node_limit(node_limit: int) -> None:
-    """Raises ValueError for a limit below 1."""
+    """Raise ValueError for a limit below 1."""
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
 
@@ -57,24 +57,24 @@ def _decide(scan: ScanArrays, prediction: PredictionArrays, gates: Array, node_l
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     rows, distance, spent, fault = np.full(len(scan[0]), UNPAIRED), 0.0, Spent(0, 0, 0, False), NO_FAULT
     for search in range(2):
-        found = offer(scan, expected, rows, search == 0, gates[1], len(expected.features))
-        fault, best = found.fault, _Best(distance, 0, 0, False)
-        if fault[0] == 0 and len(found.pairings.slots) > found.pairings.fixed:
-            best = branch_and_bound(found.pairings, found.rows, gates, node_limit, rows)
+        offered = offer(scan, expected, rows, search == 0, gates[1], len(expected.features))
+        fault, best = offered.fault, _Best(distance, 0, 0, False)
+        if fault[0] == 0 and len(offered.pairings.slots) > offered.pairings.fixed:
+            best = branch_and_bound(offered.pairings, offered.rows, gates, node_limit, rows)
         distance = best.distance
         spent = Spent(
             spent.nodes + best.nodes,
-            spent.individual_tests + found.tests,
+            spent.individual_tests + offered.tests,
             spent.joint_tests + best.tests,
             spent.limit_hit or best.limit_hit,
         )
-        if fault[0] != 0 or is_over(expected, rows):
+        if fault[0] != 0 or is_finished(expected, rows):
             break
     return decided(expected, rows, distance, spent, fault)
 
 
 class _Best(NamedTuple):
-    """D² of the best hypothesis of a search, and what it took."""
+    """D² of the best hypothesis of a search, and the work done."""
 
     distance: float  # D²_H
     nodes: int
@@ -83,40 +83,44 @@ class _Best(NamedTuple):
 
 
 class _Stack(NamedTuple):
-    """By p, the number of pairings of the hypothesis H on the path: what may follow it, conditioned on H."""
+    """For each number p of pairings of the hypothesis H on the path: the candidates that may follow it, conditioned on
+    H."""
 
     alive: IntArray  # (P + 1, c) candidates that can still be legal, level by level, by ascending D²_ij
-    total: Array  # (P + 1, c) D² of H and the candidate
+    total: Array  # (P + 1, c) D² of H with the candidate added
     innovations: Array  # (P + 1, c, 5) `tree.Innovation`
-    w: Array  # (c, 2P + 2, 2) w; its first 2p rows belong to H
+    w: Array  # (c, 2P + 2, 2) w; the first 2p rows belong to H
     end: IntArray  # (P + 1,) number of alive candidates
-    levels: IntArray  # (P + 1,) number of their levels, less those decided with `*` since
+    levels: IntArray  # (P + 1,) number of their levels, minus those decided with `*` since
     features: IntArray  # (P + 1,) number of their features
     distance: Array  # (P + 1,) D²_H
-    floor: Array  # (P + 1,) D² of a hypothesis with a pairing of each of those levels is no less
-    stamps: IntArray  # (u + 1,) number of the count that last met each feature; at the end, of the last count
+    floor: Array  # (P + 1,) lower bound of D² of a hypothesis with a pairing in each of those levels
+    stamps: IntArray  # (u + 1,) number of the last count that met each feature; at the end, of the last count
 
 
 @compiled
 def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limit: int, out: IntArray) -> _Best:
-    """The hypothesis with most pairings, then least D²_H, every prefix being compatible, entered in `out` (m,).
+    """Find the hypothesis with the most pairings, then least D²_H, whose prefixes are all compatible; write it to `out`
+    (m,).
 
-    `rows` (u,) are those of the slots. Branches are tried by ascending D²_ij, and `*` last. A branch is visited if its
-    bound (pairings so far + what may follow) beats the best, or equals it while its D²_H is below the best's. What may
-    follow is the lesser of the levels left with a candidate and of their distinct unused features. Only candidates that
-    can still be legal count: D²_H never shrinks along a path, so a candidate is out of the whole subtree once D² of H
-    and itself exceeds the gate of the largest hypothesis that it could complete.
+    `rows` (u,) are the prediction rows of the slots. Branches are tried by ascending D²_ij, `*` last. A branch is
+    visited if its bound (pairings so far plus those that may follow) exceeds the best, or equals it with a smaller
+    D²_H. The number that may follow is the smaller of two counts: the remaining levels with a candidate, and their
+    distinct unused features. Only candidates that can still become legal count. D²_H never shrinks along a path, so a
+    candidate is excluded from the whole subtree once D² of H and itself exceeds the gate of the largest hypothesis that
+    it could complete.
 
-    By p: path[p] the pairing that comes next, position[p] in alive[p] of the candidate to try next, level[p] its level.
+    For each p: path[p] is the next pairing, position[p] the index in alive[p] of the next candidate, level[p] its
+    level.
     """
-    measured, given, depth = pairings.measured, pairings.fixed, len(gates)
+    measured, fixed, depth = pairings.measured, pairings.fixed, len(gates)
     path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
-    path[:given] = np.arange(given)
+    path[:fixed] = np.arange(fixed)
     stack = _stack_at(pairings, path)
     alive, total, _, _, end, levels, features, distances, floors, _ = stack
-    best_path, best, best_distance = path.copy(), given, distances[given]
-    p, nodes, tests, limit_hit = given, 0, 0, False
-    while p >= given:
+    best_path, best, best_distance = path.copy(), fixed, distances[fixed]
+    p, nodes, tests, limit_hit = fixed, 0, 0, False
+    while p >= fixed:
         bound, least = p + min(levels[p], features[p]), floors[p] if levels[p] <= features[p] else distances[p]
         if position[p] == end[p] or bound < best or (bound == best and not least < best_distance):
             p -= 1
@@ -128,7 +132,7 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
         if level[p] == _UNDECIDED:
             level[p] = measured[c]
         if measured[c] != level[p]:
-            # All pairings of this level are done: `*`. It leaves H as it is, so its node takes the place of its parent.
+            # All pairings of this level are tried, so `*` is next. It leaves H unchanged: its node replaces its parent.
             nodes += 1
             levels[p] -= 1
             floors[p], level[p] = distances[p], measured[c]
@@ -138,7 +142,7 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
             continue
         nodes += 1
         path[p] = c
-        tests += _pair(pairings, stack, p, c, position[p], best, gates)
+        tests += _push(pairings, stack, p, c, position[p], best, gates)
         p += 1
         position[p], level[p] = 0, _UNDECIDED
         if p > best or (p == best and distances[p] < best_distance):
@@ -151,8 +155,8 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
 
 @compiled
 def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
-    """The stack with what may follow the pairings given, with which the path begins."""
-    slots, measured, _, _, covariance, _, given = pairings
+    """The stack with the candidates that may follow the fixed pairings, with which the path begins."""
+    slots, measured, _, _, covariance, _, fixed = pairings
     count, features, depth = len(slots), len(covariance) // 2, len(path)
     stack = _Stack(
         np.empty((depth, count), np.int64),
@@ -166,40 +170,41 @@ def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
         np.zeros(depth),
         np.zeros(features + 1, np.int64),
     )
-    innovations, distance, kept, last = stack.innovations[given], 0.0, 0, _UNDECIDED
+    innovations, distance, alive_count, last = stack.innovations[fixed], 0.0, 0, _UNDECIDED
     for c in range(count):
         store(innovations, c, innovation_of(pairings, c))
-    for d in range(given):
+    for d in range(fixed):
         e = read(innovations, d)
         pivot, distance = pivot_of(slots[d], e), distance + squared(e)
         for c in range(d + 1, count):
             store(innovations, c, condition(covariance, stack.w, pivot, d, d, c, slots[c], read(innovations, c)))
-    for c in range(given, count):
-        if not may_follow(pairings, path, given, c):
+    for c in range(fixed, count):
+        if not may_follow(pairings, path, fixed, c):
             continue
-        stack.total[given, c] = distance + squared(read(innovations, c))
-        stack.alive[given, kept] = c
-        kept += 1
+        stack.total[fixed, c] = distance + squared(read(innovations, c))
+        stack.alive[fixed, alive_count] = c
+        alive_count += 1
         if measured[c] != last:
-            stack.levels[given], last = stack.levels[given] + 1, measured[c]
-    stack.end[given], stack.distance[given], stack.floor[given] = kept, distance, distance
-    stack.features[given] = _count_features(slots, stack.alive[given, :kept], stack.stamps)
+            stack.levels[fixed], last = stack.levels[fixed] + 1, measured[c]
+    stack.end[fixed], stack.distance[fixed], stack.floor[fixed] = alive_count, distance, distance
+    stack.features[fixed] = _count_features(slots, stack.alive[fixed, :alive_count], stack.stamps)
     return stack
 
 
 @inlined
-def _pair(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array) -> int:
-    """Candidate d joins the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Joint tests made.
+def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array) -> int:
+    """Add candidate d to the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Returns the joint
+    tests made.
 
-    Drops the candidates that cannot become legal any more: a candidate can at most be preceded by one pairing of each
-    level before its own that still has a candidate. Gives up, with none alive, once the bound must end below `best`.
+    Candidates that cannot become legal are dropped: at most one pairing of each earlier level that still has a
+    candidate can precede a candidate. Returns early, with no candidate alive, once the bound must fall below `best`.
     """
-    # once: naming a field counts a reference
-    slots, measured, _, _, covariance, local, given = pairings
+    # unpack once: every access to a field counts a reference
+    slots, measured, _, _, covariance, local, fixed = pairings
     alive, totals, innovations, w, end, level_counts, feature_counts, distances, floors, stamps = stack
-    before, after, restricted = innovations[p], innovations[p + 1], p == given
+    before, after, restricted = innovations[p], innovations[p + 1], p == fixed
     pivot = pivot_of(slots[d], read(before, d))
-    q, distance, left, kept, tests = p + 1, totals[p, d], level_counts[p] - 1, 0, 0
+    q, distance, remaining, count, tests = p + 1, totals[p, d], level_counts[p] - 1, 0, 0
     levels, level, least, floor = 0, measured[d], math.inf, distance
     end[q], level_counts[q], distances[q] = 0, 0, distance
     for k in range(first, end[p]):
@@ -211,30 +216,30 @@ def _pair(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: i
         if measured[c] != level:
             if least < math.inf:
                 levels, floor, least = levels + 1, max(floor, least), math.inf
-            if q + levels + left < best:
+            if q + levels + remaining < best:
                 return tests
-            left, level = left - 1, measured[c]
+            remaining, level = remaining - 1, measured[c]
         tests += 1
         e = condition(covariance, w, pivot, d, p, c, slots[c], read(before, c))
-        # eᵀ S⁻¹ e < gate − D²_H, without the division: most candidates end here
+        # eᵀ S⁻¹ e < gate − D²_H without the division: this rejects most candidates
         numerator = e.yy * e.x * e.x - 2.0 * e.xy * e.x * e.y + e.xx * e.y * e.y
         determinant = e.xx * e.yy - e.xy * e.xy
         if not (e.xx > 0.0 and numerator < (gates[q + levels + 1] - distance) * determinant):
             continue
         total = distance + numerator / determinant
         store(after, c, e)
-        totals[q, c], alive[q, kept] = total, c
-        kept, least = kept + 1, min(least, total)
+        totals[q, c], alive[q, count] = total, c
+        count, least = count + 1, min(least, total)
     if least < math.inf:
         levels, floor = levels + 1, max(floor, least)
-    end[q], level_counts[q], floors[q] = kept, levels, floor
-    feature_counts[q] = _count_features(slots, alive[q, :kept], stamps)
+    end[q], level_counts[q], floors[q] = count, levels, floor
+    feature_counts[q] = _count_features(slots, alive[q, :count], stamps)
     return tests
 
 
 @inlined
 def _count_features(slots: IntArray, chosen: IntArray, stamps: IntArray) -> int:
-    """Distinct features among the candidates `chosen`."""
+    """Number of distinct features among the candidates `chosen`."""
     stamps[-1] += 1
     count = 0
     for c in chosen:

@@ -1,8 +1,9 @@
 """The learned associator: `marginal` with learned log odds added to every pairing.
 
-The search, the joint density of the innovations and the decision by marginals stay what they are. A small network adds
-what that model does not know: whether sizes and kinds agree, how much else competes, how often a feature was seen, how
-much of the scan is strange. Its weights ship (`slam_gym.weights`); `slam-gym reproduce associator` trains them.
+The search, the joint density of the innovations and the decision by marginals are those of `marginal`. A small network
+adds evidence that this model ignores: whether sizes and kinds agree, how many pairings compete, how often a feature was
+seen, and what fraction of the scan is unexplained. Its weights ship with the package (`slam_gym.weights`); `slam-gym
+reproduce associator` trains them.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from slam_gym.association.compatibility import Fault, check_fault
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.hypotheses import Limits, limits_of, scan_area, weighed
 from slam_gym.association.tracking.marginal import (
-    Past,
-    PastArrays,
+    Prior,
+    PriorArrays,
     Ready,
-    gathered,
     looks_of,
     marginal,
-    past_of,
     prices_of,
+    prior_of,
     problem_of,
     run_of,
+    search_all,
 )
 from slam_gym.association.tracking.network import INPUTS, VERSION, inputs_of, load_network
 from slam_gym.types import UNKNOWN_KIND, Array, Hypothesis, IntArray, Scan, ScanArrays
@@ -43,13 +44,13 @@ def learned_associator(
     provisional_cost: float = _PROVISIONAL,
     weights: str | Path = WEIGHTS,
 ) -> Hypothesis:
-    """As `marginal`, which explains costs; with the log odds of `weights` besides.
+    """The associator `marginal`, which explains the costs, with the log odds of `weights` added.
 
-    The network knows that what was seen once may be clutter. Probabilities that say so are calibrated, but a robot that
-    went by them at full cost would never confirm what is new: hence the lower `provisional_cost`.
+    The network has learned that features seen only once may be clutter. Its probabilities are calibrated, but at full
+    cost a robot would never confirm new features: hence the lower `provisional_cost`.
 
-    Where nobody can tell what is in view, and no measurement has a size or a kind, there is little but places to go by,
-    which `marginal` knows all about: it decides alone, at full cost.
+    Where visibility is unknown and no measurement has a size or a kind, positions are nearly the only evidence, and
+    `marginal` already models them. It then decides alone, at full cost.
 
     Raises ValueError as `marginal`, and as `load_network` where there are no such weights.
     """
@@ -61,7 +62,7 @@ def learned_associator(
 
 
 class Example(NamedTuple):
-    """What the network is trained on: the search of one narrow heading without any odds."""
+    """A training example of the network: the search of one narrow heading without learned odds."""
 
     inputs: Array  # (c, inputs) of each pairing
     measured: IntArray  # (c,) its measurement
@@ -71,12 +72,12 @@ class Example(NamedTuple):
 
 
 def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -> list[Example]:
-    """What the search of each narrow heading comes across. Raises ValueError as `check_fault`."""
-    past, limits = past_of(prediction.experience), limits_of(prediction, width, margin)
+    """The search of each narrow heading. Raises ValueError as `check_fault`."""
+    prior, limits = prior_of(prediction.experience), limits_of(prediction, width, margin)
     out: list[Example] = []
-    parts = 1
-    while len(out) < parts:
-        example, parts, fault = _example(scan.arrays, prediction.arrays, past, limits, len(out))
+    count = 1
+    while len(out) < count:
+        example, count, fault = _example(scan.arrays, prediction.arrays, prior, limits, len(out))
         check_fault(fault)
         out.append(example)
     return out
@@ -86,20 +87,20 @@ def examples(scan: Scan, prediction: Prediction, *, width: int, margin: float) -
 def _example(
     scan: ScanArrays,
     prediction: PredictionArrays,
-    past_arrays: PastArrays,
+    prior_arrays: PriorArrays,
     limit_arrays: tuple[float, int, float],
     number: int,
 ) -> tuple[Example, int, Fault]:
-    """That of one narrow heading, by its number, and how many there are."""
+    """The example of one narrow heading, by its number, and how many headings there are."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    past, limits = Past(*past_arrays), Limits(*limit_arrays)
+    prior, limits = Prior(*prior_arrays), Limits(*limit_arrays)
     m, area = len(scan[0]), scan_area(scan[0])
-    looks, fault = looks_of(scan, expected, past, area, limits.gate, True)
+    looks, fault = looks_of(scan, expected, prior, area, limits.gate, True)
     look = looks[number]
     problem = problem_of(look, scan, expected, limits.gate)
-    inputs = inputs_of(scan, problem, expected, run_of(past))
+    inputs = inputs_of(scan, problem, expected, run_of(prior))
     ready = Ready(problem, look.candidates.tests, np.empty(0), limits.margin)
-    kept = gathered([ready], m, expected, past, limits, prices_of(past, area, m))
-    scores = weighed(kept, past.detections, len(expected.features)).scores
-    found = look.candidates
-    return Example(inputs, found.measured, found.rows[found.slots], kept.rows, scores), len(looks), fault
+    kept = search_all([ready], m, expected, prior, limits, prices_of(prior, area, m))
+    scores = weighed(kept, prior.detections, len(expected.features)).scores
+    candidates = look.candidates
+    return Example(inputs, candidates.measured, candidates.rows[candidates.slots], kept.rows, scores), len(looks), fault

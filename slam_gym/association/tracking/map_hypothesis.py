@@ -1,6 +1,6 @@
-"""The most probable hypothesis: where JCBB asks for the most pairings, this asks for the greatest density.
+"""The most probable hypothesis. JCBB maximises the number of pairings, this associator the density of the hypothesis.
 
-What the density of a hypothesis is, `hypotheses` says.
+The density is defined in `hypotheses`.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from slam_gym.association.tracking.hypotheses import (
     weighed,
     weighed_by_view,
 )
-from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_over, joint_distance_of, offer
+from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_finished, joint_distance_of, offer
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Posterior, Scan, ScanArrays
 
-_COUNTS = 1.0 / 3.0  # of the margin: hypotheses less probable than the best by no more have a view of their own
+_COUNTS = 1.0 / 3.0  # of the margin: hypotheses this close to the best, in log density, get a view of their own
 
 
 def map_hypothesis(
@@ -47,18 +47,18 @@ def map_hypothesis(
     width: int = 100,
     margin: float = 25.0,
 ) -> Hypothesis:
-    """The most probable hypothesis that a beam search of the interpretation tree comes across.
+    """The most probable hypothesis that a beam search of the interpretation tree finds.
 
-    Candidates are the pairings within an individual gate ten times as sure as that of the prediction, 0.999 for 0.99:
-    the density itself turns down what is improbable, so no other test is made. `posterior` holds the density, its
-    fraction of those of the final beam, the runner-up, and the marginals; `effort.limit_hit` says that the beam's width
-    turned hypotheses away. A locality is used as in `jcbb`.
+    Candidates are the pairings within the individual gate whose confidence is ten times as close to 1 as that of the
+    prediction, 0.999 for 0.99. No other test is made, because improbable hypotheses have a low density. `posterior`
+    holds the density, its fraction of the densities of the final beam, the runner-up, and the marginals.
+    `effort.limit_hit` is set where the width of the beam excluded hypotheses. Localities are used as in `jcbb`.
 
     Arguments:
         detection: P_D.
-        density: [1/m²] λ of spurious measurements and features not mapped yet, together.
+        density: [1/m²] λ of spurious measurements and unmapped features together.
         width: hypotheses kept at each level.
-        margin: hypotheses this much less probable than the best, in log density, are dropped at once.
+        margin: a hypothesis whose log density is this much less than that of the best is dropped.
 
     Raises ValueError as `check_fault` and `limits_of`; for a detection outside (0, 1) and a density that is not
     positive.
@@ -76,43 +76,43 @@ def map_hypothesis(
 def _decide(
     scan: ScanArrays,
     prediction: PredictionArrays,
-    rate_figures: tuple[float, float],
-    limit_figures: tuple[float, int, float],
+    rate_fields: tuple[float, float],
+    limit_fields: tuple[float, int, float],
 ) -> tuple[Decided, PosteriorFields]:
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    rates, limits, m = Rates(*rate_figures), Limits(*limit_figures), len(scan[0])
+    rates, limits, m = Rates(*rate_fields), Limits(*limit_fields), len(scan[0])
     rows, spent, fault, most = np.full(m, UNPAIRED), Spent(0, 0, 0, False), NO_FAULT, most_of_each(m)
     posterior, part = (0.0, 1.0, rows, 0.0, np.ones(m), np.ones(m)), whole(expected)
     visible = visibility(expected, part.positions, part.covariances)[0]
     for search in range(2):
-        found = offer(scan, expected, rows, search == 0, limits.gate, most)
-        fault, tests = found.fault, spent.individual_tests + found.tests
+        offered = offer(scan, expected, rows, search == 0, limits.gate, most)
+        fault, tests = offered.fault, spent.individual_tests + offered.tests
         spent = Spent(spent.nodes, tests, spent.joint_tests, spent.limit_hit)
-        if fault[0] == 0 and (search == 0 or len(found.pairings.slots) > found.pairings.fixed):
-            levels = levels_of(found.pairings, found.starts, limits.gate)
-            problem = ScanProblem(part, found.pairings, found.starts, levels, found.rows, visible, rates)
+        if fault[0] == 0 and (search == 0 or len(offered.pairings.slots) > offered.pairings.fixed):
+            levels = levels_of(offered.pairings, offered.starts, limits.gate)
+            problem = ScanProblem(part, offered.pairings, offered.starts, levels, offered.rows, visible, rates)
             width = affordable(limits.width, [problem])
-            kept = search_tree(problem, np.empty(0), Limits(limits.gate, width, limits.margin))
-            limit_hit = spent.limit_hit or kept.cut or bool(is_crowded(found.starts, most).any())
-            spent = Spent(spent.nodes + kept.nodes, tests, spent.joint_tests + kept.tests, limit_hit)
-            fit = kept.fit + math.log(rates.density) * kept.unpaired
-            seen = _weighed_by_view(expected, problem, kept, fit, _COUNTS * limits.margin)
-            sums = weighed(Kept(kept.rows, fit, seen, spent), np.zeros(1), len(expected.features))
-            rows[:] = kept.rows[np.argmax(sums.scores)]
-            posterior = posterior_of(expected, kept.rows, sums, rows)
-        if fault[0] != 0 or is_over(expected, rows):
+            searched = search_tree(problem, np.empty(0), Limits(limits.gate, width, limits.margin))
+            limit_hit = spent.limit_hit or searched.cut or bool(is_crowded(offered.starts, most).any())
+            spent = Spent(spent.nodes + searched.nodes, tests, spent.joint_tests + searched.tests, limit_hit)
+            fit = searched.fit + math.log(rates.density) * searched.unpaired
+            view_terms = _weighed_by_view(expected, problem, searched, fit, _COUNTS * limits.margin)
+            sums = weighed(Kept(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
+            rows[:] = searched.rows[np.argmax(sums.scores)]
+            posterior = posterior_of(expected, searched.rows, sums, rows)
+        if fault[0] != 0 or is_finished(expected, rows):
             break
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, fault), posterior
 
 
 @compiled
-def _weighed_by_view(expected: Expected, problem: ScanProblem, kept: Searched, fit: Array, counts: float) -> Array:
-    """`weighed_by_view` (b, 1). Hypotheses less probable than the best by more than `counts` may share a view."""
-    beam, detections = kept.beam, np.array([problem.rates.detection])
-    seen = weighed_by_view(expected, problem, beam, detections, TOGETHER)
+def _weighed_by_view(expected: Expected, problem: ScanProblem, searched: Searched, fit: Array, counts: float) -> Array:
+    """`weighed_by_view` (b, 1). Only hypotheses within `counts` of the best are certain to get a view of their own."""
+    beam, detections = searched.beam, np.array([problem.rates.detection])
+    view_terms = weighed_by_view(expected, problem, beam, detections, TOGETHER)
     if len(problem.visible) > 0 and len(expected.visible) == 0 and expected.view_moves:
-        scores = fit + seen[:, 0]
+        scores = fit + view_terms[:, 0]
         chosen = np.flatnonzero(scores > scores.max() - counts)
-        fewer = Beam(beam.score[chosen], beam.pairings[chosen], beam.made[chosen], beam.nodes[chosen], beam.joined)
-        seen[chosen] = weighed_by_view(expected, problem, fewer, detections, 0.0)
-    return seen
+        best_ones = Beam(beam.score[chosen], beam.pairings[chosen], beam.made[chosen], beam.nodes[chosen], beam.joined)
+        view_terms[chosen] = weighed_by_view(expected, problem, best_ones, detections, 0.0)
+    return view_terms

@@ -1,27 +1,26 @@
-"""Decide by marginals: pair a measurement only where all hypotheses together say so.
+"""Decision by marginals: a measurement is paired only where all hypotheses together support the pairing.
 
-JCBB takes the most pairings and `map_hypothesis` the most probable hypothesis, and both commit themselves to every
-pairing in it. But a wrong pairing spoils the map, while a refused one is a measurement less. With w_H the weight of
-hypothesis H, its density (`hypotheses`) over the sum of those of all hypotheses that a beam search keeps, measurement i
-is of feature j with the marginal probability
+JCBB takes the most pairings and `map_hypothesis` the most probable hypothesis, and both make every pairing in it. But a
+wrong pairing corrupts the map, while a missed one only loses a measurement. Let w_H be the weight of hypothesis H: its
+density (`hypotheses`) divided by the sum over all hypotheses that a beam search keeps. As in joint probabilistic data
+association, measurement i comes from feature j with the marginal probability
 
-    p_ij = Σ of w_H over the H that pair i with j,
+    p_ij = Σ of w_H over the H that pair i with j.
 
-as in joint probabilistic data association. Where a wrong pairing costs c right ones, pairing is worth p − c (1 − p):
-more than nothing where p > τ = c / (c + 1), the decision of minimum risk. What is left unpaired starts a feature where
-the probability that it is of nothing in the map exceeds the same τ: a feature that is started beside its own likeness
-spoils the map as a wrong pairing does. Gates have no say in it, so that a robot that knows its pose poorly, to whom
-most of what it sees is compatible with something, still maps what is new once the other measurements tell where it is.
+Where a wrong pairing costs c right ones, pairing has the value p − c (1 − p). The decision of minimum risk is to pair
+where this is positive, p > τ = c / (c + 1). An unpaired measurement starts a feature where the probability that it
+comes from nothing in the map exceeds the same τ: a duplicate feature corrupts the map as a wrong pairing does. No gate
+decides this. So a robot with a poorly known pose, for which most measurements are compatible with some feature, still
+maps new features once the other measurements determine the pose.
 
-Neither λ nor P_D is known. A priori λ is taken for Γ-distributed, as a₀ unpaired measurements in b₀ m² would leave it,
-and P_D for one of a few values; what earlier scans of the run have shown (`Experience`) adds to a and b, and to the
-weights of those values. Both are integrated out: a hypothesis that leaves u measurements unpaired, in a scan of area A,
-has the density
+Neither λ nor P_D is known. A priori, λ is Γ-distributed as after a₀ unpaired measurements in b₀ m², and P_D takes one
+of a few values. Earlier scans of the run (`Experience`) add to a and b, and to the log weights of these values. Both
+are integrated out: a hypothesis that leaves u measurements unpaired, in a scan of area A, has the density
 
     N(ν_H; 0, S_H) · Γ(a + u) / (b + A)^(a + u) · Σ over P_D of weight · Π P_D v_j · Π (1 − P_D v_j).
 
-Nor is the heading, where the wheels are bad: a heading that is too uncertain for the linear prediction is split into
-narrow ones (`headings`), and the hypotheses are those in any of them.
+With poor odometry the heading is uncertain too. Where it is too uncertain for the linear prediction it is split into
+narrow ones (`headings`), and the hypotheses are those of all of them.
 """
 
 from __future__ import annotations
@@ -61,29 +60,29 @@ from slam_gym.association.tree import Pairings
 from slam_gym.types import UNPAIRED, Array, BoolArray, Experience, Hypothesis, IntArray, Posterior, Scan, ScanArrays
 
 DETECTIONS = np.array([0.3, 0.5, 0.7, 0.85, 0.95])
-"""Values of P_D that are weighed against each other."""
+"""Candidate values of P_D, weighted by their posterior."""
 
 NOTHING_SEEN = Experience(0.0, 0.0, np.zeros(len(DETECTIONS)))
-"""What is known before the first scan of a run."""
+"""The experience before the first scan of a run."""
 
-UNPAIRED_BEFORE, AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is some 0.02 before anything was seen
-_MEMORY = 0.95  # what a scan counts in the next
-_DOUBT = 4.0  # log density by which hypotheses of another heading may be better than the first look says
-_FIRST_LOOK = 4  # hypotheses kept where a narrow heading is only tried
+UNPAIRED_BEFORE, AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is about 0.02 a priori
+_MEMORY = 0.95  # factor by which counts decay from scan to scan
+_DOUBT = 4.0  # log density by which the first look may underestimate hypotheses of another heading
+_FIRST_LOOK = 4  # hypotheses kept in the first look at a narrow heading
 
 
 class Marginals(NamedTuple):
-    """The probabilities behind the decisions."""
+    """The probabilities on which the decisions are based."""
 
     pairings: Array  # (m, k) p_ij
-    unpaired: Array  # (m,) that each measurement is of nothing in the map
+    unpaired: Array  # (m,) that each measurement comes from nothing in the map
     new: BoolArray  # (m,) which measurements start a feature
     by_value: Array  # (d,) log weights of P_D
     area: float  # [m²] of the scan
 
 
 MarginalFields = tuple[Array, Array, BoolArray, Array, float]
-"""The same, as they come out of compiled code."""
+"""The fields of `Marginals`, as compiled code returns them."""
 
 
 def marginal(
@@ -96,30 +95,31 @@ def marginal(
     margin: float = 12.0,
     network: Network = NO_NETWORK,
 ) -> Hypothesis:
-    """Every pairing whose marginal probability makes it worth the risk, and every feature that is new as surely.
+    """Make every pairing whose marginal probability outweighs its risk, and start every feature that is equally surely
+    new.
 
-    All features in reach are candidates, near or not: an alternative that is left out makes the others look certain.
-    The `posterior` holds the marginals of the decisions; its probability is that of all decisions together, 0 where the
-    search did not come across that hypothesis. `effort.limit_hit` says that the beam's width turned hypotheses away.
+    All features in reach are candidates, near or not: omitting an alternative would make the others look certain. The
+    `posterior` holds the marginals of the decisions. Its probability is that of all decisions together, 0 where the
+    search did not find that hypothesis. `effort.limit_hit` is set where the width of the beam excluded hypotheses.
     `experience` is for the next prediction of the same run.
 
     Arguments:
-        cost: what a wrong pairing costs, in right ones that are missed, and a duplicate, in new features that are; at
-            least 1, so that no feature is paired twice.
-        provisional_cost: of a wrong pairing with a feature that the map does not believe in yet, which spoils less, and
-            has to be paired if it is ever to be believed in; None: `cost`.
+        cost: of a wrong pairing, in missed right ones, and of a duplicate, in missed new features; at least 1, so that
+            no feature is paired twice.
+        provisional_cost: of a wrong pairing with a feature that is not confirmed yet. It does less harm, and such a
+            feature must be paired to be confirmed. None: `cost`.
         width, margin: as in `map_hypothesis`.
         network: adds learned log odds to every pairing (see `learned`).
 
     Raises ValueError as `check_fault` and `limits_of`, and for costs that are less than 1 or not finite.
     """
-    known = prediction.experience or NOTHING_SEEN
+    past = prediction.experience or NOTHING_SEEN
     costs = cost, cost if provisional_cost is None else provisional_cost
-    answer, (_, unpaired, new, by_value, area), posterior = _searched(scan, prediction, costs, width, margin, network)
+    answer, (_, unpaired, new, by_value, area), posterior = _search(scan, prediction, costs, width, margin, network)
     experience = Experience(
-        _MEMORY * (known.unpaired + float(unpaired.sum())),
-        _MEMORY * (known.area + area),
-        _MEMORY * by_value if prediction.has_view else known.detections,
+        _MEMORY * (past.unpaired + float(unpaired.sum())),
+        _MEMORY * (past.area + area),
+        _MEMORY * by_value if prediction.has_view else past.detections,
     )
     return answer.hypothesis(posterior=Posterior(*posterior), new=new, experience=experience)
 
@@ -132,91 +132,95 @@ def marginals(
     margin: float = 12.0,
     network: Network = NO_NETWORK,
 ) -> Marginals:
-    """The probabilities that `marginal` decides by. Arguments and errors: see there."""
-    answer, told, _ = _searched(scan, prediction, (1.0, 1.0), width, margin, network)
+    """The probabilities by which `marginal` decides. Arguments and errors are those of `marginal`."""
+    answer, fields, _ = _search(scan, prediction, (1.0, 1.0), width, margin, network)
     check_fault(answer.fault)
-    return Marginals(*told)
+    return Marginals(*fields)
 
 
-def _searched(
+def _search(
     scan: Scan, prediction: Prediction, costs: tuple[float, float], width: int, margin: float, network: Network
 ) -> tuple[Decided, MarginalFields, PosteriorFields]:
-    """`costs`: of a wrong pairing, then of one that is provisional."""
+    """Search and decide. `costs`: of a wrong pairing, and of a wrong provisional pairing."""
     for name, price in zip(("cost", "provisional_cost"), costs):
         if not 1.0 <= price < math.inf:
             raise ValueError(f"{name}: {price} is not a finite number of at least 1")
     rule = costs[0] / (costs[0] + 1.0), costs[1] / (costs[1] + 1.0), prediction.confirmations
-    limits, past = limits_of(prediction, width, margin), past_of(prediction.experience)
-    found: tuple[Decided, MarginalFields, PosteriorFields]
-    found = _decide(scan.arrays, prediction.arrays, past, rule, limits, network[:])
-    return found
+    limits, prior = limits_of(prediction, width, margin), prior_of(prediction.experience)
+    results: tuple[Decided, MarginalFields, PosteriorFields]
+    results = _decide(scan.arrays, prediction.arrays, prior, rule, limits, network[:])
+    return results
 
 
-class Past(NamedTuple):
-    """What is taken for true of λ and P_D before the scan."""
+class Prior(NamedTuple):
+    """The prior of λ and P_D for a scan."""
 
     unpaired: float  # a
-    area: float  # [m²] b, without the scan
-    values: Array  # (d,) that P_D may have
-    detections: Array  # (d,) log weights of those
-    scans: bool  # whether there were any
+    area: float  # [m²] b, without this scan
+    values: Array  # (d,) candidate values of P_D
+    detections: Array  # (d,) their log weights
+    scans: bool  # whether the run has earlier scans
 
 
-PastArrays = tuple[float, float, Array, Array, bool]
+PriorArrays = tuple[float, float, Array, Array, bool]
 
 
-def past_of(known: Experience | None) -> PastArrays:
-    """From what the run has shown."""
-    seen = known or NOTHING_SEEN
-    return UNPAIRED_BEFORE + seen.unpaired, AREA + seen.area, DETECTIONS, seen.detections, known is not None
+def prior_of(experience: Experience | None) -> PriorArrays:
+    """The prior after the experience of a run."""
+    past = experience or NOTHING_SEEN
+    return UNPAIRED_BEFORE + past.unpaired, AREA + past.area, DETECTIONS, past.detections, experience is not None
 
 
 class Look(NamedTuple):
-    """What is compatible in a narrow heading."""
+    """The candidates in a narrow heading."""
 
     part: Part
     candidates: Candidates
-    strange: int  # measurements without a candidate
+    unmatched: int  # measurements without a candidate
     rates: Rates
-    at_most: float  # no hypothesis scores more
+    bound: float  # of the score of a hypothesis
 
 
 class Ready(NamedTuple):
-    """A narrow heading, ready for a search."""
+    """A narrow heading, prepared for a search."""
 
     problem: ScanProblem
     tests: int  # pairings tested for individual compatibility
-    odds: Array  # (c,) log odds of each pairing, which the model does not know of; (0,): none
-    margin: float  # by which a hypothesis may be worse than the best
+    odds: Array  # (c,) learned log odds of each pairing; (0,): none
+    margin: float  # by which a hypothesis may score less than the best
 
 
 @compiled
 def _decide(
     scan: ScanArrays,
     prediction: PredictionArrays,
-    past_arrays: PastArrays,
+    prior_arrays: PriorArrays,
     rule: tuple[float, float, int],
-    limit_arrays: tuple[float, int, float],
+    limit_fields: tuple[float, int, float],
     network_arrays: tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array],
 ) -> tuple[Decided, MarginalFields, PosteriorFields]:
-    """`rule`: the probability that pairs, or starts a feature; that which pairs with a provisional feature; and from
-    how many sightings a feature is none."""
+    """`rule`: the probability above which a pairing is made or a feature started, that for pairing a provisional
+    feature, and the number of sightings from which a feature is no longer provisional."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
-    past, limits, network = Past(*past_arrays), Limits(*limit_arrays), Network(*network_arrays)
+    prior, limits, network = Prior(*prior_arrays), Limits(*limit_fields), Network(*network_arrays)
     threshold, provisional, confirmations = rule
     m, area = len(scan[0]), scan_area(scan[0])
-    rows, new, prices = np.full(m, UNPAIRED), np.zeros(m, np.bool_), prices_of(past, area, m)
-    looks, fault = looks_of(scan, expected, past, area, limits.gate, len(network.centre) > 0)
+    rows, new, prices = np.full(m, UNPAIRED), np.zeros(m, np.bool_), prices_of(prior, area, m)
+    looks, fault = looks_of(scan, expected, prior, area, limits.gate, len(network.centre) > 0)
     if fault[0] != 0:
         nothing = np.empty(m)
         refused = decided(expected, rows, 0.0, Spent(0, 0, 0, False), fault)
-        return refused, (np.empty((m, 0)), nothing, new, past.detections, area), (0.0, 0.0, rows, 0.0, nothing, nothing)
-    chosen = _worth_searching(looks, scan, expected, past, limits, prices, network)
-    kept = gathered(chosen, m, expected, past, limits, prices)
+        return (
+            refused,
+            (np.empty((m, 0)), nothing, new, prior.detections, area),
+            (0.0, 0.0, rows, 0.0, nothing, nothing),
+        )
+    ready = _worth_searching(looks, scan, expected, prior, limits, prices, network)
+    kept = search_all(ready, m, expected, prior, limits, prices)
     crowded, most = np.zeros(m, np.bool_), most_of_each(m)
     for look in looks:
         crowded |= is_crowded(look.candidates.starts, most)
-    sums = weighed(kept, past.detections, len(expected.features))
+    sums = weighed(kept, prior.detections, len(expected.features))
     for i in range(m):
         for j in range(len(expected.features)):
             if sums.pairings[i, j] > (threshold if expected.sightings[j] >= confirmations else provisional):
@@ -225,49 +229,51 @@ def _decide(
     nodes, individual_tests, joint_tests, cut = kept.spent
     spent = Spent(nodes, individual_tests, joint_tests, cut or bool(crowded.any()))
     answer = decided(expected, rows, joint_distance_of(scan, expected, rows), spent, NO_FAULT)
-    told = sums.pairings, sums.unpaired, new, sums.by_value, area
-    return answer, told, posterior_of(expected, kept.rows, sums, rows)
+    marginal_fields = sums.pairings, sums.unpaired, new, sums.by_value, area
+    return answer, marginal_fields, posterior_of(expected, kept.rows, sums, rows)
 
 
 @compiled
-def prices_of(past: Past, area: float, m: int) -> Array:
-    """The log density (m + 1,) of leaving so many measurements unpaired, of a scan of an `area` [m²]."""
+def prices_of(prior: Prior, area: float, m: int) -> Array:
+    """Log density (m + 1,) of leaving 0 … m measurements unpaired, for a scan that covers `area` [m²]."""
     prices = np.empty(m + 1)
     for u in range(m + 1):
-        prices[u] = math.lgamma(past.unpaired + u) - (past.unpaired + u) * math.log(past.area + area)
+        prices[u] = math.lgamma(prior.unpaired + u) - (prior.unpaired + u) * math.log(prior.area + area)
     return prices
 
 
 @compiled
 def looks_of(
-    scan: ScanArrays, expected: Expected, past: Past, area: float, gate: float, learned: bool
+    scan: ScanArrays, expected: Expected, prior: Prior, area: float, gate: float, learned: bool
 ) -> tuple[list[Look], Fault]:
-    """What is compatible in every narrow heading; and a fault.
+    """The candidates in every narrow heading; and a fault.
 
-    A search there is told one P_D, the mean, and one λ, by what has no candidate besides.
+    A search in one heading uses a single P_D, the mean, and a single λ, which counts the measurements without a
+    candidate.
     """
     points, noise = scan[0], scan[1]
-    odds = np.exp(past.detections - past.detections.max())
-    detection, fault = (odds * past.values).sum() / odds.sum(), NO_FAULT
+    odds = np.exp(prior.detections - prior.detections.max())
+    detection, fault = (odds * prior.values).sum() / odds.sum(), NO_FAULT
     looks: list[Look] = []
     for part in parts_of(expected):
-        bad, candidates = gate_pairings(
+        part_fault, candidates = gate_pairings(
             points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_), gate,
             most_of_each(len(points)),
         )  # fmt: skip
-        if bad[0] != 0:
-            fault = bad
-        strange = int(np.count_nonzero(candidates.starts[1:] == candidates.starts[:-1]))
-        rates, at_most = Rates(detection, (past.unpaired + strange) / (past.area + area)), math.inf
+        if part_fault[0] != 0:
+            fault = part_fault
+        unmatched = int(np.count_nonzero(candidates.starts[1:] == candidates.starts[:-1]))
+        rates, bound = Rates(detection, (prior.unpaired + unmatched) / (prior.area + area)), math.inf
         if not learned:
-            at_most = part.log_weight + _greatest_score(noise, candidates.starts, rates)
-        looks.append(Look(part, candidates, strange, rates, at_most))
+            bound = part.log_weight + _greatest_score(noise, candidates.starts, rates)
+        looks.append(Look(part, candidates, unmatched, rates, bound))
     return looks, fault
 
 
 @compiled
 def _greatest_score(noise: Array, starts: IntArray, rates: Rates) -> float:
-    """What no hypothesis of a search exceeds: the best of each measurement, in view for sure and without an error."""
+    """Upper bound of the score of a hypothesis: each measurement takes its best choice, surely in view and without
+    error."""
     gain, unpaired = math.log(rates.detection) - math.log1p(-rates.detection), math.log(rates.density)
     total = 0.0
     for i in range(len(starts) - 1):
@@ -278,85 +284,95 @@ def _greatest_score(noise: Array, starts: IntArray, rates: Rates) -> float:
 
 @compiled
 def problem_of(look: Look, scan: ScanArrays, expected: Expected, gate: float) -> ScanProblem:
-    """What a search in a narrow heading takes."""
-    part, found = look.part, look.candidates
+    """The problem of searching a narrow heading."""
+    part, candidates = look.part, look.candidates
     visible = visibility(expected, part.positions, part.covariances)[0]
-    joint = joint_in(expected, part, found.rows)
-    pairings = Pairings(found.slots, found.measured, found.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0)
-    levels = levels_of(pairings, found.starts, gate)
-    return ScanProblem(part, pairings, found.starts, levels, found.rows, visible, look.rates)
+    joint = joint_in(expected, part, candidates.rows)
+    pairings = Pairings(
+        candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
+    )
+    levels = levels_of(pairings, candidates.starts, gate)
+    return ScanProblem(part, pairings, candidates.starts, levels, candidates.rows, visible, look.rates)
 
 
 @compiled
-def run_of(past: Past) -> tuple[float, float]:
-    """What the learned model is told of the run: log density of what is not in the map; whether there were scans."""
-    return math.log(past.unpaired / past.area), 1.0 if past.scans else 0.0
+def run_of(prior: Prior) -> tuple[float, float]:
+    """Inputs of the network about the run: log density of measurements of nothing in the map; whether there were
+    earlier scans."""
+    return math.log(prior.unpaired / prior.area), 1.0 if prior.scans else 0.0
 
 
 @compiled
 def _worth_searching(
-    looks: list[Look], scan: ScanArrays, expected: Expected, past: Past, limits: Limits, prices: Array, network: Network
+    looks: list[Look],
+    scan: ScanArrays,
+    expected: Expected,
+    prior: Prior,
+    limits: Limits,
+    prices: Array,
+    network: Network,
 ) -> list[Ready]:
-    """The headings in which a first look finds a hypothesis that is not hopeless beside the best; at least one."""
+    """The headings in which a first look finds a hypothesis within the margin of the best; at least one."""
     best, margin = -math.inf, limits.margin
     order, score, behind = np.empty(len(looks)), np.empty(len(looks)), np.empty(len(looks))
-    found: list[Ready] = []
+    candidates: list[Ready] = []
     for k in range(len(looks)):
-        order[k] = -looks[k].at_most
+        order[k] = -looks[k].bound
     for k in np.argsort(order, kind="mergesort"):
-        look, n = looks[k], len(found)
-        if look.at_most <= best - margin:
+        look, n = looks[k], len(candidates)
+        if look.bound <= best - margin:
             break
         problem, odds = problem_of(look, scan, expected, limits.gate), np.empty(0)
         if len(network.centre) > 0:
-            inputs = inputs_of(scan, problem, expected, run_of(past))
+            inputs = inputs_of(scan, problem, expected, run_of(prior))
             odds = log_odds(network, inputs, look.candidates.measured, look.candidates.slots)
-        found.append(Ready(problem, look.candidates.tests, odds, margin))
+        candidates.append(Ready(problem, look.candidates.tests, odds, margin))
         if len(looks) == 1:
-            return found
-        kept = search_tree(problem, odds, Limits(limits.gate, _FIRST_LOOK, margin))
-        score[n] = look.part.log_weight + kept.beam.score.max()
-        behind[n] = -(look.part.log_weight + _greatest_density(kept, look, prices, problem.visible))
+            return candidates
+        searched = search_tree(problem, odds, Limits(limits.gate, _FIRST_LOOK, margin))
+        score[n] = look.part.log_weight + searched.beam.score.max()
+        behind[n] = -(look.part.log_weight + _greatest_density(searched, look, prices, problem.visible))
         best = max(best, score[n])
-    behind = behind[: len(found)] - behind[: len(found)].min() - _DOUBT
-    out: list[Ready] = []
-    for k in range(len(found)):
+    behind = behind[: len(candidates)] - behind[: len(candidates)].min() - _DOUBT
+    chosen: list[Ready] = []
+    for k in range(len(candidates)):
         if score[k] > best - margin and behind[k] < margin:
-            ready = found[k]
-            out.append(Ready(ready.problem, ready.tests, ready.odds, margin - max(behind[k], 0.0)))
-    if len(out) == 0:  # a score knows no price of what is compatible with nothing
-        out.append(found[np.argmin(behind)])
-    return out
+            ready = candidates[k]
+            chosen.append(Ready(ready.problem, ready.tests, ready.odds, margin - max(behind[k], 0.0)))
+    if len(chosen) == 0:  # a score ignores measurements without a candidate
+        chosen.append(candidates[np.argmin(behind)])
+    return chosen
 
 
 @compiled
-def _greatest_density(kept: Searched, look: Look, prices: Array, visible: Array) -> float:
-    """Of the hypotheses that a search has kept, by one P_D and what is in view from the predicted pose."""
-    missed, most = 0.0, -math.inf
+def _greatest_density(searched: Searched, look: Look, prices: Array, visible: Array) -> float:
+    """The greatest log density of the hypotheses of a search, with a single P_D and visibility from the predicted
+    pose."""
+    missed, greatest = 0.0, -math.inf
     for v in visible:
         missed += math.log1p(-look.rates.detection * v)
-    for b in range(len(kept.fit)):
-        free = math.log(look.rates.density) * (kept.unpaired[b] - look.strange)
-        most = max(most, kept.beam.score[b] - free + prices[kept.unpaired[b]])
-    return missed + most
+    for b in range(len(searched.fit)):
+        free = math.log(look.rates.density) * (searched.unpaired[b] - look.unmatched)
+        greatest = max(greatest, searched.beam.score[b] - free + prices[searched.unpaired[b]])
+    return missed + greatest
 
 
 @compiled
-def gathered(chosen: list[Ready], m: int, expected: Expected, past: Past, limits: Limits, prices: Array) -> Kept:
-    """The hypotheses of all headings that are searched."""
+def search_all(chosen: list[Ready], m: int, expected: Expected, prior: Prior, limits: Limits, prices: Array) -> Kept:
+    """The hypotheses of all chosen headings."""
     nodes, tests, joint_tests, cut, count = 0, 0, 0, False, 0
-    found: list[Searched] = []
+    results: list[Searched] = []
     width = affordable(limits.width, [ready.problem for ready in chosen])
     for ready in chosen:
-        kept = search_tree(ready.problem, ready.odds, Limits(limits.gate, width, ready.margin))
-        found.append(kept)
-        nodes, tests, joint_tests = nodes + kept.nodes, tests + ready.tests, joint_tests + kept.tests
-        cut, count = cut or kept.cut, count + len(kept.fit)
-    rows, fit, seen, b = np.empty((count, m), np.int64), np.empty(count), np.empty((count, len(past.values))), 0
-    for ready, kept in zip(chosen, found):
-        last = b + len(kept.fit)
-        rows[b:last] = kept.rows
-        seen[b:last] = weighed_by_view(expected, ready.problem, kept.beam, past.values, TOGETHER)
-        fit[b:last] = ready.problem.part.log_weight + kept.fit + prices[kept.unpaired]
+        result = search_tree(ready.problem, ready.odds, Limits(limits.gate, width, ready.margin))
+        results.append(result)
+        nodes, tests, joint_tests = nodes + result.nodes, tests + ready.tests, joint_tests + result.tests
+        cut, count = cut or result.cut, count + len(result.fit)
+    rows, fit, view_terms, b = np.empty((count, m), np.int64), np.empty(count), np.empty((count, len(prior.values))), 0
+    for ready, result in zip(chosen, results):
+        last = b + len(result.fit)
+        rows[b:last] = result.rows
+        view_terms[b:last] = weighed_by_view(expected, ready.problem, result.beam, prior.values, TOGETHER)
+        fit[b:last] = ready.problem.part.log_weight + result.fit + prices[result.unpaired]
         b = last
-    return Kept(rows, fit, seen, Spent(nodes, tests, joint_tests, cut))
+    return Kept(rows, fit, view_terms, Spent(nodes, tests, joint_tests, cut))

@@ -1,8 +1,8 @@
-"""How locality enters a search with a prior: measurements are offered what is near first, then everything else.
+"""Locality in searches with a prior: near features are offered to measurements first, then all others.
 
-The first search sees only the features near those paired in recent scans. The second sees the measurements left over
-and the other features; it keeps the pairings of the first, and its own first pairing restricts those after it to its
-locality. Where there is no locality, one search sees everything.
+The first search offers only features near those paired in recent scans. The second search offers the other features to
+the measurements that are still unpaired. It keeps the pairings of the first as fixed, and its own first pairing
+restricts the later ones to its locality. Without localities, one search offers all features.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from slam_gym.types import UNPAIRED, Effort, Hypothesis, IntArray, Scan, ScanArr
 
 
 class Offer(NamedTuple):
-    """What one of the two searches may pair, and the pairings that it keeps, which come first."""
+    """The pairings that one of the two searches may make, preceded by the fixed pairings."""
 
     pairings: Pairings
-    starts: IntArray  # (l + 1,) where the candidates of each undecided measurement begin among those that are not kept
+    starts: IntArray  # (l + 1,) index of the first candidate of each undecided measurement, not counting fixed pairings
     rows: IntArray  # (u,) row of the prediction of each slot
     tests: int  # pairings tested for individual compatibility
     fault: Fault
 
 
 class Spent(NamedTuple):
-    """What the searches of a scan took: the first fields of `Effort`."""
+    """The work done by the searches of a scan: the first fields of `Effort`."""
 
     nodes: int
     individual_tests: int
@@ -41,7 +41,7 @@ class Spent(NamedTuple):
 
 
 class Decided(NamedTuple):
-    """What an associator has decided, as it comes out of compiled code."""
+    """The decision of an associator, as compiled code returns it."""
 
     features: IntArray  # (m,) map features, or UNPAIRED
     distance: float  # D²_H
@@ -50,46 +50,46 @@ class Decided(NamedTuple):
     fault: Fault
 
     def hypothesis(self, **others: Any) -> Hypothesis:
-        """The answer; `others` are further fields of it. Raises ValueError as `check_fault`."""
+        """The hypothesis; `others` are further fields of it. Raises ValueError as `check_fault`."""
         check_fault(self.fault)
         return Hypothesis(self.features, self.distance, 2 * self.pairings, Effort(*self.spent), **others)
 
 
 @compiled
 def offer(scan: ScanArrays, expected: Expected, rows: IntArray, near: bool, gate: float, most: int) -> Offer:
-    """What may be paired with the measurements that `rows` (m,) leaves UNPAIRED: features that are `near`, or not, the
-    `most` nearest of each."""
+    """The pairings open to measurements that `rows` (m,) leaves UNPAIRED: with features that are `near`, or with the
+    others, the `most` nearest of each measurement."""
     points, noise = scan[0], scan[1]
     eligible = expected.near if near else ~expected.near
     if len(expected.neighbours) == 0:
         eligible = eligible[:0]  # all of them
-    fault, found = gate_pairings(
+    fault, candidates = gate_pairings(
         points, noise, expected.positions, expected.covariances, np.flatnonzero(rows == UNPAIRED), eligible, gate, most
     )
     paired = np.flatnonzero(rows != UNPAIRED)
-    kept = rows[paired]
-    offered = np.concatenate((kept, found.rows))
+    fixed = rows[paired]
+    offered = np.concatenate((fixed, candidates.rows))
     pairings = Pairings(
-        np.concatenate((np.arange(len(kept)), found.slots + len(kept))),
-        np.concatenate((paired, found.measured)),
-        np.concatenate((points[paired] - expected.positions[kept], found.innovations)),
+        np.concatenate((np.arange(len(fixed)), candidates.slots + len(fixed))),
+        np.concatenate((paired, candidates.measured)),
+        np.concatenate((points[paired] - expected.positions[fixed], candidates.innovations)),
         noise,
         joint(expected, offered),
         np.empty((0, 0), np.bool_) if near else local(expected, offered),
-        len(kept),
+        len(fixed),
     )
-    return Offer(pairings, found.starts, offered, found.tests, fault)
+    return Offer(pairings, candidates.starts, offered, candidates.tests, fault)
 
 
 @compiled
-def is_over(expected: Expected, rows: IntArray) -> bool:
-    """Whether there is nothing left for a second search."""
+def is_finished(expected: Expected, rows: IntArray) -> bool:
+    """Whether no second search is needed."""
     return bool(len(expected.neighbours) == 0 or expected.near.all() or not (rows == UNPAIRED).any())
 
 
 @compiled
 def decided(expected: Expected, rows: IntArray, distance: float, spent: Spent, fault: Fault) -> Decided:
-    """The answer that pairs measurements with `rows` (m,) of the prediction."""
+    """The decision that pairs measurements with `rows` (m,) of the prediction."""
     features, pairings = np.full(len(rows), UNPAIRED), 0
     for i in range(len(rows)):
         if rows[i] != UNPAIRED:
@@ -100,8 +100,8 @@ def decided(expected: Expected, rows: IntArray, distance: float, spent: Spent, f
 
 @compiled
 def joint_distance_of(scan: ScanArrays, expected: Expected, rows: IntArray) -> float:
-    """D²_H = νᵀ S⁻¹ ν = yᵀy with y = L⁻¹ν, S = L Lᵀ, of pairing each measurement with `rows` (m,), or UNPAIRED; NaN
-    where S is not positive definite."""
+    """D²_H = νᵀ S⁻¹ ν of the pairings of measurements with `rows` (m,), or UNPAIRED. It is yᵀy with y = L⁻¹ν, S = L Lᵀ;
+    NaN where S is not positive definite."""
     points, noise, positions = scan[0], scan[1], expected.positions
     paired, squared = np.flatnonzero(rows != UNPAIRED), 0.0
     if len(paired) == 0:
@@ -130,38 +130,38 @@ def joint_distance_of(scan: ScanArrays, expected: Expected, rows: IntArray) -> f
 
 @compiled
 def answer(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, spent: Spent) -> Decided:
-    """`decided` with its D²_H, as Python calls it."""
+    """`decided` with its D²_H, to be called from Python."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     return decided(expected, rows, joint_distance_of(scan, expected, rows), spent, NO_FAULT)
 
 
 @compiled
 def _offer_to(scan: ScanArrays, prediction: PredictionArrays, rows: IntArray, near: bool, gate: float) -> Offer:
-    """`offer`, as Python calls it."""
+    """`offer`, to be called from Python."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     return offer(scan, expected, rows, near, gate, len(expected.features))
 
 
 def near_first(scan: Scan, prediction: Prediction, search: Callable[[Offer, IntArray], Effort]) -> Hypothesis:
-    """The hypothesis of a search written in Python, which enters what it pairs in `rows` (m,) of the prediction.
+    """The hypothesis of a `search` written in Python, which writes its pairings to `rows` (m,) of the prediction.
 
     Raises ValueError as `check_fault`.
     """
     rows, effort = np.full(len(scan), UNPAIRED), Effort()
     gate = chi2_gate(2, prediction.confidence)
     for near in (True, False):
-        found = _offer_to(scan.arrays, prediction.arrays, rows, near, gate)
-        check_fault(found.fault)
-        effort = _together(effort, Effort(individual_tests=found.tests))
-        if len(found.pairings.slots) > found.pairings.fixed:
-            effort = _together(effort, search(found, rows))
+        offered = _offer_to(scan.arrays, prediction.arrays, rows, near, gate)
+        check_fault(offered.fault)
+        effort = _combined(effort, Effort(individual_tests=offered.tests))
+        if len(offered.pairings.slots) > offered.pairings.fixed:
+            effort = _combined(effort, search(offered, rows))
         if not prediction.has_localities or prediction.near.all() or not (rows == UNPAIRED).any():
             break
     decision = answer(scan.arrays, prediction.arrays, rows, Spent(0, 0, 0, False))
     return replace(decision.hypothesis(), effort=effort)
 
 
-def _together(first: Effort, second: Effort) -> Effort:
-    """The effort of two searches: counts and times add up."""
+def _combined(first: Effort, second: Effort) -> Effort:
+    """The combined effort of two searches: counts and times add up."""
     counts = {name: getattr(first, name) + getattr(second, name) for name in Effort.__slots__}
     return Effort(**counts | {"limit_hit": first.limit_hit or second.limit_hit})

@@ -1,4 +1,4 @@
-"""The associators that weigh each pairing alone: nearest neighbour, singles, and global nearest neighbour."""
+"""Associators that judge each pairing alone: nearest neighbour, singles, and global nearest neighbour."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from slam_gym.association.prediction import Prediction, PredictionArrays, expect
 from slam_gym.association.tracking.near_first import Decided, Offer, Spent, decided, joint_distance_of, near_first
 from slam_gym.types import UNPAIRED, BoolArray, Effort, Hypothesis, IntArray, Scan, ScanArrays
 
-_FORBIDDEN = 1e9  # the price of a pairing that is not compatible: more than any assignment without one
+_FORBIDDEN = 1e9  # cost of an incompatible pairing: more than any assignment of compatible ones
 
 
 def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
     """ICNN: each measurement is paired with its individually compatible feature of least D²_ij.
 
-    Measurements are decided independently and never reconsidered, so a feature may be paired more than once.
-    Raises ValueError as `check_fault`.
+    Measurements are decided independently, so a feature may be paired more than once. Raises ValueError as
+    `check_fault`.
     """
     gate = chi2_gate(2, prediction.confidence)
     return _decide(scan.arrays, prediction.arrays, gate, False).hypothesis(exclusive=False)
 
 
 def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
-    """SINGLES: measurement and feature are paired only where each is the other's only individually compatible one.
+    """SINGLES: measurement and feature are paired only where each is the only individually compatible one for the
+    other.
 
     Raises ValueError as `check_fault`.
     """
@@ -33,30 +34,32 @@ def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
 
 
 def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
-    """GNN: minimises Σ (D²_ij + log det S_ij) over the pairings plus a price for every measurement left unpaired.
+    """GNN: minimises Σ (D²_ij + log det S_ij) over the pairings plus a cost for every measurement left unpaired.
 
-    Pairings are individually compatible, each feature paired at most once (Blackman and Popoli, "Design and Analysis of
-    Modern Tracking Systems", 1999, §6.4). Leaving measurement i unpaired costs the gate χ²_{2,conf} plus the largest
-    log det S_ij among its candidates, so any compatible pairing is better than none, unless it takes a feature from a
-    measurement that needs it more. Each pairing is still weighed alone: their correlation through the robot's pose is
-    ignored. Solved exactly, by scipy's linear assignment.
+    Pairings are individually compatible, and each feature is paired at most once (Blackman and Popoli, "Design and
+    Analysis of Modern Tracking Systems", 1999, §6.4). Leaving measurement i unpaired costs the gate χ²_{2,conf} plus
+    the largest log det S_ij among its candidates. So any compatible pairing is better than none, unless it takes a
+    feature from another measurement for which it saves more. Correlations of the pairings through the robot's pose are
+    ignored. The problem is solved exactly, by scipy's linear assignment.
 
-    A locality of the prediction is used as in `jcbb`, except that pairings in the second search, made all at once, do
-    not restrict each other. Raises ValueError as `check_fault`.
+    Localities of the prediction are used as in `jcbb`, except that pairings of the second search, which are made all at
+    once, do not restrict each other. Raises ValueError as `check_fault`.
     """
-    from scipy.optimize import linear_sum_assignment  # takes as long to import as everything else together
+    from scipy.optimize import linear_sum_assignment  # its import takes as long as all others together
 
     gate = chi2_gate(2, prediction.confidence)
 
     def search(offer: Offer, rows: IntArray) -> Effort:
-        p, g = offer.pairings, offer.pairings.fixed
-        measured, level = np.unique(p.measured[g:], return_inverse=True)
-        features, columns = offer.rows[p.slots[g:]], len(offer.rows)
-        S = prediction.covariances[features] + scan.covariances[p.measured[g:]]
+        pairings, fixed = offer.pairings, offer.pairings.fixed
+        measured, level = np.unique(pairings.measured[fixed:], return_inverse=True)
+        features, columns = offer.rows[pairings.slots[fixed:]], len(offer.rows)
+        S = prediction.covariances[features] + scan.covariances[pairings.measured[fixed:]]
         size = np.log(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)
-        distances = np.einsum("ci,cij,cj->c", p.innovations[g:], np.linalg.inv(S), p.innovations[g:])
+        distances = np.einsum(
+            "ci,cij,cj->c", pairings.innovations[fixed:], np.linalg.inv(S), pairings.innovations[fixed:]
+        )
         costs = np.full((len(measured), columns + len(measured)), _FORBIDDEN)
-        costs[level, p.slots[g:]] = distances + size
+        costs[level, pairings.slots[fixed:]] = distances + size
         largest = np.full(len(measured), -np.inf)
         np.maximum.at(largest, level, size)
         costs[np.arange(len(measured)), columns + np.arange(len(measured))] = gate + largest
@@ -70,24 +73,24 @@ def global_nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
 
 @compiled
 def _decide(scan: ScanArrays, prediction: PredictionArrays, gate: float, mutual: bool) -> Decided:
-    """Pair each measurement with its first candidate, by ascending D²_ij; `mutual`: with its only one, if that is
-    nobody else's."""
+    """Pair each measurement with its nearest candidate; with `mutual`, only with its single candidate, if no other
+    measurement has the same."""
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     m = len(scan[0])
     rows, everywhere = np.full(m, UNPAIRED), expected.near[:0]
-    fault, found = gate_pairings(
+    fault, candidates = gate_pairings(
         scan[0], scan[1], expected.positions, expected.covariances, np.arange(m), everywhere, gate,
         len(expected.features),
     )  # fmt: skip
-    starts, slots = found.starts, found.slots
+    starts, slots = candidates.starts, candidates.slots
     if fault[0] == 0:
-        wanted = np.zeros(len(found.rows), np.int64)
+        claims = np.zeros(len(candidates.rows), np.int64)
         for slot in slots:
-            wanted[slot] += 1
+            claims[slot] += 1
         for i in range(m):
             if starts[i] == starts[i + 1]:
                 continue
-            if not mutual or (starts[i] + 1 == starts[i + 1] and wanted[slots[starts[i]]] == 1):
-                rows[i] = found.rows[slots[starts[i]]]
+            if not mutual or (starts[i] + 1 == starts[i + 1] and claims[slots[starts[i]]] == 1):
+                rows[i] = candidates.rows[slots[starts[i]]]
     distance = joint_distance_of(scan, expected, rows)
-    return decided(expected, rows, distance, Spent(m, found.tests, 0, False), fault)
+    return decided(expected, rows, distance, Spent(m, candidates.tests, 0, False), fault)

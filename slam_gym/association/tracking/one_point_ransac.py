@@ -1,4 +1,4 @@
-"""1-point RANSAC: one pairing moves the pose, and whoever agrees with the pose moved is counted."""
+"""1-point RANSAC: one pairing updates the pose, and the measurements that agree with the updated pose are counted."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
 def one_point_ransac(
     scan: Scan, prediction: Prediction, *, success: float = 0.99, tries: int = 1000, seed: int = 0
 ) -> Hypothesis:
-    """The pairings that agree with the state after an update with the best single pairing, and those rescued by them.
+    """The pairings that agree with the state after an update with the best single pairing, and those rescued
+    afterwards.
 
-    Civera, Grasa, Davison and Montiel, "1-point RANSAC for extended Kalman filtering", JFR 27(5), 2010. A prior makes
-    one pairing enough for a hypothesis. Candidates are drawn without replacement: the state is updated with one, and
-    each measurement then takes the nearest feature within its individual gate χ²_{2,conf}, nearest pairings first, each
-    feature once. The draw with most pairings wins (of equals, the one with least Σ D²); the state is updated with all
-    of them, and the measurements left over are rescued by their gates there.
+    Civera, Grasa, Davison and Montiel, "1-point RANSAC for extended Kalman filtering", JFR 27(5), 2010. With a prior,
+    one pairing is enough for a hypothesis. Candidates are drawn without replacement. The state is updated with the
+    drawn pairing, and each measurement then takes the nearest feature within its individual gate χ²_{2,conf}, nearest
+    pairings first, each feature once. The draw with the most pairings wins (of equals, the one with least Σ D²). The
+    state is then updated with all of them, and the remaining measurements are rescued by their gates at that state.
 
-    Draws end once the chance to have missed a right candidate is below 1 − `success`, taking as many of the c
-    candidates for right as the best draw pairs: log(1 − success) / log(1 − pairings / c), or after `tries`
-    (`effort.limit_hit`). Gates are individual: nothing tests all pairings together. A locality of the prediction is
-    used as in `jcbb`. Raises ValueError as `check_fault`, for fewer tries than one, and for a `success` that is no
-    probability below one.
+    Draws end once the probability of having missed a right candidate is below 1 − `success`, if as many of the c
+    candidates are right as the best draw pairs: after log(1 − success) / log(1 − pairings / c) draws, or after `tries`
+    (`effort.limit_hit`). Gates are individual: no test covers all pairings together. Localities of the prediction are
+    used as in `jcbb`. Raises ValueError as `check_fault`, for fewer tries than one, and for a `success` outside (0, 1).
     """
     if tries < 1:
         raise ValueError(f"tries: {tries} is less than 1")
@@ -39,9 +39,9 @@ def one_point_ransac(
     gate, rng = chi2_gate(2, prediction.confidence), np.random.default_rng(seed)
 
     def search(offer: Offer, rows: IntArray) -> Effort:
-        pairings, g = offer.pairings, offer.pairings.fixed
-        count = len(pairings.slots) - g
-        chosen, drawn = _draw(pairings, g + rng.permutation(count), gate, success, tries)
+        pairings, fixed = offer.pairings, offer.pairings.fixed
+        count = len(pairings.slots) - fixed
+        chosen, drawn = _draw(pairings, fixed + rng.permutation(count), gate, success, tries)
         rows[pairings.measured[chosen]] = offer.rows[pairings.slots[chosen]]
         return Effort(drawn, drawn * count, tries=drawn, limit_hit=drawn == tries and tries < count)
 
@@ -50,24 +50,24 @@ def one_point_ransac(
 
 @compiled
 def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, tries: int) -> tuple[IntArray, int]:
-    """The pairings made, rescued ones included, and how many candidates were drawn, in `order` (c,), until it was
-    enough; the given pairings are kept."""
+    """The pairings of the best draw, including rescued ones, and the number of candidates drawn from `order` (c,). The
+    fixed pairings are kept."""
     slots, measured, count = pairings.slots, pairings.measured, len(order)
     path = path_of(pairings, min(count, len(pairings.noise)) + 2)
-    distances, best, best_sum, needed, drawn = np.empty(len(slots)), order[:0], math.inf, math.inf, 0
+    distances, best, best_sum, required, drawn = np.empty(len(slots)), order[:0], math.inf, math.inf, 0
     for anchor in order:
-        if drawn >= min(needed, tries):
+        if drawn >= min(required, tries):
             break
         drawn += 1
         distances_with(pairings, path, anchor, distances)
-        total, distances[anchor] = distances[anchor], -1.0  # first of all
+        total, distances[anchor] = distances[anchor], -1.0  # so that the anchor comes first
         inliers = _nearest_first(distances, slots, measured, gate, best[:0])
         for c in inliers[1:]:
             total += distances[c]
         if len(inliers) > len(best) or (len(inliers) == len(best) and total < best_sum):
             best, best_sum = inliers, total
             fraction = len(best) / count
-            needed = math.log(1.0 - success) / math.log(1.0 - fraction) if fraction < 1.0 else 1.0
+            required = math.log(1.0 - success) / math.log(1.0 - fraction) if fraction < 1.0 else 1.0
     p = pairings.fixed
     for c in best:
         append(path, p, c, follow(pairings, path, p, c))
@@ -81,16 +81,16 @@ def _draw(pairings: Pairings, order: IntArray, gate: float, success: float, trie
 
 @compiled
 def _nearest_first(distances: Array, slots: IntArray, measured: IntArray, gate: float, before: IntArray) -> IntArray:
-    """Candidates within the gate by ascending distance; each measurement and feature once, none of those `before`."""
-    taken_slots, taken = np.zeros(slots.max() + 1, np.bool_), np.zeros(measured.max() + 1, np.bool_)
+    """Candidates within the gate by ascending distance; each measurement and feature once, and none of `before`."""
+    used_slots, used = np.zeros(slots.max() + 1, np.bool_), np.zeros(measured.max() + 1, np.bool_)
     for c in before:
-        taken_slots[slots[c]], taken[measured[c]] = True, True
+        used_slots[slots[c]], used[measured[c]] = True, True
     out, count = np.empty(len(slots), np.int64), 0
     for c in np.argsort(distances, kind="mergesort"):
         if not distances[c] < gate:
             break
-        if not taken[measured[c]] and not taken_slots[slots[c]]:
-            taken_slots[slots[c]], taken[measured[c]] = True, True
+        if not used[measured[c]] and not used_slots[slots[c]]:
+            used_slots[slots[c]], used[measured[c]] = True, True
             out[count] = c
             count += 1
     return out[:count]

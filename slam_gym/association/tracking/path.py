@@ -1,8 +1,9 @@
-"""A path of the tree that only the candidate at hand is conditioned on, at the moment when it is looked at.
+"""A path of the tree on which candidates are conditioned one at a time, when they are examined.
 
-A `tree.Node` keeps all that may follow conditioned. Where there are many paths, as in a beam, or where each is looked
-at once, as after every draw of 1-point RANSAC, that would be work for nothing: here a candidate goes through the
-pairings of the path one by one, by the same `tree.condition`, and no w is copied with every hypothesis kept.
+A `tree.Node` keeps all candidates that may follow conditioned on it. This is wasted work where there are many paths, as
+in a beam, or where each path is used once, as after every draw of 1-point RANSAC. Here a single candidate is
+conditioned on the pairings of the path one by one, by the same `tree.condition`, and no w is copied for each
+hypothesis.
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ from slam_gym.types import Array, IntArray
 
 
 class Path(NamedTuple):
-    """Pairings made, with room for more."""
+    """The pairings of a path, with room for more."""
 
     pairings: IntArray  # (P,) the pairings, first to last
-    pivots: Array  # (P, 5) numbers of the `tree.Pivot` of each
-    w: Array  # (P, 2P, 2) w of each, as it joined; after the last one, of the candidate looked at last
+    pivots: Array  # (P, 5) fields of the `tree.Pivot` of each
+    w: Array  # (P, 2P, 2) w of each pairing as it joined; then that of the candidate examined last
 
 
 @compiled
 def path_of(pairings: Pairings, room: int) -> Path:
-    """The path of the pairings given, with room for `room` more."""
+    """The path of the fixed pairings, with room for `room` more."""
     P = pairings.fixed + room
     path = Path(np.zeros(P, np.int64), np.empty((P, 5)), np.empty((P, 2 * P, 2)))
     for d in range(pairings.fixed):
@@ -46,7 +47,8 @@ def path_of(pairings: Pairings, room: int) -> Path:
 
 @inlined
 def follow(pairings: Pairings, path: Path, p: int, c: int) -> Innovation:
-    """Innovation of pairing c after the first p pairings of a path; the w after theirs is overwritten with its own."""
+    """Innovation of pairing c after the first p pairings of a path. Overwrites the w that follows theirs with that of
+    c."""
     slot, e = pairings.slots[c], innovation_of(pairings, c)
     for q in range(p):
         v = path.pivots[q]
@@ -57,7 +59,7 @@ def follow(pairings: Pairings, path: Path, p: int, c: int) -> Innovation:
 
 @inlined
 def append(path: Path, p: int, c: int, e: Innovation) -> None:
-    """Pairing c, just looked at with innovation e, joins the p pairings of a path."""
+    """Append pairing c, whose innovation e was just computed by `follow`, to the p pairings of a path."""
     pivot, v = pivot_of(0, e), path.pivots[p]
     path.pairings[p] = c
     v[0], v[1], v[2], v[3], v[4] = pivot.inverse_xx, pivot.yx, pivot.inverse_yy, pivot.u, pivot.v
@@ -65,34 +67,35 @@ def append(path: Path, p: int, c: int, e: Innovation) -> None:
 
 @compiled
 def distances_after(pairings: Pairings, path: Path, p: int, out: Array) -> None:
-    """D² (c,) of each candidate after an update with the first p pairings of a path; of the given ones, inf."""
+    """D² (c,) of each candidate after an update with the first p pairings of a path; inf for the fixed pairings."""
     for c in range(len(pairings.slots)):
         out[c] = math.inf if c < pairings.fixed else squared(follow(pairings, path, p, c))
 
 
 @compiled
 def distances_with(pairings: Pairings, path: Path, anchor: int, out: Array) -> None:
-    """D² (c,) of each candidate after an update with the given pairings and the anchor; inf where it may not follow.
+    """D² (c,) of each candidate after an update with the fixed pairings and the anchor; inf where it may not follow.
 
-    The anchor's own is that after an update with the given ones only.
+    For the anchor itself it is D² after an update with the fixed pairings only.
     """
     p, slots, measured = pairings.fixed, pairings.slots, pairings.measured
     e = follow(pairings, path, p, anchor)
-    own = squared(e)
-    if own < math.inf:
+    of_anchor = squared(e)
+    if of_anchor < math.inf:
         append(path, p, anchor, e)
     for c in range(len(slots)):
         out[c] = math.inf
-        if c < p or own == math.inf or measured[c] == measured[anchor] or slots[c] == slots[anchor]:
+        if c < p or of_anchor == math.inf or measured[c] == measured[anchor] or slots[c] == slots[anchor]:
             continue
         if is_local(pairings.local, slots[anchor], slots[c]):
             out[c] = squared(follow(pairings, path, p + 1, c))
-    out[anchor] = own
+    out[anchor] = of_anchor
 
 
 @compiled
 def support_of(pairings: Pairings, path: Path, anchor: int, gate: float) -> int:
-    """How many other measurements have a candidate within the gate, after an update with the anchor alone."""
+    """Number of other measurements with a candidate within the gate, after an update with the fixed pairings and the
+    anchor."""
     p, slots, measured = pairings.fixed, pairings.slots, pairings.measured
     e = follow(pairings, path, p, anchor)
     if squared(e) == math.inf:

@@ -1,4 +1,4 @@
-"""The only associator that may look at the truth: the bound on all others."""
+"""The only associator that uses the truth, as an upper bound for all others."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from slam_gym.types import UNPAIRED, BoolArray, Hypothesis, IntArray, Scan
 def true_association(
     scan: Scan, prediction: Prediction, *, sources: IntArray, identities: IntArray, new_features: bool = False
 ) -> Hypothesis:
-    """Each measurement is paired with the predicted map feature that came from the same true feature.
+    """Pair each measurement with the predicted map feature that comes from the same true feature.
 
     Arguments:
         sources: (m,) true feature behind each measurement; negative = spurious or unlabelled.
-        identities: (n,) true feature behind each feature of the map; negative = spurious or unlabelled. Where several
-            map features came from one, the first counts.
-        new_features: say as well which measurements start a feature: the first of each source that the map has not.
+        identities: (n,) true feature behind each feature of the map; negative = spurious or unlabelled. Of several map
+            features with one identity, the first counts.
+        new_features: also decide which measurements start a feature: the first of each true feature that is not in the
+            map.
 
-    Raises ValueError where the sources do not match the scan.
+    Raises ValueError where the number of sources is not that of the measurements.
     """
     if len(sources) != len(scan.points):
         raise ValueError(f"sources: {len(sources)} for {len(scan.points)} measurements")
@@ -34,7 +35,7 @@ def true_association(
 
 
 def _first_seen(sources: IntArray, identities: IntArray) -> BoolArray:
-    """(m,) the first measurement of each labelled source that no feature of the map has."""
+    """(m,) whether each measurement is the first of a true feature that is not in the map."""
     unmapped = np.flatnonzero((sources >= 0) & ~np.isin(sources, identities))
     new = np.zeros(len(sources), np.bool_)
     new[unmapped[np.unique(sources[unmapped], return_index=True)[1]]] = True
