@@ -1,4 +1,4 @@
-"""The view of `Associate-v0`: what surrounds the robot, with the decision at hand, and the interpretation tree."""
+"""The view of `Associate-v0`: the surroundings of the robot, the current decision, and the interpretation tree."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slam_gym.simulation.association_runs import AssociationRun, DrivenRun
 from slam_gym.simulation.right_answers import UNDECIDED, RightAnswers, decisions
 from slam_gym.types import UNLABELLED, UNPAIRED, Array, IntArray
 
-_MARGIN = 60  # [pixels] around the robot and what it sees
+_MARGIN = 60  # [pixels] around the robot and its measurements
 _MIN_EXTENT = 6.0  # [m] shown from edge to edge
 _COLUMNS = (0, 64, 156, 274)  # [pixels] of the table
 _KEY = (
@@ -30,7 +30,7 @@ _KEY = (
 
 
 def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures: Figures) -> Any:
-    """A surface with a run and the walk through the tree of its present scan; None: the run is over."""
+    """A surface with a run and the walk through the tree of its present scan, or None after the end of the run."""
     picture = picture_with(_panel(run, walk, answers, figures))
     base, scene = _scene(run)
     pose = compose(base, run.slam.map.pose)
@@ -44,14 +44,14 @@ def draw(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figures:
 
 
 def _scene(run: AssociationRun) -> tuple[Array, Scene]:
-    """Pose (3,) of B in the frame of the scene, and the scene: of a scenario in W, of a log in B."""
+    """The pose (3,) of B in the frame of the scene, and the scene, which is in W for scenarios and in B for logs."""
     if isinstance(run, DrivenRun):
         return run.base, scene_of_episode(run)
     return np.zeros(3), scene_of_log(run)
 
 
 def _extent(points: Array) -> tuple[tuple[float, float], float]:
-    """Lower left corner [m] and scale [pixels/m] of a map that holds the points (k, 2)."""
+    """Lower left corner [m] and scale [pixels/m] of a map that contains `points` (k, 2) [m]."""
     room = np.array(MAP) - 2 * _MARGIN
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     scale = float((room / np.maximum(np.ptp(points, axis=0), _MIN_EXTENT)).min())
@@ -60,19 +60,19 @@ def _extent(points: Array) -> tuple[tuple[float, float], float]:
 
 
 def _with_decisions(scene: Scene, pose: Array, walk: Walk, answers: RightAnswers) -> Scene:
-    """The scene with what has been decided about the scan so far."""
+    """The scene with the decisions on the scan so far."""
     tree, rows = walk.tree, walk.decided
     codes = decisions(walk, answers)
-    done = np.flatnonzero(codes != UNDECIDED)
+    decided = np.flatnonzero(codes != UNDECIDED)
     paired = np.full((len(rows), 2), np.nan)
-    has = rows != UNPAIRED
-    paired[has] = transform(pose, tree.prediction.positions[rows[has]])
-    points = transform(pose, tree.scan.points[done])
-    return replace(scene, scan_points=points, decisions=codes[done], paired_positions=paired[done])
+    has_feature = rows != UNPAIRED
+    paired[has_feature] = transform(pose, tree.prediction.positions[rows[has_feature]])
+    points = transform(pose, tree.scan.points[decided])
+    return replace(scene, scan_points=points, decisions=codes[decided], paired_positions=paired[decided])
 
 
 def _draw_choice(canvas: Canvas, pose: Array, walk: Walk) -> Array:
-    """The measurement to decide, what is undecided, and the gates of the candidates, whose centres are returned."""
+    """Draw the measurement to decide, undecided ones, and the gates of the candidates, whose centres are returned."""
     tree, i = walk.tree, walk.measurement
     rows = walk.rows
     centres = transform(pose, tree.prediction.positions[rows])
@@ -98,7 +98,7 @@ def _panel(run: AssociationRun, walk: Walk | None, answers: RightAnswers, figure
 
 
 def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
-    """Branches by ascending D²_ij; those of the level at hand that stayed compatible with the path are on offer."""
+    """Level `k`, branches by ascending D²_ij; at the current level, those compatible with the path are legal."""
     candidates, tree = walk.candidates, walk.tree
     first, last = int(candidates.starts[k]), int(candidates.starts[k + 1])
     i = int(candidates.measurements[k])
@@ -108,19 +108,19 @@ def _level(walk: Walk, answers: RightAnswers, codes: IntArray, k: int) -> Level:
         right = None
     elif answers.right[i] in features:
         right = features.index(answers.right[i])
-    taken = int(walk.chosen[k]) if k < walk.level else None
+    chosen = int(walk.chosen[k]) if k < walk.level else None
     return Level(
         f"z{i}",
         last - first,
-        on_offer=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
-        taken=taken if taken is None else STAR if taken == UNPAIRED else taken - first,
-        colour=symbols.LINE if taken is None else symbols.DECISIONS[int(codes[i])],
+        legal=frozenset((walk.offered - first).tolist()) if k == walk.level else frozenset(),
+        chosen=chosen if chosen is None else STAR if chosen == UNPAIRED else chosen - first,
+        colour=symbols.LINE if chosen is None else symbols.DECISIONS[int(codes[i])],
         right=right,
     )
 
 
 def _choices(run: AssociationRun, walk: Walk, answers: RightAnswers) -> list[Choice]:
-    """What may be chosen: action, feature, D²_ij and D²_H with bars up to their gates."""
+    """The possible actions: feature, D²_ij, and D²_H, with bars up to their gates."""
     gates = float(walk.tree.gates[1]), float(walk.tree.gates[walk.pairings + 1])
     ids, right = run.slam.map.ids[run.prediction.features[walk.rows]], answers.right_action(walk)
     choices = []

@@ -1,4 +1,4 @@
-"""A canvas in metres: antialiased shapes on a supersampled pygame surface, handed out as an array or in a window.
+"""A canvas in metres: antialiased shapes on a supersampled pygame surface, shown as an array or in a window.
 
 Needs the extra `render`.
 """
@@ -27,7 +27,7 @@ __all__ = ["Canvas", "Colour", "Window", "pixels", "pygame", "text"]
 Colour = tuple[int, int, int]
 
 SUPERSAMPLING = 2
-_BROAD = 1.5  # [pixels] narrower lines are antialiased one by one, broader ones by the supersampling alone
+_BROAD = 1.5  # [pixels] narrower lines are antialiased one by one, broader ones only by supersampling
 _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 37)), np.sin(np.linspace(0, 2 * np.pi, 37))])[:, :-1]  # (2, 36)
 _SIGMAS_95 = math.sqrt(5.991)  # radius of the 95 % ellipse of a plane Gaussian: √χ²_{2, .95}
 
@@ -46,21 +46,21 @@ class Canvas:
         self._low = np.array(low)
 
     def picture(self) -> Any:
-        """The finished surface, of the canvas' size."""
+        """A surface of the canvas' size with everything that has been drawn."""
         return pygame.transform.smoothscale(self.surface, self.size)
 
     def _pixels(self, points: Array) -> Array:
-        """Points (…, 2) [m] -> supersampled pixels, y down."""
+        """Positions of `points` (…, 2) [m] in supersampled pixels, y down."""
         pixels: Array = (points - self._low) * (self.scale * SUPERSAMPLING)
         pixels[..., 1] = self.surface.get_height() - pixels[..., 1]
-        return np.clip(pixels, -1e5, 1e5, out=pixels)  # what lies far outside must not overflow pygame's integers
+        return np.clip(pixels, -1e5, 1e5, out=pixels)  # distant points must not overflow pygame's integers
 
     def places(self, points: Array) -> list[tuple[float, float]]:
-        """Where points (k, 2) [m] lie in the picture, in its pixels, y down."""
+        """Positions of `points` (k, 2) [m] in the picture, in its pixels, y down."""
         return [(x / SUPERSAMPLING, y / SUPERSAMPLING) for x, y in self._pixels(points).tolist()]
 
     def polygons(self, shapes: Array, fill: Colour | None, line: Colour | None = None, width: float = 1.0) -> None:
-        """Closed polygons (k, v, 2)."""
+        """Draw closed polygons (k, v, 2) [m]."""
         for shape in self._pixels(shapes).tolist():
             if fill is not None:
                 pygame.draw.polygon(self.surface, fill, shape)
@@ -68,7 +68,7 @@ class Canvas:
                 pygame.draw.polygon(self.surface, line, shape, max(1, round(SUPERSAMPLING * width)))
 
     def segments(self, segments: Array, colour: Colour, width: float = 1.0) -> None:
-        """Straight lines (s, 4) x1 y1 x2 y2; the ends of broad ones are squared off half a width beyond."""
+        """Draw straight lines (s, 4) [m] x1 y1 x2 y2; broad lines end squarely, half a width beyond their ends."""
         ends = self._pixels(segments.reshape(-1, 2, 2))
         if width < _BROAD:
             for start, end in ends.tolist():
@@ -82,25 +82,25 @@ class Canvas:
             pygame.draw.polygon(self.surface, colour, quad)
 
     def polyline(self, points: Array, colour: Colour, width: float = 1.0) -> None:
-        """Line through points (k, 2), interrupted at those that are NaN."""
+        """Draw a line through points (k, 2) [m], with gaps at points that are NaN."""
         pieces = np.concatenate([points[:-1], points[1:]], axis=1)
         self.segments(pieces[np.isfinite(pieces).all(axis=1)], colour, width)
 
     def dashes(self, points: Array, colour: Colour, width: float = 1.0, period: float = 9.0) -> None:
-        """Dashed line through points (k, 2), one dash each `period` [pixels], but at most 2 000."""
+        """Draw a dashed line through points (k, 2) [m], one dash per `period` [pixels], but at most 2 000."""
         if len(points) < 2:
             return
         along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
         step = max(period / self.scale, along[-1] / 2000)
         start = np.arange(0.0, along[-1], step)
         end = np.minimum(start + 0.55 * step, along[-1])
-        ends = [np.interp(at, along, points[:, axis]) for at in (start, end) for axis in (0, 1)]
+        ends = [np.interp(lengths, along, points[:, axis]) for lengths in (start, end) for axis in (0, 1)]
         self.segments(np.stack(ends, axis=1), colour, width)
 
     def discs(
         self, points: Array, radius: float, fill: Colour | None, line: Colour | None = None, width: float = 1.0
     ) -> None:
-        """Circles of `radius` [pixels] about points (k, 2)."""
+        """Draw circles of `radius` [pixels] around points (k, 2) [m]."""
         r, w = SUPERSAMPLING * radius, max(1, round(SUPERSAMPLING * width))
         for centre in self._pixels(points).tolist():
             if fill is not None:
@@ -109,22 +109,22 @@ class Canvas:
                 pygame.draw.circle(self.surface, line, centre, r + w / 2, w)
 
     def markers(self, points: Array, outline: Array, fill: Colour, line: Colour, width: float = 1.0) -> None:
-        """A small polygon, its outline (v, 2) [pixels, y up], about each of points (k, 2)."""
+        """Draw a small polygon with `outline` (v, 2) [pixels, y up] around each of points (k, 2) [m]."""
         self.polygons(points[:, None] + outline / self.scale, fill, line, width)
 
     def ellipses(
         self, points: Array, covariances: Array, fill: Colour | None, line: Colour | None, width: float = 1.0
     ) -> None:
-        """95 % ellipses of Gaussians with means (k, 2) and covariances (k, 2, 2)."""
+        """Draw 95 % ellipses of Gaussians with means (k, 2) [m] and covariances (k, 2, 2) [m²]."""
         values, vectors = np.linalg.eigh(covariances)
         radii = _SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))
         outlines = np.swapaxes(vectors @ (radii[:, :, None] * _CIRCLE), 1, 2)
         self.polygons(points[:, None] + outlines, fill, line, width)
 
     def cells(self, codes: NDArray[np.uint8], colours: list[Colour], pose: Array, resolution: float) -> None:
-        """A grid of cells (h, w), row 0 lowest, drawn under everything else.
+        """Draw a grid of cells (h, w), row 0 lowest, with cells of side `resolution` [m].
 
-        `pose` (3,) is that of its lower left corner, `colours[code]` the colour of a cell.
+        `pose` (3,) is the pose of the grid's lower left corner, `colours[code]` the colour of a cell.
         """
         border = np.pad(np.diff(codes.astype(np.int16), axis=1) != 0, ((0, 0), (1, 1)), constant_values=True)
         rows, edges = np.nonzero(border)  # each row is cut into runs of one colour
@@ -133,9 +133,9 @@ class Canvas:
         low, left, right = rows[runs], starts[runs], ends[runs]
         corners = np.stack([left, low, right, low, right, low + 1, left, low + 1], axis=1).reshape(-1, 2)
         shapes = transform(pose, resolution * corners).reshape(-1, 4, 2)
-        drawn = codes[low, left]
+        codes_of_runs = codes[low, left]
         for code, colour in enumerate(colours):
-            self.polygons(shapes[drawn == code], colour)
+            self.polygons(shapes[codes_of_runs == code], colour)
 
 
 @functools.lru_cache(maxsize=16)
@@ -152,15 +152,15 @@ def text(words: str, size: int, colour: Colour, bold: bool = False) -> Any:
 
 
 def pixels(picture: Any) -> NDArray[np.uint8]:
-    """A surface as a fresh array (h, w, 3)."""
+    """The pixels of a surface as a new array (h, w, 3)."""
     width, height = picture.get_size()
     return np.frombuffer(pygame.image.tobytes(picture, "RGB"), np.uint8).reshape(height, width, 3).copy()
 
 
 class Window:
-    """A window that shows one picture after the other, `fps` of them a second at most.
+    """A window that shows pictures in succession, at most `fps` per second.
 
-    Of a `resizable` one the user chooses the size, and pictures are scaled to it.
+    Users can change the size of a `resizable` window; pictures are scaled to it.
     """
 
     def __init__(self, title: str, fps: float, resizable: bool = False) -> None:
@@ -169,7 +169,7 @@ class Window:
         self._clock: Any = None
 
     def show(self, picture: Any) -> None:
-        """Show a surface; the window opens at the first one, in its size."""
+        """Show a surface. The first call opens the window in the size of its surface."""
         if self._window is None:
             pygame.display.init()
             self._window = pygame.display.set_mode(picture.get_size(), pygame.RESIZABLE if self.resizable else 0)
@@ -184,21 +184,21 @@ class Window:
 
     @property
     def is_visible(self) -> bool:
-        """Whether there is a display for it to appear on."""
+        """Whether there is a display on which the window appears."""
         return pygame.display.get_driver() not in ("dummy", "offscreen")
 
     def close(self) -> None:
-        """Close the window, if it is open. May be called twice; showing again opens it anew."""
+        """Close the window, if it is open. May be called repeatedly; `show` opens a new window."""
         if self._window is not None:
             pygame.display.quit()
             self._window = self._clock = None
 
 
 def _fitted(picture: Any, size: tuple[int, int]) -> Any:
-    """The picture as large as it fits into `size`, in its own proportions, on a dark ground."""
+    """The picture scaled to fit into `size` [pixels] with its proportions, on a black background."""
     width, height = picture.get_size()
     scale = min(size[0] / width, size[1] / height)
     scaled = pygame.transform.smoothscale(picture, (max(1, round(width * scale)), max(1, round(height * scale))))
-    ground = pygame.Surface(size, depth=32)
-    ground.blit(scaled, ((size[0] - scaled.get_width()) // 2, (size[1] - scaled.get_height()) // 2))
-    return ground
+    background = pygame.Surface(size, depth=32)
+    background.blit(scaled, ((size[0] - scaled.get_width()) // 2, (size[1] - scaled.get_height()) // 2))
+    return background

@@ -23,7 +23,7 @@ _TITLE, _ROW = 48, 20  # [pixels] height of the title with what is around it, an
 
 
 class Layout(NamedTuple):
-    """Where things go, in pixels from the upper left, and how the map is scaled."""
+    """The positions of map and panel, in pixels from the upper left, and the scale of the map."""
 
     map_size: tuple[int, int]
     low: tuple[float, float]  # [m] position of the map's lower left corner
@@ -34,7 +34,7 @@ class Layout(NamedTuple):
 
 
 def draw(episode: Episode, goals: Array, *, covisibility: bool = False) -> Any:
-    """A surface with an episode as it is now; `goals` (g, 2) in B are those on offer."""
+    """A surface with the present state of an episode; `goals` (g, 2) in B are the legal ones."""
     scene = scene_of_episode(episode, goals=goals, covisibility=covisibility)
     scene = replace(
         scene,
@@ -60,9 +60,9 @@ def draw_floor(scene: Scene, bounds: Array, title: str = "", shown: Figures = ()
 
 
 def arrange(bounds: Array, rows: int = 0, shown: frozenset[str] = frozenset()) -> Layout:
-    """The layout that shows `bounds` (4,) [m] largest: a panel beside the map, or below it.
+    """The layout that shows `bounds` (4,) [m] largest: with a panel beside the map, or below it.
 
-    The panel holds `rows` figures and the legend for what is `shown`.
+    The panel contains `rows` figures and the legend for the fields that are `shown`.
     """
     width, height = SIZE
     side_by_side = legend(shown, False)
@@ -77,7 +77,7 @@ def arrange(bounds: Array, rows: int = 0, shown: frozenset[str] = frozenset()) -
 
 
 def _fit(area: tuple[int, int], bounds: Array) -> tuple[tuple[int, int], tuple[float, float], float]:
-    """The area, the lower left corner [m] and the scale [pixels/m] of a map in it."""
+    """The area [pixels], and the lower left corner [m] and the scale [pixels/m] of a map that fits into it."""
     x0, y0, x1, y1 = (float(b) for b in bounds)
     room = area[0] - 2 * _MARGIN, area[1] - 2 * _MARGIN - 14  # the scale bar stands below the plan
     scale = min(room[0] / max(x1 - x0, 1e-3), room[1] / max(y1 - y0, 1e-3))
@@ -86,7 +86,7 @@ def _fit(area: tuple[int, int], bounds: Array) -> tuple[tuple[int, int], tuple[f
 
 
 def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:
-    """Title, figures and legend."""
+    """Draw title, figures and legend."""
     left, top, width, height = layout.panel
     edge = ((left, top), (left, top + height)) if layout.beside else ((left, top), (left + width, top))
     pygame.draw.line(picture, symbols.LINE, *edge)
@@ -102,7 +102,7 @@ def _panel(picture: Any, layout: Layout, title: str, shown: Figures) -> None:
 
 
 def _scale_bar(picture: Any, layout: Layout) -> None:
-    """A bar of 1, 2 or 5 · 10^k metres in the lower right corner of the map."""
+    """Draw a bar of 1, 2 or 5 · 10^k metres in the lower right corner of the map."""
     longest = min(130.0, 0.4 * layout.map_size[0]) / layout.scale
     decade = 10.0 ** math.floor(math.log10(longest))
     metres = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
@@ -129,7 +129,7 @@ def _figures(episode: Episode) -> Figures:
 
 
 def _whereabouts(episode: Episode) -> Figures:
-    """What was done to the robot, and what it makes of it; nothing where nobody carries robots away."""
+    """The kidnapping and the robot's reaction to it; empty without kidnapping and tracker."""
     kidnapping = episode.kidnapping
     if episode.scenario.kidnapping is None and episode.slam.tracker is None:
         return ()

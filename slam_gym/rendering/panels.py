@@ -1,5 +1,5 @@
-"""Panels beside a map: figures, an interpretation tree, a table of what may be chosen next, the key to the colours; and
-the badges that tie choices to the map."""
+"""Panels beside a map: figures, an interpretation tree, a table of the possible actions, the key to the colours; and
+badges that connect actions with the map."""
 
 from __future__ import annotations
 
@@ -15,47 +15,47 @@ from slam_gym.rendering.canvas import Canvas, Colour, pygame, text
 from slam_gym.types import Array
 
 Figures = tuple[tuple[str, str], ...]
-"""What, and how much."""
+"""Names and values."""
 Point = tuple[float, float]
 Box = tuple[int, int, int, int]  # left, top, width, height [pixels]
-KeyEntry = tuple[Colour | None, Colour, str]  # fill and line of a dot, what it stands for
+KeyEntry = tuple[Colour | None, Colour, str]  # fill and line of a dot, and its meaning
 
-ROW = 22  # [pixels] of a table
+ROW = 22  # [pixels] height of a row of a table
 _FIGURE, _GAP = 20, 22  # [pixels] between two rows of figures, and between two columns
 _KEY_ROW, _KEY_COLUMNS = 19, 3
-_BADGE, _APART = 9, 19  # [pixels] radius of a badge; between the centres of two
+_BADGE, _BADGE_DISTANCE = 9, 19  # [pixels] radius of a badge; least distance between two centres
 _AROUND = ((0.7, -0.7), (-0.7, -0.7), (0.7, 0.7), (-0.7, 0.7), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 
 SIZE, PANEL = (1140, 720), 420  # [pixels] of a picture with a tree; width of the panel on its right
-MAP = (SIZE[0] - PANEL, SIZE[1])  # [pixels] what is on its left
-KEY: tuple[KeyEntry, ...] = (  # what both views show
+MAP = (SIZE[0] - PANEL, SIZE[1])  # [pixels] of the map on its left
+KEY: tuple[KeyEntry, ...] = (  # common entries of both views
     (symbols.DECISIONS[Decision.RIGHT], symbols.PAPER, "paired, right"),
     (symbols.DECISIONS[Decision.WRONG], symbols.PAPER, "paired, wrong"),
     (symbols.DECISIONS[Decision.DISCARDED], symbols.PAPER, "not paired"),
     (symbols.PAPER, symbols.INK, "not decided yet"),
     (symbols.CHOICE, symbols.INK, "to decide now"),
 )
-STAR = -1  # the branch `*`, which pairs the measurement with nothing
+STAR = -1  # the branch `*`, which leaves the measurement unpaired
 _MARGIN = 18  # [pixels]
-_CLOSEST, _WIDEST = 21, 36  # [pixels] between two levels
-_BRANCHES = 9  # at most so many of a level are drawn, besides `*`
+_CLOSEST, _WIDEST = 21, 36  # [pixels] least and greatest distance between two levels
+_BRANCHES = 9  # largest number of branches of a level that are drawn, besides `*`
 _STAR, _SPACING = 70, 28  # [pixels] column of `*`; between branches
-_CHOICES = 12  # at most so many rows of the table
-_MIN_TREE = 66  # [pixels] high, at the cost of the table
+_CHOICES = 12  # largest number of rows of the table
+_MIN_TREE = 66  # [pixels] least height of the tree, at the cost of the table
 
 
 def figures(picture: Any, shown: Figures, corner: tuple[int, int], width: int, columns: int) -> None:
-    """Write what and how much, column by column."""
+    """Write names and values, column by column."""
     rows = math.ceil(len(shown) / columns)
-    for k, (what, how_much) in enumerate(shown):
+    for k, (name, value) in enumerate(shown):
         x, y = corner[0] + (k // rows) * (width + _GAP) // columns, corner[1] + (k % rows) * _FIGURE
-        value = text(how_much, 12, symbols.INK, bold=True)
-        picture.blit(text(what, 12, symbols.MUTED), (x, y))
-        picture.blit(value, (x + (width + _GAP) // columns - _GAP - value.get_width(), y))
+        label = text(value, 12, symbols.INK, bold=True)
+        picture.blit(text(name, 12, symbols.MUTED), (x, y))
+        picture.blit(label, (x + (width + _GAP) // columns - _GAP - label.get_width(), y))
 
 
 def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
-    """What the dots stand for, three to a row, at the foot of a box; returns where the line above it is."""
+    """Draw the key to the dots, three to a row, at the bottom of a box; returns the y [pixels] of the line above it."""
     left, top, width, height = box
     top += height - 15 - math.ceil(len(entries) / _KEY_COLUMNS) * _KEY_ROW
     pygame.draw.line(picture, symbols.LINE, (left, top), (left + width, top))
@@ -70,15 +70,15 @@ def key(picture: Any, box: Box, entries: Sequence[KeyEntry]) -> int:
 
 
 class Choice(NamedTuple):
-    """A row of the table of actions. A cell is words, or a number with the fraction (0 … 1) that its bar shows."""
+    """A row of the table of actions. A cell is text, or text with the fraction (0 … 1) that its bar shows."""
 
     action: str
-    right: bool  # the truth would take it
+    right: bool  # the truth is this action
     cells: tuple[str | tuple[str, float], ...]
 
 
 def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: Sequence[Choice], note: str) -> None:
-    """The actions and what speaks for each; `columns` are offset [pixels] and heading, `note` comes below."""
+    """Draw the table of actions; `columns` are offset [pixels] and heading, `note` is written below."""
     left, top, width, _ = box
     pygame.draw.line(picture, symbols.LINE, (left, top - 6), (left + width, top - 6))
     for k, (offset, heading) in enumerate(columns):
@@ -95,11 +95,11 @@ def table(picture: Any, box: Box, columns: Sequence[tuple[int, str]], choices: S
 
 
 def badges(picture: Any, points: Sequence[Point]) -> None:
-    """The number of each action beside its candidate [pixels], where there is room, and tied to it by a line."""
+    """Draw the number of each action beside its candidate [pixels], where there is room, with a line to it."""
     centres: list[Point] = []
     for x, y in points:
         spots = [(x + r * dx, y + r * dy) for r in (17, 27, 38) for dx, dy in _AROUND]
-        clear = [spot for spot in spots if all(math.dist(spot, other) > _APART for other in centres)]
+        clear = [spot for spot in spots if all(math.dist(spot, other) > _BADGE_DISTANCE for other in centres)]
         centres.append((clear or spots)[0])
         pygame.draw.aaline(picture, symbols.PLAN, (x, y), centres[-1])
     for action, centre in enumerate(centres):
@@ -107,14 +107,14 @@ def badges(picture: Any, points: Sequence[Point]) -> None:
 
 
 def badge(picture: Any, centre: Point, words: str) -> None:
-    """The name of an action on a disc."""
+    """Draw the name of an action on a disc."""
     pygame.draw.aacircle(picture, symbols.PLAN, centre, _BADGE)
     label = text(words, 12, symbols.PAPER, bold=True)
     picture.blit(label, (round(centre[0] - label.get_width() / 2), round(centre[1] - label.get_height() / 2)))
 
 
 def star(picture: Any, centre: Point, colour: Colour) -> None:
-    """`*`, which stands high in its line of text, in the middle of a node."""
+    """Draw `*` in the middle of a node; it is moved down, since it stands high in its line of text."""
     label = text("*", 15, colour, bold=True)
     picture.blit(label, (round(centre[0] - label.get_width() / 2), round(centre[1] - label.get_height() / 2 + 3)))
 
@@ -135,31 +135,31 @@ def _bar(picture: Any, corner: tuple[int, int], fraction: float) -> None:
 
 
 class Level(NamedTuple):
-    """One level. Branches are numbered from 0, `*` is `STAR`."""
+    """One level of a tree. Branches are numbered from 0; `*` is `STAR`."""
 
     name: str
     branches: int  # besides `*`
-    on_offer: frozenset[int] = frozenset()  # at the level at hand
-    taken: int | None = None  # None: not decided
-    colour: Colour = symbols.LINE  # of what was decided
-    right: int | None = None  # the branch that the truth would take; None: there is none, or nobody knows
+    legal: frozenset[int] = frozenset()  # at the current level
+    chosen: int | None = None  # None: not decided
+    colour: Colour = symbols.LINE  # of the chosen branch
+    right: int | None = None  # the true branch; None: there is none, or it is unknown
 
 
 class TreePanel(NamedTuple):
-    """What a panel shows."""
+    """The contents of a panel."""
 
     figures: Figures
     levels: Sequence[Level]
-    at: int  # the level to decide; their number at a leaf
+    current: int  # the level to decide; the number of levels at a leaf
     key: Sequence[KeyEntry]
     columns: Sequence[tuple[int, str]] = ()  # of the table: offset [pixels] and heading
     choices: Sequence[Choice] = ()  # its rows, `*` last
     note: str = ""  # below the table
-    remarks: Sequence[str] = ()  # in place of a table, where there is nothing to choose
+    remarks: Sequence[str] = ()  # in place of a table, where there are no choices
 
 
 def picture_with(shown: TreePanel) -> Any:
-    """A surface with the panel on its right, and room for a map on its left."""
+    """A surface with the panel on the right, and space for a map on the left."""
     picture = pygame.Surface(SIZE, depth=32)
     picture.fill(symbols.PAPER)
     draw_panel(picture, (MAP[0], 0, PANEL, SIZE[1]), shown)
@@ -167,7 +167,7 @@ def picture_with(shown: TreePanel) -> Any:
 
 
 def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
-    """Title, figures, tree, table or remarks, and the key, from top to bottom."""
+    """Draw title, figures, tree, table or remarks, and the key, from top to bottom."""
     left, top, width, height = box
     pygame.draw.line(picture, symbols.LINE, (left, top), (left, top + height))
     x, y, room = left + _MARGIN, top + 13, width - 2 * _MARGIN
@@ -182,11 +182,11 @@ def draw_panel(picture: Any, box: Box, shown: TreePanel) -> None:
         choices, note = _fitting(shown, (bottom - tree_top - _MIN_TREE - 30) // ROW - 2)
         tree_bottom = bottom - (len(choices) + 1 + bool(note)) * ROW - 8
         table(picture, (x, tree_bottom, room, 0), shown.columns, choices, note)
-    draw_levels(picture, (x, tree_top, room, tree_bottom - tree_top - 22), shown.levels, shown.at)
+    draw_levels(picture, (x, tree_top, room, tree_bottom - tree_top - 22), shown.levels, shown.current)
 
 
 def _fitting(shown: TreePanel, room: int) -> tuple[Sequence[Choice], str]:
-    """As many choices as there is `room` for, `*` among them, and the note."""
+    """As many choices as fit into `room` rows, including `*`, and the note."""
     room = max(min(room, _CHOICES), 2)
     left_out = len(shown.choices) - room
     if left_out <= 0:
@@ -201,21 +201,21 @@ def _remarks(picture: Any, corner: tuple[int, int], width: int, lines: Sequence[
         picture.blit(text(line, 12, symbols.INK, bold=row == 0), (left, top + row * ROW))
 
 
-def draw_levels(picture: Any, box: Box, levels: Sequence[Level], at: int) -> None:
-    """As many levels as there is room for, level `at` among them; it is at a leaf where `at` is their number."""
+def draw_levels(picture: Any, box: Box, levels: Sequence[Level], current: int) -> None:
+    """Draw as many levels as fit, including the level `current`, which is the number of levels at a leaf."""
     left, top, width, height = box
-    view = _View(box, len(levels), at)
+    view = _View(box, len(levels), current)
     canvas = Canvas((width, height), (0.0, 0.0), 1.0, symbols.PAPER)
-    if at < len(levels):
-        y = view.position(at, STAR)[1]
+    if current < len(levels):
+        y = view.position(current, STAR)[1]
         canvas.polygons(np.array([[[0.0, y - 11], [width, y - 11], [width, y + 11], [0.0, y + 11]]]), symbols.BAND)
-    for k in range(max(view.first, 1), min(view.last, at + 1)):
-        _edges(canvas, view, levels, k, at)
+    for k in range(max(view.first, 1), min(view.last, current + 1)):
+        _edges(canvas, view, levels, k, current)
     for k in range(view.first, view.last):
-        _nodes(canvas, view, levels[k], k, at)
+        _nodes(canvas, view, levels[k], k, current)
     picture.blit(canvas.picture(), (left, top))
     for k in range(view.first, view.last):
-        _labels(picture, view, levels[k], k, at)
+        _labels(picture, view, levels[k], k, current)
     for count, y, words in ((view.first, top - 16, "earlier"), (len(levels) - view.last, top + height, "more")):
         if count:
             label = text(f"{count} {words}", 11, symbols.MUTED)
@@ -223,22 +223,22 @@ def draw_levels(picture: Any, box: Box, levels: Sequence[Level], at: int) -> Non
 
 
 class _View:
-    """Which levels are drawn, and where their nodes are."""
+    """The range of levels that is drawn, and the positions of their nodes."""
 
-    def __init__(self, box: Box, levels: int, at: int) -> None:
+    def __init__(self, box: Box, levels: int, current: int) -> None:
         self.left, self.top, _, self.height = box
         room = max(3, self.height // _CLOSEST)
-        self.first = int(np.clip(at - room // 2, 0, max(levels - room, 0)))
+        self.first = int(np.clip(current - room // 2, 0, max(levels - room, 0)))
         self.last = min(self.first + room, levels)
         self.step = min(_WIDEST, self.height / max(self.last - self.first, 1))
 
     def position(self, level: int, branch: int) -> tuple[float, float]:
-        """On the canvas, y up."""
+        """The position of a node on the canvas [pixels], y up."""
         column = 0 if branch == STAR else 1 + min(branch, _BRANCHES - 1)
         return _STAR + column * _SPACING, self.height - 12.0 - (level - self.first) * self.step
 
     def pixels(self, level: int, branch: int) -> tuple[float, float]:
-        """In the picture, y down."""
+        """The position of a node in the picture [pixels], y down."""
         x, y = self.position(level, branch)
         return self.left + x, self.top + self.height - y
 
@@ -247,24 +247,24 @@ def _branches(level: Level) -> tuple[int, ...]:
     return *range(min(level.branches, _BRANCHES)), STAR
 
 
-def _edges(canvas: Canvas, view: _View, levels: Sequence[Level], k: int, at: int) -> None:
-    """From the node before to the branches of a level; the path is drawn broad."""
-    before, level = levels[k - 1].taken, levels[k]
+def _edges(canvas: Canvas, view: _View, levels: Sequence[Level], k: int, current: int) -> None:
+    """Draw the edges from the previous node to the branches of level `k`; edges of the path are broad."""
+    before, level = levels[k - 1].chosen, levels[k]
     start = view.position(k - 1, STAR if before is None else before)
-    if level.taken is not None:
-        canvas.segments(np.array([[*start, *view.position(k, level.taken)]]), level.colour, 3.0)
-    elif k == at:
+    if level.chosen is not None:
+        canvas.segments(np.array([[*start, *view.position(k, level.chosen)]]), level.colour, 3.0)
+    elif k == current:
         for branch in _branches(level):
-            colour = symbols.PLAN if branch == STAR or branch in level.on_offer else symbols.LINE
+            colour = symbols.PLAN if branch == STAR or branch in level.legal else symbols.LINE
             canvas.segments(np.array([[*start, *view.position(k, branch)]]), colour, 1.2)
 
 
-def _nodes(canvas: Canvas, view: _View, level: Level, k: int, at: int) -> None:
+def _nodes(canvas: Canvas, view: _View, level: Level, k: int, current: int) -> None:
     for branch in _branches(level):
         centre: Array = np.array([view.position(k, branch)])
-        if branch == level.taken:
+        if branch == level.chosen:
             canvas.discs(centre, 6.0, level.colour, symbols.PAPER, 1.0)
-        elif k == at and (branch == STAR or branch in level.on_offer):
+        elif k == current and (branch == STAR or branch in level.legal):
             canvas.discs(centre, 6.0, symbols.PAPER, symbols.PLAN, 1.6)
         else:
             canvas.discs(centre, 6.0 if branch == STAR else 4.0, symbols.PAPER, symbols.LINE, 1.2)
@@ -272,12 +272,12 @@ def _nodes(canvas: Canvas, view: _View, level: Level, k: int, at: int) -> None:
             canvas.discs(centre, 8.4, None, symbols.TRUTH, 1.6)
 
 
-def _labels(picture: Any, view: _View, level: Level, k: int, at: int) -> None:
-    """The name of a level, its `*`, and how many branches are not drawn."""
+def _labels(picture: Any, view: _View, level: Level, k: int, current: int) -> None:
+    """Write the name of a level, its `*`, and the number of branches that are not drawn."""
     x, y = view.pixels(k, STAR)
-    name = text(level.name, 12, symbols.INK if k == at else symbols.MUTED, bold=k == at)
+    name = text(level.name, 12, symbols.INK if k == current else symbols.MUTED, bold=k == current)
     picture.blit(name, (view.left + 8, round(y - name.get_height() / 2)))
-    star(picture, (x, y), symbols.PAPER if level.taken == STAR else symbols.MUTED)
-    if level.taken is None and level.branches > _BRANCHES:
+    star(picture, (x, y), symbols.PAPER if level.chosen == STAR else symbols.MUTED)
+    if level.chosen is None and level.branches > _BRANCHES:
         more = text(f"+ {level.branches - _BRANCHES}", 11, symbols.MUTED)
         picture.blit(more, (round(view.pixels(k, _BRANCHES - 1)[0] + 14), round(y - more.get_height() / 2)))

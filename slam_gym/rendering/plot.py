@@ -1,6 +1,6 @@
 """Maps, paths, scans and interpretation trees as matplotlib plots: `pip install 'slam_gym[agents]'` has matplotlib.
 
-Every function draws into `ax`, by default a new one, and returns it. Lengths are metres in the frame of what is drawn.
+Every function draws into `ax`, by default a new one, and returns it. Lengths are in metres, in the frame of the data.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 INK, GREY, LIGHT, BLUE, RED, GREEN, YELLOW = "#2f3640", "#b8bec6", "#c3ccd6", "#2b6ca3", "#c8553d", "#3a8a5c", "#e0a030"
 Path = tuple[int, ...]  # the rows of a prediction that lead from the root of a tree to a node
-_EDGE = 0.4  # of a wall in the smoothed grid
-_MOST_BRANCHES = 400  # of a tree that somebody can still look at
+_EDGE = 0.4  # value of the smoothed grid at the edge of a wall
+_MOST_BRANCHES = 400  # in a tree that is still legible
 
 
 def plot_map(stochastic_map: StochasticMap, ax: Axes | None = None, *, sigmas: float = 2.0) -> Axes:
-    """Features with the ellipses of so many standard deviations, provisional ones hollow and grey; the robot in red."""
+    """Plot features with ellipses of `sigmas` standard deviations, provisional ones in grey, and the robot in red."""
     ax, m = _axes(ax), stochastic_map
     for chosen, colour in ((~m.provisional, BLUE), (m.provisional, GREY)):
         ax.plot(*m.positions[chosen].T, "o", ms=3.0, mfc="none", mec=colour, mew=0.9)
@@ -44,7 +44,7 @@ def plot_map(stochastic_map: StochasticMap, ax: Axes | None = None, *, sigmas: f
 
 
 def plot_path(poses: ArrayLike, ax: Axes | None = None, **line: Any) -> Axes:
-    """Poses (t, 3) or positions (t, 2) as a line; other arguments are those of `matplotlib.axes.Axes.plot`."""
+    """Plot poses (t, 3) or positions (t, 2) as a line; `**line` are arguments of `matplotlib.axes.Axes.plot`."""
     ax = _axes(ax)
     path = np.asarray(poses, np.float64)
     look: dict[str, Any] = {"color": RED, "lw": 1.0} | line
@@ -60,10 +60,10 @@ def plot_scan(
     *,
     right: Hypothesis | None = None,
 ) -> Axes:
-    """A scan in R: measurements as crosses, predicted features as circles with the gates of the pairings that are
-    individually compatible, and the pairings of a hypothesis as arrows from feature to measurement.
+    """Plot a scan in R: measurements as crosses, predicted features as circles with the gates of their individually
+    compatible pairings, and the pairings of a hypothesis as arrows from feature to measurement.
 
-    Where the `right` hypothesis is known, right pairings are green, and wrong ones red and dashed.
+    With the `right` hypothesis, right pairings are green, and wrong pairings red and dashed.
     """
     ax = _axes(ax)
     candidates = individual(scan, prediction)
@@ -84,10 +84,10 @@ def plot_scan(
 
 
 def plot_tree(tree: Tree, answers: Mapping[str, Hypothesis] | None = None, ax: Axes | None = None) -> Axes:
-    """The jointly compatible branches of an interpretation tree, level by level from the root on top, and those that
-    are not, which end it, dotted; the path of each of the `answers` in a colour, dotted where it has left the tree.
+    """Plot an interpretation tree, level by level from the root at the top. Branches that are not jointly compatible
+    are dotted, and end there; the path of each of `answers` has a colour, and is dotted where it has left the tree.
 
-    Raises ValueError where there are more branches than anybody could look at.
+    Raises ValueError where the tree has more than 400 branches.
     """
     legal: dict[Path, bool] = {}
     _grow(tree, root(tree), (), legal)
@@ -124,7 +124,7 @@ def plot_tree(tree: Tree, answers: Mapping[str, Hypothesis] | None = None, ax: A
 
 
 def _grow(tree: Tree, node: Node, path: Path, legal: dict[Path, bool]) -> None:
-    """Enter every branch below a node, by the rows of its path: whether it is jointly compatible."""
+    """Add to `legal` whether each branch below `node` is jointly compatible, by its path."""
     if node.level == tree.levels:
         return
     if len(legal) > _MOST_BRANCHES:
@@ -142,14 +142,14 @@ def _lay_out(
     place: dict[Path, float],
     leaves: Iterator[int],
 ) -> float:
-    """Leaves side by side in the order of the search, parents in the middle above their children."""
+    """Set positions in `place`: leaves in the order of the search, parents above the middle of their children."""
     below = [_lay_out(other, legal, place, leaves) for other in legal if other[:-1] == path]
     place[path] = (below[0] + below[-1]) / 2.0 if below else float(next(leaves))
     return place[path]
 
 
 def plot_error(poses: ArrayLike, truth: ArrayLike, ax: Axes | None = None, **line: Any) -> Axes:
-    """Distance [m] of poses (t, 2 or 3) from the true ones, step by step; other arguments are those of `Axes.plot`."""
+    """Plot the distance [m] of poses (t, 2 or 3) from the true poses; `**line` are arguments of `Axes.plot`."""
     ax = _axes(ax, aspect="auto")
     error = np.hypot(*(np.asarray(poses, np.float64)[:, :2] - np.asarray(truth, np.float64)[:, :2]).T)
     ax.plot(error, **{"lw": 1.1} | line)
@@ -158,10 +158,10 @@ def plot_error(poses: ArrayLike, truth: ArrayLike, ax: Axes | None = None, **lin
 
 
 def plot_episode(episode: Episode, ax: Axes | None = None, *, errors: bool = False) -> Axes:
-    """An exploration in W: true walls black, true features grey dots; what the robot made of them on top, explored
-    walls light, features of its map blue, its path red beside the true one in grey.
+    """Plot an exploration in W: true walls in black, true features as grey dots, and the true path in grey; explored
+    walls in light grey, mapped features in blue, and the estimated path in red.
 
-    With `errors`, red lines lead from true features to where the map has them.
+    With `errors`, red lines lead from true features to their positions in the map.
     """
     ax, grid, plan, slam = _axes(ax), episode.grid, episode.site.plan, episode.slam
     walls = grid.cells == WALL
@@ -197,7 +197,7 @@ def _axes(ax: Axes | None, aspect: Literal["equal", "auto"] = "equal") -> Axes:
 
 
 def _ellipses(ax: Axes, centres: Array, covariances: Array, colour: str, scale: float) -> None:
-    """Ellipses of covariances (k, 2, 2), so many standard deviations large."""
+    """Add ellipses of covariances (k, 2, 2) at `centres` (k, 2), `scale` standard deviations large."""
     from matplotlib.collections import EllipseCollection
 
     values, vectors = np.linalg.eigh(covariances)

@@ -1,4 +1,4 @@
-"""The view of `Relocate-v0`: the map with what the scan may be of, the scan itself, and the interpretation tree."""
+"""The view of `Relocate-v0`: the map with the candidates, the scan, and the interpretation tree."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _KEY = (
 
 
 def draw(walk: RelocationWalk, mapped: MappedWorld, kidnapped: Kidnapped, figures: Figures) -> Any:
-    """A surface with the walk: left the whole map, in a corner the scan as the robot sees it, right the tree."""
+    """A surface with the walk: the whole map on the left, the scan in R in a corner, and the tree on the right."""
     features, right = walk.node.hypothesis, kidnapped.features
     codes = np.where(features == right, int(Decision.RIGHT), int(Decision.WRONG))  # (m,) by measurement
     codes[features == UNPAIRED] = Decision.DISCARDED
@@ -74,7 +74,7 @@ def _draw_map(picture: Any, walk: RelocationWalk, mapped: MappedWorld, kidnapped
 def _draw_hypothesis(
     canvas: Canvas, walk: RelocationWalk, mapped: MappedWorld, landmarks: Array, codes: IntArray
 ) -> None:
-    """The features paired; and where they put the robot and its measurements, once there are two."""
+    """Draw the paired features and, from two pairings on, the located robot and its measurements."""
     features = walk.node.hypothesis
     paired = features != UNPAIRED
     if paired.sum() < 2:
@@ -96,7 +96,7 @@ def _draw_hypothesis(
 
 
 def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, codes: IntArray) -> None:
-    """The scan in R, x up: what is decided, what is to be decided now, what is left."""
+    """Draw the scan in R, x up: decided measurements, the one to decide now, and the others."""
     points = walk.scan.points[:, ::-1] * np.array([-1.0, 1.0])  # x ahead, drawn upwards
     reach = 1.3 * max(float(np.abs(points).max(initial=1.0)), 1.0)
     canvas = Canvas((_INSET, _INSET), (-reach, -reach), 0.5 * _INSET / reach, symbols.PAPER)
@@ -113,7 +113,7 @@ def _draw_scan(picture: Any, corner: tuple[int, int], walk: RelocationWalk, code
 
 
 def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figures) -> TreePanel:
-    """`right` (m,) are the true features, `codes` (m,) what became of the measurements."""
+    """The panel; `right` (m,) are the true features, `codes` (m,) the decisions on the measurements."""
     levels = [_level(walk, right, codes, k) for k in range(len(walk.order))]
     if walk.offer is None:
         return TreePanel(figures, levels, walk.level, _KEY, remarks=_remarks(walk))
@@ -124,12 +124,12 @@ def _panel(walk: RelocationWalk, right: IntArray, codes: IntArray, figures: Figu
 
 
 def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> Level:
-    """Branches by rank: of a level decided those that were on offer, of any other those that are legal now."""
+    """Level `k`, branches by rank: those that were on offer when it was decided, or else those that are legal now."""
     i, star = int(walk.order[k]), walk.spec.star
     if k < walk.level:
         branches, action = walk.offered[k]
-        taken = STAR if action == star else action
-        return Level(f"z{i}", branches, taken=taken, colour=symbols.DECISIONS[int(codes[i])])
+        chosen = STAR if action == star else action
+        return Level(f"z{i}", branches, chosen=chosen, colour=symbols.DECISIONS[int(codes[i])])
     alive = int(walk.node.alive[i].sum())
     if k > walk.level or walk.at_leaf:
         return Level(f"z{i}", alive)
@@ -138,7 +138,7 @@ def _level(walk: RelocationWalk, right: IntArray, codes: IntArray, k: int) -> Le
 
 
 def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
-    """What may be chosen: action, feature, what it could come to, D² of its distances to the pairings of the path."""
+    """The possible actions: feature, bound on the pairings, and worst D² of its distances to paired features."""
     offer, i = walk.offer, walk.measurement
     assert offer is not None and i is not None
     m, gate, k = len(walk.order), walk.problem.scan.gates.one, walk.node.pairings
@@ -152,11 +152,11 @@ def _choices(walk: RelocationWalk, right: IntArray) -> list[Choice]:
 
 
 def _remarks(walk: RelocationWalk) -> tuple[str, ...]:
-    """At a leaf: what the hypothesis comes to."""
+    """The result of a hypothesis at a leaf."""
     pairings = walk.node.pairings
-    believed = "the best so far is believed" if walk.best.accepted else "the best so far is not believed"
+    verdict = "the best so far is believed" if walk.best.accepted else "the best so far is not believed"
     if pairings < 2:
-        return "A leaf without a pose", "two pairings at least determine one", believed
+        return "A leaf without a pose", "two pairings at least determine one", verdict
     passed, located = "passes" if walk.compatible else "fails", locate(walk.scan, walk.landmarks, walk.node.hypothesis)
     distance = f"D² = {located.joint_distance:.1f}, dof {located.dof}"
-    return f"A leaf of {pairings} pairings: {passed} the joint test", distance, believed
+    return f"A leaf of {pairings} pairings: {passed} the joint test", distance, verdict

@@ -1,5 +1,5 @@
 # ruff: noqa: RUF009 (`_no_rows` is `dataclasses.field`)
-"""A scene: what is true, what the robot believes and what it has just decided, all in one frame; and its legend."""
+"""A scene: the truth, the robot's estimate and its latest decisions, in one frame; and the legend."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from slam_gym.simulation.episode import Episode, turned
 from slam_gym.types import NO_ID, Array, BoolArray, IntArray
 
 _TRAIL = 400  # points of a trail that are drawn
-_LEAP = 1.5  # [m] from one of them to the next: nobody drove there
+_LEAP = 1.5  # [m] a trail is interrupted between points that are farther apart
 _CELLS = [symbols.UNKNOWN_CELL, symbols.FREE_CELL, symbols.WALL_CELL]
 
 
@@ -30,7 +30,7 @@ class Grid(NamedTuple):
 
     cells: NDArray[np.uint8]  # (h, w) 0 unknown, 1 free, 2 wall; row 0 lowest
     corner: Array  # (3,) pose of its lower left corner
-    resolution: float  # [m] a cell
+    resolution: float  # [m] side of a cell
 
 
 def _no_rows(*shape: int, dtype: Any = np.float64) -> Any:
@@ -39,7 +39,7 @@ def _no_rows(*shape: int, dtype: Any = np.float64) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that a picture of the plane may show, in one frame: W, or B where nobody knows W. All is optional."""
+    """The contents of a picture of the plane, in one frame: W, or B where W is unknown. All fields are optional."""
 
     walls: Array = _no_rows(4)  # (s, 4) [m] x1 y1 x2 y2
     features: Array = _no_rows(2)  # (N, 2) [m] true
@@ -47,7 +47,7 @@ class Scene:
     furniture: Array = _no_rows(5)  # (f, 5) x, y, length, width [m], heading [rad]
     people: Array = _no_rows(3)  # (p, 3) x, y, radius [m]
     robot_radius: float = 0.2  # [m]
-    true_pose: Array | None = None  # (3,) [m, m, rad]; NaN where nobody knows it
+    true_pose: Array | None = None  # (3,) [m, m, rad]; NaN where unknown
     true_trail: Array = _no_rows(2)  # (t, 2) [m]
     pose: Array | None = None  # (3,) estimated
     pose_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
@@ -55,19 +55,19 @@ class Scene:
     landmarks: Array = _no_rows(2)  # (n, 2) [m] the map
     landmark_covariances: Array = _no_rows(2, 2)  # (n, 2, 2) [m²]
     provisional: BoolArray = _no_rows(dtype=np.bool_)  # (n,) not confirmed yet
-    scan_points: Array = _no_rows(2)  # (m, 2) [m] as measured from the estimated pose
+    scan_points: Array = _no_rows(2)  # (m, 2) [m] measurements, seen from the estimated pose
     decisions: IntArray = _no_rows(dtype=np.int64)  # (m,) `metrics.association.Decision`
-    paired_positions: Array = _no_rows(2)  # (m, 2) [m] of the landmark that each was paired with, NaN if none
-    path: Array = _no_rows(2)  # (p, 2) [m] what the robot is about to follow
-    goals: Array = _no_rows(2)  # (g, 2) [m] on offer
+    paired_positions: Array = _no_rows(2)  # (m, 2) [m] of the landmark with which each is paired, NaN if none
+    path: Array = _no_rows(2)  # (p, 2) [m] that the robot is going to follow
+    goals: Array = _no_rows(2)  # (g, 2) [m] that are legal
     covisibility: IntArray = _no_rows(2, dtype=np.int64)  # (e, 2) pairs of landmarks seen together
     grid: Grid | None = None
 
 
 def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:
-    """Layer upon layer: explored cells, uncertainties, the true world, the map, the robot and its decisions.
+    """Draw, in this order, explored cells, uncertainties, the true world, the map, decisions and the robot.
 
-    `size` scales the marks; by default they shrink where the scale is so small that they would crowd.
+    `size` scales the marks; by default, marks are smaller on a small scale, so that they do not overlap.
     """
     size = min(1.0, max(0.4, canvas.scale / 18.0)) if size is None else size
     if scene.grid is not None:
@@ -93,7 +93,7 @@ def draw_scene(canvas: Canvas, scene: Scene, size: float | None = None) -> None:
 
 
 def scene_of_episode(episode: Episode, *, goals: Array | None = None, covisibility: bool = False) -> Scene:
-    """The present state of an episode in W, without its scan; `goals` (g, 2) in B are those on offer."""
+    """The present state of an episode in W, without its scan; `goals` (g, 2) in B are the legal ones."""
     base, slam_map, plan = episode.base, episode.slam.map, episode.site.plan
     corner = compose(base, np.array([*episode.grid.origin, 0.0]))
     return Scene(
@@ -119,9 +119,9 @@ def scene_of_episode(episode: Episode, *, goals: Array | None = None, covisibili
 
 
 def scene_of_log(run: LoggedRun) -> Scene:
-    """The present state of a run on a log in B, without its scan: no walls, and perhaps no true robot."""
+    """The present state of a run on a log in B, without its scan. It has no walls, and perhaps no true robot."""
     slam_map, targets = run.slam.map, run.targets
-    poses = np.array([*run.poses, run.truth.pose])  # NaN where nobody knows them
+    poses = np.array([*run.poses, run.truth.pose])  # NaN where unknown
     return Scene(
         features=targets,
         kinds=np.zeros(len(targets), np.int64),
@@ -137,7 +137,7 @@ def scene_of_log(run: LoggedRun) -> Scene:
 
 
 def paired_positions(episode: Episode, landmarks: Array) -> Array:
-    """(m, 2) which of `landmarks` (n, 2) each measurement of the last scan was paired with, NaN if none."""
+    """(m, 2) the one of `landmarks` (n, 2) with which each measurement of the last scan was paired, NaN if none."""
     step, ids = episode.last_step, episode.slam.map.ids
     positions = np.full((len(step.ids), 2), np.nan)
     paired = (step.ids != NO_ID) & ~step.created & np.isin(step.ids, ids)
@@ -146,7 +146,7 @@ def paired_positions(episode: Episode, landmarks: Array) -> Array:
 
 
 def _trail(poses: list[Array]) -> Array:
-    """Positions (≤ _TRAIL, 2) of the poses so far, the last among them; NaN where the robot did not drive."""
+    """Positions (≤ _TRAIL, 2) of the poses so far, including the last; NaN where the robot was carried."""
     every = max(1, len(poses) // _TRAIL)
     points = np.array([pose[:2] for pose in poses[::-1][::every][::-1]])
     leaps = np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) > _LEAP) + 1
@@ -157,12 +157,12 @@ def _trail(poses: list[Array]) -> Array:
 # -- legend ----------------------------------------------------------------------------------------------------------
 
 _ROW, _COLUMN = 20, 186  # [pixels] height of an entry, width of a group
-_SYMBOL = (40, 16)  # [pixels] room for one symbol
-_Paint = Callable[[Canvas], None]  # on a canvas of that size with one metre a pixel
+_SYMBOL = (40, 16)  # [pixels] size of a symbol
+_Paint = Callable[[Canvas], None]  # draws on a canvas of that size with one metre per pixel
 
 
 class _Entry(NamedTuple):
-    """Words, and the symbol that they explain, drawn by the code that draws the scene."""
+    """An entry of the legend: words, and the symbol that they explain, drawn by the code that draws scenes."""
 
     words: str
     paint: _Paint
@@ -227,15 +227,15 @@ _GROUPS: dict[str, tuple[_Entry, ...]] = {
 
 
 def shown_in(scene: Scene) -> frozenset[str]:
-    """Which of the fields are not empty that decide about an entry."""
-    wanted = {entry.only_with for entries in _GROUPS.values() for entry in entries} - {""}
-    fields = {name: getattr(scene, name) for name in wanted}
+    """The non-empty fields of a scene among those on which entries depend."""
+    conditions = {entry.only_with for entries in _GROUPS.values() for entry in entries} - {""}
+    fields = {name: getattr(scene, name) for name in conditions}
     return frozenset(name for name, value in fields.items() if value is not None and len(value))
 
 
 @functools.lru_cache(maxsize=16)
 def legend(shown: frozenset[str], stacked: bool) -> Any:
-    """A surface with the entries for what is `shown`: the groups stacked, or side by side."""
+    """A surface with the entries for the fields that are `shown`; groups are stacked, or side by side."""
     groups = {
         name: [entry for entry in entries if entry.only_with in shown | {""}] for name, entries in _GROUPS.items()
     }

@@ -1,4 +1,4 @@
-"""How each thing looks: the palette and the symbols that the map and its legend share."""
+"""Colours and symbols of pictures, which the map and its legend share."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ COVISIBLE: Colour = (206, 219, 238)
 TRAIL: Colour = (172, 178, 187)
 ESTIMATED_TRAIL: Colour = (92, 143, 206)
 PLAN: Colour = (0, 124, 128)
-BAND: Colour = (237, 243, 250)  # behind the level at hand
-TRUTH: Colour = (120, 56, 168)  # around the branch that is right
+BAND: Colour = (237, 243, 250)  # behind the current level
+TRUTH: Colour = (120, 56, 168)  # around the right branch
 CHOICE: Colour = (255, 196, 61)  # the measurement to decide now
 DECISIONS: dict[int, Colour] = {
     Decision.RIGHT: (0, 150, 105),
@@ -49,40 +49,40 @@ _OUTLINES = (_SQUARE, _DIAMOND, _CIRCLE)  # of corners, door jambs, pillars
 
 
 def true_features(canvas: Canvas, positions: Array, kinds: IntArray, radius: float) -> None:
-    """Hollow marks of `radius` [pixels] at positions (N, 2), a shape for each kind (N,)."""
+    """Draw hollow marks of `radius` [pixels] at positions (N, 2), with a shape for each kind (N,)."""
     for kind, outline in enumerate(_OUTLINES):
         canvas.markers(positions[kinds == kind], radius * outline, PAPER, TRUE_FEATURE)
 
 
 def uncertainties(canvas: Canvas, positions: Array, covariances: Array, provisional: BoolArray) -> None:
-    """95 % ellipses (n, 2), (n, 2, 2): filled for mapped features, an outline for provisional ones."""
-    sure = ~provisional
-    canvas.ellipses(positions[sure], covariances[sure], UNCERTAIN, PROVISIONAL)
+    """Draw 95 % ellipses (n, 2), (n, 2, 2): filled for confirmed features, outlines for provisional ones."""
+    confirmed = ~provisional
+    canvas.ellipses(positions[confirmed], covariances[confirmed], UNCERTAIN, PROVISIONAL)
     canvas.ellipses(positions[provisional], covariances[provisional], None, PROVISIONAL)
 
 
 def landmarks(canvas: Canvas, positions: Array, provisional: BoolArray, radius: float) -> None:
-    """Mapped features (n, 2): full dots of `radius` [pixels], hollow ones where provisional (n,)."""
+    """Draw mapped features (n, 2): dots of `radius` [pixels], hollow where `provisional` (n,)."""
     canvas.discs(positions[~provisional], radius, MAPPED)
     canvas.discs(positions[provisional], radius, PAPER, MAPPED, 0.8)
 
 
 def covisibility(canvas: Canvas, pairs: Array) -> None:
-    """Lines between landmarks seen together (e, 2, 2): the more there are, the thinner and paler."""
+    """Draw lines between landmarks seen together (e, 2, 2), thinner and paler where there are many."""
     pale = min(1.0, max(0.55, 300.0 / max(len(pairs), 1)))
     canvas.segments(pairs.reshape(-1, 4), _mixed(COVISIBLE, pale), 1.4 if len(pairs) < 20 else 0.7)
 
 
 def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes: IntArray, size: float = 1.0) -> None:
-    """Measurements (m, 2) as rays from `robot` (2,), and lines to the landmarks (m, 2) that they were paired with.
+    """Draw measurements (m, 2) as rays from `robot` (2,), with lines to the landmarks `paired` (m, 2).
 
-    `codes` (m,) are of `metrics.association.Decision`, `size` scales the marks.
+    `codes` (m,) are values of `metrics.association.Decision`; `size` scales the marks.
     """
     for code, colour in DECISIONS.items():
-        mine = codes == code
-        if not mine.any():
+        chosen = codes == code
+        if not chosen.any():
             continue
-        rays = np.concatenate([np.broadcast_to(robot, (mine.sum(), 2)), points[mine]], axis=1)
+        rays = np.concatenate([np.broadcast_to(robot, (chosen.sum(), 2)), points[chosen]], axis=1)
         canvas.segments(rays, _mixed(colour, 0.6), 0.9)
     for code, colour in DECISIONS.items():
         pairs = (codes == code) & np.isfinite(paired).all(axis=1)
@@ -91,17 +91,17 @@ def decisions(canvas: Canvas, robot: Array, points: Array, paired: Array, codes:
 
 
 def undecided(canvas: Canvas, points: Array) -> None:
-    """Measurements (m, 2) that nothing has been decided about."""
+    """Draw undecided measurements (m, 2)."""
     canvas.discs(points, 3.4, PAPER, INK, 1.2)
 
 
 def choice(canvas: Canvas, point: Array) -> None:
-    """The measurement (2,) to decide now."""
+    """Draw the measurement (2,) that is to be decided now."""
     canvas.discs(point[None], 5.0, CHOICE, INK, 1.4)
 
 
 def robot_body(canvas: Canvas, pose: Array, radius: float, min_pixels: float = 6.0) -> None:
-    """The true robot, pose (3,), radius [m]: a disc with a wedge that points ahead. Nothing where nobody knows it."""
+    """Draw the true robot, pose (3,), radius [m]: a disc with a wedge that points ahead; nothing if unknown."""
     if not np.isfinite(pose).all():
         return
     pixels = max(radius * canvas.scale, min_pixels)
@@ -111,7 +111,7 @@ def robot_body(canvas: Canvas, pose: Array, radius: float, min_pixels: float = 6
 
 
 def robot_estimate(canvas: Canvas, pose: Array, radius: float, min_pixels: float = 6.0) -> None:
-    """The estimated robot, pose (3,), radius [m]: a ring with its heading."""
+    """Draw the estimated robot, pose (3,), radius [m]: a ring with its heading."""
     pixels = max(radius * canvas.scale, min_pixels)
     canvas.discs(pose[None, :2], pixels + 1.5, None, MAPPED, 1.6)
     nose = np.array([[pixels + 2.0, 0.0], [pixels + 8.0, 0.0]]) / canvas.scale
@@ -119,7 +119,7 @@ def robot_estimate(canvas: Canvas, pose: Array, radius: float, min_pixels: float
 
 
 def plan(canvas: Canvas, robot: Array, path: Array, goals: Array, size: float = 1.0) -> None:
-    """Goals on offer (g, 2), and the path (p, 2) to the one chosen, from where the robot (2,) is by now."""
+    """Draw the legal goals (g, 2), and the rest of the path (p, 2) to the chosen goal, from the robot (2,)."""
     canvas.discs(goals, 3.6 * size, PAPER, PLAN, 1.2)
     if len(path):
         canvas.dashes(_ahead(robot, path), PLAN, 2.2 * size)
@@ -128,14 +128,14 @@ def plan(canvas: Canvas, robot: Array, path: Array, goals: Array, size: float = 
 
 
 def furniture(canvas: Canvas, boxes: Array) -> None:
-    """Boxes (f, 5): x, y, length, width [m], heading [rad]."""
+    """Draw boxes (f, 5): x, y, length, width [m], heading [rad]."""
     for x, y, length, width, heading in boxes.tolist():
         corners = transform(np.array([x, y, heading]), 0.5 * _SQUARE * np.array([length, width]))
         canvas.polygons(corners[None], *FURNITURE)
 
 
 def people(canvas: Canvas, discs: Array) -> None:
-    """People (p, 3): x, y, radius [m]."""
+    """Draw people (p, 3): x, y, radius [m]."""
     for x, y, radius in discs.tolist():
         canvas.discs(np.array([[x, y]]), radius * canvas.scale, *PERSON)
 
@@ -152,6 +152,6 @@ def _ahead(robot: Array, path: Array) -> Array:
 
 
 def _mixed(colour: Colour, fraction: float) -> Colour:
-    """`fraction` of a colour on white paper."""
+    """A colour with opacity `fraction` on white paper."""
     red, green, blue = (round(fraction * part + (1.0 - fraction) * 255) for part in colour)
     return red, green, blue

@@ -28,8 +28,8 @@ def has(picture, colour) -> bool:
 
 
 def test_the_path_the_offer_and_the_truth_show() -> None:
-    path = [Level("z0", 2, taken=0, colour=RED), Level("z1", 0, taken=STAR, colour=RED)]
-    here = Level("z2", 12, on_offer=frozenset({0, 1}), right=1)
+    path = [Level("z0", 2, chosen=0, colour=RED), Level("z1", 0, chosen=STAR, colour=RED)]
+    here = Level("z2", 12, legal=frozenset({0, 1}), right=1)
     picture = drawn([*path, here, Level("z3", 1)], 2)
     assert has(picture, RED) and has(picture, symbols.PLAN) and has(picture, symbols.TRUTH)
     assert has(picture, symbols.BAND)
