@@ -1,7 +1,7 @@
-"""What has been explored: a grid of free, wall and unknown cells, built from beams and the *estimated* poses.
+"""The explored grid: free, wall and unknown cells, built from beams and the *estimated* poses.
 
-Cells are addressed [row, column]; row 0 lies at the lowest y, column 0 at the lowest x, both at the grid's `origin`.
-The loops that walk the grid are compiled.
+Cells are addressed [row, column]; row 0 is at the lowest y, column 0 at the lowest x, both at the grid's `origin`. The
+loops over the grid are compiled.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from slam_gym.types import Array, Beams
 UNKNOWN, FREE, WALL = 0, 1, 2
 
 Cells = NDArray[np.uint8]  # (h, w) class of each cell
-Evidence = NDArray[np.int8]  # (h, w) for a wall where > 0, for free space where < 0
-Sweeps = NDArray[np.int32]  # (h, w) the sweep that last touched each cell
-Counts = NDArray[np.uint32]  # (h, w) movable sweeps that had an echo in each cell, or that crossed it
+Evidence = NDArray[np.int8]  # (h, w) > 0: for a wall; < 0: for free space
+Sweeps = NDArray[np.int32]  # (h, w) number of the sweep that last touched each cell
+Counts = NDArray[np.uint32]  # (h, w) number of movable sweeps with an echo in each cell, or that crossed it
 Indices = NDArray[np.int32]  # (h · w,) flat indices of cells
 Blocks = NDArray[np.int16]  # (⌈h/2⌉, ⌈w/2⌉) free cells + 256 · wall cells of each block of 2 × 2
 
-HIT, MISS = np.int64(3), np.int64(-1)  # evidence of one sweep for the cell of an echo, and for one that a beam crossed
-SATURATION = 8  # |evidence| never exceeds it, so that nine crossings wash out a wall that has gone
-BLOCK = 2  # cells on a block's side
+HIT, MISS = np.int64(3), np.int64(-1)  # evidence of one sweep for a cell with an echo, and for a cell that beams cross
+SATURATION = 8  # greatest |evidence|, so that nine crossings clear a wall that is no longer there
+BLOCK = 2  # side of a block in cells
 SHADE = 85  # brightness that one feature adds to its pixel
 _MAX_CELLS = 20_000_000
 
 
 def shape_of(bounds: Array, cell: float) -> tuple[int, int]:
-    """Rows and columns of a grid over `bounds` (4,) [m] xmin, ymin, xmax, ymax, its cells of side `cell` [m].
+    """Rows and columns of a grid over `bounds` (4,) [m] xmin, ymin, xmax, ymax, with cells of side `cell` [m].
 
-    Raises ValueError for bounds that are not finite or enclose nothing, a side that is not finite and positive, and
-    more than 20 million cells.
+    Raises ValueError for bounds that are not finite or have no area, for a side that is not finite and positive, and
+    for more than 20 million cells.
     """
     bounds = np.array(bounds, dtype=np.float64)
     if bounds.shape != (4,) or not np.isfinite(bounds).all() or (bounds[2:] <= bounds[:2]).any():
@@ -50,7 +50,7 @@ def shape_of(bounds: Array, cell: float) -> tuple[int, int]:
 
 
 class ExploredCells(NamedTuple):
-    """Free, wall and unknown cells, to be looked at."""
+    """A read-only view of free, wall and unknown cells."""
 
     cells: Cells
     origin: Array  # (2,) [m] in B of the lower left corner
@@ -61,8 +61,8 @@ class ExploredCells(NamedTuple):
 def border_crossings(position: float, direction: float) -> tuple[int, float, float]:
     """Grid traversal along one axis (Amanatides and Woo 1987), lengths in cells.
 
-    The step of the cell index, the length of the ray up to the first border crossed, and from one border to the next.
-    Whoever walks a ray writes the loop out: a tuple that is replaced at every cell makes it four times as slow.
+    Returns the step of the cell index, the length of the ray to the first border, and its length between borders.
+    Callers write the loop along a ray out: returning a new tuple for every cell would make it four times as slow.
     """
     if direction > 0.0:
         return 1, (math.floor(position) + 1.0 - position) / direction, 1.0 / direction
@@ -74,12 +74,12 @@ def border_crossings(position: float, direction: float) -> tuple[int, float, flo
 class ExploredGrid:
     """Explored space within fixed bounds.
 
-    Every cell holds saturating evidence, the integer form of log-odds: an echo counts +3, a beam crossing it −1, once a
-    sweep. Its sign is the cell's class (a tie leaves the class as it was), and its saturation at ±8 lets new evidence
-    overrule old after the pose estimate has been corrected, or a person has walked on.
+    Every cell has saturating evidence, the integer form of log-odds: in each sweep, an echo counts +3, and a crossing
+    beam −1. The sign of the evidence is the cell's class (zero leaves the class unchanged). Because it saturates at ±8,
+    new evidence overrules old after the pose estimate has been corrected, or a person has walked on.
 
     `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `resolution` [m] side of a cell. Raises ValueError for bounds that
-    are not finite or enclose nothing, and for more than 20 million cells.
+    are not finite or have no area, and for more than 20 million cells.
     """
 
     def __init__(self, bounds: Array, resolution: float = 0.2) -> None:
@@ -92,28 +92,28 @@ class ExploredGrid:
         hits, crossings = np.zeros(shape, dtype=np.uint32), np.zeros(shape, dtype=np.uint32)
         touched = np.empty(shape[0] * shape[1], dtype=np.int32)
         self._layers: PackedLayers = (self._cells, evidence, self._blocks, sweeps, hits, crossings, touched)
-        self._sweep = 0  # number of the last one
+        self._sweep = 0  # number of the last sweep
 
     @property
     def cells(self) -> Cells:
-        """Class of every cell (h, w): UNKNOWN, FREE or WALL. Of the live grid, read-only."""
+        """Class of every cell (h, w): UNKNOWN, FREE or WALL. A read-only view, which changes with the grid."""
         return read_only(self._cells)
 
     @property
     def explored(self) -> ExploredCells:
-        """The cells and where they lie: what may be handed on to be looked at, but not changed."""
+        """The cells, their origin and their side, as read-only views that change with the grid."""
         return ExploredCells(self.cells, read_only(self.origin), self.resolution)
 
     @property
     def drawn(self) -> tuple[Blocks, Array, float]:
-        """What `draw_egocentric` draws: blocks of cells, themselves, their origin and the side of a cell."""
+        """The arguments of `draw_egocentric`: blocks of cells (not copied), their origin, and the side of a cell."""
         return self._blocks, self.origin, self.resolution
 
     def integrate(self, pose: Array, beams: Beams, movable: bool = False) -> None:
         """Enter one sweep of the range finder, taken at the estimated `pose` (3,) in B.
 
-        Beams at `max_range` had no echo. Readings that are negative or not a number are ignored, as is whatever falls
-        outside the bounds. Only a sweep that is `movable` can be moved later: it is counted in each of its cells.
+        Beams at `max_range` had no echo. Readings that are negative or not a number are ignored, as are cells outside
+        the bounds. Only a `movable` sweep can be moved later: it is counted in each of its cells.
         Raises ValueError for a pose that is not three finite numbers.
         """
         if len(pose) != 3:
@@ -127,8 +127,8 @@ class ExploredGrid:
     def move(self, before: Array, after: Array, beams: Beams) -> None:
         """Move movable sweeps, with `beams.ranges` (k, b), from the poses `before` (k, 3) to `after` (k, 3), both in B.
 
-        Not a number as a pose stands for "not in the grid": sweeps can so be taken out, and put in again. Where that
-        changes what a cell was seen to be, its class follows from all movable sweeps that it is in, in whatever order.
+        A pose of NaN means "not in the grid", so that sweeps can be removed and entered again. Where the counts of a
+        cell change, its class follows from all movable sweeps that touch it, whatever their order.
         """
         first, self._sweep = self._sweep + 1, self._sweep + 2 * len(before)
         _redraw(
@@ -137,18 +137,18 @@ class ExploredGrid:
         )  # fmt: skip
 
     def expected_area(self, points: Array, reach: float, rays: int = 32) -> Array:
-        """Unknown area [m²] (q,) within `reach` [m] of each of `points` (q, 2) in B, in view past the known walls.
+        """(q,) [m²] unknown area within `reach` [m] of each of `points` (q, 2) in B that no known wall hides.
 
-        Integrates ∫∫ r dr dθ over the unknown stretches of `rays` evenly spaced rays.
+        Integrates ∫∫ r dr dθ over the unknown parts of `rays` evenly spaced rays.
         """
         points = (np.ascontiguousarray(points, dtype=np.float64) - self.origin) / self.resolution
         return _unknown_areas(self._cells, points, reach / self.resolution, rays) * self.resolution**2
 
     def egocentric(self, pose: Array, features: Array, pixels: int = 48, metres: float = 24.0) -> Cells:
-        """The grid around the robot at `pose` (3,) in B, heading up, its left on the left: (3, pixels, pixels).
+        """(3, pixels, pixels) image of the grid around the robot at `pose` (3,) in B, with its heading upwards.
 
-        Planes: free space (255 = all of the pixel), walls (255 = a quarter of the pixel or more, walls being thin) and
-        density of `features` (n, 2) in B (85 each, at most 255). The image covers `metres` × `metres` [m].
+        Channels: free space (255 = all of the pixel), walls (255 = a quarter of the pixel or more, because walls are
+        thin) and density of `features` (n, 2) in B (85 each, at most 255). It covers `metres` × `metres` [m].
         """
         image = np.empty((3, pixels, pixels), np.uint8)
         draw_egocentric(*self.drawn, pose, np.ascontiguousarray(features), metres, image)
@@ -156,7 +156,7 @@ class ExploredGrid:
 
 
 class Layers(NamedTuple):
-    """What is kept of every cell."""
+    """The data of every cell."""
 
     cells: Cells
     evidence: Evidence
@@ -164,11 +164,11 @@ class Layers(NamedTuple):
     sweeps: Sweeps
     hits: Counts
     crossings: Counts
-    touched: Indices  # to work in
+    touched: Indices  # working memory
 
 
 PackedLayers = tuple[Cells, Evidence, Blocks, Sweeps, Counts, Counts, Indices]
-"""`Layers` as compiled functions take them."""
+"""`Layers` as a plain tuple, which compiled functions take."""
 
 
 @compiled
@@ -182,10 +182,10 @@ def _trace(
     ranges: Array,
     max_range: float,
 ) -> tuple[int, int]:
-    """The cells of one sweep of beams, each once, as flat indices in `touched`; the number of echoes, and of all.
+    """Enter the flat index of each cell of one sweep in `touched`; returns the number of echoes, and of all cells.
 
-    Echoes come first, so that no other beam grazing past them in the same sweep erases them. `sweep` is a number that
-    no earlier sweep had.
+    Cells with an echo come first, so that no beam of the same sweep that crosses them erases them. `sweep` is a number
+    that no earlier sweep had.
     """
     sweeps, touched = layers.sweeps, layers.touched
     h, w = sweeps.shape
@@ -224,7 +224,7 @@ def _trace(
 
 @compiled
 def _reclassify(layers: Layers, cell: int, after: int) -> None:
-    """Give the cell of that flat index another class."""
+    """Change the class of the cell with flat index `cell` to `after`."""
     w = layers.cells.shape[1]
     row, column = cell // w, cell % w
     before = layers.cells[row, column]
@@ -262,7 +262,7 @@ def _integrate(
             crossings[touched[i]] += 1
     for i in range(end):
         cell = touched[i]
-        if i >= echoes and evidence[cell] == -SATURATION:  # free beyond doubt
+        if i >= echoes and evidence[cell] == -SATURATION:  # cannot become freer
             continue
         weight = min(SATURATION, max(-SATURATION, evidence[cell] + (HIT if i < echoes else MISS)))
         evidence[cell] = weight
@@ -281,11 +281,11 @@ def _redraw(
     bearings: Array,
     max_range: float,
 ) -> None:
-    """Move counted sweeps: `moved` are their poses so far (k, 3), their new poses (k, 3), and their ranges (k, b).
+    """Move counted sweeps: `moved` are their old poses (k, 3), their new poses (k, 3), and their ranges (k, b).
 
-    A pose that is NaN stands for a sweep that is not in the grid. Evidence saturates and cannot be subtracted; the
-    counts can. Where these change, evidence and class follow from the counts alone, as if the sweeps had come in any
-    order. The numbers of sweeps from `first_sweep` to `first_sweep` + 2k − 1 are used up.
+    A pose of NaN means that the sweep is not in the grid. Evidence saturates and cannot be subtracted, but the counts
+    can. Where these change, evidence and class are computed from the counts alone, whatever the order of the sweeps.
+    The sweep numbers from `first_sweep` to `first_sweep` + 2k − 1 are used up.
     """
     layers, (before, after, ranges) = Layers(*packed), moved
     size, sweep, changed, touched = layers.cells.size, first_sweep, 0, layers.touched
@@ -315,14 +315,14 @@ def _redraw(
             continue
         weight = int(HIT) * int(hits[cell]) + int(MISS) * int(crossings[cell])
         layers.evidence.ravel()[cell] = min(SATURATION, max(-SATURATION, weight))
-        seen = UNKNOWN if hits[cell] + crossings[cell] == 0 else (WALL if weight > 0 else FREE)
-        if layers.cells.ravel()[cell] != seen:
-            _reclassify(layers, cell, seen)
+        new_class = UNKNOWN if hits[cell] + crossings[cell] == 0 else (WALL if weight > 0 else FREE)
+        if layers.cells.ravel()[cell] != new_class:
+            _reclassify(layers, cell, new_class)
 
 
 @compiled
 def _unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Array:
-    """Unknown area [cells] in view of each point (q, 2) [cells]: Σ over rays of Δθ (r₂² − r₁²)/2 per unknown cell."""
+    """(q,) [cells²] unknown area in view of points (q, 2) [cells]: Σ over rays of Δθ (r₂² − r₁²)/2 per unknown cell."""
     h, w = cells.shape
     areas = np.zeros(points.shape[0])
     for k in range(rays):
@@ -331,12 +331,12 @@ def _unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Arra
         for q in range(points.shape[0]):
             step_x, next_x, stride_x = border_crossings(points[q, 0], dx)
             step_y, next_y, stride_y = border_crossings(points[q, 1], dy)
-            column, row, entered = math.floor(points[q, 0]), math.floor(points[q, 1]), 0.0
-            while entered < reach and 0 <= row < h and 0 <= column < w and cells[row, column] != WALL:
-                left = min(next_x, next_y, reach)
+            column, row, r_in = math.floor(points[q, 0]), math.floor(points[q, 1]), 0.0
+            while r_in < reach and 0 <= row < h and 0 <= column < w and cells[row, column] != WALL:
+                r_out = min(next_x, next_y, reach)
                 if cells[row, column] == UNKNOWN:
-                    areas[q] += (left * left - entered * entered) * math.pi / rays
-                entered = left
+                    areas[q] += (r_out * r_out - r_in * r_in) * math.pi / rays
+                r_in = r_out
                 if next_x < next_y:
                     column, next_x = column + step_x, next_x + stride_x
                 else:
@@ -348,8 +348,10 @@ def _unknown_areas(cells: Cells, points: Array, reach: float, rays: int) -> Arra
 def draw_egocentric(
     blocks: Blocks, origin: Array, resolution: float, pose: Array, features: Array, metres: float, image: Cells
 ) -> None:
-    """See `ExploredGrid.egocentric`, drawn in `image` (3, pixels, pixels). Two samples of the blocks per pixel,
-    staggered, so that hardly a thin wall slips through; block indices advance in fixed point, 16 bits behind the point.
+    """Draw the image of `ExploredGrid.egocentric` into `image` (3, pixels, pixels).
+
+    Each pixel takes two staggered samples of the blocks, so that few thin walls are missed. Block indices advance in
+    fixed point, with 16 bits after the point.
     """
     h, w, pixels = blocks.shape[0], blocks.shape[1], image.shape[1]
     unit, pixel = 65536.0 / (resolution * BLOCK), metres / pixels
@@ -364,10 +366,10 @@ def draw_egocentric(
             y = math.floor((pose[1] + sin * ahead + cos * left - origin[1]) * unit)
             far_x, far_y = x + (pixels - 1) * step_x, y + (pixels - 1) * step_y
             if max(x, far_x) < 0 or max(y, far_y) < 0 or min(x, far_x) >> 16 >= w or min(y, far_y) >> 16 >= h:
-                continue  # all of it lies outside
+                continue  # the whole row lies outside
             if min(x, far_x) >= 0 and min(y, far_y) >= 0 and max(x, far_x) >> 16 < w and max(y, far_y) >> 16 < h:
                 for i in range(pixels):
-                    sums[i] += blocks[np.uint64(y >> 16), np.uint64(x >> 16)]  # of no sign, or it would be tested
+                    sums[i] += blocks[np.uint64(y >> 16), np.uint64(x >> 16)]  # unsigned: no test for negative indices
                     x, y = x + step_x, y + step_y
                 continue
             for i in range(pixels):

@@ -1,4 +1,4 @@
-"""Frontiers (Yamauchi 1997): where known free space meets the unknown, the places from which more can be seen."""
+"""Frontiers (Yamauchi 1997): the borders of known free space with unknown space, from which more can be seen."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from slam_gym._jit import compiled
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, Cells, ExploredGrid
 from slam_gym.types import Array, BoolArray, IntArray
 
-Labels = NDArray[np.int32]  # (h, w) ON_FRONTIER, or the component of a frontier cell, or the last to look at a cell
+Labels = NDArray[np.int32]  # (h, w) ON_FRONTIER, or the component of a frontier cell, or the last to visit a cell
 ON_FRONTIER = -1
-_RINGS = 2  # how many cells off a frontier the cell that stands for it may lie
+_RINGS = 2  # greatest distance in cells from a frontier to the cell that represents it
 
 
 def frontiers(
     grid: ExploredGrid, reachable: BoolArray | None = None, min_length: float = 0.6, span: float = 3.0
 ) -> Array:
-    """(q, 2) [m] in B: a centre of each frontier at least `min_length` [m] long.
+    """(q, 2) [m] in B, the centre of each frontier at least `min_length` [m] long.
 
-    A frontier is a set of 8-connected free cells with an unknown 4-neighbour, as long as there are unknown cells beside
-    it. One that reaches further than `span` [m] from its first cell is split there, since one centre could not stand
-    for all of it. The centre is that of the `reachable` (h, w) cell nearest to the frontier's centroid; frontiers
-    without one are left out. By default every free cell counts as reachable.
+    A frontier is a set of 8-connected free cells with an unknown 4-neighbour; its length is its number of unknown
+    neighbours times the side of a cell. A frontier that extends further than `span` [m] from its first cell is split
+    there, because one centre could not represent it. The centre is that of the `reachable` (h, w) cell nearest to the
+    frontier's centroid; frontiers without such a cell are left out. By default every free cell counts as reachable.
     """
     cells, side = grid.cells, grid.resolution
     reachable = cells == FREE if reachable is None else reachable
-    found = find_frontiers(cells, reachable, min_length / side - 1e-9, span / side)
-    centres: Array = grid.origin + (found[:, :2] + 0.5) * side
+    cells_found = find_frontiers(cells, reachable, min_length / side - 1e-9, span / side)
+    centres: Array = grid.origin + (cells_found[:, :2] + 0.5) * side
     return centres
 
 
 def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: float) -> IntArray:
-    """Column and row of the cell that stands for each frontier, and the number of unknown cells beside it (q, 3)."""
+    """(q, 3) column and row of the cell that represents each frontier, and number of unknown cells beside it."""
     unknown = np.pad(cells == UNKNOWN, 1)
     beside = unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
     labels = np.where((cells == FREE) & beside, np.int32(ON_FRONTIER), np.int32(0))
@@ -43,7 +43,7 @@ def find_frontiers(cells: Cells, reachable: BoolArray, min_border: float, span: 
 
 @compiled
 def _components(cells: Cells, labels: Labels, reachable: BoolArray, min_border: float, span: float) -> IntArray:
-    """`find_frontiers`, of cells that are labelled ON_FRONTIER, or 0."""
+    """`find_frontiers`, given `labels` of ON_FRONTIER for the cells of all frontiers, and 0 elsewhere."""
     h, w = cells.shape
     queue = np.empty((h * w, 2), dtype=np.int32)
     rows, count, component = np.empty((h * w, 3), dtype=np.int64), 0, 0
@@ -53,7 +53,7 @@ def _components(cells: Cells, labels: Labels, reachable: BoolArray, min_border: 
                 component += 1
                 end, border = _grow(cells, labels, queue, (r, c), component, span)
                 if border >= min_border:
-                    row, column = _stand_in(cells, labels, reachable, queue, end, component)
+                    row, column = _representative(cells, labels, reachable, queue, end, component)
                     if row >= 0:
                         rows[count, 0], rows[count, 1], rows[count, 2] = column, row, border
                         count += 1
@@ -64,8 +64,10 @@ def _components(cells: Cells, labels: Labels, reachable: BoolArray, min_border: 
 def _grow(
     cells: Cells, labels: Labels, queue: Labels, first: tuple[int, int], component: int, span: float
 ) -> tuple[int, int]:
-    """Collect in `queue` the 8-connected frontier cells within `span` of the first: their number, and how many unknown
-    cells lie beside them."""
+    """Collect in `queue` the 8-connected frontier cells within `span` of the first.
+
+    Returns their number, and the number of unknown cells beside them.
+    """
     (h, w), (row, column) = labels.shape, first
     queue[0, 0], queue[0, 1] = row, column
     labels[row, column] = component
@@ -86,12 +88,12 @@ def _grow(
 
 
 @compiled
-def _stand_in(
+def _representative(
     cells: Cells, labels: Labels, reachable: BoolArray, queue: Labels, end: int, component: int
 ) -> tuple[int, int]:
     """The reachable cell of queue[:end] nearest to their centroid, (−1, −1) if there is none.
 
-    Where all of them are too near a wall to be reached, free cells around them will do.
+    Where none of them is reachable, because walls are too near, free cells around them are searched.
     """
     (h, w), seen, row, column = labels.shape, -1 - component, 0.0, 0.0
     for i in range(end):
@@ -107,7 +109,7 @@ def _stand_in(
                 best, best_row, best_column = distance, r, c
         if best_row >= 0:
             break
-        for i in range(bounds[ring], bounds[ring + 1]):  # the free cells beside them that lie on no frontier
+        for i in range(bounds[ring], bounds[ring + 1]):  # add the free cells beside them that lie on no frontier
             for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
                 r, c = queue[i, 0] + dr, queue[i, 1] + dc
                 if not (0 <= r < h and 0 <= c < w) or cells[r, c] != FREE:

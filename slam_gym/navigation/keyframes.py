@@ -1,10 +1,11 @@
-"""Keyframes: poses that hang on the map, so that explored space is redrawn as the estimate is corrected.
+"""Keyframes: poses anchored to features of the map, so that explored space is redrawn as the estimate is corrected.
 
-A keyframe is opened every half metre or 20°, and where the map has been corrected; it stands for the sweeps taken until
-the next one. It remembers where in its frame some features lay, its anchors. Where it is now follows from where the map
-has these now, by the rigid motion T that minimises Σ ‖T ⊕ p_i − F_i‖² + λ (1 − cos(θ_T − θ)): the second term, which
-counts where the anchors lie close together, keeps the heading θ that it had. When a keyframe has moved by half a cell,
-its sweeps are taken out of the grid and put in again, moved like it, so that no wall stands twice.
+A keyframe is opened every half metre or 20°, and where the map has been corrected; it holds the sweeps taken until the
+next one. It stores the positions, in its frame, of some features, its anchors. Its current pose follows from the
+current estimates of these features, by the rigid motion T that minimises Σ ‖T ⊕ p_i − F_i‖² + λ (1 − cos(θ_T − θ)).
+The second term, which matters where the anchors are close together, keeps its previous heading θ. When a keyframe has
+moved by half a cell, its sweeps are removed from the grid and entered again at their new poses, so that no wall is
+drawn twice.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from slam_gym.navigation.explored_grid import ExploredGrid
 from slam_gym.types import NO_ID, Array, Beams, BoolArray, IntArray
 
 SPACING, TURN = 0.5, math.radians(20.0)  # [m], [rad] between keyframes
-REST = 0.1  # of that: the robot counts as at rest, and but one of its sweeps there is kept
-CHECK, SHARES = 10, 2  # every so many sweeps, one in so many keyframes is looked at, and the last one, …
-SURPRISE, SURPRISING_TURN = 0.1, math.radians(2.0)  # … or where a scan corrects the pose by so much [m], [rad]
-MOST_REDRAWN, ALLOWANCE = 3_000, 4  # sweeps redrawn in one go, and how many more with each sweep that is entered
+REST = 0.1  # fraction of that: within it the robot counts as at rest, and only one of its sweeps is stored
+CHECK, SHARES = 10, 2  # every `CHECK` sweeps, one in `SHARES` keyframes is checked, and the last one; …
+SURPRISE, SURPRISING_TURN = 0.1, math.radians(2.0)  # … so they are where a scan corrects the pose by more [m], [rad]
+MOST_REDRAWN, ALLOWANCE = 3_000, 4  # most sweeps redrawn at once, and how many more for each sweep that is entered
 MOST_ANCHORS = 24
-FEWEST_ANCHORS = 3  # a keyframe that sees fewer takes over those of the one before
+FEWEST_ANCHORS = 3  # a keyframe that sees fewer also takes over those of the previous keyframe
 NO_PAIRS = np.empty((0, 2), np.int64)
-_STIFFNESS = 0.5  # [m²] λ/2: anchors whose squared distances from their middle sum up to it turn a keyframe halfway
+_STIFFNESS = 0.5  # [m²] λ/2: anchors whose squared distances from their centroid sum up to it turn a keyframe halfway
 
-_Pose = tuple[float, float, float]  # x, y [m] and heading [rad] in B: plain numbers, since they change at every tick
+_Pose = tuple[float, float, float]  # x, y [m] and heading [rad] in B; not an array, because it changes at every tick
 _NOWHERE: _Pose = (math.inf, 0.0, 0.0)
 
 
@@ -48,21 +49,21 @@ class Features(Protocol):
 class _Frames(NamedTuple):
     """The arrays of all keyframes, with room for more."""
 
-    poses: Array  # (room, 3) in B, where they are drawn, or were drawn last
+    poses: Array  # (room, 3) in B, at which they are drawn, or were drawn last
     drawn: BoolArray  # (room,)
-    anchors: IntArray  # (room, MOST_ANCHORS) ids, then NO_ID
-    places: Array  # (room, MOST_ANCHORS, 2) [m] of the anchors in the keyframe
+    anchors: IntArray  # (room, MOST_ANCHORS) ids, padded with NO_ID
+    places: Array  # (room, MOST_ANCHORS, 2) [m] positions of the anchors in the frame of the keyframe
 
 
 _PackedFrames = tuple[Array, BoolArray, IntArray, Array]
 
 
 class _Moved(NamedTuple):
-    """Keyframes that are no longer where they are drawn."""
+    """Keyframes whose current pose differs from the pose at which they are drawn."""
 
     rows: IntArray  # (k,)
-    before: Array  # (k, 3) in B, where they are drawn; NaN: they are not
-    after: Array  # (k, 3) in B, where they are now; NaN: none of their anchors is in the map
+    before: Array  # (k, 3) in B, at which they are drawn; NaN: they are not drawn
+    after: Array  # (k, 3) in B, their current poses; NaN: none of their anchors is in the map
 
 
 class Keyframes:
@@ -77,46 +78,46 @@ class Keyframes:
             np.empty((room, MOST_ANCHORS), np.int64),
             np.empty((room, MOST_ANCHORS, 2)),
         )
-        self._first: list[int] = []  # sweep that each keyframe begins with
-        self._poses: list[Array] = []  # (3,) in B of each sweep that is kept, as drawn last
-        self._ranges: list[Array] = []  # (b,) [m] of each sweep that is kept
-        self._last = self._kept = self._opened = _NOWHERE  # of the last sweep, the last one kept, the last keyframe
+        self._first: list[int] = []  # index of the first sweep of each keyframe
+        self._poses: list[Array] = []  # (3,) pose in B of each stored sweep, as last drawn
+        self._ranges: list[Array] = []  # (b,) [m] of each stored sweep
+        self._last = self._kept = self._opened = _NOWHERE  # poses of the last sweep, the last stored, the last keyframe
         self._checks, self._unchecked, self._allowed = 0, 0, MOST_REDRAWN
 
     def enter(
         self, pose: Array, motion: Array, beams: Beams, seen: IntArray, features: Features, fused: IntArray = NO_PAIRS
     ) -> None:
-        """Enter a sweep taken at the estimated `pose` (3,) in B, and move those before it to where they are now.
+        """Enter a sweep taken at the estimated `pose` (3,) in B, and move earlier sweeps to their current poses.
 
-        `motion` (3,) is what the odometry says of the way since the last sweep; `seen` (s,) are the ids of features
-        that were seen with this one, `features` all that are in the map now, `fused` (k, 2) the ids of pairs that have
-        become one since, the one that is kept first. Raises ValueError for a pose that is not finite, or another number
-        of beams than before.
+        `motion` (3,) is the motion since the last sweep by odometry; `seen` (s,) are the ids of the features seen with
+        this sweep, `features` are all features of the map, and `fused` (k, 2) are the pairs of ids fused since the last
+        sweep, the kept id first. Raises ValueError for a pose that is not finite, or another number of beams than
+        before.
         """
-        x, y, heading = here = pose.tolist()
+        x, y, heading = current = pose.tolist()
         if not math.isfinite(x + y + heading):
             raise ValueError(f"pose: expected finite numbers, got {pose}")
         if self._ranges and len(beams.ranges) != len(self._ranges[0]):
             raise ValueError(f"beams: {len(beams.ranges)} of them, where sweeps so far had {len(self._ranges[0])}")
-        surprised = _further_apart(here, _after(self._last, motion), SURPRISE, SURPRISING_TURN)
-        self._last, self._unchecked, corrected = here, self._unchecked + 1, False
+        surprised = _are_apart(current, _composed(self._last, motion), SURPRISE, SURPRISING_TURN)
+        self._last, self._unchecked, corrected = current, self._unchecked + 1, False
         self._allowed = min(self._allowed + ALLOWANCE, MOST_REDRAWN)
         if len(fused):
             self._fuse(fused)
         if self._first and (surprised or len(fused) or self._unchecked == CHECK):
             corrected = self._follow(beams, features.ids, features.positions)
-        if corrected or _further_apart(here, self._opened, SPACING, TURN):
+        if corrected or _are_apart(current, self._opened, SPACING, TURN):
             self._open(pose, seen, features.ids, features.positions)
-            self._opened = here
-        kept = _further_apart(here, self._kept, REST * SPACING, REST * TURN)
+            self._opened = current
+        kept = _are_apart(current, self._kept, REST * SPACING, REST * TURN)
         self._grid.integrate(pose, beams, movable=kept)
         if kept:
-            self._kept = here
+            self._kept = current
             self._poses.append(pose.copy())
             self._ranges.append(beams.ranges.copy())
 
     def _open(self, pose: Array, seen: IntArray, ids: IntArray, positions: Array) -> None:
-        """Add a keyframe at `pose` (3,), from which the features with ids `seen` (s,) are seen."""
+        """Add a keyframe at `pose` (3,), anchored to the features with ids `seen` (s,)."""
         count = len(self._first)
         if count == len(self._frames[0]):
             poses, drawn, anchors, places = (np.concatenate([a, np.empty_like(a)]) for a in self._frames)
@@ -125,15 +126,15 @@ class Keyframes:
         self._first.append(len(self._poses))
 
     def _fuse(self, pairs: IntArray) -> None:
-        """Of each pair of ids (k, 2) the second is no longer in the map: its feature is the first one."""
+        """Replace the second id of each pair (k, 2), which is no longer in the map, by the first."""
         anchors = self._frames[2][: len(self._first)]
-        for kept, gone in pairs.tolist():
-            anchors[anchors == gone] = kept
+        for kept, removed in pairs.tolist():
+            anchors[anchors == removed] = kept
 
     def _follow(self, beams: Beams, ids: IntArray, positions: Array) -> bool:
-        """Move the sweeps of keyframes that have moved: of a share of them, and of all where the last one has.
+        """Redraw the keyframes that have moved, among a share of all; if the last one has moved, among all of them.
 
-        Returns whether it has: what is seen from now on is not seen from there.
+        Returns whether the last one has moved, because the next sweeps then need a new keyframe.
         """
         last, share = len(self._first) - 1, self._checks % SHARES
         self._checks, self._unchecked = self._checks + 1, 0
@@ -150,10 +151,10 @@ class Keyframes:
         return corrected
 
     def _redraw(self, moved: _Moved, beams: Beams) -> None:
-        """Take the sweeps of keyframes out of the grid, and put them in where they are now.
+        """Remove the sweeps of keyframes from the grid, and enter them again at their current poses.
 
-        A map that moves all the time must not stop the robot: the youngest come first, others when they are looked at
-        next.
+        The number of sweeps is limited, so that a map that moves all the time does not stop the robot: the latest
+        keyframes come first, the others when they are checked next.
         """
         ends = np.append(self._first, len(self._poses))
         counts = ends[moved.rows + 1] - ends[moved.rows]
@@ -165,20 +166,20 @@ class Keyframes:
         sweeps = [sweep for k in moved.rows.tolist() for sweep in range(ends[k], ends[k + 1])]
         if sweeps:
             before = np.array([self._poses[sweep] for sweep in sweeps])
-            after = _taken_along(before, self._frames[0][moved.rows], moved.after, counts)
+            after = _moved_with_keyframes(before, self._frames[0][moved.rows], moved.after, counts)
             for sweep, pose in zip(sweeps, after):
                 if math.isfinite(pose[0]):
                     self._poses[sweep] = pose
             before[np.repeat(np.isnan(moved.before[:, 0]), counts)] = math.nan
             ranges = np.array([self._ranges[sweep] for sweep in sweeps])
             self._grid.move(before, after, Beams(beams.bearings, ranges, beams.max_range))
-        there = np.isfinite(moved.after[:, 0])
-        self._frames[1][moved.rows] = there
-        self._frames[0][moved.rows[there]] = moved.after[there]
+        in_map = np.isfinite(moved.after[:, 0])
+        self._frames[1][moved.rows] = in_map
+        self._frames[0][moved.rows[in_map]] = moved.after[in_map]
 
 
-def _taken_along(sweeps: Array, drawn: Array, now: Array, counts: IntArray) -> Array:
-    """Poses (s, 3) of sweeps once their keyframes, `counts` (k,) sweeps each, have moved from `drawn` to `now`."""
+def _moved_with_keyframes(sweeps: Array, drawn: Array, now: Array, counts: IntArray) -> Array:
+    """Poses (s, 3) of sweeps after their keyframes, of `counts` (k,) sweeps each, have moved from `drawn` to `now`."""
     drawn, now = np.repeat(drawn, counts, axis=0), np.repeat(now, counts, axis=0)
     turn, arm = now[:, 2] - drawn[:, 2], sweeps - drawn
     c, s = np.cos(turn), np.sin(turn)
@@ -186,22 +187,22 @@ def _taken_along(sweeps: Array, drawn: Array, now: Array, counts: IntArray) -> A
     return np.column_stack([now[:, 0] + x, now[:, 1] + y, now[:, 2] + arm[:, 2]])
 
 
-def _after(pose: _Pose, motion: Array) -> _Pose:
-    """A pose after a motion (3,), as `compose`."""
+def _composed(pose: _Pose, motion: Array) -> _Pose:
+    """`geometry.compose(pose, motion)` for a pose in numbers and a motion (3,)."""
     (at_x, at_y, heading), (x, y, turn) = pose, motion.tolist()
     c, s = math.cos(heading), math.sin(heading)
     return at_x + c * x - s * y, at_y + s * x + c * y, heading + turn
 
 
-def _further_apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bool:
-    """Two poses are more than a distance [m] or a turn [rad] apart."""
+def _are_apart(one: _Pose, other: _Pose, distance: float, turn: float) -> bool:
+    """Whether two poses are more than a distance [m] or a turn [rad] apart."""
     if abs(one[0] - other[0]) + abs(one[1] - other[1]) > distance:
         return True
     return abs(math.remainder(one[2] - other[2], 2.0 * math.pi)) > turn
 
 
 def _rows_of(ids: IntArray) -> IntArray:
-    """Row of each id in the map, −1 where there is none; the last entry, for NO_ID and all higher ids, is −1."""
+    """Row in the map of each id, −1 for ids not in it; the last entry, for NO_ID and all higher ids, is −1."""
     rows = np.full(ids.max(initial=-1) + 2, -1)
     rows[ids] = np.arange(len(ids))
     return rows
@@ -209,7 +210,7 @@ def _rows_of(ids: IntArray) -> IntArray:
 
 @compiled
 def _pose_now(frames: _Frames, k: int, row_of: IntArray, positions: Array) -> _Pose:
-    """Where keyframe k is now: see the module. NaN where it has lost all of its anchors."""
+    """The current pose of keyframe k (see the module's docstring); NaN if none of its anchors is in the map."""
     poses, anchors, places = frames.poses, frames.anchors, frames.places
     x = y = u = v = 0.0
     present = 0
@@ -234,7 +235,7 @@ def _pose_now(frames: _Frames, k: int, row_of: IntArray, positions: Array) -> _P
 
 @compiled
 def _open(packed: _PackedFrames, k: int, pose: Array, seen: IntArray, row_of: IntArray, positions: Array) -> None:
-    """Anchor keyframe k to what is seen from it. The one before is closed: this anchors it as well."""
+    """Anchor keyframe k to the features `seen`, and the previous keyframe, which ends here, to them as well."""
     frames = _Frames(*packed)
     here, count = (pose[0], pose[1], pose[2]), 0
     frames.drawn[k] = True
@@ -262,7 +263,7 @@ def _open(packed: _PackedFrames, k: int, pose: Array, seen: IntArray, row_of: In
 def _anchored(
     frames: _Frames, k: int, count: int, pose: _Pose, feature: int, row_of: IntArray, positions: Array
 ) -> int:
-    """Add an anchor to the first `count` of keyframe k, which is at `pose`, if it is in the map; their number then."""
+    """Add `feature`, if it is in the map, to the `count` anchors of keyframe k at `pose`; returns their new number."""
     anchors, row = frames.anchors, row_of[min(feature, len(row_of) - 1)]
     if count == anchors.shape[1] or row < 0:
         return count
@@ -280,25 +281,25 @@ def _anchored(
 def _moved(
     packed: _PackedFrames, rows: IntArray, row_of: IntArray, positions: Array, lever: float, tolerance: float
 ) -> tuple[IntArray, Array, Array]:
-    """Which of the keyframes `rows` (r,) have moved by more than `tolerance` [m], as a `_Moved`.
+    """The keyframes among `rows` (r,) that have moved by more than `tolerance` [m], as the fields of `_Moved`.
 
-    A turn counts with `lever` [m], the middle of a beam. Keyframes that have come into the map, or are no longer in it,
-    have moved. One that never had an anchor stays where it is.
+    A turn counts by the arc at `lever` [m], half the range of a beam. Keyframes whose anchors have come into the map or
+    have all left it count as moved. A keyframe that never had an anchor does not move.
     """
     frames = _Frames(*packed)
-    found, before, after = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), np.empty((len(rows), 3))
+    moved, before, after = np.empty(len(rows), np.int64), np.empty((len(rows), 3)), np.empty((len(rows), 3))
     count = 0
     for k in rows:
         now, pose = _pose_now(frames, k, row_of, positions), frames.poses[k]
-        there, drawn = math.isfinite(now[0]), frames.drawn[k]
-        changed = there or drawn
-        if there and drawn:
+        in_map, drawn = math.isfinite(now[0]), frames.drawn[k]
+        changed = in_map or drawn
+        if in_map and drawn:
             turned = abs(wrap_angle(now[2] - pose[2]))
             changed = math.hypot(now[0] - pose[0], now[1] - pose[1]) + lever * turned > tolerance
         if changed:
-            found[count] = k
+            moved[count] = k
             after[count, 0], after[count, 1], after[count, 2] = now
             for axis in range(3):
                 before[count, axis] = pose[axis] if drawn else math.nan
             count += 1
-    return found[:count], before[:count], after[:count]
+    return moved[:count], before[:count], after[:count]

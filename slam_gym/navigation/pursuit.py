@@ -1,4 +1,4 @@
-"""Following a path: where on it the robot is, what is left of it, and pure pursuit for a differential-drive robot."""
+"""Path following: nearest point of a path, remaining length, and pure pursuit for a differential-drive robot."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from slam_gym.types import Array
 
 
 class OnPath(NamedTuple):
-    """The point of a path that is nearest to some position."""
+    """The point of a path that is nearest to a position."""
 
-    segment: int  # that it lies on
-    covered: float  # [m] from the beginning of the segment
-    gap: float  # [m] to the position
+    segment: int  # index of the segment that contains the point
+    covered: float  # [m] from the beginning of the segment to the point
+    gap: float  # [m] from the point to the position
 
 
 @compiled
 def on_path(path: Array, position: Array) -> OnPath:
-    """Where a path (p, 2), p ≥ 2, is nearest to `position` (2,)."""
+    """The point of a path (p, 2), p ≥ 2, that is nearest to `position` (2,)."""
     best, segment, covered = math.inf, 0, 0.0
     x, y = position[0], position[1]
     for i in range(path.shape[0] - 1):
@@ -37,15 +37,18 @@ def on_path(path: Array, position: Array) -> OnPath:
 
 @compiled
 def length_left(path: Array, position: Array) -> float:
-    """[m] to the point of the path (p, 2), p ≥ 2, that is nearest to `position` (2,), and along it from there."""
-    at, left = on_path(path, position), 0.0
+    """[m] from `position` (2,) to the nearest point of the path (p, 2), p ≥ 2, and along the path from there."""
+    at, remaining = on_path(path, position), 0.0
     for i in range(at.segment, path.shape[0] - 1):
-        left += math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1])
-    return at.gap + left - at.covered
+        remaining += math.hypot(path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1])
+    return at.gap + remaining - at.covered
 
 
 def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Array]:
-    """The next `ahead` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`; the waypoints then."""
+    """The next `ahead` metres of a path (p, 2), p ≥ 2, from the segment nearest to `position`.
+
+    Returns the waypoints (q, 2) of this part, and the waypoints (r, 2) after it.
+    """
     at, total = on_path(path, position), 0.0
     for i in range(at.segment, path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
@@ -59,32 +62,32 @@ def next_stretch(path: Array, position: Array, ahead: float) -> tuple[Array, Arr
 
 
 def points_ahead(path: Array, position: Array, spacing: float) -> Array:
-    """Points (q, 2) along the path (p, 2), p ≥ 1, from the waypoint nearest to `position` on, some `spacing` [m] apart.
+    """Points (q, 2) about `spacing` [m] apart along the path (p, 2), p ≥ 1, from the waypoint nearest to `position` on.
 
-    The last waypoint alone is itself.
+    If the last waypoint is the nearest, it is the only point.
     """
-    left = path[np.square(path - position).sum(axis=1).argmin() :]
-    if len(left) == 1:
-        return left.copy()
-    starts = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(left, axis=0).T))])  # [m] of the waypoints
+    remaining = path[np.square(path - position).sum(axis=1).argmin() :]
+    if len(remaining) == 1:
+        return remaining.copy()
+    starts = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(remaining, axis=0).T))])  # [m] of the waypoints
     at = spacing * np.arange(math.ceil(starts[-1] / spacing))
-    return np.column_stack([np.interp(at, starts, left[:, 0]), np.interp(at, starts, left[:, 1])])
+    return np.column_stack([np.interp(at, starts, remaining[:, 0]), np.interp(at, starts, remaining[:, 1])])
 
 
 class PursuitSpec(NamedTuple):
-    """A differential-drive robot and how it chases a point ahead of it on its path."""
+    """Limits of a differential-drive robot, and parameters of pure pursuit."""
 
-    max_speed: float = 1.0  # [m/s] of the fraction 1
-    max_turn: float = 2.0  # [rad/s] of the fraction 1
+    max_speed: float = 1.0  # [m/s] forward speed of the fraction 1
+    max_turn: float = 2.0  # [rad/s] turning speed of the fraction 1
     lookahead: float = 0.4  # [m]
     turn_gain: float = 4.0  # [1/s] turning speed per heading error
-    stop_angle: float = 0.7  # [rad] heading error from which on the robot turns on the spot
-    deceleration: float = 1.5  # [m/s²] with which it comes to rest at the end of the path
-    tolerance: float = 0.03  # [m] from the end at which it rests
+    stop_angle: float = 0.7  # [rad] heading error above which the robot turns on the spot
+    deceleration: float = 1.5  # [m/s²] at the end of the path
+    tolerance: float = 0.03  # [m] distance from the end at which the robot stops
 
 
 class Twist(NamedTuple):
-    """Speeds as fractions in [−1, 1] of the greatest."""
+    """Speeds as fractions in [−1, 1] of the maximal speeds."""
 
     forward: float
     turn: float
@@ -96,32 +99,32 @@ _STANDARD = PursuitSpec()
 def follow(pose: Array, path: Array, spec: PursuitSpec = _STANDARD) -> Twist:
     """The speeds for a robot at `pose` (3,) to follow `path` (p, 2), both in B.
 
-    Pure pursuit (Coulter, 1992) of the point `lookahead` beyond the one nearest to the robot, slower the larger the
-    heading error and, near the end of the path, the less room there is to stop. Large errors are turned away on the
-    spot first. An empty path means standing still.
+    Pure pursuit (Coulter, 1992) of the point `lookahead` beyond the one nearest to the robot. The robot drives slower
+    the larger its heading error and, near the end of the path, the less distance remains to stop. It first corrects a
+    large error on the spot. For an empty path the speeds are 0.
     """
     return Twist(*_pursue(pose, path, tuple(spec)))
 
 
 @compiled
 def _pursue(pose: Array, path: Array, packed: tuple[float, ...]) -> tuple[float, float]:
-    """Forward and turning speed, as fractions, towards the point `lookahead` beyond the nearest one of the path."""
+    """Forward and turning speed, as fractions, towards the point `lookahead` beyond the nearest point of the path."""
     if path.shape[0] == 0:
         return 0.0, 0.0
     spec, at = PursuitSpec(*packed), on_path(path, pose[:2])
-    x, y, left, passed = path[-1, 0], path[-1, 1], -at.covered, False
+    x, y, remaining, passed = path[-1, 0], path[-1, 1], -at.covered, False
     for i in range(at.segment, path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
         length = math.hypot(dx, dy)
-        if not passed and left + length >= spec.lookahead:
-            t = (spec.lookahead - left) / length if length > 0.0 else 0.0
+        if not passed and remaining + length >= spec.lookahead:
+            t = (spec.lookahead - remaining) / length if length > 0.0 else 0.0
             x, y, passed = path[i, 0] + t * dx, path[i, 1] + t * dy, True
-        left += length
-    left = max(left, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
-    if left < spec.tolerance:
+        remaining += length
+    remaining = max(remaining, math.hypot(path[-1, 0] - pose[0], path[-1, 1] - pose[1]))
+    if remaining < spec.tolerance:
         return 0.0, 0.0
     error = wrap_angle(math.atan2(y - pose[1], x - pose[0]) - pose[2])
-    slower = max(0.0, 1.0 - abs(error) / spec.stop_angle)
-    speed = min(spec.max_speed, math.sqrt(2.0 * spec.deceleration * left)) * slower
+    slowdown = max(0.0, 1.0 - abs(error) / spec.stop_angle)
+    speed = min(spec.max_speed, math.sqrt(2.0 * spec.deceleration * remaining)) * slowdown
     turn = min(spec.max_turn, max(-spec.max_turn, spec.turn_gain * error))
     return speed / spec.max_speed, turn / spec.max_turn

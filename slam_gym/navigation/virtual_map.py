@@ -1,10 +1,10 @@
-"""A virtual map: how well the places of the plan could be known, without any truth.
+"""A virtual map: optimality criteria for exploration, computed without the truth.
 
-Active-SLAM criteria are not comparable while features are being added, so they are taken over a fixed grid of virtual
-landmarks instead, one in the middle of each cell (Wang and Englot 2020; Chen et al. 2020). Each holds the position
-covariance that a landmark would have there if it had been mapped at the best moment so far, and σ₀² I before. Position
-variances only, so no metres are mixed with radians. The criteria believe the filter: an overconfident associator is
-paid for its overconfidence.
+Active-SLAM criteria are not comparable while features are being added, so they are computed over a fixed grid of
+virtual landmarks instead, one in the centre of each cell (Wang and Englot 2020; Chen et al. 2020). Each has the
+position covariance that a landmark would have there if it had been mapped at the best moment so far, and σ₀² I before.
+Only position variances are used, so metres and radians are not mixed. The criteria trust the covariance of the filter:
+an overconfident associator is rewarded for its overconfidence.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class VirtualMap:
     """Virtual landmarks over fixed bounds, and the optimality criteria of their covariances.
 
     `bounds` (4,) [m] xmin, ymin, xmax, ymax in B; `cell` [m] side of a cell; `prior_sigma` σ₀ [m] until observed.
-    Raises ValueError for bounds that are not finite or enclose nothing, and for lengths that are not positive.
+    Raises ValueError for bounds that are not finite or have no area, and for lengths that are not positive.
     """
 
     def __init__(self, bounds: Array, cell: float = 1.0, prior_sigma: float = 1.0) -> None:
@@ -36,9 +36,9 @@ class VirtualMap:
     def observe(self, pose: Array, pose_covariance: Array, beams: Beams, sigma: float) -> int:
         """Map the virtual landmarks in view of `beams` from `pose` (3,) with `pose_covariance` (3, 3), both in B.
 
-        One at z = ⊖pose ⊕ p would get the covariance J Σ Jᵀ + σ² I, with J = ∂(pose ⊕ z)/∂pose and `sigma` [m] the
-        sensor's; it is kept where its trace is the smaller. In view is what the nearest beam reaches. Returns how many
-        landmarks became better known; a covariance with NaN makes none so.
+        A landmark at z = ⊖pose ⊕ p would have the covariance J Σ Jᵀ + σ² I, with J = ∂(pose ⊕ z)/∂pose and `sigma` [m]
+        of the sensor; it replaces the present covariance if its trace is smaller. A landmark is in view if the nearest
+        beam reaches it. Returns the number of landmarks that have improved, 0 for a covariance with NaN.
         """
         (h, w), reach = self.covariances.shape[:2], beams.max_range
         (left, low), (right, high) = (
@@ -53,13 +53,13 @@ class VirtualMap:
         xx = P[0, 0] - 2.0 * dy * P[0, 2] + dy * dy * P[2, 2] + sigma * sigma
         xy = P[0, 1] + dx * P[0, 2] - dy * P[1, 2] - dx * dy * P[2, 2]
         yy = P[1, 1] + 2.0 * dx * P[1, 2] + dx * dx * P[2, 2] + sigma * sigma
-        kept = self.covariances[rows, columns]
-        better = (xx + yy < np.trace(kept, axis1=2, axis2=3)) & _in_view(dx, dy, pose[2], beams)
-        kept[better] = np.stack([xx, xy, xy, yy], axis=-1)[better].reshape(-1, 2, 2)
+        current = self.covariances[rows, columns]
+        better = (xx + yy < np.trace(current, axis1=2, axis2=3)) & _in_view(dx, dy, pose[2], beams)
+        current[better] = np.stack([xx, xy, xy, yy], axis=-1)[better].reshape(-1, 2, 2)
         return int(np.count_nonzero(better))
 
     def a_opt(self) -> float:
-        """A-optimality tr(P)/l [m²] of all l = 2hw coordinates together: the mean λ, σ₀² before any observation."""
+        """A-optimality tr(P)/l [m²] of all l = 2hw coordinates together: the mean of λ, σ₀² before any observation."""
         return 0.5 * float(np.trace(self.covariances, axis1=2, axis2=3).mean())
 
     def d_opt(self) -> float:
@@ -77,13 +77,15 @@ class VirtualMap:
 
 
 def _in_view(dx: Array, dy: Array, heading: float, beams: Beams) -> BoolArray:
-    """Which points at (dx, dy) from the sensor the beam nearest in direction reaches. A beam speaks for half the gap
-    between the first two on either side."""
+    """Whether the beam nearest in direction reaches each point at (dx, dy) from the sensor.
+
+    A beam covers half the angle between the first two beams on either side.
+    """
     angles, spread = heading + beams.bearings, 1.0
     if len(angles) > 1:
         spread = math.cos(0.5 * (angles[1] - angles[0]))
     along = np.cos(angles) * dx[..., None] + np.sin(angles) * dy[..., None]
     nearest, distance = along.argmax(axis=-1), np.hypot(dx, dy)
-    speaks = along.max(axis=-1) >= spread * distance - 1e-9
-    seen: BoolArray = speaks & (distance <= np.minimum(beams.ranges, beams.max_range)[nearest])
+    is_covered = along.max(axis=-1) >= spread * distance - 1e-9
+    seen: BoolArray = is_covered & (distance <= np.minimum(beams.ranges, beams.max_range)[nearest])
     return seen

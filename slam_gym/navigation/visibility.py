@@ -1,14 +1,14 @@
-"""Which features the sensor should have in view: range, field of view, and line of sight over the explored grid.
+"""Visibility of features: the probability of range, field of view, and line of sight over the explored grid.
 
-Each is a probability, for neither feature nor robot is known exactly. With r, β the range and bearing of the predicted
-position in R, σ_r along the line of sight and σ_t across it, and Φ the normal distribution function,
+These are probabilities, because neither feature nor robot is known exactly. With r, β the range and bearing of the
+predicted position in R, σ_r along the line of sight and σ_t across it, and Φ the normal distribution function,
 
     P(in range) = Φ((range − r) / σ_r) − Φ((min_range − r) / σ_r),
     P(in the field) = Φ((α − β) / σ_β) − Φ((−α − β) / σ_β),  α half the field of view, σ_β = σ_t / r,
     P(in sight) = mean over rays of Π over the unknown cells crossed of τ^(length in it), and 0 through a wall.
 
-The rays of one feature end at the quantiles 0.1, 0.3, 0.5, 0.7, 0.9 of where it may lie across the line of sight, so
-that a feature at the end of a wall, seen along it, is neither surely hidden nor surely in sight.
+The rays of one feature end at the quantiles 0.1, 0.3, 0.5, 0.7, 0.9 of its position across the line of sight, so that
+a feature at the end of a wall, seen along the wall, is neither surely hidden nor surely in sight.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from slam_gym.navigation.explored_grid import UNKNOWN, WALL, Cells, ExploredCell
 from slam_gym.types import Array
 
 _QUANTILES = (-1.2815515655446004, -0.5244005127080407, 0.0, 0.5244005127080407, 1.2815515655446004)
-_SHORT = 2.0  # [cells] lines of sight end so much before the feature: it may stand on a wall
-_BLUR = 1.0  # [cells] σ of where the wall lies that a cell shows
+_SHORT = 2.0  # [cells] lines of sight end this far before the feature, which may stand on a wall
+_BLUR = 1.0  # [cells] σ of the position of a wall within the grid
 
-SensorFigures = tuple[float, float, float, float]  # half the field of view [rad], near and far [m], `unknown`
+SensorFigures = tuple[float, float, float, float]  # half the field of view [rad], least and greatest range, `unknown`
 SightArrays = tuple[SensorFigures, tuple[Cells, Array, float]]  # and explored space: cells, origin [m], resolution [m]
 
 
 class _Sensor(NamedTuple):
-    half: float  # [rad] of the field of view
-    near: float  # [m]
-    far: float  # [m]
+    half: float  # [rad] half the field of view
+    near: float  # [m] least range
+    far: float  # [m] greatest range
     unknown: float  # see `FieldOfView`
 
 
 @dataclass(frozen=True, slots=True)
 class FieldOfView:
-    """What a sensor can have in view. Raises ValueError, naming the field, for what cannot be."""
+    """The field of view of a sensor. Raises ValueError, naming the field, for an impossible value."""
 
-    angle: float  # [rad] centred on the heading
-    range: float  # [m] of the sensor
-    min_range: float = 0.0  # [m]
-    unknown: float = 0.9  # probability that a metre of unexplored space lets a line of sight through
+    angle: float  # [rad] full angle, centred on the heading
+    range: float  # [m] greatest range
+    min_range: float = 0.0  # [m] least range
+    unknown: float = 0.9  # probability that a metre of unexplored space does not block a line of sight
 
     def __post_init__(self) -> None:
         if not 0.0 < self.angle <= 2.0 * math.pi:
@@ -58,20 +58,20 @@ class FieldOfView:
 
     @property
     def figures(self) -> SensorFigures:
-        """As compiled functions take them."""
+        """The fields as a plain tuple, which compiled functions take."""
         return 0.5 * self.angle, float(self.min_range), float(self.range), float(self.unknown)
 
 
 @dataclass(frozen=True, slots=True)
 class ViewsFrom:
-    """What the sensor has in view from wherever the robot is, as far as walls are known."""
+    """What the sensor has in view from any pose of the robot, as far as walls are known."""
 
     field: FieldOfView
     explored: ExploredCells
 
     @property
     def arrays(self) -> SightArrays:
-        """As `probabilities_in_view` takes them."""
+        """Sensor and explored space as plain tuples, which `probabilities_in_view` takes."""
         cells, origin, resolution = self.explored
         return self.field.figures, (cells, np.array(origin), resolution)
 
@@ -84,7 +84,10 @@ def probabilities_in_view(
     explored: tuple[Cells, Array, float],
     pose: Array,
 ) -> tuple[Array, int]:
-    """Probabilities (k,), and the first feature with a bad number or −1."""
+    """The probability (k,) that each feature is in view, and the first feature with an invalid number, or −1.
+
+    `positions` (k, 2) [m] and `covariances` (k, 2, 2) are in R; `pose` (3,) is that of the robot in B.
+    """
     sensor, grid, out = _Sensor(*sensor_figures), ExploredCells(*explored), np.empty(len(positions))
     for j in range(len(positions)):
         x, y = positions[j, 0], positions[j, 1]
@@ -97,14 +100,14 @@ def probabilities_in_view(
         across = math.sqrt(max(s * s * xx - 2.0 * c * s * xy + c * c * yy, 0.0))
         out[j] = _in_field(r, math.atan2(y, x), along, across, sensor)
         if grid.cells.size > 0 and out[j] > 0.0:
-            shorten = min(1.0, sensor.far / r) if r > 0.0 else 1.0  # what is seen at all is seen within the range
+            shorten = min(1.0, sensor.far / r) if r > 0.0 else 1.0  # whatever is seen is within the range
             out[j] *= _in_sight(grid, pose, shorten * x, shorten * y, across, sensor.unknown)
     return out, -1
 
 
 @compiled
 def _below(z: float, sigma: float) -> float:
-    """P(a normal deviate of σ is below z)."""
+    """P(X < z) for X normal with mean 0 and standard deviation `sigma`."""
     if sigma > 0.0:
         return 0.5 * math.erfc(-z / (sigma * math.sqrt(2.0)))
     return 1.0 if z >= 0.0 else 0.0
@@ -118,7 +121,7 @@ def _in_field(r: float, bearing: float, along: float, across: float, sensor: _Se
         in_range -= _below(sensor.near - r, along)
     if sensor.half >= math.pi:
         return in_range
-    # a bearing that is wide open is as good as uniform, and three turns of the circle hold all of it
+    # beyond σ = π the bearing is nearly uniform, and three turns of the circle hold nearly all of its distribution
     sigma = min(across / r, math.pi) if r > 0.0 else math.pi
     in_field = 0.0
     for turn in range(-1, 2):
@@ -129,7 +132,7 @@ def _in_field(r: float, bearing: float, along: float, across: float, sensor: _Se
 
 @compiled
 def _in_sight(grid: ExploredCells, pose: Array, x: float, y: float, across: float, unknown: float) -> float:
-    """Mean passage of the rays from the robot at `pose` to where the feature at (x, y) [m] in R may lie."""
+    """Mean `passage` of the rays from the robot at `pose` to possible positions of the feature at (x, y) [m] in R."""
     r = math.sqrt(x * x + y * y)
     if not r > 0.0:
         return 1.0
@@ -146,9 +149,9 @@ def _in_sight(grid: ExploredCells, pose: Array, x: float, y: float, across: floa
 
 @compiled
 def passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) -> float:
-    """How likely the ray from (x, y) by (dx, dy) [cells] gets through: τ per cell's length of unknown, 0 for a wall.
+    """The probability that nothing blocks the ray from (x, y) by (dx, dy) [cells]: τ^(unknown length), 0 for a wall.
 
-    The robot's own cell never stops it, and outside the grid all is unknown.
+    The robot's own cell never blocks it. Outside the grid all cells are unknown.
     """
     length = math.sqrt(dx * dx + dy * dy)
     reach = length - _SHORT
@@ -157,25 +160,25 @@ def passage(cells: Cells, x: float, y: float, dx: float, dy: float, tau: float) 
     h, w = cells.shape
     step_x, next_x, stride_x = border_crossings(x, dx / length)
     step_y, next_y, stride_y = border_crossings(y, dy / length)
-    column, row, entered, through, first = math.floor(x), math.floor(y), 0.0, 0.0, True
-    while entered < reach:
-        left = min(next_x, next_y, reach)
+    column, row, r_in, unknown_length, first = math.floor(x), math.floor(y), 0.0, 0.0, True
+    while r_in < reach:
+        r_out = min(next_x, next_y, reach)
         inside = 0 <= row < h and 0 <= column < w
         if not inside and (_leaves(row, step_y, h) or _leaves(column, step_x, w)):
-            return float(tau ** (through + reach - entered))
+            return float(tau ** (unknown_length + reach - r_in))
         if inside and not first and cells[row, column] == WALL:
             return 0.0
         if not inside or cells[row, column] == UNKNOWN:
-            through += left - entered
-        entered, first = left, False
+            unknown_length += r_out - r_in
+        r_in, first = r_out, False
         if next_x < next_y:
             column, next_x = column + step_x, next_x + stride_x
         else:
             row, next_y = row + step_y, next_y + stride_y
-    return float(tau**through) if through > 0.0 else 1.0
+    return float(tau**unknown_length) if unknown_length > 0.0 else 1.0
 
 
 @compiled
 def _leaves(cell: int, step: int, count: int) -> bool:
-    """Whether a ray in this row (or column), one of `count` if it is in the grid, does not come nearer to the grid."""
+    """Whether a ray in this row or column, outside the `count` rows or columns of the grid, never enters the grid."""
     return (cell < 0 and step <= 0) or (cell >= count and step >= 0)

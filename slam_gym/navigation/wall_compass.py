@@ -1,19 +1,18 @@
-"""Straight walls as a compass: what two sweeps of the range finder tell of the motion between them.
+"""Straight walls as a compass: the motion between two sweeps of the range finder is corrected by the walls they share.
 
-In a hall where no feature is in sight the heading drifts with the wheels; the walls still say where the robot points.
-A run of echoes lies on a straight wall n·p = ρ, n = (cos α, sin α), where the inverse ranges of its beams are linear in
-a = n/ρ,
+In a hall where no feature is in sight, the heading by odometry drifts; the walls still determine it. A run of echoes
+lies on a straight wall n·p = ρ, n = (cos α, sin α), if the inverse ranges of its beams are linear in a = n/ρ,
 
     uᵢ = 1/rᵢ = aᵀdᵢ,    dᵢ = (cos βᵢ, sin βᵢ),    var uᵢ = var rᵢ / rᵢ⁴,
 
-so that a is fitted recursively, and the beam that misses it ends the run. Lines of two sweeps are one where the wheels
-say that they may be. The motion (t, θ) between the sweeps is *linear* in how they differ,
+so a is fitted recursively, and a beam that misses the line ends the run. Lines of two sweeps are paired if odometry
+allows it. Their differences are *linear* in the motion (t, θ) between the sweeps,
 
     α − α' = θ,    ρ − ρ' = nᵀt,
 
-and is updated by that, starting with what the wheels report: what no wall tells, such as the way along a corridor,
-remains theirs. The error of a line counts in the motions before and after it, with opposite signs; a filter that takes
-these for independent overstates what they add up to. A wall that is bent all along is taken for a polygon.
+and update it, with odometry as the prior: where no wall determines the motion, such as along a corridor, odometry
+remains. The error of a line enters the motions before and after its sweep, with opposite signs; a filter that assumes
+them to be independent overestimates the error of their sum. A curved wall is approximated by a polygon.
 """
 
 from __future__ import annotations
@@ -28,26 +27,23 @@ from slam_gym.geometry import wrap_angle
 from slam_gym.types import Array, Beams, Odometry
 
 _FEWEST = 6  # echoes on a line
-_GATE = 9.0  # (3 σ)² by which an echo may miss the line of those before it
-_PAIRED = 9.21  # χ²₂ of 0.99: lines that differ by more are not one
-_NEAREST = 0.3  # [m] of echoes that count
-_ROUGH = 0.01**2  # [m²] of a wall about its line, across it …
-_GRAZING = 1e-3  # … and along a beam at most by 1/√ of this more
-_BENT, _SHIFTED = 0.0015**2, 0.01**2  # [rad²], [m²] of any line: a recess that many beams graze bends it
+_GATE = 9.0  # (3 σ)² by which an echo may miss the line of the echoes before it
+_PAIRED = 9.21  # χ²₂ of 0.99: lines that differ by more are not paired
+_NEAREST = 0.3  # [m] least range of an echo
+_ROUGH = 0.01**2  # [m²] variance of a wall across its line …
+_GRAZING = 1e-3  # … which at grazing incidence grows along the beam, at most by 1/_GRAZING
+_BENT, _SHIFTED = 0.0015**2, 0.01**2  # [rad²], [m²] added to every line: a recess that many beams graze bends it
 
 
 class WallCompass:
-    """Corrects what the wheels report by the straight walls in view, sweep after sweep.
-
-    `sigma` [m] is that of the range finder.
-    """
+    """Corrects odometry by the straight walls in view, sweep after sweep. `sigma` [m] is that of the range finder."""
 
     def __init__(self, sigma: float) -> None:
         self._variance = sigma * sigma
-        self._last = np.empty((0, 5))  # lines of the last sweep
+        self._last = np.empty((0, 5))  # lines of the last sweep, see `_lines`
 
     def corrected(self, odometry: Odometry, beams: Beams) -> Odometry:
-        """The motion since the last sweep, which the wheels report as `odometry`, and from which `beams` were taken."""
+        """Correct `odometry`, the motion since the last sweep, by `beams`, the sweep after it."""
         motion, covariance = odometry.motion.copy(), odometry.covariance.copy()
         swept = beams.bearings, beams.ranges, beams.max_range
         self._last = _correct(motion, covariance, self._last, swept, self._variance)
@@ -55,7 +51,7 @@ class WallCompass:
 
 
 class _Run(NamedTuple):
-    """Echoes on one line: a, its covariance, and the beam after the last of them."""
+    """A run of echoes on one line: a, its covariance, and the index of the beam after the last echo."""
 
     ax: float  # [1/m]
     ay: float
@@ -66,10 +62,10 @@ class _Run(NamedTuple):
 
 
 class _Difference(NamedTuple):
-    """Of two lines that may be one, beyond what the motion explains, with its covariance and D²."""
+    """The difference of two lines that the motion does not explain, with its covariance and D²."""
 
-    turn: float  # [rad]
-    away: float  # [m]
+    turn: float  # [rad] of α
+    away: float  # [m] of ρ
     tt: float
     ta: float
     aa: float
@@ -78,7 +74,7 @@ class _Difference(NamedTuple):
 
 @compiled
 def _lines(bearings: Array, ranges: Array, max_range: float, variance: float) -> Array:
-    """(l, 5) α [rad], ρ [m] and their covariance αα, αρ, ρρ: the walls in R that runs of echoes lie on."""
+    """(l, 5) walls in R that runs of echoes lie on: α [rad], ρ [m] and their covariance αα, αρ, ρρ."""
     out, count, b = np.empty((len(bearings), 5)), 0, 0
     while b + _FEWEST <= len(bearings):
         run = _run(bearings, ranges, max_range, variance, b)
@@ -100,7 +96,7 @@ def _lines(bearings: Array, ranges: Array, max_range: float, variance: float) ->
 def _run(bearings: Array, ranges: Array, max_range: float, variance: float, first: int) -> _Run:
     """The run of echoes from beam `first` on, by recursive least squares.
 
-    What the line may miss the next echo by allows for its own error.
+    The gate of the next echo includes the covariance of the line.
     """
     mxx = mxy = myy = hx = hy = ax = ay = xx = xy = yy = 0.0
     b = first
@@ -127,8 +123,10 @@ def _run(bearings: Array, ranges: Array, max_range: float, variance: float, firs
 
 @compiled
 def _correct(motion: Array, P: Array, before: Array, beams: tuple[Array, Array, float], variance: float) -> Array:
-    """The lines (l, 5) of a sweep; updates the motion (3,) and its covariance (3, 3) with those that are one of the
-    lines `before` (k, 5)."""
+    """Update the motion (3,) and its covariance P (3, 3) by the lines of a sweep paired with lines `before` (k, 5).
+
+    Returns the lines (l, 5) of the sweep.
+    """
     (bearings, ranges, max_range), used = beams, np.zeros(len(before), np.bool_)
     after = _lines(bearings, ranges, max_range, variance)
     for j in range(len(after)):
