@@ -1,20 +1,21 @@
-"""The k best hypotheses of a scan, as a beam search finds them, and what they are weighed by.
+"""The k best hypotheses of a scan, found by beam search, and their weights.
 
 A hypothesis H over a scan has the density (up to a constant)
 
     N(ν_H; 0, S_H) · λ^unpaired · Π over paired j of P_D v_j · Π over the other predicted j of (1 − P_D v_j)
 
-with λ [1/m²] the density of what is not in the map, clutter and new features together, P_D the probability that the
-detector reports a feature in view, and v_j the probability that feature j is in view from where the hypothesis itself
-puts the robot. Where nobody can tell what is in view, nothing is concluded from what was not seen: factors are P_D for
-paired and 1 for other features.
+with λ [1/m²] the density of measurements of nothing in the map (clutter and new features together), P_D the probability
+that the detector reports a feature in view, and v_j the probability that feature j is in view from the pose that the
+hypothesis itself implies. Where visibility is unknown, nothing is concluded from features that were not seen: the
+factors are P_D for paired and 1 for other features.
 
-Weighed against each other (`weighed`), hypotheses give the marginal probability of every pairing, as in joint
-probabilistic data association: the sum of the weights of those that make it.
+The normalised densities of all hypotheses (`weighed`) yield the marginal probability of every pairing, as in joint
+probabilistic data association: the sum of the weights of the hypotheses that make it.
 
-Where the robot is all but lost, everything is compatible with everything. What a scan may take is bounded: of each
-measurement the nearest candidates are kept, `MOST_CANDIDATES` in all, and the beam is as wide as `JOINT_TESTS` and
-`MEMORY` admit. `effort.limit_hit` says where that has cut anything, and what it has cut starts no feature.
+Where the robot is nearly lost, everything is compatible with everything. The work for a scan is therefore bounded: only
+the nearest candidates of each measurement are kept, `MOST_CANDIDATES` in all, and the beam is as wide as `JOINT_TESTS`
+and `MEMORY` allow. `effort.limit_hit` is set where a bound excluded anything. A measurement that lost candidates starts
+no feature.
 """
 
 from __future__ import annotations
@@ -35,82 +36,81 @@ from slam_gym.association.tracking.path import path_of, support_of
 from slam_gym.association.tree import Pairings, write_rows
 from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
-UNSEEN = 0.05  # least v_j that is believed of a paired feature: what is in view may be mistaken
-TOGETHER = 0.1  # [m] hypotheses that differ by less share what is in view
-MOST_CANDIDATES = 1_000  # pairings of a scan that are looked at
-JOINT_TESTS = 300_000  # of a scan
-MEMORY = 1 << 27  # [bytes] of the pairings of all hypotheses, each conditioned on those before it
-_HARDLY = 1e-3  # a feature of less visibility at the predicted pose is not asked for again
-_MIN_AREA = 1.0  # [m²] of a scan
+UNSEEN = 0.05  # least v_j of a paired feature: the visibility may be wrong
+SAME_VIEW = 0.1  # [m] hypotheses that differ by less share their visibilities
+MOST_CANDIDATES = 1_000  # pairings of a scan that are considered
+JOINT_TESTS = 300_000  # for a scan
+MEMORY = 1 << 27  # [bytes] for the pairings of all hypotheses, each conditioned on those before it
+_INVISIBLE = 1e-3  # features less visible from the predicted pose are not looked up from other poses
+_MIN_AREA = 1.0  # [m²] least area of a scan
 
 
 class Rates(NamedTuple):
-    """What the search takes for true: its prices for pairing and for not pairing."""
+    """Detection probability and density of unmapped objects: the prices of pairing and of not pairing."""
 
     detection: float  # P_D
     density: float  # [1/m²] λ
 
 
 class Limits(NamedTuple):
-    """What bounds a search."""
+    """The bounds of a search."""
 
     gate: float  # χ² of candidates
     width: int  # hypotheses kept at each level
-    margin: float  # none is kept that scores so much less than the best
+    margin: float  # hypotheses that score this much less than the best are dropped
 
 
 class ScanProblem(NamedTuple):
-    """What is searched: the pairings of a scan with the features in reach, in one heading."""
+    """The problem of a search: the pairings of a scan with the features in reach, in one heading."""
 
     part: Part
     pairings: Pairings
-    starts: IntArray  # (l + 1,) where each measurement's pairings begin, after those given
-    levels: (
-        IntArray  # (l, 2) where the pairings of each measurement that has any begin and end, in the order of decision
-    )
+    starts: IntArray  # (l + 1,) index of each measurement's first pairing, not counting fixed ones
+    levels: IntArray  # (l, 2) first and end index of each measurement's pairings, in order of decision; if it has any
     rows: IntArray  # (u,) row of the prediction of each slot
-    visible: Array  # (k,) probability of being in view from the predicted pose; (0,): nobody can tell
+    visible: Array  # (k,) probability of being in view from the predicted pose; (0,): unknown
     rates: Rates
 
 
 class Searched(NamedTuple):
-    """The hypotheses that a search kept, in no order that counts."""
+    """The hypotheses that a search kept, in no particular order."""
 
     beam: Beam
-    rows: IntArray  # (b, m) row of the prediction that each pairs with each measurement, or UNPAIRED
-    fit: Array  # (b,) log N(ν_H; 0, S_H), and the odds of its pairings
-    unpaired: IntArray  # (b,) measurements that they pair with nothing
+    rows: IntArray  # (b, m) row of the prediction that each hypothesis pairs with each measurement, or UNPAIRED
+    fit: Array  # (b,) log N(ν_H; 0, S_H), plus the log odds of its pairings
+    unpaired: IntArray  # (b,) number of measurements left unpaired
     nodes: int
     tests: int  # joint tests
-    cut: bool  # the beam was full
+    cut: bool  # whether the beam was full
 
 
 class Kept(NamedTuple):
-    """Hypotheses, of one search or of several."""
+    """The hypotheses of one or several searches."""
 
-    rows: IntArray  # (b, m) row of the prediction that each pairs with each measurement, or UNPAIRED
-    fit: Array  # (b,) log density but for what is in view
-    seen: Array  # (b, d) what that adds, for each P_D
+    rows: IntArray  # (b, m) row of the prediction that each hypothesis pairs with each measurement, or UNPAIRED
+    fit: Array  # (b,) log density without the visibility terms
+    seen: Array  # (b, d) the visibility terms, for each P_D
     spent: Spent
 
 
 class Weighed(NamedTuple):
     """Sums over all hypotheses."""
 
-    scores: Array  # (b,) log densities, P_D summed over
-    weights: Array  # (b,) in sum 1
-    by_value: Array  # (d,) log weights of P_D
+    scores: Array  # (b,) log densities, summed over P_D
+    weights: Array  # (b,) normalised densities
+    by_value: Array  # (d,) log weights of the values of P_D
     pairings: Array  # (m, k) p_ij
-    unpaired: Array  # (m,) probability that each measurement is of nothing in the map
+    unpaired: Array  # (m,) probability that each measurement comes from nothing in the map
 
 
 PosteriorFields = tuple[float, float, IntArray, float, Array, Array]
-"""The fields of `Posterior`, as they come out of compiled code."""
+"""The fields of `Posterior`, as compiled code returns them."""
 
 
 def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float, int, float]:
-    """`Limits`: candidates are taken from a gate ten times as sure as that of the prediction, 0.999 for 0.99, since the
-    density itself turns down what is improbable. Raises ValueError for what bounds no search."""
+    """The fields of `Limits`. The confidence of the candidates' gate is ten times as close to 1 as that of the
+    prediction, 0.999 for 0.99, since improbable pairings have a low density anyway. Raises ValueError for bounds out of
+    range."""
     if width < 1:
         raise ValueError(f"width: {width} is less than 1")
     if not margin > 0.0:
@@ -120,19 +120,19 @@ def limits_of(prediction: Prediction, width: int, margin: float) -> tuple[float,
 
 @compiled
 def most_of_each(measurements: int) -> int:
-    """Candidates of each of so many measurements that are kept, the nearest."""
+    """Number of nearest candidates that are kept for each of so many measurements."""
     return max(MOST_CANDIDATES // max(measurements, 1), 1)
 
 
 @compiled
 def is_crowded(starts: IntArray, most: int) -> BoolArray:
-    """(l,) which measurements have so many candidates that some may have been left out."""
+    """(l,) which measurements have so many candidates that some may have been dropped."""
     return np.diff(starts) >= most
 
 
 @compiled
 def affordable(width: int, problems: list[ScanProblem]) -> int:
-    """The width of a beam, or what `JOINT_TESTS` and `MEMORY` admit of it where all these problems are searched."""
+    """The width of the beam: `width`, or what `JOINT_TESTS` and `MEMORY` allow if all these problems are searched."""
     tests, size = 1, 1
     for problem in problems:
         nodes = len(problem.levels) + problem.pairings.fixed + 1
@@ -143,8 +143,8 @@ def affordable(width: int, problems: list[ScanProblem]) -> int:
 
 @compiled
 def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
-    """The hypotheses of greatest density, by what is in view from the predicted pose, and by log odds (c,) of pairings
-    that the model does not know of; (0,): none.
+    """The hypotheses of greatest density, with visibility from the predicted pose and extra log odds (c,) of pairings;
+    (0,): none.
 
     Measurements without a candidate are `*` in all hypotheses.
     """
@@ -160,9 +160,9 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
     fit, unpaired = beam.score.copy(), np.empty(len(beam.score), np.int64)
     decided = np.full((len(fit), len(pairings.noise)), UNPAIRED)
     for b in range(len(fit)):
-        made = beam.pairings[b] - pairings.fixed
-        unpaired[b] = len(starts) - 1 - made
-        fit[b] -= (len(problem.levels) - made) * prices.unpaired
+        paired = beam.pairings[b] - pairings.fixed
+        unpaired[b] = len(starts) - 1 - paired
+        fit[b] -= (len(problem.levels) - paired) * prices.unpaired
         for q in range(pairings.fixed, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
         write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
@@ -171,29 +171,30 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
 
 @compiled
 def levels_of(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
-    """`ScanProblem.levels`: measurements are decided first whose candidates find most support, the other measurements
-    that still have a candidate within the gate once the pose is updated with that one pairing."""
-    path, some, others = path_of(pairings, 2), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
-    most, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
+    """`ScanProblem.levels`: measurements with the best supported candidates are decided first. The support of a
+    candidate is the number of other measurements that have a candidate within the gate after an update with that single
+    pairing."""
+    path, count, others = path_of(pairings, 2), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
+    order_keys, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
     for i in range(len(starts) - 1):
         first, last = pairings.fixed + starts[i], pairings.fixed + starts[i + 1]
         for c in range(first, last):
-            if most[some] > -others:
-                most[some] = min(most[some], -support_of(pairings, path, c, gate))
+            if order_keys[count] > -others:
+                order_keys[count] = min(order_keys[count], -support_of(pairings, path, c, gate))
         if first < last:
-            levels[some, 0], levels[some, 1] = first, last
-            some += 1
-    return levels[np.argsort(most[:some], kind="mergesort")]
+            levels[count, 0], levels[count, 1] = first, last
+            count += 1
+    return levels[np.argsort(order_keys[:count], kind="mergesort")]
 
 
 @compiled
 def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float) -> tuple[IntArray, Array, IntArray]:
-    """The group (b,) of each hypothesis, all of which put the robot at as good as one place; what a group has in view
-    (groups, q) of the features of the tree and of others, (0, 0) where nobody can tell; and where the features of the
-    tree (u,) are among those, by slot.
+    """Group hypotheses that imply the same view: the group (b,) of each hypothesis; the visibility (groups, q) of the
+    features of the tree and of others for each group, (0, 0) where unknown; and the columns of the features of the tree
+    (u,) by slot.
 
-    Hypotheses that put every feature within `together` [m] of where another puts it share its view. So do all of them
-    where the features are predicted as well as that, or where what is in view does not depend on the pose.
+    Hypotheses share a view where they place every feature within `together` [m] of each other. All share one where the
+    features are predicted that precisely, or where visibility does not depend on the pose.
     """
     part, p, rows, visible = problem.part, problem.pairings, problem.rows, problem.visible
     group, narrow = np.zeros(len(beam.score), np.int64), together > 0.0
@@ -203,23 +204,23 @@ def _views(expected: Expected, problem: ScanProblem, beam: Beam, together: float
         narrow &= max(part.covariances[j, 0, 0], part.covariances[j, 1, 1]) < together * together
     if len(expected.visible) > 0 or not expected.view_moves or narrow:
         return group, visible.copy().reshape(1, -1), rows
-    possible = visible > _HARDLY
+    possible = visible > _INVISIBLE
     possible[rows] = False
     both = np.concatenate((rows, np.flatnonzero(possible)))
     joint = joint_in(expected, part, both)
-    wider = Pairings(p.slots, p.measured, p.innovations, p.noise, joint, p.local, p.fixed)
-    positions, covariances = updated(wider, beam, part.positions[both])
-    first = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
-    width = len(first) * len(both)
-    seen, _ = visibility(expected, positions[first].reshape(width, 2), covariances[first].reshape(width, 2, 2))
-    return group, seen.reshape(len(first), len(both)), np.arange(len(rows))
+    extended = Pairings(p.slots, p.measured, p.innovations, p.noise, joint, p.local, p.fixed)
+    positions, covariances = updated(extended, beam, part.positions[both])
+    leaders = _grouped(positions, np.argsort(-beam.score, kind="mergesort"), together, group)
+    width = len(leaders) * len(both)
+    seen, _ = visibility(expected, positions[leaders].reshape(width, 2), covariances[leaders].reshape(width, 2, 2))
+    return group, seen.reshape(len(leaders), len(both)), np.arange(len(rows))
 
 
 @compiled
 def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detections: Array, together: float) -> Array:
     """log Π P_D v_j · Π (1 − P_D v_j) (b, d) of each hypothesis, for each P_D of `detections`.
 
-    Hypotheses that put every feature within `together` [m] of where another puts it share what is in view.
+    Hypotheses that place every feature within `together` [m] of each other share a view.
     """
     slots, pairings, made = problem.pairings.slots, beam.pairings, beam.made
     group, visible, columns = _views(expected, problem, beam, together)
@@ -251,18 +252,19 @@ def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detect
 
 @compiled
 def _grouped(positions: Array, order: IntArray, together: float, group: IntArray) -> IntArray:
-    """Enter the group of each hypothesis by the features (b, k, 2) where it puts them; the first in order of each."""
+    """Write the `group` of each hypothesis, by its feature positions (b, k, 2). Returns the first hypothesis of each
+    group, in order."""
     first, count = np.empty(len(positions), np.int64), 0
     for b in order:
         group[b] = -1
         for g in range(count):
-            other, near = first[g], True
+            other, same = first[g], True
             for k in range(positions.shape[1]):
                 x, y = positions[b, k, 0] - positions[other, k, 0], positions[b, k, 1] - positions[other, k, 1]
                 if not x * x + y * y < together * together:
-                    near = False
+                    same = False
                     break
-            if near:
+            if same:
                 group[b] = g
                 break
         if group[b] < 0:
@@ -273,7 +275,8 @@ def _grouped(positions: Array, order: IntArray, together: float, group: IntArray
 
 @compiled
 def weighed(kept: Kept, prior: Array, features: int) -> Weighed:
-    """The probability of every pairing, over all hypotheses and all values of P_D, of log weights `prior` (d,)."""
+    """The probability of every pairing, summed over all hypotheses and all values of P_D, whose prior log weights are
+    `prior` (d,)."""
     hypotheses, (count, values) = kept.rows, kept.seen.shape
     scores, by_value = np.empty(count), np.full(values, -math.inf)
     for b in range(count):
@@ -295,26 +298,26 @@ def weighed(kept: Kept, prior: Array, features: int) -> Weighed:
 
 @compiled
 def posterior_of(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: IntArray) -> PosteriorFields:
-    """Of the decision for `rows` (m,), and of the most probable other one among `hypotheses` (b, m).
+    """Posterior of the decision `rows` (m,), and of the most probable other decision among `hypotheses` (b, m).
 
-    Hypotheses of several headings may decide alike: each counts for the first of its like, the decision being the first
-    of all.
+    Hypotheses of several headings may make the same decision. Their weights are added to the first of them; the
+    decision itself comes first of all.
     """
-    every = np.concatenate((rows.copy().reshape(1, -1), hypotheses))
-    keys, weights = np.zeros(len(every), np.int64), np.zeros(len(every))
-    for b in range(len(every)):
-        for row in every[b]:
-            keys[b] = keys[b] * 1_000_003 + row  # few others have the same
+    decisions = np.concatenate((rows.copy().reshape(1, -1), hypotheses))
+    keys, weights = np.zeros(len(decisions), np.int64), np.zeros(len(decisions))
+    for b in range(len(decisions)):
+        for row in decisions[b]:
+            keys[b] = keys[b] * 1_000_003 + row  # a hash, to compare few pairs in full
         first = 0
-        while keys[first] != keys[b] or (first < b and (every[first] != every[b]).any()):
+        while keys[first] != keys[b] or (first < b and (decisions[first] != decisions[b]).any()):
             first += 1
         if b > 0:
             weights[first] += sums.weights[b - 1]
     second = 1 + np.argmax(weights[1:])
     runner_up, marginals = np.full(len(rows), UNPAIRED), sums.unpaired.copy()
     for i in range(len(rows)):
-        if weights[second] > 0.0 and every[second, i] != UNPAIRED:
-            runner_up[i] = expected.features[every[second, i]]
+        if weights[second] > 0.0 and decisions[second, i] != UNPAIRED:
+            runner_up[i] = expected.features[decisions[second, i]]
         if rows[i] != UNPAIRED:
             marginals[i] = min(sums.pairings[i, rows[i]], 1.0)
     most = sums.scores.max()
@@ -325,10 +328,10 @@ def posterior_of(expected: Expected, hypotheses: IntArray, sums: Weighed, rows: 
 
 @compiled
 def scan_area(points: Array) -> float:
-    """[m²] that a scan has shown, 0 without any measurement: the box around the measurements (m, 2), and no less than
-    a sector from the robot to the farthest of them, of one radian to either side.
+    """[m²] area that a scan covers; 0 without measurements. It is that of the bounding box of the measurements (m, 2),
+    but at least that of a sector of one radian to either side, from the robot to the farthest measurement.
 
-    A box about one or two measurements is far too small, and what is seldom there would seem to be everywhere.
+    The bounding box of one or two measurements is far too small, which would make rare objects look frequent.
     """
     if len(points) == 0:
         return 0.0

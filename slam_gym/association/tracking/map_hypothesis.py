@@ -15,7 +15,7 @@ from slam_gym.association.prediction import Expected, Prediction, PredictionArra
 from slam_gym.association.tracking.beam import Beam
 from slam_gym.association.tracking.headings import whole
 from slam_gym.association.tracking.hypotheses import (
-    TOGETHER,
+    SAME_VIEW,
     Kept,
     Limits,
     PosteriorFields,
@@ -109,7 +109,7 @@ def _decide(
 def _weighed_by_view(expected: Expected, problem: ScanProblem, searched: Searched, fit: Array, counts: float) -> Array:
     """`weighed_by_view` (b, 1). Only hypotheses within `counts` of the best are certain to get a view of their own."""
     beam, detections = searched.beam, np.array([problem.rates.detection])
-    view_terms = weighed_by_view(expected, problem, beam, detections, TOGETHER)
+    view_terms = weighed_by_view(expected, problem, beam, detections, SAME_VIEW)
     if len(problem.visible) > 0 and len(expected.visible) == 0 and expected.view_moves:
         scores = fit + view_terms[:, 0]
         chosen = np.flatnonzero(scores > scores.max() - counts)

@@ -36,7 +36,7 @@ from slam_gym.association.prediction import Expected, Prediction, PredictionArra
 from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Part, joint_in, parts_of
 from slam_gym.association.tracking.hypotheses import (
-    TOGETHER,
+    SAME_VIEW,
     Kept,
     Limits,
     PosteriorFields,
@@ -372,7 +372,7 @@ def search_all(chosen: list[Ready], m: int, expected: Expected, prior: Prior, li
     for ready, result in zip(chosen, results):
         last = b + len(result.fit)
         rows[b:last] = result.rows
-        view_terms[b:last] = weighed_by_view(expected, ready.problem, result.beam, prior.values, TOGETHER)
+        view_terms[b:last] = weighed_by_view(expected, ready.problem, result.beam, prior.values, SAME_VIEW)
         fit[b:last] = ready.problem.part.log_weight + result.fit + prices[result.unpaired]
         b = last
     return Kept(rows, fit, view_terms, Spent(nodes, tests, joint_tests, cut))

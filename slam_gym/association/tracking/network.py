@@ -1,17 +1,18 @@
-"""What the learned associator adds to each pairing: log odds, by a small network over numbers about it and its rivals.
+"""The network of the learned associator: log odds of each pairing, from features of the pairing and of its rivals.
 
-With x_c the inputs of pairing c, centred, scaled and kept within ±2.5, and the greatest over the pairings of a
+With x_c the inputs of pairing c, centred, scaled and clipped to ±2.5, and the maximum taken over all pairings of a
 measurement, or of a feature,
 
     h_c = max(0, A x_c + a),   g_c = (h_c, max of h over the rivals of its measurement, over those of its feature),
     odds_c = wᵀx_c + vᵀ max(0, B g_c + b) + w₀.
 
-A pairing is judged beside its rivals: that is all the attention that it took. Where an input lies farther than ±2.5
-from the centre nobody has trained: each such input halves the odds, so that the model decides where little is like it.
-It runs as plain loops over plain arrays: no learning library is needed.
+So a pairing is judged beside its rivals; no other form of attention was needed. Inputs farther than ±2.5 from the
+centre lie outside the training data: each such input halves the odds, so that the model of `marginal` decides where the
+situation is unfamiliar. The network is evaluated by plain loops over plain arrays, without a learning library.
 
-All inputs are in the scan and the prediction. Those of one pairing are `INPUTS`, in that order; any change of them, or
-of how one is computed, is a new `VERSION`, and the weights that ship are refused until they are trained again.
+All inputs come from the scan and the prediction. `INPUTS` lists those of one pairing in order. Any change of the list,
+or of how an input is computed, requires a new `VERSION`, which refuses the shipped weights until they are trained
+again.
 """
 
 from __future__ import annotations
@@ -61,14 +62,14 @@ INPUTS = (
     "run: whether there were scans before",
 )
 _LEAST_SIZE = -6.0
-_NEAREST, _FARTHEST = 1e-2, 30.0  # [m] between neighbours
+_NEAREST, _FARTHEST = 1e-2, 30.0  # [m] limits of the distance between neighbours
 
 
-FARTHEST = 2.5  # [scales] of an input from the centre; what lies beyond counts as so far, and halves the odds
+FARTHEST = 2.5  # [scales] bound of an input's distance from the centre; inputs beyond are clipped and halve the odds
 
 
 class Network(NamedTuple):
-    """The weights, for n inputs and h hidden numbers; without hidden ones it is a logistic model."""
+    """The weights for n inputs and h hidden units. Without hidden units this is a logistic model."""
 
     centre: Array  # (n,)
     scale: Array  # (n,)
@@ -82,19 +83,19 @@ class Network(NamedTuple):
 
 
 NO_NETWORK = Network(*(np.empty(shape) for shape in (0, 0, 0, 0, (0, 0), 0, (0, 0), 0, 0)))
-"""By which nothing was learned."""
+"""The network that adds no odds."""
 
 
 @functools.cache
 def load_network(weights: str | Path, version: int, inputs: tuple[str, ...]) -> Network:
-    """The network by weights that ship, or by a `.npz` of one's own, for inputs of that version. Raises ValueError as
+    """The network with shipped weights, or those of a `.npz` file, for inputs of that version. Raises ValueError as
     `slam_gym.weights.load`."""
-    found = load(weights, version, inputs, shapes_for(len(inputs)))
-    return network_of({name: np.asarray(array) for name, array in found.arrays.items()})
+    loaded = load(weights, version, inputs, shapes_for(len(inputs)))
+    return network_of({name: np.asarray(array) for name, array in loaded.arrays.items()})
 
 
 def shapes_for(inputs: int) -> dict[str, tuple[int, ...]]:
-    """The shape of each array, −1 standing for the number of hidden numbers or three times that."""
+    """The shape of each array, where −1 stands for the number of hidden units or three times that."""
     n, h = inputs, -1
     return {
         "centre": (n,), "scale": (n,), "linear": (n,), "offset": (1,), "first": (h, n), "first_offset": (h,),
@@ -103,7 +104,7 @@ def shapes_for(inputs: int) -> dict[str, tuple[int, ...]]:
 
 
 def network_of(arrays: dict[str, Array]) -> Network:
-    """From arrays of those shapes. Raises ValueError where their hidden numbers are not as many everywhere."""
+    """The network of arrays of those shapes. Raises ValueError where their numbers of hidden units differ."""
     network = Network(**{name: np.array(arrays[name], np.float64, order="C") for name in Network._fields})
     h = len(network.last)
     if not len(network.first) == len(network.first_offset) == len(network.second) == len(network.second_offset) == h:
@@ -117,34 +118,34 @@ def network_of(arrays: dict[str, Array]) -> Network:
 
 @compiled
 def log_odds(network: Network, inputs: Array, measured: IntArray, slots: IntArray) -> Array:
-    """(c,) of pairings of measurements `measured` (c,) with features `slots` (c,)."""
+    """Log odds (c,) of the pairings of measurements `measured` (c,) with features `slots` (c,)."""
     count, h = len(inputs), len(network.last)
-    given = (inputs - network.centre) / network.scale
-    x = np.minimum(np.maximum(given, -FARTHEST), FARTHEST)
+    scaled = (inputs - network.centre) / network.scale
+    x = np.minimum(np.maximum(scaled, -FARTHEST), FARTHEST)
     out, trust = np.full(count, network.offset[0]), np.ones(count)
     for c in range(count):
         for n in range(x.shape[1]):
             out[c] += network.linear[n] * x[c, n]
-            trust[c] *= 1.0 if x[c, n] == given[c, n] else 0.5
+            trust[c] *= 1.0 if x[c, n] == scaled[c, n] else 0.5
     if h == 0 or count == 0:
         out *= trust
         return out
-    own = np.zeros((count, h))
+    hidden = np.zeros((count, h))
     of_measurement, of_feature = np.zeros((measured.max() + 1, h)), np.zeros((slots.max() + 1, h))
     for c in range(count):
         for k in range(h):
             total = network.first_offset[k]
             for n in range(x.shape[1]):
                 total += network.first[k, n] * x[c, n]
-            own[c, k] = max(total, 0.0)
-            of_measurement[measured[c], k] = max(of_measurement[measured[c], k], own[c, k])
-            of_feature[slots[c], k] = max(of_feature[slots[c], k], own[c, k])
+            hidden[c, k] = max(total, 0.0)
+            of_measurement[measured[c], k] = max(of_measurement[measured[c], k], hidden[c, k])
+            of_feature[slots[c], k] = max(of_feature[slots[c], k], hidden[c, k])
     for c in range(count):
         mine, others = of_measurement[measured[c]], of_feature[slots[c]]
         for k in range(h):
             total = network.second_offset[k]
             for n in range(h):
-                total += network.second[k, n] * own[c, n]
+                total += network.second[k, n] * hidden[c, n]
                 total += network.second[k, h + n] * mine[n] + network.second[k, 2 * h + n] * others[n]
             out[c] += network.last[k] * max(total, 0.0)
     out *= trust
@@ -153,9 +154,9 @@ def log_odds(network: Network, inputs: Array, measured: IntArray, slots: IntArra
 
 @compiled
 def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: tuple[float, float]) -> Array:
-    """(c, inputs) of each pairing in a narrow heading, of which none is given.
+    """Inputs (c, inputs) of each pairing in a narrow heading, none of which is fixed.
 
-    `run`: log density of what is not in the map [1/m²], and whether there were scans before.
+    `run`: log density of measurements of nothing in the map [1/m²], and whether there were scans before.
     """
     part, pairings, rows, visible = problem.part, problem.pairings, problem.rows, problem.visible
     points, count, m = scan[0], len(pairings.slots), len(scan[0])
@@ -167,7 +168,7 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
         by_feature[pairings.slots[c], 0] += 1.0
         by_measurement[pairings.measured[c], 1] += weight[c]
         by_feature[pairings.slots[c], 1] += weight[c]
-    measurements_apart, features_apart = _nearest(points), _nearest(part.positions)
+    measurement_gaps, feature_gaps = _nearest(points), _nearest(part.positions)
     of_scan = _of_scan(by_measurement, part, visible, run)
     for c in range(count):
         i, s = pairings.measured[c], pairings.slots[c]
@@ -176,7 +177,7 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
         row[8] = math.log(weight[c] / by_feature[s, 1])
         row[9], row[10] = math.log(by_measurement[i, 0]), math.log(by_feature[s, 0])
         row[11] = math.log1p(math.hypot(points[i, 0], points[i, 1]))
-        row[12], row[13] = measurements_apart[i], features_apart[j]
+        row[12], row[13] = measurement_gaps[i], feature_gaps[j]
         row[14] = visible[j] if len(visible) > 0 else 0.5
         row[15] = math.log1p(expected.ages[j])
         row[16] = math.log(max(expected.sightings[j], 1))
@@ -187,19 +188,19 @@ def inputs_of(scan: ScanArrays, problem: ScanProblem, expected: Expected, run: t
 
 @compiled
 def _of_pairing(scan: ScanArrays, pairings: Pairings, rows: IntArray, expected: Expected, c: int, row: Array) -> float:
-    """Enter what concerns the pairing alone; its weight among rivals."""
+    """Write the inputs that concern the pairing alone. Returns its weight among rivals."""
     i, j, e = pairings.measured[c], rows[pairings.slots[c]], innovation_of(pairings, c)
     _, _, measured_sizes, measured_variances, measured_kinds = scan
     R, distance = pairings.noise[i], squared(e)
-    size, both = 0.0, not (math.isnan(measured_sizes[i]) or math.isnan(expected.sizes[j]))
-    if both:
+    size, sizes_known = 0.0, not (math.isnan(measured_sizes[i]) or math.isnan(expected.sizes[j]))
+    if sizes_known:
         variance, difference = measured_variances[i] + expected.size_variances[j], measured_sizes[i] - expected.sizes[j]
         variance = max(variance, 1e-6)
         size = max(-0.5 * (difference * difference / variance + math.log(2.0 * math.pi * variance)), _LEAST_SIZE)
-    both_kinds = measured_kinds[i] != UNKNOWN_KIND and expected.kinds[j] != UNKNOWN_KIND
-    row[0], row[1] = size, 1.0 if both else 0.0
-    row[2] = 1.0 if both_kinds and measured_kinds[i] == expected.kinds[j] else 0.0
-    row[3] = 1.0 if both_kinds and measured_kinds[i] != expected.kinds[j] else 0.0
+    kinds_known = measured_kinds[i] != UNKNOWN_KIND and expected.kinds[j] != UNKNOWN_KIND
+    row[0], row[1] = size, 1.0 if sizes_known else 0.0
+    row[2] = 1.0 if kinds_known and measured_kinds[i] == expected.kinds[j] else 0.0
+    row[3] = 1.0 if kinds_known and measured_kinds[i] != expected.kinds[j] else 0.0
     area = 0.5 * math.log(max(e.xx * e.yy - e.xy * e.xy, 1e-12))
     row[4], row[5] = distance, area
     row[6] = 0.5 * math.log(max(R[0, 0] * R[1, 1] - R[0, 1] * R[1, 0], 1e-12))
@@ -208,18 +209,18 @@ def _of_pairing(scan: ScanArrays, pairings: Pairings, rows: IntArray, expected: 
 
 @compiled
 def _of_scan(by_measurement: Array, part: Part, visible: Array, run: tuple[float, float]) -> Array:
-    """The inputs that are those of the scan and the run."""
-    m, k, strange, expected, spread = len(by_measurement), len(part.positions), 0, 0.0, 0.0
+    """The inputs that concern the scan and the run."""
+    m, k, unmatched, expected, spread = len(by_measurement), len(part.positions), 0, 0.0, 0.0
     for i in range(m):
         if by_measurement[i, 0] == 0.0:
-            strange += 1
+            unmatched += 1
     for j in range(k):
         P = part.covariances[j]
         spread += 0.5 * math.log(max(P[0, 0] * P[1, 1] - P[0, 1] * P[1, 0], 1e-12)) / k
     for j in range(len(visible)):
         expected += visible[j]
     out = np.empty(8)
-    out[0], out[1] = math.log1p(m), strange / max(m, 1)
+    out[0], out[1] = math.log1p(m), unmatched / max(m, 1)
     out[2] = math.log((1.0 + m) / (1.0 + (expected if len(visible) > 0 else k)))
     out[3] = 1.0 if len(visible) > 0 else 0.0
     out[4], out[5], out[6], out[7] = math.sqrt(max(part.variance, 0.0)), spread, run[0], run[1]
@@ -228,7 +229,7 @@ def _of_scan(by_measurement: Array, part: Part, visible: Array, run: tuple[float
 
 @compiled
 def _nearest(points: Array) -> Array:
-    """log of the distance of each point (n,) to the next."""
+    """log of the distance (n,) of each point to the nearest other one."""
     out = np.empty(len(points))
     for a in range(len(points)):
         least = _FARTHEST
