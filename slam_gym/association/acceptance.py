@@ -125,7 +125,7 @@ def log_expected(
 def _log_expected(
     points: Array, noise: Array, fractions: Array, variance: float, log_starts: Array, log_tubes: Array
 ) -> Array:
-    """log E_k from q_i (m,), log Σ λ^p for p = 0 … m − 1, and what depends only on k and the confidence (m − 1,)."""
+    """log E_k from q_i (m,), log Σ λ^p (m,) for p = 0 … m − 1, and what k and the confidence determine (m − 1,)."""
     m = len(points)
     logs, mean, square = np.empty(m), 0.0, 0.0
     x, y = points[:, 0].mean(), points[:, 1].mean()
@@ -213,7 +213,7 @@ def _fractions(scan: Scan, landmarks: Landmarks, confidence: float) -> Array:
 
 @compiled
 def _neighbourhoods(positions: Array, side: float) -> tuple[IntArray, IntArray]:
-    """Number of other points in the 3 × 3 cells of `side` around each point (n,), and one in its own cell (n,), or
+    """Other points in the 3 × 3 cells of `side` around each point: number (n,), and one in its own cell (n,), or
     UNPAIRED.
 
     Cells are hashed into a table, where distinct cells may collide: this can only make the map look more crowded.
@@ -243,8 +243,7 @@ def _cell(x: float, y: float, size: int) -> int:
 
 @compiled
 def _relative_variance(mapped: Mapped, sample: IntArray, neighbours: IntArray) -> float:
-    """[m²] per axis: half the variance of the difference to a neighbour, averaged over `sample`; NaN for an empty
-    sample."""
+    """[m²] per axis: half the variance of the difference to a neighbour, the mean over `sample`; NaN if empty."""
     total = 0.0
     for j in sample:
         xx, _, yy = difference_covariance(mapped, j, neighbours[j])

@@ -128,8 +128,7 @@ def gate_pairings(
     gate: float,
     most: int,
 ) -> tuple[Fault, Candidates]:
-    """`individual` for the eligible rows (all where `eligible` is empty), limited to the `most` nearest rows of each
-    measurement."""
+    """`individual` for eligible rows (all, where `eligible` is empty), with the `most` nearest of each measurement."""
     offered, fault = _offered(points, noise, positions, covariances, measurements, eligible, gate)
     count, capacity = 0, len(measurements) * len(offered)
     starts, measured = np.zeros(len(measurements) + 1, np.int64), np.empty(capacity, np.int64)

@@ -189,8 +189,7 @@ class Prediction:
 
     @property
     def near(self) -> BoolArray:
-        """(k,) whether each feature was paired in a recent scan or is local to one that was; all true without
-        localities."""
+        """(k,) paired in a recent scan, or local to a feature that was; all true without localities."""
         return _locked(self.rows[2][: self.size[0]])
 
     @property

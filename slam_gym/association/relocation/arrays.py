@@ -1,4 +1,4 @@
-"""Scans and maps as plain arrays, checked, in the form that the compiled searches without a prior were compiled for."""
+"""Checked scans and maps as plain arrays, in the types for which the searches without a prior are compiled."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from slam_gym.association.compatibility import plain
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Scan
 from slam_gym.validation import check_scan
 
-_TOLERANCE = 1e-9  # of a negative determinant, relative to the variances' product
+_TOLERANCE = 1e-9  # of a negative determinant, relative to the product of the variances
 
 
 class ScanArrays(NamedTuple):
-    """A scan."""
+    """The arrays of a scan."""
 
     points: Array  # (m, 2) [m] in R
     noise: Array  # (m, 2, 2) [m²]
@@ -24,7 +24,7 @@ class ScanArrays(NamedTuple):
 
 
 class Mapped(NamedTuple):
-    """A map."""
+    """The arrays of a map."""
 
     positions: Array  # (n, 2) [m] in B
     covariances: Array  # (n, 2, 2) [m²]
@@ -38,7 +38,7 @@ class Mapped(NamedTuple):
 
 
 def scan_arrays(scan: Scan) -> ScanArrays:
-    """Raises ValueError naming the field and measurement that is not finite, or no covariance."""
+    """The arrays of a scan. Raises ValueError naming a field and measurement not finite or not a covariance."""
     check_scan(scan)
     if np.any(scan.size_variances < 0.0):
         raise ValueError(f"Scan.size_variances: measurement {int(np.argmax(scan.size_variances < 0.0))}: negative")
@@ -47,9 +47,9 @@ def scan_arrays(scan: Scan) -> ScanArrays:
 
 
 def map_arrays(landmarks: Landmarks) -> Mapped:
-    """Raises ValueError naming the field of a wrong shape, or that holds what is not finite or no covariance.
+    """The arrays of a map. Raises ValueError naming a field of the wrong shape, not finite, or not a covariance.
 
-    The joint covariance is not looked through: at 1 000 features that would cost more than the search.
+    The entries of the joint covariance are not checked: with 1 000 features this would cost more than the search.
     """
     n, e = len(landmarks.positions), len(landmarks.blocks)
     shapes = {
@@ -83,14 +83,14 @@ def map_arrays(landmarks: Landmarks) -> Mapped:
 
 
 def unchecked_map(landmarks: Landmarks) -> Mapped:
-    """The arrays of a map as they are."""
-    given: list[Any] = [getattr(landmarks, name) for name in Mapped._fields]
-    taken: list[Any] = [integers(array) if array.dtype.kind == "i" else floats(array) for array in given]
-    return Mapped(*taken)
+    """The arrays of a map, unchecked."""
+    fields: list[Any] = [getattr(landmarks, name) for name in Mapped._fields]
+    arrays: list[Any] = [integers(array) if array.dtype.kind == "i" else floats(array) for array in fields]
+    return Mapped(*arrays)
 
 
 def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArray]:
-    """Starts and members; both empty where there is none. Raises ValueError where it is not one of n features."""
+    """Starts and members; both empty for None. Raises ValueError unless the locality is one of n features."""
     if locality is None:
         return np.empty(0, np.int64), np.empty(0, np.int64)
     starts, members = integers(locality.starts), integers(locality.members)
@@ -102,10 +102,10 @@ def locality_arrays(locality: Locality | None, n: int) -> tuple[IntArray, IntArr
 
 
 def floats(array: Array) -> Array:
-    """As the kernels were compiled for: float64, C-contiguous, not marked read-only."""
+    """The array as the searches are compiled for: float64, C-contiguous, marked writeable."""
     return plain(np.ascontiguousarray(array, np.float64))
 
 
 def integers(array: IntArray) -> IntArray:
-    """The same for int64."""
+    """The array as int64, likewise."""
     return plain(np.ascontiguousarray(array, np.int64))

@@ -1,9 +1,9 @@
-"""CCDA: relocation through the graph of consistent pairings (Bailey, 2002), by its maximum clique.
+"""CCDA: relocation by the maximum clique of the graph of consistent pairings (Bailey, 2002).
 
-Nodes are the pairings that pass the unary constraints, edges join those that satisfy the binary one and are local to
-each other. A hypothesis all of whose pairings agree is a clique. Unlike in the tree, *every* pairing must be local to
-every other, and the joint test comes after: where no largest clique passes it, mirror images among them, pairings are
-dropped one by one until the rest does.
+Nodes are the pairings that pass the unary constraints. Edges join pairings that satisfy the binary constraint and are
+local to each other. A hypothesis whose pairings all agree is a clique. Two things differ from the tree: *every* pairing
+must be local to every other, and the joint test comes last. Where no largest clique passes it, pairings are dropped one
+by one until the rest does; mirror images are among the cliques that fail.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 import networkx as nx
 import numpy as np
 
-from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import locate_pairings
 from slam_gym.association.relocation.problem import (
@@ -34,8 +34,8 @@ from slam_gym.association.relocation.problem import (
 from slam_gym.association.relocation.tree import keep_what_follows
 from slam_gym.types import IntArray, Landmarks, Locality, Relocation, Scan
 
-_CLIQUES = 256  # largest cliques looked at
-_MAXIMAL = 20_000  # maximal cliques gone through: their number may grow exponentially with the nodes
+_CLIQUES = 256  # largest cliques tested
+_MAXIMAL = 20_000  # maximal cliques enumerated: their number may grow exponentially with the nodes
 _EDGES = 1_000_000
 
 
@@ -48,11 +48,11 @@ def max_clique(
     min_pairings: int | None = None,
     node_limit: int = 20_000,
 ) -> Relocation:
-    """The largest cliques of the graph of consistent pairings; of those that are jointly compatible, the least D².
+    """The jointly compatible hypothesis of least D² among the largest cliques of the graph of consistent pairings.
 
-    A graph of more than `node_limit` nodes or a million edges is not built, and nothing is found. Of the maximal
-    cliques 20 000 are gone through, and of the largest among these 256 are tested. `effort.limit_hit` says where one
-    of these limits was met. Raises ValueError as `gcbb` does.
+    A graph of more than `node_limit` nodes or a million edges is not built, and nothing is found. At most 20 000
+    maximal cliques are enumerated, and at most 256 of the largest of these are tested. `effort.limit_hit` is set where
+    a limit was reached. Raises ValueError as `gcbb` does.
     """
     began, problem = time.perf_counter(), problem_of(scan, landmarks, locality, confidence)
     nodes, edges = _consistent(problem, node_limit)
@@ -61,26 +61,26 @@ def max_clique(
         problem.effort[LIMIT] = 1
     best = _best_of(problem, [Path(nodes.measurements[clique], nodes.features[clique]) for clique in cliques])
     if min_pairings is None:
-        min_pairings = by_rule(scan, landmarks, confidence=confidence)
+        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
     return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 def largest_cliques(edges: IntArray) -> tuple[IntArray, bool]:
-    """The cliques (k, size) of most vertices in a graph of edges (e, 2), as far as looked at; whether these are all."""
+    """The largest cliques (k, size) found in a graph of edges (e, 2), and whether these are all of them."""
     if not len(edges):
         return np.empty((0, 0), np.int64), True
     maximal = nx.find_cliques(nx.Graph(edges.tolist()))
-    first = list(itertools.islice(maximal, _MAXIMAL))
+    enumerated = list(itertools.islice(maximal, _MAXIMAL))
     complete = next(maximal, None) is None
-    most = max(map(len, first))
-    found = [clique for clique in first if len(clique) == most]
-    return np.array(found[:_CLIQUES], np.int64), complete and len(found) <= _CLIQUES
+    size = max(map(len, enumerated))
+    largest = [clique for clique in enumerated if len(clique) == size]
+    return np.array(largest[:_CLIQUES], np.int64), complete and len(largest) <= _CLIQUES
 
 
 def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
-    """Pairings that pass the unary constraints, and edges (e, 2) between those that agree.
+    """The pairings that pass the unary constraints, and the edges (e, 2) between those that agree.
 
-    Without edges where there would be too many nodes or edges.
+    No edges are returned where there would be too many nodes or edges.
     """
     nodes, effort, none = Path(*np.nonzero(problem.allowed)), problem.effort, np.empty((0, 2), np.int64)
     number, edges, count = np.zeros(problem.allowed.shape, np.int64), [none], 0
@@ -99,21 +99,21 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
 
 
 def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:
-    """The best of the hypotheses; where none holds, of what they shrink to."""
+    """The best of the hypotheses; if none is jointly compatible, of those that remain after dropping pairings."""
     best = nothing_found(len(problem.allowed))
     for path in hypotheses:
         problem.effort[LEAVES] += 1
         offer(best, problem, path, len(path.features))
     for path in [] if best.state[1] > 0 else hypotheses:
         while len(path.features) > 2 and not offer(best, problem, path, len(path.features)):
-            path = _without_the_worst(problem, path)
+            path = _without_worst(problem, path)
         if len(path.features) == 2:
             offer(best, problem, path, 2)
     return best
 
 
-def _without_the_worst(problem: Problem, path: Path) -> Path:
-    """The pairings without the one whose absence leaves the least D²."""
+def _without_worst(problem: Problem, path: Path) -> Path:
+    """The path without the pairing whose removal leaves the least D²."""
     scan, k, distances = problem.scan, len(path.features) - 1, []
     rests = [Path(np.delete(path.measurements, a), np.delete(path.features, a)) for a in range(k + 1)]
     for rest in rests:

@@ -1,9 +1,9 @@
-"""Location-independent constraints: what may be paired with what, whatever the robot's pose.
+"""Location-independent constraints: which pairings are possible, whatever the robot's pose.
 
-Unary constraints compare what a measurement is with what a feature is, binary ones the distance between two
-measurements with that between two features, and orientation the sense in which three of each go round: distances alone
-cannot tell a mirror image. The map's cross-covariances count: features mapped together share most of their errors, and
-with marginals alone the gate of their distance would be far too loose.
+Unary constraints compare the attributes of a measurement with those of a feature. Binary constraints compare the
+distance between two measurements with that between two features. Orientation constraints compare the sense of rotation
+of three of each, because distances alone cannot reject a mirror image. Cross-covariances of the map are used: features
+that were mapped together share most of their errors, so that gates from their marginals alone would be far too wide.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import Mapped, ScanArrays, map_arrays, scan_arrays
 from slam_gym.types import UNKNOWN_KIND, Array, BoolArray, IntArray, Landmarks, Scan
 
-_CLOSE = 16.0  # points are close when nearer than √16 = 4 σ to each other
+_CLOSE = 16.0  # points are close when less than √16 = 4 σ apart
 
 
 class Gates(NamedTuple):
-    """χ² at one confidence."""
+    """χ² gates at one confidence."""
 
     one: float  # χ²_1: distances, areas, sizes
-    two: float  # χ²_2: distances of what is closer than its noise
+    two: float  # χ²_2: distances between close points
 
 
 class Measured(NamedTuple):
-    """A scan as the compiled constraints take it, at one confidence."""
+    """A scan and quantities derived from it, as the compiled constraints take it, at one confidence."""
 
     points: Array  # (m, 2) [m] in R
     noise: Array  # (m, 2, 2) [m²]
@@ -43,29 +43,29 @@ class Measured(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Pairings made, with room for more: of a path with p pairings, the first p entries count."""
+    """Pairings, with room for more: the first p entries of a path with p pairings are valid."""
 
-    measurements: IntArray  # in the order of pairing
-    features: IntArray  # theirs
+    measurements: IntArray  # in order of pairing
+    features: IntArray  # feature paired with each
 
 
 def unary(scan: Scan, landmarks: Landmarks, confidence: float = 0.99) -> BoolArray:
-    """Which measurement may be which feature by size and kind alone, (m, n).
+    """Which measurement may come from which feature by size and kind alone, (m, n).
 
-    Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j); kinds, when they are equal. A size that is NaN and a kind
-    that is UNKNOWN_KIND say nothing and agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
+    Sizes agree when (a_i − a_j)² ≤ χ²_{1,conf} (σ²_i + σ²_j), and kinds when they are equal. A size that is NaN and a
+    kind that is UNKNOWN_KIND agree with all. Raises ValueError as `scan_arrays` and `map_arrays` do.
     """
     return unary_table(scan_arrays(scan), *map_arrays(landmarks)[2:5], chi2_gate(1, confidence))
 
 
 def gates_at(confidence: float) -> Gates:
-    """Raises ValueError unless 0 < confidence < 1."""
+    """χ² gates at a confidence. Raises ValueError unless 0 < confidence < 1."""
     return Gates(chi2_gate(1, confidence), chi2_gate(2, confidence))
 
 
 @compiled
 def measured(scan: ScanArrays, gates: Gates) -> Measured:
-    """A scan with the distances between all measurements and their variances."""
+    """A scan with the distances between all measurements and the variances of these distances."""
     points, noise, m = scan.points, scan.noise, len(scan.points)
     distances, variances, spreads = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
     for i in range(m):
@@ -81,14 +81,14 @@ def measured(scan: ScanArrays, gates: Gates) -> Measured:
 
 @compiled
 def largest_eigenvalue(xx: float, xy: float, yy: float) -> float:
-    """Of a symmetric 2 × 2 matrix."""
+    """The largest eigenvalue of a symmetric 2 × 2 matrix."""
     half = 0.5 * (xx - yy)
     return 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
 
 
 @compiled
 def cross_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, float, float]:
-    """P_jl: xx, xy, yx, yy [m²]; zero where the map keeps none."""
+    """P_jl: xx, xy, yx, yy [m²]; zero where the map stores none."""
     if j == l:
         P = mapped.covariances
         return P[j, 0, 0], P[j, 0, 1], P[j, 1, 0], P[j, 1, 1]
@@ -112,7 +112,7 @@ def cross_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, floa
 
 @compiled
 def difference_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float, float]:
-    """P_jj + P_ll − P_jl − P_lj: what is not known of F_l − F_j. Its xx, xy, yy [m²]."""
+    """P_jj + P_ll − P_jl − P_lj, the covariance of F_l − F_j: xx, xy, yy [m²]."""
     P = mapped.covariances
     xx, xy, yx, yy = cross_covariance(mapped, j, l)
     return (
@@ -124,32 +124,33 @@ def difference_covariance(mapped: Mapped, j: int, l: int) -> tuple[float, float,
 
 @compiled
 def unary_test(
-    size: float, variance: float, kind: int, of_size: float, of_variance: float, of_kind: int, gate: float
+    size: float, variance: float, kind: int, mapped_size: float, mapped_variance: float, mapped_kind: int, gate: float
 ) -> bool:
     """`unary` for one measurement and one feature; gate χ²_1."""
-    if kind != of_kind and kind != UNKNOWN_KIND and of_kind != UNKNOWN_KIND:
+    if kind != mapped_kind and kind != UNKNOWN_KIND and mapped_kind != UNKNOWN_KIND:
         return False
-    difference = size - of_size
-    return not difference * difference > gate * (variance + of_variance)  # NaN passes
+    difference = size - mapped_size
+    return not difference * difference > gate * (variance + mapped_variance)  # NaN passes
 
 
 @inlined
 def far_apart(error: float, spread: float, trace: float, of_other: float, gate: float) -> bool:
-    """Whether two distances differ by more than any cross-covariance could explain: this settles most binary tests.
+    """Whether two distances differ by more than any cross-covariance can explain: this settles most binary tests.
 
-    The covariance of a difference is at most twice the sum of the marginals, whose traces are given; gate χ²_2.
+    The covariance of a difference is at most twice the sum of the marginals. `trace` and `of_other` are the traces of
+    the two; gate χ²_2.
     """
     return bool(error * error >= gate * (spread + 2.0 * (trace + of_other)))
 
 
 @compiled
 def binary_test(scan: Measured, mapped: Mapped, i: int, j: int, k: int, l: int) -> bool:
-    """Whether pairings (i, j) and (k, l) agree in the distance of their measurements and that of their features.
+    """Whether pairings (i, j) and (k, l) agree: the distance of their measurements fits that of their features.
 
-    With g the distance, (g_scan − g_map)² < χ²_{1,conf} (σ²_scan + σ²_map), where σ²_scan = uᵀ(R_i + R_k)u and
-    σ²_map = uᵀ(P_jj + P_ll − P_jl − P_lj)u, u being the unit vector from one point to the other. Points closer than 4 σ
-    have no such direction: there |g_scan − g_map|, which never exceeds the error e of the difference vector, is held
-    against χ²_{2,conf} times the largest variance that e may have.
+    With g the distance, (g_scan − g_map)² < χ²_{1,conf} (σ²_scan + σ²_map), where σ²_scan = uᵀ(R_i + R_k)u and σ²_map =
+    uᵀ(P_jj + P_ll − P_jl − P_lj)u, with the unit vector u from one point to the other. Points closer than 4 σ define no
+    such direction. There the error |g_scan − g_map|, which never exceeds the length of the error e of the difference
+    vector, is compared with χ²_{2,conf} times the largest variance of e in any direction.
     """
     x, y = mapped.positions[l, 0] - mapped.positions[j, 0], mapped.positions[l, 1] - mapped.positions[j, 1]
     square, spread = x * x + y * y, scan.spreads[i, k]
@@ -167,31 +168,32 @@ def binary_test(scan: Measured, mapped: Mapped, i: int, j: int, k: int, l: int) 
 
 @compiled
 def orientation_test(scan: Measured, mapped: Mapped, ikp: tuple[int, int, int], jlq: tuple[int, int, int]) -> bool:
-    """Whether pairings (i, j), (k, l) and (p, q) go round in the same sense in scan and map, or noise leaves it open.
+    """Whether three pairings (i, j), (k, l), (p, q) have the same sense of rotation in scan and map, as far as noise
+    can tell.
 
-    The signed areas of the two triangles must have the same sign, unless noise explains the difference:
-    (A_scan − A_map)² < χ²_{1,conf} (σ²_scan + σ²_map), by linearisation with full cross-covariances.
+    The signed areas of the two triangles must have the same sign, unless (A_scan − A_map)² < χ²_{1,conf} (σ²_scan +
+    σ²_map), by linearisation with full cross-covariances.
     """
     (i, k, p), (j, l, q), z, F = ikp, jlq, scan.points, mapped.positions
     # twice the signed areas
-    seen = (z[k, 0] - z[i, 0]) * (z[p, 1] - z[i, 1]) - (z[k, 1] - z[i, 1]) * (z[p, 0] - z[i, 0])
-    known = (F[l, 0] - F[j, 0]) * (F[q, 1] - F[j, 1]) - (F[l, 1] - F[j, 1]) * (F[q, 0] - F[j, 0])
-    if seen * known >= 0.0:
+    area_scan = (z[k, 0] - z[i, 0]) * (z[p, 1] - z[i, 1]) - (z[k, 1] - z[i, 1]) * (z[p, 0] - z[i, 0])
+    area_map = (F[l, 0] - F[j, 0]) * (F[q, 1] - F[j, 1]) - (F[l, 1] - F[j, 1]) * (F[q, 0] - F[j, 0])
+    if area_scan * area_map >= 0.0:
         return True
     variance = 0.0
     for a, b, c in ((i, k, p), (k, p, i), (p, i, k)):
         gx, gy = z[b, 1] - z[c, 1], z[c, 0] - z[b, 0]
         R = scan.noise[a]
         variance += gx * gx * R[0, 0] + 2.0 * gx * gy * R[0, 1] + gy * gy * R[1, 1]
-    of_map = 0.0
+    map_variance = 0.0
     for a, b, c in ((j, l, q), (l, q, j), (q, j, l)):
         gx, gy = F[b, 1] - F[c, 1], F[c, 0] - F[b, 0]
         hx, hy = F[c, 1] - F[a, 1], F[a, 0] - F[c, 0]
         P = mapped.covariances[a]
         xx, xy, yx, yy = cross_covariance(mapped, a, b)
-        of_map += gx * gx * P[0, 0] + 2.0 * gx * gy * P[0, 1] + gy * gy * P[1, 1]
-        of_map += 2.0 * (gx * (xx * hx + xy * hy) + gy * (yx * hx + yy * hy))
-    return bool((seen - known) ** 2 < scan.gates.one * (variance + max(of_map, 0.0)))
+        map_variance += gx * gx * P[0, 0] + 2.0 * gx * gy * P[0, 1] + gy * gy * P[1, 1]
+        map_variance += 2.0 * (gx * (xx * hx + xy * hy) + gy * (yx * hx + yy * hy))
+    return bool((area_scan - area_map) ** 2 < scan.gates.one * (variance + max(map_variance, 0.0)))
 
 
 @compiled

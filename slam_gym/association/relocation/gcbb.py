@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.problem import (
     LEAVES,
@@ -24,8 +24,8 @@ from slam_gym.association.relocation.problem import (
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, IntArray, Landmarks, Locality, Relocation, Scan
 
-LEAF_LIMIT = 5_000  # hypotheses that a search locates: a quarter of a second
-_STAR = -1  # in place of a candidate: `*` comes next, the candidates are done
+LEAF_LIMIT = 5_000  # hypotheses that a search locates, which takes a quarter of a second
+_STAR = -1  # in place of a candidate: `*` comes next, no candidates are left
 
 
 def gcbb(
@@ -39,24 +39,24 @@ def gcbb(
     rivals: bool = True,
     outwards: bool = False,
 ) -> Relocation:
-    """The jointly compatible hypothesis with most pairings, of all that satisfy the location-independent constraints.
+    """The jointly compatible hypothesis with most pairings among those that satisfy location-independent constraints.
 
-    Depth first through the interpretation tree, level i deciding measurement i: a feature is a legal branch where the
-    unary constraint holds and the binary one with every pairing already made, and where it goes round with the first
-    pairing and every other in the same sense; `*` comes last. After the first pairing only features local to its own
-    are offered. A node is visited if pairings so far + levels left > pairings of the best. A leaf that may beat the
-    best is located, and believed if D² < χ²_{2k−3}.
+    The search is depth first through the interpretation tree; level i decides measurement i. A feature is a legal
+    branch where three conditions hold: the unary constraint, the binary one with every pairing already made, and the
+    same orientation with the first pairing and every other one. `*` comes last. After the first pairing only features
+    local to its feature are offered. A node is visited if pairings so far + levels left > pairings of the best. A leaf
+    that may beat the best is located, and accepted if D² < χ²_{2k−3}.
 
-    With `rivals`, nodes that may equal the best are visited too: the least D² of all hypotheses with most pairings is
-    returned, and `ties` tells how many of the others are at another pose. Without, the search is that of the source,
-    the first of them is returned, and nothing is known of ties.
+    With `rivals`, nodes that may equal the best are visited too. The hypothesis with most pairings and least D² is then
+    returned, and `ties` is the number of the others that imply another pose. Without, the search is that of the source:
+    the first hypothesis with most pairings is returned, and ties are not counted.
 
-    Levels follow the scan. With `outwards` they go from its centre out: a measurement amid the others is more likely to
-    begin with a feature that was seen together with all of theirs, so that less is lost to a strict locality.
+    Levels follow the scan. With `outwards` they go from its centroid outwards: a central measurement is more likely to
+    come from a feature that was seen together with those of all others, so that a strict locality loses less.
 
     `min_pairings` replaces the rule of `acceptance`. Where `node_limit` or `LEAF_LIMIT` ends the search,
-    `effort.limit_hit` says so and the best hypothesis until then is returned. Raises ValueError for bad numbers in scan
-    or map, and for a locality of another map.
+    `effort.limit_hit` is set and the best hypothesis so far is returned. Raises ValueError for bad numbers in scan or
+    map, and for a locality of another map.
     """
     if node_limit < 1:
         raise ValueError(f"node_limit: {node_limit} is less than 1")
@@ -66,15 +66,15 @@ def gcbb(
         levels = np.argsort(((scan.points - scan.points.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
     best = _gcbb(problem, levels, node_limit, rivals)
     if min_pairings is None:
-        min_pairings = by_rule(scan, landmarks, confidence=confidence)
+        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
     return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 @compiled
 def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> Best:
-    """The search, level l deciding measurement levels[l].
+    """The search, where level l decides measurement levels[l].
 
-    By level: how many pairings there are above it, and how many candidates were tried.
+    For each level: above is the number of pairings above it, tried the number of candidates tried.
     """
     m, best, effort = len(levels), nothing_found(len(levels)), problem.effort
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
@@ -90,8 +90,8 @@ def _gcbb(problem: Problem, levels: IntArray, node_limit: int, rivals: bool) -> 
             offer(best, problem, path, p)
             level -= 1
             continue
-        feature, done = next_branch(problem, path, p, levels[level], tried[level])
-        tried[level] = _STAR if feature == UNPAIRED else done
+        feature, examined = next_branch(problem, path, p, levels[level], tried[level])
+        tried[level] = _STAR if feature == UNPAIRED else examined
         if feature == UNPAIRED and p + m - level - 1 < fewest(best, rivals):
             continue
         if effort[NODES] == node_limit or effort[LEAVES] >= LEAF_LIMIT:

@@ -1,11 +1,11 @@
-"""Where a hypothesis puts the robot, without a prior: the pose, its covariance, and how well it explains the pairings.
+"""The pose of the robot under a hypothesis, without a prior: its estimate, covariance, and fit to the pairings.
 
 For pairings of measurements z_a (noise R_a, in R) with features F_a (joint covariance P, in B) and a pose (t, θ), the
 errors e_a = F_a − t − C(θ) z_a have the joint covariance S = P + diag(C R_a Cᵀ). With A = ∂(t + C z)/∂(t, θ) stacked,
-the pose that minimises D² = eᵀS⁻¹e is found by Gauss–Newton steps δ = (AᵀS⁻¹A)⁻¹AᵀS⁻¹e, and (AᵀS⁻¹A)⁻¹ is its
-covariance: what a joint EKF update leaves of an uninformative prior on the robot, iterated to convergence. Three
-numbers were fitted to 2k, so D² follows χ² with 2k − 3 degrees of freedom. The first guess is the closed form of
-Umeyama (IEEE TPAMI 13(4), 1991) without scale, each pairing weighted by the inverse of its variances' sum.
+the pose that minimises D² = eᵀS⁻¹e is found by Gauss–Newton steps δ = (AᵀS⁻¹A)⁻¹AᵀS⁻¹e. Its covariance is (AᵀS⁻¹A)⁻¹,
+that of a joint EKF update of an uninformative prior, iterated to convergence. Since three numbers are fitted to 2k, D²
+follows χ² with 2k − 3 degrees of freedom. The initial guess is the closed form of Umeyama (IEEE TPAMI 13(4), 1991)
+without scale, where each pairing is weighted by the inverse of its variances' sum.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from slam_gym.validation import check_scan
 
 _ITERATIONS = 50
 _STEP = 1e-9  # [m, rad] converged when no component of a step is larger
-_FLOOR = 1e-12  # [m²] added to every variance, so that error-free points can be located too
+_FLOOR = 1e-12  # [m²] added to every variance, so that points without error can be located too
 
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """The pose that explains a hypothesis best."""
+    """The pose that fits a hypothesis best."""
 
     pose: Array  # (3,) [m, m, rad] of the robot in B; NaN where the pairings do not determine it
-    covariance: Array  # (3, 3) [m², m·rad, rad²]; NaN likewise
-    joint_distance: float  # D²_H there; 0 with fewer than two pairings; inf where the pose is not determined
+    covariance: Array  # (3, 3) [m², m·rad, rad²]; NaN in the same cases
+    joint_distance: float  # D²_H at that pose; 0 with fewer than two pairings; inf where the pose is not determined
     dof: int  # 2k − 3 for k pairings; 0 with fewer than two
 
 
 def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
     """The pose of the robot in B under the hypothesis that pairs measurement i with features[i], (m,) or UNPAIRED.
 
-    Two pairings at least are needed, of measurements at different points. Raises ValueError where the scan is bad (as
-    `check_scan` does), where there is no such feature, and where the covariance of the pairings is none.
+    At least two pairings are needed, of measurements at different points. Raises ValueError for a bad scan (as
+    `check_scan`), for unknown features, and where the joint covariance of the pairings is not positive definite.
     """
     check_scan(scan)
     if len(features) != len(scan):
@@ -66,7 +66,7 @@ def locate_pairings(
 ) -> float:
     """D² of the first k ≥ 2 pairings of a path; `pose` (3,) and `pose_covariance` (3, 3) are written.
 
-    NaN where S is not positive definite; inf where the pose is not determined. The pose is NaN with either.
+    D² is NaN where S is not positive definite, and inf where the pose is not determined. The pose is NaN in both cases.
     """
     measurements, features = path.measurements[:k], path.features[:k]
     z, R, F, P = points[measurements], noise[measurements], mapped.positions[features], np.empty((2 * k, 2 * k))
@@ -98,7 +98,7 @@ def locate_pairings(
 
 @inlined
 def place_of(points: Array, noise: Array, i: int, pose: Array, P: Array) -> tuple[float, float, float, float, float]:
-    """Where a measurement lies in B, and how well that is known, from a pose with covariance P: x, y, xx, xy, yy.
+    """Position and covariance of a measurement in B, from a pose with covariance P: x, y, xx, xy, yy.
 
     t + C z with covariance J P Jᵀ + C R Cᵀ, where J = ∂(t + C z)/∂(t, θ).
     """
@@ -135,7 +135,7 @@ def _closed_form(points: Array, noise: Array, positions: Array, P: Array, pose: 
 def _linearise(
     points: Array, noise: Array, positions: Array, P: Array, pose: Array, out: tuple[Array, Array, Array]
 ) -> None:
-    """The lower triangle of S, A (2k, 3) and e (2k,), all at `pose`."""
+    """Write the lower triangle of S, A (2k, 3) and e (2k,), all at `pose`."""
     (S, A, e), c, s = out, math.cos(pose[2]), math.sin(pose[2])
     for a in range(len(points)):
         u, v = c * points[a, 0] - s * points[a, 1], s * points[a, 0] + c * points[a, 1]
@@ -152,7 +152,7 @@ def _linearise(
 
 @compiled
 def _solve(A: Array, errors: Array, normal: Array, inverse: Array, step: Array) -> float:
-    """(AᵀS⁻¹A)⁻¹ into `inverse`, δ into `step`, of whitened A and e; D² after the step, inf where it is singular."""
+    """From whitened A and e: (AᵀS⁻¹A)⁻¹ into `inverse`, δ into `step`. Returns D² after the step; inf if singular."""
     right, distance = np.zeros(3), 0.0
     normal[:] = 0.0
     for r in range(len(errors)):

@@ -1,4 +1,4 @@
-"""What a learner sees of a relocation walk: flat, finite, scaled float32 vectors."""
+"""The observation of a relocation walk: flat, finite, scaled float32 vectors."""
 
 from __future__ import annotations
 
@@ -16,43 +16,43 @@ from slam_gym.association.walks import (
 )
 
 MEASUREMENT_FIELDS = ("present", *MEASURED_FIELDS, "legal", "hidden")
-"""Of the measurement to decide, in R; how many candidates are legal, and how many of those are not shown."""
+"""Fields of the measurement to decide, in R. `legal`, `hidden`: numbers of legal candidates, and of those not shown."""
 
 CANDIDATE_FIELDS = ("legal", "support", "bound", "mean", "worst", "size_difference", "covisibility")
-"""Columns of `candidates`, best first. `support`: fraction of the undecided measurements that keep a legal partner
-after this pairing; `bound`: fraction of the scan that the hypothesis could then come to pair; `mean`, `worst`: D² of
-its distances to the pairings of the path; `size_difference` in σ; `covisibility`: fraction of the path's features that
-are local to it."""
+"""Columns of `candidates`, best first. `support`: fraction of the undecided measurements that keep a legal feature
+after this pairing; `bound`: fraction of the scan that the hypothesis could then pair; `mean`, `worst`: D² of its
+distances to the pairings of the path; `size_difference` in σ; `covisibility`: fraction of the path's features that are
+local to it."""
 
 SCAN_FIELDS = ("present", "x", "y", "size", "decided", "paired", "candidates")
-"""Columns of `scan`, a row for each measurement in the order of the levels."""
+"""Columns of `scan`, one row for each measurement in the order of the levels."""
 
 PATH_FIELDS = (
     "level",  # fraction of the measurements decided
     "pairings",  # fraction of the measurements paired
-    "bound",  # share that no hypothesis below this node exceeds
-    "without",  # the same below `*`
-    "leaf",  # nothing is left to decide but to stop or to restart
+    "bound",  # fraction of the measurements that no hypothesis below this node exceeds
+    "without",  # the bound below `*`
+    "leaf",  # only stopping or restarting is left
     "compatible",  # the leaf passed the joint test
 )
-"""`path`: the decisions of this try, and what is ahead."""
+"""Fields of `path`: the decisions of this try, and what may follow."""
 
 SEARCH_FIELDS = (
     "best",  # pairings of the best hypothesis so far, as a fraction
     "best_distance",  # its D² over its degrees of freedom
-    "accepted",  # it would be believed
-    "needed",  # pairings that it takes to be believed, as a fraction
+    "accepted",  # whether it would be accepted
+    "needed",  # pairings required for acceptance, as a fraction
     "nodes_left",  # fraction of the node limit
     "tries",
 )
-"""`search`: what all tries have come to."""
+"""Fields of `search`: the result of all tries so far."""
 
 DISTANCE_SCALE = 2.0  # of D²
 COUNT_SCALE = 4.0
 
 
 def walk_shapes(candidates: int, measurements: int) -> dict[str, tuple[int, int]]:
-    """Rows and columns of each part of the observation for K `candidates` and scans of at most `measurements`."""
+    """Rows and columns of each part of the observation, for K `candidates` and scans of at most `measurements`."""
     return {
         "measurement": (1, len(MEASUREMENT_FIELDS)),
         "candidates": (candidates, len(CANDIDATE_FIELDS)),

@@ -1,4 +1,4 @@
-"""What a search without a prior is given, the best hypotheses that it has found, and its answer."""
+"""The input of a search without a prior, its best hypotheses, and its answer."""
 
 from __future__ import annotations
 
@@ -18,48 +18,48 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, Effort, IntArray, Landmar
 
 _COUNTED = ("nodes", "unary_tests", "binary_tests", "orientation_tests", "leaves", "joint_tests", "tries")
 NODES, UNARY, BINARY, ORIENTATION, LEAVES, JOINT, TRIES, LIMIT = range(8)
-"""Entries of the effort that the searches count, as in `Effort`; the last is 1 where a limit ended the search."""
+"""Indices of the counts in `Problem.effort`, named as in `Effort`; the last is 1 where a limit ended the search."""
 
-_RIVALS = 256  # hypotheses with as many pairings as the best that are kept
+_RIVALS = 256  # maximum number of hypotheses kept with as many pairings as the best
 
 
 class Problem(NamedTuple):
-    """A scan, a map and a locality, as the compiled searches take them, and what was spent on them."""
+    """A scan, a map and a locality, as the compiled searches take them, and the work done so far."""
 
     scan: Measured
     mapped: Mapped
     joint_gates: Array  # (m + 2,) `location_gates`
-    allowed: BoolArray  # (m, n) the unary constraints, looked up for every test that is counted
-    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all is local to all
+    allowed: BoolArray  # (m, n) table of the unary constraints
+    starts: IntArray  # (n + 1,) L(j) is members[starts[j]:starts[j + 1]]; both empty where all are local to all
     members: IntArray
     effort: IntArray  # (8,)
 
 
 class Best(NamedTuple):
-    """The hypotheses with most pairings, all of them jointly compatible: those of equal number are rivals."""
+    """The jointly compatible hypotheses with the most pairings. They are rivals."""
 
     features: IntArray  # (r, m) map feature of each measurement, or UNPAIRED
     poses: Array  # (r, 3) [m, m, rad] in B
     covariances: Array  # (r, 3, 3)
     distances: Array  # (r,) D²
-    state: IntArray  # (3,) number of pairings, of rivals, and which of them has the least D²
+    state: IntArray  # (3,) number of pairings, number of rivals, and index of the rival with the least D²
 
 
 @functools.lru_cache(maxsize=256)
 def location_gates(pairings: int, confidence: float) -> Array:
-    """χ²_{2k−3,conf} for k = 0 … pairings, inf for k < 2; and at the end χ²_{3,conf}, of a pose. (pairings + 2,)."""
+    """χ²_{2k−3,conf} for k = 0 … pairings, inf for k < 2; then χ²_{3,conf}, for a pose. Shape (pairings + 2,)."""
     gates = [math.inf if k < 2 else chi2_gate(2 * k - 3, confidence) for k in range(pairings + 1)]
     return np.array([*gates, chi2_gate(3, confidence)])
 
 
 def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, confidence: float) -> Problem:
-    """What a search without a prior is given. Raises ValueError for bad numbers in scan, map or locality."""
-    seen, mapped, gates = scan_arrays(scan), map_arrays(landmarks), gates_at(confidence)
+    """The input of a search without a prior. Raises ValueError for bad numbers in scan, map or locality."""
+    arrays, mapped, gates = scan_arrays(scan), map_arrays(landmarks), gates_at(confidence)
     return Problem(
-        measured(seen, gates),
+        measured(arrays, gates),
         mapped,
         location_gates(len(scan), confidence),
-        unary_table(seen, mapped.sizes, mapped.size_variances, mapped.kinds, gates.one),
+        unary_table(arrays, mapped.sizes, mapped.size_variances, mapped.kinds, gates.one),
         *locality_arrays(locality, len(landmarks)),
         np.zeros(8, np.int64),
     )
@@ -67,7 +67,7 @@ def problem_of(scan: Scan, landmarks: Landmarks, locality: Locality | None, conf
 
 @compiled
 def nothing_found(measurements: int) -> Best:
-    """No hypothesis yet; one pairing is what any other must beat."""
+    """An empty `Best`, which only hypotheses of more than one pairing can beat."""
     return Best(
         np.full((_RIVALS, measurements), UNPAIRED),
         np.empty((_RIVALS, 3)),
@@ -79,13 +79,14 @@ def nothing_found(measurements: int) -> Best:
 
 @inlined
 def fewest(best: Best, rivals: bool) -> int:
-    """The fewest pairings that are worth keeping: more than the best has, or with `rivals` as many."""
+    """The least number of pairings worth keeping: more than the best has, or with `rivals` as many."""
     return int(best.state[0] + (best.state[1] == 0 or not rivals))
 
 
 @compiled
 def joint_distance(problem: Problem, path: Path, k: int, pose: Array, covariance: Array) -> float:
-    """D² of the first k pairings of a path, located; inf where they are not jointly compatible, or are fewer than two.
+    """D² of the first k pairings of a path, at their best pose; inf unless they are jointly compatible and at least
+    two.
 
     `pose` (3,) and `covariance` (3, 3) are written.
     """
@@ -98,7 +99,8 @@ def joint_distance(problem: Problem, path: Path, k: int, pose: Array, covariance
 
 @compiled
 def offer(best: Best, problem: Problem, path: Path, k: int) -> bool:
-    """Locate and test the hypothesis of k pairings, and keep it if it has as many as the best; whether it holds."""
+    """Locate the hypothesis of k pairings, and keep it if it is jointly compatible and has as many as the best. Returns
+    whether it is compatible."""
     pose, covariance = np.empty(3), np.empty((3, 3))
     distance = joint_distance(problem, path, k, pose, covariance)
     if distance < math.inf:
@@ -108,7 +110,7 @@ def offer(best: Best, problem: Problem, path: Path, k: int) -> bool:
 
 @compiled
 def keep(best: Best, path: Path, k: int, pose: Array, covariance: Array, distance: float) -> None:
-    """Enter a located hypothesis if it has as many pairings as the best and is not there yet."""
+    """Keep a located hypothesis if it has as many pairings as the best and is not a duplicate."""
     state = best.state
     if k < state[0]:
         return
@@ -130,10 +132,9 @@ def keep(best: Best, path: Path, k: int, pose: Array, covariance: Array, distanc
 
 
 def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -> Relocation:
-    """The rival with the least D², and how many of the others are elsewhere. All UNPAIRED and NaN if there is none.
+    """The rival with the least D², and the number of others at another pose. All UNPAIRED and NaN if there is none.
 
-    Two poses are one place when their difference δ is compatible with both covariances together,
-    δᵀ(Σ_1 + Σ_2)⁻¹δ < χ²_3.
+    Two poses are the same where their difference δ fits the sum of their covariances: δᵀ(Σ_1 + Σ_2)⁻¹δ < χ²_3.
     """
     _, rivals, b = best.state.tolist()
     features, distance, ties = np.full(best.features.shape[1], UNPAIRED), 0.0, 0
@@ -141,9 +142,9 @@ def answer_of(best: Best, problem: Problem, min_pairings: int, seconds: float) -
     if rivals > 0:
         features, distance = best.features[b].copy(), float(best.distances[b])
         pose, covariance = best.poses[b].copy(), best.covariances[b].copy()
-        apart, both = best.poses[:rivals] - pose, best.covariances[:rivals] + covariance
-        apart[:, 2] = wrap_angles(apart[:, 2])
-        squares = np.einsum("ra,ra->r", apart, np.linalg.solve(both, apart[:, :, None])[:, :, 0])
+        differences, sums = best.poses[:rivals] - pose, best.covariances[:rivals] + covariance
+        differences[:, 2] = wrap_angles(differences[:, 2])
+        squares = np.einsum("ra,ra->r", differences, np.linalg.solve(sums, differences[:, :, None])[:, :, 0])
         ties = int((squares >= problem.joint_gates[-1]).sum())
     *counts, limit = problem.effort.tolist()
     spent = Effort(**dict(zip(_COUNTED, counts, strict=True)), limit_hit=limit > 0, seconds=seconds)

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from slam_gym._jit import compiled
-from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.relocation.constraints import Path
 from slam_gym.association.relocation.location import place_of
 from slam_gym.association.relocation.problem import (
@@ -28,8 +28,8 @@ from slam_gym.association.relocation.problem import (
 from slam_gym.association.relocation.tree import next_branch
 from slam_gym.types import UNPAIRED, Array, IntArray, Landmarks, Locality, Relocation, Scan
 
-_SAMPLE = 3  # measurements of a sample
-_STAR = -1  # in place of a candidate: `*` was tried, the candidates are done
+_SAMPLE = 3  # number of measurements in a sample
+_STAR = -1  # in place of a candidate: `*` was tried, no candidates are left
 
 
 def random_sampling(
@@ -45,14 +45,15 @@ def random_sampling(
 ) -> Relocation:
     """The largest hypothesis grown from random samples of the measurements.
 
-    Each of `tries` takes three measurements at random and pairs all of them, depth first and without `*`, under the
-    location-independent constraints and the locality of the first. Every three pairings that are jointly compatible
-    give a pose, from which JCBB decides the other measurements: those compatible with a feature there, jointly with all
-    that is already paired, located anew with every pairing (χ²_{2k−3}). Poses that cannot bring as many pairings as the
-    best are left at once, which is why a scan from outside the map costs no more than one from inside.
+    Each of `tries` tries takes three measurements at random and pairs all of them, depth first and without `*`, under
+    the location-independent constraints and the locality of the first feature. Every triple of jointly compatible
+    pairings implies a pose, from which JCBB decides the other measurements: candidates must be compatible at that pose,
+    and jointly with all previous pairings, where the pose is computed anew with every pairing (χ²_{2k−3}). Poses that
+    cannot yield as many pairings as the best are abandoned at once. So a scan from outside the map costs no more than
+    one from inside.
 
-    All samples are bad with probability P_fail after log P_fail / log(1 − P_good³) tries, P_good being the share of
-    measurements that come from features of the map: 8 tries for 0.05 and 0.7. `seed` is that of the samples, or the
+    All samples are bad with probability P_fail after log P_fail / log(1 − P_good³) tries, where P_good is the fraction
+    of measurements that come from features of the map: 8 tries for 0.05 and 0.7. `seed` is that of the samples, or a
     generator to draw them from. `min_pairings` replaces the rule of `acceptance`; `node_limit` bounds the nodes of all
     trees together. Raises ValueError for bad numbers in scan or map, for a locality of another map, and for settings
     out of range.
@@ -65,13 +66,13 @@ def random_sampling(
     problem = problem_of(scan, landmarks, locality, confidence)
     best = _random_sampling(problem, samples, node_limit)
     if min_pairings is None:
-        min_pairings = by_rule(scan, landmarks, confidence=confidence)
+        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
     return answer_of(best, problem, min_pairings, time.perf_counter() - began)
 
 
 @compiled
 def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Best:
-    """The best of all tries: all ways to pair every measurement of a sample, each extended."""
+    """The best hypothesis of all tries: each complete pairing of each sample is extended."""
     m, size, effort = len(problem.allowed), samples.shape[1], problem.effort
     best, tried = nothing_found(m), np.zeros(size + 1, np.int64)
     path = Path(np.empty(m, np.int64), np.empty(m, np.int64))
@@ -100,9 +101,10 @@ def _random_sampling(problem: Problem, samples: IntArray, node_limit: int) -> Be
 
 @compiled
 def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -> None:
-    """JCBB from the pose of p pairings over the other measurements, every prefix located anew and jointly compatible.
+    """JCBB over the other measurements, from the pose of p pairings; every prefix is located anew and jointly
+    compatible.
 
-    By level: how many pairings there are above it, and how many candidates were tried.
+    For each level: above is the number of pairings above it, tried the number of candidates tried.
     """
     effort, pose, covariance = problem.effort, np.empty(3), np.empty((3, 3))
     if joint_distance(problem, path, p, pose, covariance) == math.inf:
@@ -139,10 +141,12 @@ def _extend(best: Best, problem: Problem, path: Path, p: int, node_limit: int) -
 def _compatible(
     problem: Problem, path: Path, p: int, pose: Array, covariance: Array
 ) -> tuple[list[int], list[IntArray]]:
-    """Measurements other than the first p of a path, and the features that each is compatible with, by D²_ij.
+    """Measurements other than the first p of a path that have candidates, and their compatible features, by ascending
+    D²_ij.
 
-    That is by the pose of these p pairings. Features are local to the first one paired. Pose and features are taken for
-    independent here: where a common drift correlates them the gate is too wide, and the joint test decides.
+    Compatibility is tested at the pose of these p pairings. Features are local to the first one paired. The gate
+    assumes that pose and features are independent. Where a common drift correlates them it is too wide, and the joint
+    test decides.
     """
     scan, F, P, first = problem.scan, problem.mapped.positions, problem.mapped.covariances, path.features[0]
     local = np.arange(len(F))

@@ -1,10 +1,11 @@
-"""The interpretation tree without a prior on the pose: branches are legal by constraints that hold wherever it is.
+"""The interpretation tree without a prior on the pose: branches are legal by constraints that hold for any pose.
 
-A pairing is legal when the unary constraints hold, when its distance agrees with all pairings on the path, its
-orientation with the first and every other, when its feature is free, and when that is local to the feature of the first
-pairing. `follows` is that rule, and the only one: `next_branch` is the branch that a depth-first search takes next, as
-`gcbb` and `random_sampling` do; a `RelocationNode`, which walks go by, keeps all pairings that are still legal, since
-what is illegal at a node is so in its whole subtree. `branches` is what may follow a node, `extend` the node that does.
+A pairing is legal under four conditions: it satisfies the unary constraints; its distances agree with all pairings on
+the path, and its orientation with the first and every other one; its feature is unused; and this is local to the
+feature of the first pairing. `follows` is the only implementation of this rule. `next_branch` returns the next branch
+of a depth-first search, for `gcbb` and `random_sampling`. A `RelocationNode`, for walks, stores all pairings that are
+still legal, since a pairing that is illegal at a node is illegal in its whole subtree. `branches` returns the branches
+of a node, `extend` the node after a decision.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class RelocationNode:
-    """The decisions that lead to a node, and what may still follow."""
+    """The decisions that lead to a node, and the pairings that may still follow."""
 
     path: Path  # (p,) the pairings
-    decided: BoolArray  # (m,)
+    decided: BoolArray  # (m,) which measurements are decided
     alive: BoolArray  # (m, n) pairings of undecided measurements that are legal after those of the path
 
     @property
@@ -43,11 +44,11 @@ class RelocationNode:
 
     @property
     def bound(self) -> int:
-        """What no hypothesis below this node can exceed in pairings."""
+        """Upper bound of the pairings of any hypothesis below this node."""
         return self.bound_without(None)
 
     def bound_without(self, measurement: int | None) -> int:
-        """The same with `measurement` unpaired."""
+        """The bound if `measurement` is left unpaired."""
         alive = self.alive
         if measurement is not None:
             alive = alive.copy()
@@ -56,7 +57,7 @@ class RelocationNode:
 
     @property
     def hypothesis(self) -> IntArray:
-        """Feature paired with each measurement (m,); UNPAIRED for `*` and for what is undecided."""
+        """Feature paired with each measurement (m,); UNPAIRED for `*` and for undecided measurements."""
         features = np.full(len(self.decided), UNPAIRED)
         features[self.path.measurements] = self.path.features
         return features
@@ -67,20 +68,20 @@ class RelocationBranches:
     """The features that a measurement may be paired with, by descending support, then ascending mean distance."""
 
     features: IntArray  # (b,)
-    support: IntArray  # (b,) undecided other measurements that keep a legal partner after this pairing
-    mean: Array  # (b,) D² of the distances to the pairings of the path, their mean; 0 without pairings
-    worst: Array  # (b,) their largest
+    support: IntArray  # (b,) number of undecided other measurements that keep a legal feature after this pairing
+    mean: Array  # (b,) mean D² of the distances to the pairings of the path; 0 without pairings
+    worst: Array  # (b,) their maximum
     local: Array  # (b,) fraction of the path's features that are local to this one; 1 without pairings
 
 
 def root(problem: Problem) -> RelocationNode:
-    """Nothing decided."""
+    """The root, at which nothing is decided."""
     nothing = np.empty(0, np.int64)
     return RelocationNode(Path(nothing, nothing), np.zeros(len(problem.allowed), np.bool_), problem.allowed)
 
 
 def branches(problem: Problem, node: RelocationNode, measurement: int) -> RelocationBranches:
-    """What `measurement` may be paired with at `node`; `*` is always legal besides."""
+    """The features that `measurement` may be paired with at `node`. `*`, always legal, is not listed."""
     candidates = np.flatnonzero(node.alive[measurement])
     support, figures = _look_ahead(problem, node.alive, node.path, measurement, candidates)
     order = np.lexsort((figures[:, 0], -support))
@@ -88,7 +89,7 @@ def branches(problem: Problem, node: RelocationNode, measurement: int) -> Reloca
 
 
 def extend(problem: Problem, node: RelocationNode, measurement: int, feature: int) -> RelocationNode:
-    """The node reached by pairing `measurement`, undecided, with a legal feature or with UNPAIRED."""
+    """The node after an undecided `measurement` is paired with a legal feature or left UNPAIRED."""
     decided, alive = node.decided.copy(), node.alive.copy()
     decided[measurement], alive[measurement] = True, False
     if feature == UNPAIRED:
@@ -100,10 +101,11 @@ def extend(problem: Problem, node: RelocationNode, measurement: int, feature: in
 
 @compiled
 def follows(scan: Measured, mapped: Mapped, effort: IntArray, path: Path, p: int, i: int, j: int, since: int) -> bool:
-    """Whether pairing (i, j) may follow the p pairings of a path, given that it may follow the first `since` of them.
+    """Whether pairing (i, j) may follow the p pairings of a path, if it may follow the first `since` of them.
 
-    The unary constraint and the locality of the first pairing are the caller's to see to: both say where to look. The
-    first three arguments are of a `Problem`; taken out of it here, at every call, they cost as much as the tests.
+    The caller checks the unary constraint and the locality of the first pairing, since both determine where to search.
+    The first three arguments are fields of a `Problem`: to read them here, at every call, would cost as much as the
+    tests.
     """
     measurements, features = path
     for a in range(since, p):
@@ -121,9 +123,10 @@ def follows(scan: Measured, mapped: Mapped, effort: IntArray, path: Path, p: int
 
 @compiled
 def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tuple[int, int]:
-    """The next feature that measurement i may be paired with after the p pairings, or UNPAIRED; candidates done with.
+    """The next feature that may be paired with measurement i after p pairings, or UNPAIRED; number of candidates
+    examined.
 
-    Candidates are the features local to the first one paired, or all; the first `tried` of them are done with.
+    Candidates are the features local to the first one paired, or all. The first `tried` of them were examined before.
     """
     scan, mapped, effort, allowed = problem.scan, problem.mapped, problem.effort, problem.allowed
     F, P, starts, members, gate = mapped.positions, mapped.covariances, problem.starts, problem.members, scan.gates.two
@@ -139,7 +142,7 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
         effort[UNARY] += 1
         if not allowed[i, j]:
             continue
-        if p > 0:  # what `follows` would do first, with all at hand: it settles most pairings
+        if p > 0:  # the first test of `follows`, with values read once: it settles most pairings
             error = distance - math.sqrt((F[j, 0] - x) ** 2 + (F[j, 1] - y) ** 2)
             if far_apart(error, spread, P[j, 0, 0] + P[j, 1, 1], trace, gate):
                 effort[BINARY] += first != j
@@ -151,7 +154,7 @@ def next_branch(problem: Problem, path: Path, p: int, i: int, tried: int) -> tup
 
 @compiled
 def _local_to(problem: Problem, feature: int) -> BoolArray:
-    """(n,) L(feature)."""
+    """(n,) mask of L(feature)."""
     local = np.full(len(problem.mapped.positions), len(problem.starts) == 0)
     if len(problem.starts) > 0:
         for at in range(problem.starts[feature], problem.starts[feature + 1]):
@@ -161,7 +164,7 @@ def _local_to(problem: Problem, feature: int) -> BoolArray:
 
 @compiled
 def keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
-    """Strike from `alive` (m, n), in place, what the last pairing of the path rules out."""
+    """Clear in `alive` (m, n), in place, the pairings that the last pairing of the path rules out."""
     scan, mapped, effort, p = problem.scan, problem.mapped, problem.effort, len(path.features)
     local = _local_to(problem, path.features[p - 1])
     for k in range(alive.shape[0]):
@@ -172,7 +175,7 @@ def keep_what_follows(problem: Problem, alive: BoolArray, path: Path) -> None:
 
 @compiled
 def _look_ahead(problem: Problem, alive: BoolArray, path: Path, i: int, candidates: IntArray) -> tuple[IntArray, Array]:
-    """Beyond the pairings of measurement i with each of `candidates` (b,): support (b,), and mean, worst, local (b, 3).
+    """Properties of pairing measurement i with each of `candidates` (b,): support (b,); mean, worst and local (b, 3).
 
     D² of a distance is (g_scan − g_map)² / (σ²_scan + σ²_map).
     """

@@ -1,12 +1,13 @@
-"""The search in a hash of triangles: which triples of measurements are looked up, and what is made of the poses.
+"""Search in a hash of triangles: which triples of measurements are looked up, and how the implied poses are verified.
 
-Completeness by pigeonhole: with the measurements in g groups, any 2g + 1 of them have three in one group. So once all
-triples within the groups have been looked up, no pose is unseen that explains more than 2g measurements (but for
-triples wider than the hash reaches, which it does not hold). Groups are compact, since small triangles have few likes:
-they number n in proportion to the radius of their circumcircle.
+Completeness follows from the pigeonhole principle: if the measurements are divided into g groups, any 2g + 1 of them
+include three of one group. So once all triples within the groups have been looked up, no pose that explains more than
+2g measurements is missed (except by triples wider than the reach of the hash, which does not contain them). Groups are
+compact, since small triangles have few similar ones: their number is n times a factor proportional to the radius of
+their circumcircle.
 
-The triangles of the map that look like a triple imply poses. Each is held against the whole scan, first by the
-distance to the nearest feature where a measurement would lie, then by pairing, location and joint test.
+Each triangle of the map that is similar to a triple implies a pose. Each pose is tested against the whole scan: first
+by the distance from each measurement's position to the nearest feature, then by pairing, location and joint test.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from slam_gym.association.relocation.problem import (
 )
 from slam_gym.types import UNPAIRED, Array, IntArray
 
-FAR = 255  # in the raster of distances: farther than it reaches
-_TURNS = 16  # of a scan, for groups that are less wide
-_ROUNDS = 6  # of locating and pairing again; as a rule two are enough
-_LOCATING = 30  # nodes that a location counts as: it takes as long as holding so many poses against the raster
+FAR = 255  # in the raster of distances: beyond its range
+_TURNS = 16  # rotations of a scan that are tried, to find narrower groups
+_ROUNDS = 6  # of locating and pairing again; two are usually enough
+_LOCATING = 30  # nodes that a location counts as: it takes as long as testing this many poses against the raster
 
 Integers16 = NDArray[np.int16]
 Integers32 = NDArray[np.int32]
@@ -47,86 +48,86 @@ Bytes = NDArray[np.uint8]
 
 
 class Grid(NamedTuple):
-    """Features by the square cells that they lie in."""
+    """Features grouped by square cells."""
 
-    starts: IntArray  # (rows · columns + 1,) cell c holds members[starts[c]:starts[c + 1]]
+    starts: IntArray  # (rows · columns + 1,) the features of cell c are members[starts[c]:starts[c + 1]]
     members: IntArray  # (n,)
     shape: tuple[int, int]  # rows, columns
     origin: tuple[float, float, float]  # [m] left and lower edge, side of a cell
 
 
 class Raster(NamedTuple):
-    """How far it is to the nearest feature, as far as its own covariance does not explain it."""
+    """Distances to the nearest feature, reduced by what its own covariance explains."""
 
-    steps: Bytes  # (rows, columns) √(d² − γλ) / step rounded down, d from the nearest point of the cell; or FAR
+    steps: Bytes  # (rows, columns) √(d² − γλ) / step, rounded down, with d from the nearest point of the cell; or FAR
     origin: tuple[float, float, float]  # [m] left and lower edge, side of a cell
     step: float  # [m]
 
 
 class TriangleHash(NamedTuple):
-    """Triangles of near features by their sides, and features by where they lie."""
+    """Triangles of nearby features, hashed by their sides, and features by position."""
 
-    starts: IntArray  # (cells + 1,) cell c holds the triangles starts[c] … starts[c + 1] − 1
+    starts: IntArray  # (cells + 1,) the triangles of cell c are starts[c] … starts[c + 1] − 1
     corners: Integers32  # (t, 3) A, B, C counterclockwise, AB the longest side
     sides: Floats32  # (t, 4) [m] AB, BC, CA, and the largest variance [m²] of the three
     grid: Grid
     raster: Raster
     reach: float  # [m] longest side of the triangles
-    quantum: float  # [m] of the sides, between cells
+    quantum: float  # [m] width of a hash cell in each side
     widest: float  # [m²] largest variance of a feature in any direction
 
 
-class Look(NamedTuple):
-    """What is looked for."""
+class Query(NamedTuple):
+    """A query of the hash."""
 
-    problem: Problem  # without the table of unary constraints, which would take time linear in the map
-    needed: int  # pairings
+    problem: Problem  # without the table of unary constraints, whose computation is linear in the map
+    needed: int  # number of pairings
     node_limit: int
 
 
 class _Seed(NamedTuple):
-    """A triple of measurements, and the others as seen from its centroid.
+    """A triple of measurements, and the other measurements relative to its centroid.
 
-    With error variance v per pairing and inertia I about the centroid, a pose fitted to it has variance v/3 at the
-    centroid and v/I in heading, so that a measurement at distance d has v/3 + d²v/I from the pose.
+    With error variance v per pairing and inertia I about the centroid, a pose fitted to the triple has variance v/3 at
+    the centroid and v/I in heading. So a measurement at distance d has variance v/3 + d²v/I from the pose.
     """
 
-    offsets: Array  # (m − 3, 2) [m] of the others from the centroid
-    limits: IntArray  # (m − 3,) steps of the raster beyond which no feature is within their gate
+    offsets: Array  # (m − 3, 2) [m] of the other measurements from the centroid
+    limits: IntArray  # (m − 3,) raster steps beyond which no feature is within their gates
     centroid: tuple[float, float]  # [m] in R
     variances: tuple[float, float]  # [m², rad²] v/3 and v/I
-    margin: float  # [m] gate of a side, whatever the features
+    margin: float  # [m] gate of a side, for any features
 
 
 @compiled
-def search(table: TriangleHash, look: Look) -> Best:
-    """All hypotheses with most pairings, one less than needed at least.
+def search(table: TriangleHash, query: Query) -> Best:
+    """All hypotheses with the most pairings, at least one less than needed.
 
-    The search ends with one pairing more than needed, once triples of what is paired have shown no other place that
-    looks alike. With as many as needed, there are no others with as many but what the gates turn away.
+    The search ends with one pairing more than needed, once triples of the paired measurements have shown no other
+    similar place. With exactly as many as needed, only hypotheses that the gates reject can be missing.
     """
-    scan, best = look.problem.scan, nothing_found(len(look.problem.scan.points))
-    best.state[0] = max(look.needed - 1, 3) - 1
-    if len(scan.points) < max(look.needed, 3):
+    scan, best = query.problem.scan, nothing_found(len(query.problem.scan.points))
+    best.state[0] = max(query.needed - 1, 3) - 1
+    if len(scan.points) < max(query.needed, 3):
         return best
-    for triple in _triples(scan, np.arange(len(scan.points)), max((look.needed - 1) // 2, 1), table.reach):
-        _try_triple(table, look, best, triple)
-        if look.problem.effort[LIMIT] > 0 or best.state[0] > look.needed:
+    for triple in _triples(scan, np.arange(len(scan.points)), max((query.needed - 1) // 2, 1), table.reach):
+        _try_triple(table, query, best, triple)
+        if query.problem.effort[LIMIT] > 0 or best.state[0] > query.needed:
             break
-    pairings = look.needed
+    pairings = query.needed
     while pairings < best.state[0]:
         pairings, fresh = best.state[0], np.ones(len(scan.points), np.bool_)
         paired = np.flatnonzero(best.features[best.state[2]] != UNPAIRED)
         for triple in _triples(scan, paired, pairings // 3, table.reach):
-            if fresh[triple].all() and look.problem.effort[LIMIT] == 0:
+            if fresh[triple].all() and query.problem.effort[LIMIT] == 0:
                 fresh[triple] = False
-                _try_triple(table, look, best, triple)
+                _try_triple(table, query, best, triple)
     return best
 
 
 @compiled
 def _triples(scan: Measured, measurements: IntArray, groups: int, reach: float) -> IntArray:
-    """Triples (t, 3) within compact groups of measurements, counterclockwise, small circumcircles first."""
+    """Triples (t, 3) within compact groups of measurements, counterclockwise, by ascending circumradius."""
     m, z, count = len(measurements), scan.points, 0
     triples, radii = np.empty((m * m * m // 6 + 1, 3), np.int64), np.empty(m * m * m // 6 + 1)
     group = _near_groups(scan, measurements, groups, reach)
@@ -146,7 +147,7 @@ def _triples(scan: Measured, measurements: IntArray, groups: int, reach: float) 
 
 @compiled
 def _near_groups(scan: Measured, members: IntArray, groups: int, reach: float) -> IntArray:
-    """`_groups`, the scan turned so that few pairs within them are farther apart than the hash reaches."""
+    """`_groups` of the scan, rotated so that few pairs within a group are farther apart than the hash reaches."""
     least, best = len(members) ** 2, np.empty(0, np.int64)
     for turn in range(_TURNS):
         c, s, wide = math.cos(0.5 * math.pi * turn / _TURNS), math.sin(0.5 * math.pi * turn / _TURNS), 0
@@ -163,9 +164,9 @@ def _near_groups(scan: Measured, members: IntArray, groups: int, reach: float) -
 
 @compiled
 def _groups(points: Array, members: IntArray, groups: int) -> IntArray:
-    """Group (m,) of each of the points that are members: compact groups of nearly equal size.
+    """Group (m,) of each member among the points: compact groups of nearly equal size.
 
-    Points are cut in two across their longer extent, in proportion to the groups wanted on either side, and so on.
+    Points are split recursively across their longer extent, in proportion to the numbers of groups on either side.
     """
     group, uncut = np.empty(len(points), np.int64), [(members, 0, groups)]
     while len(uncut) > 0:
@@ -181,9 +182,9 @@ def _groups(points: Array, members: IntArray, groups: int) -> IntArray:
 
 
 @compiled
-def _seed(table: TriangleHash, look: Look, triple: IntArray) -> _Seed:
-    """The seed of a triple."""
-    scan, points, noise, inertia = look.problem.scan, look.problem.scan.points, 0.0, 1e-12
+def _seed(table: TriangleHash, query: Query, triple: IntArray) -> _Seed:
+    """The seed of a triple of measurements."""
+    scan, points, noise, inertia = query.problem.scan, query.problem.scan.points, 0.0, 1e-12
     x, y = points[triple, 0].mean(), points[triple, 1].mean()
     for i in triple:
         inertia += (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2
@@ -203,30 +204,30 @@ def _seed(table: TriangleHash, look: Look, triple: IntArray) -> _Seed:
 
 
 @compiled
-def _try_triple(table: TriangleHash, look: Look, best: Best, triple: IntArray) -> None:
-    """Look up the triangles like a triple of measurements, however turned, and verify the poses that they imply.
+def _try_triple(table: TriangleHash, query: Query, best: Best, triple: IntArray) -> None:
+    """Verify the poses implied by triangles similar to a triple of measurements, in all rotations of its corners.
 
-    A triple that is nearly straight may run either way round.
+    A nearly straight triple may have either orientation.
     """
-    look.problem.effort[TRIES] += 1
-    distances, points, (i, k, l) = look.problem.scan.distances, look.problem.scan.points, triple
+    query.problem.effort[TRIES] += 1
+    distances, points, (i, k, l) = query.problem.scan.distances, query.problem.scan.points, triple
     longest = max(distances[i, k], distances[k, l], distances[l, i])
     if longest == 0.0:
         return
-    seed = _seed(table, look, triple)
+    seed = _seed(table, query, triple)
     a, b, c = points[i], points[k], points[l]
     height = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / longest
     for turn in range(6 if height < 2.0 * seed.margin else 3):
         onwards = 1 if turn < 3 else 2
         corners = np.array([triple[turn % 3], triple[(turn + onwards) % 3], triple[(turn + 2 * onwards) % 3]])
         if distances[corners[0], corners[1]] + 2.0 * seed.margin >= longest:
-            _verify(table, look, best, seed, corners)
+            _verify(table, query, best, seed, corners)
 
 
 @compiled
-def _like(table: TriangleHash, look: Look, corners: IntArray) -> Integers32:
-    """Corners (t, 3) of the triangles whose sides are those between three measurements, within the gate."""
-    scan, gate = look.problem.scan, look.problem.scan.gates.one
+def _similar_triangles(table: TriangleHash, query: Query, corners: IntArray) -> Integers32:
+    """Corners (t, 3) of the triangles whose sides match those between three measurements, within the gate."""
+    scan, gate = query.problem.scan, query.problem.scan.gates.one
     sides, variances, low, high = np.empty(3), np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
     for k in range(3):
         i, l = corners[k], corners[(k + 1) % 3]
@@ -245,67 +246,67 @@ def _like(table: TriangleHash, look: Look, corners: IntArray) -> Integers32:
                     longer = np.empty((2 * len(chosen) + end - start, 3), np.int32)
                     longer[:count] = chosen[:count]
                     chosen = longer
-                look.problem.effort[BINARY] += end - start
+                query.problem.effort[BINARY] += end - start
                 for t in range(start, end):
                     x, y, z = table.sides[t, 0] - first, table.sides[t, 1] - second, table.sides[t, 2] - third
                     of_map = table.sides[t, 3]
                     near = (x * x <= gate * (u + of_map)) & (y * y <= gate * (v + of_map))
                     for k in range(3):
                         chosen[count, k] = table.corners[t, k]
-                    count += near & (z * z <= gate * (w + of_map))  # a branch could not be foretold
+                    count += near & (z * z <= gate * (w + of_map))  # branch-free: a branch would be mispredicted
     return chosen[:count]
 
 
 @compiled
 def cell_number(c: int, a: int, b: int) -> int:
-    """Number of the cell of sides c ≥ a, b in quanta: those of smaller c come first."""
+    """Number of the cell of sides c ≥ a, b in quanta; cells are ordered by c."""
     return c * (c + 1) * (2 * c + 1) // 6 + a * (c + 1) + b
 
 
 @compiled
-def _verify(table: TriangleHash, look: Look, best: Best, seed: _Seed, corners: IntArray) -> None:
-    """Hold the poses implied by the triangles like three measurements against the whole scan, first by the raster."""
-    problem, triangles = look.problem, _like(table, look, corners)
+def _verify(table: TriangleHash, query: Query, best: Best, seed: _Seed, corners: IntArray) -> None:
+    """Test the poses that similar triangles imply for three measurements against the whole scan, first by the
+    raster."""
+    problem, triangles = query.problem, _similar_triangles(table, query, corners)
     problem.effort[NODES] += len(triangles)
     poses = _implied_poses(problem.mapped.positions, problem.scan.points[corners], triangles)
-    missed, m = _missed(table.raster, seed, poses), len(problem.scan.points)
+    unmatched, m = _count_unmatched(table.raster, seed, poses), len(problem.scan.points)
     located, features, squares = (np.empty(3), np.empty((3, 3))), np.empty(m, np.int64), np.empty(m)
-    for t in np.flatnonzero(missed <= m - fewest(best, True)):
-        if problem.effort[NODES] > look.node_limit:
+    for t in np.flatnonzero(unmatched <= m - fewest(best, True)):
+        if problem.effort[NODES] > query.node_limit:
             break
         _locate_robot(seed, poses[:, t], located)
-        k = _pair_around(table, look, located, triangles[t, 0], fewest(best, True), features, squares)
-        if k > 0 and _is_new(look, best, corners, triangles[t]):
+        k = _pair_at(table, query, located, triangles[t, 0], fewest(best, True), features, squares)
+        if k > 0 and _is_new_seed(query, best, corners, triangles[t]):
             problem.effort[LEAVES] += 1
-            _examine(table, look, best, triangles[t, 0], located, k, features, squares)
-    if problem.effort[NODES] > look.node_limit:
+            _examine(table, query, best, triangles[t, 0], located, k, features, squares)
+    if problem.effort[NODES] > query.node_limit:
         problem.effort[LIMIT] = 1
 
 
 @compiled
-def _missed(raster: Raster, seed: _Seed, poses: Array) -> IntArray:
-    """How many of the other measurements have no feature within their gate, (t,), at poses (4, t) of the seed.
+def _count_unmatched(raster: Raster, seed: _Seed, poses: Array) -> IntArray:
+    """Number (t,) of the other measurements without a feature within their gates, at poses (4, t) of the seed.
 
-    All places are worked out before any is looked up, and no pose is given up early: loops without branches take less
-    time than it takes to foresee their end.
+    All raster cells are computed before any is read, and no pose is abandoned early: loops without branches are faster.
     """
     (left, bottom, side), (rows, columns), flat = raster.origin, raster.steps.shape, raster.steps.ravel()
     x, y, cosine, sine, scale = poses[0], poses[1], poses[2], poses[3], 1.0 / side
-    places, missed = np.empty(len(x), np.int64), np.zeros(len(x), np.int64)
+    cells, unmatched = np.empty(len(x), np.int64), np.zeros(len(x), np.int64)
     for p in range(len(seed.limits)):
         u, v, limit = seed.offsets[p, 0], seed.offsets[p, 1], seed.limits[p]
         for t in range(len(x)):
             column = min(max(int((x[t] + cosine[t] * u - sine[t] * v - left) * scale), 0), columns - 1)
             row = min(max(int((y[t] + sine[t] * u + cosine[t] * v - bottom) * scale), 0), rows - 1)
-            places[t] = row * columns + column
+            cells[t] = row * columns + column
         for t in range(len(x)):
-            missed[t] += flat[places[t]] > limit
-    return missed
+            unmatched[t] += flat[cells[t]] > limit
+    return unmatched
 
 
 @compiled
 def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Array:
-    """Least-squares fits of three points to triangles (t, 3): x, y of their centroid, cos θ, sin θ, (4, t)."""
+    """Least-squares fits of three points to triangles (t, 3): x, y of the centroid, cos θ, sin θ, (4, t)."""
     poses, z = np.empty((4, len(triangles))), points - np.array([points[:, 0].mean(), points[:, 1].mean()])
     for t in range(len(triangles)):
         a, b, c = positions[triangles[t, 0]], positions[triangles[t, 1]], positions[triangles[t, 2]]
@@ -318,10 +319,10 @@ def _implied_poses(positions: Array, points: Array, triangles: Integers32) -> Ar
 
 
 @inlined
-def _is_new(look: Look, best: Best, corners: IntArray, features: Integers32) -> bool:
-    """Whether three pairings satisfy the unary constraints and locality, and are not all part of what is kept."""
+def _is_new_seed(query: Query, best: Best, corners: IntArray, features: Integers32) -> bool:
+    """Whether three pairings satisfy unary constraints and locality, and no hypothesis kept contains all of them."""
     for k in range(3):
-        if not _may_pair(look.problem, corners[k], features[k], features[0]):
+        if not _may_pair(query.problem, corners[k], features[k], features[0]):
             return False
     kept = 0
     for r in range(best.state[1]):
@@ -331,7 +332,7 @@ def _is_new(look: Look, best: Best, corners: IntArray, features: Integers32) -> 
 
 @compiled
 def _locate_robot(seed: _Seed, implied: Array, located: tuple[Array, Array]) -> None:
-    """Enter pose (3,) of the robot and its covariance (3, 3), from a pose (4,) of the centroid of a seed."""
+    """Write the pose (3,) of the robot and its covariance (3, 3), from a pose (4,) of the centroid of a seed."""
     (x, y), (v, w), c, s, (pose, P) = seed.centroid, seed.variances, implied[2], implied[3], located
     lx, ly = c * x - s * y, s * x + c * y
     pose[0], pose[1], pose[2] = implied[0] - lx, implied[1] - ly, math.atan2(s, c)
@@ -342,7 +343,7 @@ def _locate_robot(seed: _Seed, implied: Array, located: tuple[Array, Array]) -> 
 @compiled
 def _examine(
     table: TriangleHash,
-    look: Look,
+    query: Query,
     best: Best,
     anchor: int,
     located: tuple[Array, Array],
@@ -350,12 +351,12 @@ def _examine(
     features: IntArray,
     squares: Array,
 ) -> None:
-    """Locate and pair in turns, from pairings (m,) around a pose on, until they stay.
+    """Locate and pair in turn, starting from the pairings (m,) at a pose, until the pairings no longer change.
 
-    Then drop the worst until the rest is jointly compatible, and keep what is as good as the best or better.
-    `located`, `features` and their D² are written to.
+    Then drop the worst pairings until the rest is jointly compatible, and keep the result if it is at least as good as
+    the best. `located`, `features` and their D² are overwritten.
     """
-    problem, scan, wanted, (pose, covariance) = look.problem, look.problem.scan, fewest(best, True), located
+    problem, scan, needed, (pose, covariance) = query.problem, query.problem.scan, fewest(best, True), located
     path, before = Path(np.empty(len(features), np.int64), np.empty(len(features), np.int64)), features.copy()
     k, distance = paired, math.inf
     for _ in range(_ROUNDS):
@@ -365,29 +366,29 @@ def _examine(
         problem.effort[NODES] += _LOCATING
         distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
         before[:] = features
-        paired = _pair_around(table, look, located, anchor, wanted, features, squares) if distance < math.inf else 0
+        paired = _pair_at(table, query, located, anchor, needed, features, squares) if distance < math.inf else 0
         if paired == 0:
             return
         if (features == before).all():
             break
     problem.effort[JOINT] += 1
-    while k >= wanted and not distance < problem.joint_gates[k]:
+    while k >= needed and not distance < problem.joint_gates[k]:
         worst = np.argmax(squares[path.measurements[:k]])
         for a in range(worst, k - 1):
             path.measurements[a], path.features[a] = path.measurements[a + 1], path.features[a + 1]
         k -= 1
         problem.effort[JOINT] += 1
         distance = locate_pairings(scan.points, scan.noise, problem.mapped, path, k, pose, covariance)
-    if k >= wanted:
+    if k >= needed:
         keep(best, path, k, pose, covariance, distance)
 
 
 @inlined
 def _may_pair(problem: Problem, i: int, j: int, anchor: int) -> bool:
-    """The unary constraints, as far as sizes and kinds are known, and the locality of feature `anchor`."""
+    """Whether a pairing satisfies the unary constraints and the locality of feature `anchor`."""
     scan, mapped = problem.scan, problem.mapped
-    seen = scan.sizes[i], scan.size_variances[i], scan.kinds[i]
-    if not unary_test(*seen, mapped.sizes[j], mapped.size_variances[j], mapped.kinds[j], scan.gates.one):
+    measured = scan.sizes[i], scan.size_variances[i], scan.kinds[i]
+    if not unary_test(*measured, mapped.sizes[j], mapped.size_variances[j], mapped.kinds[j], scan.gates.one):
         return False
     if len(problem.starts) == 0:
         return True
@@ -397,21 +398,22 @@ def _may_pair(problem: Problem, i: int, j: int, anchor: int) -> bool:
 
 
 @inlined
-def _pair_around(
+def _pair_at(
     table: TriangleHash,
-    look: Look,
+    query: Query,
     located: tuple[Array, Array],
     anchor: int,
     needed: int,
     features: IntArray,
     squares: Array,
 ) -> int:
-    """Pair each measurement with the feature of least D² within its gate; of two that want one, the nearer has it.
+    """Pair each measurement with the feature of least D² within its gate. Of two that claim one feature, the nearer
+    wins.
 
-    Writes `features` (m,) and their D² (m,); returns the number of pairings, or 0 once fewer than `needed` are left.
+    Writes `features` (m,) and their D² (m,). Returns the number of pairings, or 0 once it must be less than `needed`.
     """
-    scan, positions, spreads = look.problem.scan, look.problem.mapped.positions, look.problem.mapped.covariances
-    grid, (pose, P), gate, misses = table.grid, located, look.problem.scan.gates.two, 0
+    scan, positions, spreads = query.problem.scan, query.problem.mapped.positions, query.problem.mapped.covariances
+    grid, (pose, P), gate, misses = table.grid, located, query.problem.scan.gates.two, 0
     (rows, columns), (left, bottom, side) = grid.shape, grid.origin
     for i in range(len(features)):
         x, y, xx, xy, yy = place_of(scan.points, scan.noise, i, pose, P)
@@ -429,7 +431,7 @@ def _pair_around(
                 sxx, sxy, syy = xx + spreads[j, 0, 0], xy + spreads[j, 0, 1], yy + spreads[j, 1, 1]
                 determinant = sxx * syy - sxy * sxy
                 square = syy * dx * dx - 2.0 * sxy * dx * dy + sxx * dy * dy
-                if square < squares[i] * determinant and _may_pair(look.problem, i, j, anchor):
+                if square < squares[i] * determinant and _may_pair(query.problem, i, j, anchor):
                     features[i], squares[i] = j, square / determinant
         misses += features[i] == UNPAIRED
         for k in range(i if features[i] != UNPAIRED else 0):

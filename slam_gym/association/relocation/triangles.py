@@ -1,10 +1,10 @@
-"""Relocation below linear: a static hash of the triangles of near features, by their sides.
+"""Relocation in sublinear time: a static hash of the triangles of nearby features, by their sides.
 
-A triangle of features is written once, counterclockwise and longest side first: vertices A, B, C with sides
-c = |AB| ≥ a = |BC|, b = |CA|. A mirror image runs clockwise, so it is found under other sides or not at all. Three
-measurements are looked up by their distances; the triangles that agree imply poses, each of which is held against the
-whole scan (`triangle_search`). The work is n times a small number (the chance that a triangle of the map looks like one
-of the scan), not the number of pairs of pairings.
+Each triangle of features is stored once, counterclockwise and longest side first: vertices A, B, C with sides c = |AB|
+≥ a = |BC|, b = |CA|. Its mirror image runs clockwise, and so has other sides or is not stored. Three measurements are
+looked up by their distances. The matching triangles imply poses, each of which is tested against the whole scan
+(`triangle_search`). The work is n times a small number (the probability that a triangle of the map is similar to one of
+the scan), instead of the number of pairs of pairings.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from slam_gym._jit import compiled
 from slam_gym.association.acceptance import Crowding, crowding_of, least_pairings, log_expected
-from slam_gym.association.acceptance import min_pairings as by_rule
+from slam_gym.association.acceptance import min_pairings as required_pairings
 from slam_gym.association.compatibility import chi2_gate
 from slam_gym.association.relocation.arrays import Mapped, locality_arrays, map_arrays, scan_arrays
 from slam_gym.association.relocation.constraints import difference_covariance, gates_at, measured
@@ -31,7 +31,7 @@ from slam_gym.association.relocation.triangle_search import (
     Bytes,
     Grid,
     Integers32,
-    Look,
+    Query,
     Raster,
     TriangleHash,
     cell_number,
@@ -39,20 +39,20 @@ from slam_gym.association.relocation.triangle_search import (
 )
 from slam_gym.types import Array, IntArray, Landmarks, Locality, Relocation, Scan
 
-_WITHIN = 23  # features within reach of each, more in small maps
-_SAMPLE = 200  # features by whose surroundings the reach is judged
-_TRIANGLES, _TRIANGLES_EACH = 40_000, 64  # at most: in any map, or for each feature
-_NEAREST = 24  # features around each that its error is taken relative to, every other one of them
+_WITHIN = 23  # features within reach of each feature; more in small maps
+_SAMPLE = 200  # features sampled to determine the reach
+_TRIANGLES, _TRIANGLES_EACH = 40_000, 64  # maximum in any map, or for each feature
+_NEAREST = 24  # neighbours relative to which the error of a feature is taken, every other one of them
 _POSES, _POSES_EACH = 20_000, 3  # of the default node limit: in any map, and for each feature
 _FLOOR = 1e-10  # [m²] added to every variance of a feature, so that maps without errors have gates too
-_RASTER_CELLS = 512  # for each feature, at most
+_RASTER_CELLS = 512  # maximum for each feature
 
 
 class FeatureIndex:
     """A hash of the triangles in a map, for relocation.
 
-    Triangles are hashed whose sides are within reach: so that each feature has some 23 others there and 64 triangles,
-    or the map 40 000 of them. Raises ValueError as `map_arrays` does.
+    Triangles are hashed if their sides are within reach. The reach is such that each feature has some 23 others within
+    it and 64 triangles, or the map has 40 000. Raises ValueError as `map_arrays` does.
     """
 
     def __init__(self, landmarks: Landmarks) -> None:
@@ -85,24 +85,24 @@ class FeatureIndex:
         min_pairings: int | None = None,
         node_limit: int | None = None,
     ) -> Relocation:
-        """The pose that explains most measurements, if it explains enough and no other explains as many.
+        """The pose that explains most measurements, if it explains enough and no other pose explains as many.
 
         With `locality`, the other features are local to the first one paired. `min_pairings` defaults to the rule of
-        `acceptance`, with densities in squares of 1.5 reach; what explains two less is not looked for. The search ends
-        once no pose is unseen that explains as many measurements as needed. It also ends with one pairing more, where
-        disjoint triples of what is paired have shown no other place that looks alike.
+        `acceptance`, with densities in squares of 1.5 reach; hypotheses with two pairings less are not searched. The
+        search ends once no pose that explains as many measurements as needed can be missed. It also ends with one
+        pairing more, once disjoint triples of the paired measurements have shown no other similar place.
 
-        `node_limit` bounds the nodes: poses verified, every location counting as 30. Default: 20 000 and 3 for each
-        feature, some three times what it takes to refuse a scan of 20 measurements from elsewhere. Where it is met,
-        `effort.limit_hit` says so, and the answer is what was found until then.
+        `node_limit` bounds the nodes, which are the poses verified; every location counts as 30. Default: 20 000 plus 3
+        for each feature, some three times what it takes to reject a scan of 20 measurements from elsewhere. Where it is
+        reached, `effort.limit_hit` is set, and the answer is the best found so far.
 
         Raises ValueError for a bad scan, a confidence outside (0, 1), fewer than 3 `min_pairings`, or a locality of
         another number of features.
         """
         began, gates = time.perf_counter(), gates_at(confidence)
         if min_pairings is None:
-            by_chance = log_expected(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
-            min_pairings = least_pairings(by_chance, 0.02)
+            log_numbers = log_expected(scan, self.landmarks, confidence=confidence, crowding=self._crowding)
+            min_pairings = least_pairings(log_numbers, 0.02)
         if min_pairings < 3:
             raise ValueError(f"min_pairings: {min_pairings}; two pairings fit everywhere, so at least 3")
         if node_limit is None:
@@ -115,7 +115,7 @@ class FeatureIndex:
             *locality_arrays(locality, len(self)),
             np.zeros(8, np.int64),
         )
-        best = search(self._hash, Look(problem, min_pairings, node_limit))
+        best = search(self._hash, Query(problem, min_pairings, node_limit))
         answer = answer_of(best, problem, min_pairings, time.perf_counter() - began)
         if answer.pairings and (len(self.landmarks.covariance) or len(self.landmarks.blocks)):
             located = locate(scan, self.landmarks, answer.features)
@@ -125,7 +125,7 @@ class FeatureIndex:
 
     @functools.cached_property
     def _crowding(self) -> Crowding:
-        """That of squares of 1.5 reach."""
+        """The crowding of the map in squares of 1.5 reach."""
         return crowding_of(self.landmarks, 1.5 * self.reach)
 
 
@@ -138,20 +138,20 @@ def indexed(
     min_pairings: int | None = None,
     node_limit: int | None = None,
 ) -> Relocation:
-    """`FeatureIndex.relocate` in an index built for the occasion: for maps that are small, or looked up once."""
+    """`FeatureIndex.relocate` in a temporary index: for small maps, or for a single query."""
     if min_pairings is None:
-        min_pairings = by_rule(scan, landmarks, confidence=confidence)
+        min_pairings = required_pairings(scan, landmarks, confidence=confidence)
     return FeatureIndex(landmarks).relocate(
         scan, locality, confidence=confidence, min_pairings=min_pairings, node_limit=node_limit
     )
 
 
 def relative_covariances(landmarks: Landmarks) -> Array:
-    """Covariance of each feature relative to those around it, (n, 2, 2) [m²].
+    """Covariance of each feature relative to its neighbours, (n, 2, 2) [m²].
 
-    The vector between features j and l has covariance D_jl = P_jj + P_ll − P_jl − P_lj, in which error that both share
-    drops out. C_j is what makes D_jl ≈ C_j + C_l in the mean over near features l. Without cross-covariances it is
-    P_jj. Raises ValueError as `map_arrays` does.
+    The vector between features j and l has covariance D_jl = P_jj + P_ll − P_jl − P_lj, in which their common error
+    cancels. C_j is defined by D_jl ≈ C_j + C_l, averaged over nearby features l. Without cross-covariances it is P_jj.
+    Raises ValueError as `map_arrays` does.
     """
     mapped, n = map_arrays(landmarks), len(landmarks)
     if n < 2 or (len(mapped.covariance) == 0 and len(mapped.blocks) == 0):
@@ -160,11 +160,11 @@ def relative_covariances(landmarks: Landmarks) -> Array:
     differences = _differences(mapped, np.ascontiguousarray(near, np.int64))
     half = 0.5 * differences.mean(axis=1)
     relative = 2.0 * half - half[near].mean(axis=1)
-    # Where the neighbours are known much worse, too little or nothing is left of C_j: half of the mean over D_jl is
-    # taken instead, as if j and its neighbours were known equally well.
-    enough = (relative[:, 0, 0] > 0.5 * half[:, 0, 0]) & (relative[:, 1, 1] > 0.5 * half[:, 1, 1])
-    enough &= np.linalg.det(relative) > 0.0
-    out: Array = np.where(enough[:, None, None], relative, half)
+    # Where the neighbours are much less certain, C_j becomes too small or indefinite. Half of the mean over D_jl is
+    # used instead, as if j and its neighbours were equally certain.
+    valid = (relative[:, 0, 0] > 0.5 * half[:, 0, 0]) & (relative[:, 1, 1] > 0.5 * half[:, 1, 1])
+    valid &= np.linalg.det(relative) > 0.0
+    out: Array = np.where(valid[:, None, None], relative, half)
     out[:, [0, 1], [0, 1]] = np.maximum(out[:, [0, 1], [0, 1]], 0.0)
     return out
 
@@ -181,7 +181,7 @@ def _differences(mapped: Mapped, near: IntArray) -> Array:
 
 
 def _hash_of(mapped: Mapped) -> TriangleHash:
-    """The hash of a map whose covariances are relative to the features around."""
+    """The hash of a map whose covariances are relative to the neighbouring features."""
     positions, n = mapped.positions, len(mapped.positions)
     tree, most = cKDTree(positions), max(_TRIANGLES_EACH * n, _TRIANGLES)
     reach = _usual_reach(tree, most)
@@ -189,7 +189,7 @@ def _hash_of(mapped: Mapped) -> TriangleHash:
     noise = math.sqrt(float(np.median(np.trace(mapped.covariances, axis1=1, axis2=2))) + 1e-6) if n else 0.07
     noise = max(noise, reach / 400.0)
     quantum = max(5.0 * noise, reach / 32.0)
-    while True:  # where features crowd, the reach is less
+    while True:  # reduce the reach where features are dense
         if n == 0 or tree.count_neighbors(tree, reach) <= 4 * _WITHIN * most / _TRIANGLES_EACH:
             cells, corners, sides = _triangles(mapped, _neighbours(tree, reach), quantum, reach, most)
             if len(cells) <= most:
@@ -203,7 +203,7 @@ def _hash_of(mapped: Mapped) -> TriangleHash:
 
 
 def _usual_reach(tree: cKDTree, most: int) -> float:
-    """[m] what gives each feature enough others within reach; 11 m where there are fewer than three features."""
+    """[m] distance within which each feature has enough others; 11 m for fewer than three features."""
     if tree.n < 3:
         return 11.0
     near = min(int(_WITHIN * math.sqrt(most / (_TRIANGLES_EACH * tree.n))), tree.n - 1)
@@ -212,7 +212,7 @@ def _usual_reach(tree: cKDTree, most: int) -> float:
 
 
 def _neighbours(tree: cKDTree, reach: float) -> tuple[IntArray, IntArray]:
-    """Features later than each and within reach of it, (n + 1,) starts and (e,)."""
+    """For each feature, the later ones within reach of it: starts (n + 1,) and members (e,)."""
     pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     return np.searchsorted(pairs[:, 0], np.arange(tree.n + 1)), np.ascontiguousarray(pairs[:, 1])
@@ -222,10 +222,10 @@ def _neighbours(tree: cKDTree, reach: float) -> tuple[IntArray, IntArray]:
 def _triangles(
     mapped: Mapped, neighbours: tuple[IntArray, IntArray], quantum: float, reach: float, most: int
 ) -> tuple[NDArray[np.int16], Integers32, NDArray[np.float32]]:
-    """Cell, corners and sides of each triangle; not of all where they are more than `most`, but of one more."""
+    """Cell, corners and sides of each triangle. If there are more than `most`, only `most` + 1 of them."""
     F, P, (starts, later), count = mapped.positions, mapped.covariances, neighbours, 0
     cells, corners = np.empty(most + 1, np.int16), np.empty((most + 1, 3), np.int32)
-    sides, turned, lengths = np.empty((most + 1, 4), np.float32), np.empty(3, np.int64), np.empty(3)
+    sides, ordered, lengths = np.empty((most + 1, 4), np.float32), np.empty(3, np.int64), np.empty(3)
     for f in range(len(F)):
         for p in range(starts[f], starts[f + 1]):
             for q in range(starts[f], p):
@@ -233,9 +233,9 @@ def _triangles(
                 if (F[j, 0] - F[l, 0]) ** 2 + (F[j, 1] - F[l, 1]) ** 2 > reach * reach or count > most:
                     continue
                 area = (F[j, 0] - F[f, 0]) * (F[l, 1] - F[f, 1]) - (F[j, 1] - F[f, 1]) * (F[l, 0] - F[f, 0])
-                turned[0], turned[1], turned[2], variance = f, j if area >= 0.0 else l, l if area >= 0.0 else j, 0.0
+                ordered[0], ordered[1], ordered[2], variance = f, j if area >= 0.0 else l, l if area >= 0.0 else j, 0.0
                 for k in range(3):
-                    a, b = turned[k], turned[(k + 1) % 3]
+                    a, b = ordered[k], ordered[(k + 1) % 3]
                     x, y, xx, yy = (
                         F[b, 0] - F[a, 0],
                         F[b, 1] - F[a, 1],
@@ -244,11 +244,11 @@ def _triangles(
                     )
                     square, xy = x * x + y * y, P[a, 0, 1] + P[b, 0, 1]
                     lengths[k] = math.sqrt(square)
-                    along = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
-                    variance = max(variance, along)
+                    side_variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / square if square > 0.0 else xx + yy
+                    variance = max(variance, side_variance)
                 first = int(np.argmax(lengths))
                 for k in range(3):
-                    corners[count, k], sides[count, k] = turned[(first + k) % 3], lengths[(first + k) % 3]
+                    corners[count, k], sides[count, k] = ordered[(first + k) % 3], lengths[(first + k) % 3]
                 sides[count, 3] = variance
                 c, a, b = lengths[first], lengths[(first + 1) % 3], lengths[(first + 2) % 3]
                 cells[count] = cell_number(int(c / quantum), int(a / quantum), int(b / quantum))
@@ -257,7 +257,7 @@ def _triangles(
 
 
 def _coarse_enough(positions: Array, side: float, most: int) -> tuple[float, Array, Array]:
-    """[m] `side`, or so much more that about so many cells cover the positions, and the corners (2,) of these."""
+    """[m] `side`, enlarged until about `most` cells per position cover the area; and the corners (2,) of the area."""
     low, high = (positions.min(axis=0), positions.max(axis=0)) if len(positions) else np.zeros((2, 2))
     while np.prod((high - low) / side + 1.0) > most * len(positions) + 1024:
         side *= 1.25
@@ -265,7 +265,7 @@ def _coarse_enough(positions: Array, side: float, most: int) -> tuple[float, Arr
 
 
 def _grid_of(positions: Array, side: float) -> Grid:
-    """Cells of `side` [m], or more where they would be too many for so few features."""
+    """The grid of cells of `side` [m], enlarged where these would be too many for so few features."""
     side, low, high = _coarse_enough(positions, side, 8)
     columns, rows = (math.floor(extent / side) + 1 for extent in (high - low).tolist())
     cells = np.floor((positions - low) / side).astype(np.int64)
@@ -275,7 +275,7 @@ def _grid_of(positions: Array, side: float) -> Grid:
 
 
 def _raster_of(positions: Array, widest: Array, side: float) -> Raster:
-    """Cells are of `side` [m], or more where they would be too many; distances up to seven of them are told."""
+    """The raster, of cells of `side` [m] or more where these would be too many. It reaches as far as seven cells."""
     side, low, high = _coarse_enough(positions, side, _RASTER_CELLS)
     step, (left, bottom) = 7.0 * side / FAR, (low - 9.0 * side).tolist()
     columns, rows = (math.floor(extent / side) + 19 for extent in (high - low).tolist())
@@ -286,7 +286,7 @@ def _raster_of(positions: Array, widest: Array, side: float) -> Raster:
 
 @compiled
 def _paint(raster: Bytes, origin: tuple[float, float, float], step: float, positions: Array, explained: Array) -> None:
-    """Enter the distances of all features, of which `explained` (n,) [m²] of the squares is their own uncertainty."""
+    """Write the distances to all features; `explained` (n,) [m²] of their squares is the features' own uncertainty."""
     (rows, columns), (left, bottom, side), furthest = raster.shape, origin, (FAR * step) ** 2
     for j in range(len(positions)):
         x, y, radius = positions[j, 0], positions[j, 1], math.sqrt(furthest + explained[j])

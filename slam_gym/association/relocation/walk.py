@@ -1,9 +1,9 @@
-"""Relocation as a walk of the interpretation tree: what a walker may choose, and what it amounts to.
+"""Relocation as a walk of the interpretation tree: the actions of a walker and their effects.
 
 One walk is one scan. At each level the walker pairs the current measurement with one of K candidates or with `*`;
-`restart` takes it back to the root. Levels where only `*` is legal are passed by without asking. At a leaf, and where
-the walker restarts, the hypothesis is located and held against the joint test; the best so far is kept. From a leaf the
-walker may restart, or stop (`*`): the best is then the answer.
+`restart` returns to the root. Levels where only `*` is legal are passed automatically. At a leaf, and where the walker
+restarts, the hypothesis is located and jointly tested, and the best so far is kept. At a leaf the walker may restart,
+or stop (`*`): the best hypothesis is then the answer.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class WalkSpec:
     candidates: int = 8  # K on offer, those with most support
     order: Order = "fewest_candidates"
     node_limit: int = 300
-    sizes: bool = True  # sizes are looked at
+    sizes: bool = True  # whether sizes are used
     confidence: float = 0.99  # of all constraints and of the joint test
 
     def __post_init__(self) -> None:
@@ -51,25 +51,25 @@ class WalkSpec:
 
     @property
     def star(self) -> int:
-        """The action `*`; at a leaf, to stop."""
+        """The action `*`; at a leaf it stops the walk."""
         return self.candidates
 
     @property
     def restart(self) -> int:
-        """The action that goes back to the root."""
+        """The action that returns to the root."""
         return self.candidates + 1
 
     @property
     def actions(self) -> int:
-        """K candidates, `*`, restart."""
+        """Number of actions: K candidates, `*` and restart."""
         return self.candidates + 2
 
 
 class RelocationWalk:
-    """A walk through the tree of one scan, from the root until the walker stops or the nodes are spent.
+    """A walk through the tree of one scan, from the root until the walker stops or the node limit is reached.
 
-    Nodes are counted as every try leaves the root, and at every level decided, those passed by among them. Raises
-    ValueError where scan, map or locality are bad.
+    A node is counted at the root of every try and for every level decided, including levels passed automatically.
+    Raises ValueError where scan, map or locality are bad.
     """
 
     def __init__(self, spec: WalkSpec, scan: Scan, landmarks: Landmarks, locality: Locality | None = None) -> None:
@@ -80,27 +80,27 @@ class RelocationWalk:
         self.problem.effort[UNARY] = self.problem.allowed.size
         self.needed = min_pairings(scan, landmarks, confidence=spec.confidence)
         self.done = False
-        self._first_offer: RelocationBranches | None = None  # every try begins with the same
+        self._first_offer: RelocationBranches | None = None  # the same for every try
         self._kept = nothing_found(len(scan))
         self.order = self._in_order()  # (m,) the measurements, level by level
         self.best = self.answer()
         self._begin()
 
-    # where the walk stands
+    # state of the walk
 
     @property
     def level(self) -> int:
-        """Measurements decided."""
+        """Number of measurements decided."""
         return len(self.offered)
 
     @property
     def measurement(self) -> int | None:
-        """The one to decide; None at a leaf."""
+        """The measurement to decide; None at a leaf."""
         return None if self.at_leaf else int(self.order[self.level])
 
     @property
     def at_leaf(self) -> bool:
-        """Nothing is left to decide but to stop or to restart."""
+        """Whether only stopping or restarting is left."""
         return self.offer is None
 
     @property
@@ -110,22 +110,22 @@ class RelocationWalk:
 
     @property
     def hidden(self) -> int:
-        """Legal candidates that are not on offer since there are more than K."""
+        """Number of legal candidates that are not on offer because there are more than K."""
         return 0 if self.offer is None else len(self.offer.features) - len(self.shown)
 
     @property
     def nodes(self) -> int:
-        """Spent so far."""
+        """Number of nodes used so far."""
         return int(self.problem.effort[NODES])
 
     @property
     def tries(self) -> int:
-        """Walks from the root, this one included."""
+        """Number of walks from the root, including this one."""
         return int(self.problem.effort[TRIES])
 
     @property
     def mask(self) -> BoolArray:
-        """(K + 2,) the legal actions. `*` always is; restart, once the walker has decided something."""
+        """(K + 2,) the legal actions. `*` always is; restart is legal once the walker has made a decision."""
         legal = np.arange(self.spec.actions) < len(self.shown)
         legal[self.spec.star] = not self.done
         legal[self.spec.restart] = not self.done and any(shown for shown, _ in self.offered)
@@ -135,13 +135,13 @@ class RelocationWalk:
         """The action that pairs the current measurement with `feature` (UNPAIRED: `*`); None if it is not on offer."""
         if feature == UNPAIRED:
             return self.spec.star
-        found = np.flatnonzero(self.shown == feature)
-        return int(found[0]) if len(found) else None
+        matches = np.flatnonzero(self.shown == feature)
+        return int(matches[0]) if len(matches) else None
 
-    # moving on
+    # actions
 
     def take(self, action: int) -> None:
-        """Raises ValueError for an action that is not legal, and once the walk is done."""
+        """Carry out an action. Raises ValueError for an action that is not legal, and once the walk is done."""
         legal = self.mask
         if not (0 <= action < len(legal) and legal[action]):
             raise ValueError(f"action {action!r} is not legal; mask: {legal.tolist()}")
@@ -157,17 +157,17 @@ class RelocationWalk:
         self.done |= self._spent
 
     def answer(self) -> Relocation:
-        """What the walk has come to: the best hypothesis, or none at all."""
+        """The relocation by the best hypothesis so far, or without any pairing if there is none."""
         return answer_of(self._kept, self.problem, self.needed, 0.0)
 
     def _begin(self) -> None:
-        """A new try, from the root."""
+        """Start a new try from the root."""
         self.node = root(self.problem)
-        self.compatible: bool | None = None  # at a leaf: the hypothesis has a pose and passes the joint test there
+        self.compatible: bool | None = None  # at a leaf: whether the hypothesis passes the joint test
         self.offered: list[tuple[int, int]] = []  # of each level decided: candidates on offer, action taken
         self.problem.effort[NODES] += 1
         self.problem.effort[TRIES] += 1
-        self.offer: RelocationBranches | None = None  # what may be paired with the measurement, by rank; None at a leaf
+        self.offer: RelocationBranches | None = None  # the ranked features for the measurement; None at a leaf
         self._go_on()
 
     def _in_order(self) -> IntArray:
@@ -185,7 +185,7 @@ class RelocationWalk:
         self.problem.effort[NODES] += 1
 
     def _go_on(self) -> None:
-        """Pass by the levels that leave no choice; make the offer of the next, or judge the leaf."""
+        """Pass the levels without a choice; then make the offer of the next level, or judge the leaf."""
         self.offer, m, at_root = None, len(self.scan), not self.offered
         while self.level < m and not self._spent and not self.node.alive[self.order[self.level]].any():
             self._decide(self.spec.star)
@@ -203,7 +203,8 @@ class RelocationWalk:
         return self.nodes >= self.spec.node_limit
 
     def _judge(self) -> bool:
-        """Locate and test the hypothesis of the path, and keep it if none has more pairings; whether it holds."""
+        """Locate and test the hypothesis of the path, and keep it if none has more pairings. Returns whether it
+        passes."""
         self.problem.effort[LEAVES] += 1
         holds = offer(self._kept, self.problem, self.node.path, self.node.pairings)
         if holds:

@@ -56,8 +56,7 @@ class Beam(NamedTuple):
 
 
 class _Room(NamedTuple):
-    """The arrays of a search, with room for B hypotheses in two halves: one is read while the next level is written to
-    the other."""
+    """The arrays of a search for B hypotheses, in two halves: one is read while the other receives the next level."""
 
     score: Array  # (2, B)
     pairings: IntArray  # (2, B)
@@ -229,8 +228,7 @@ def updated(pairings: Pairings, beam: Beam, positions: Array) -> tuple[Array, Ar
 
 @compiled
 def _condition_all(P: Array, node_w: Array, pivots: Array, d: int, slot: int, q: int, w: Array, e: Array) -> None:
-    """`tree.condition` for all features at once, by node d, the q-th of the path, of a pairing with the feature of
-    `slot`."""
+    """`tree.condition` for all features, by node d, the q-th of the path, of a pairing with the feature of `slot`."""
     xx, yx, yy, u, v = pivots[d, 0], pivots[d, 1], pivots[d, 2], pivots[d, 3], pivots[d, 4]
     x, y, row_x, row_y = w[2 * q], w[2 * q + 1], P[2 * slot], P[2 * slot + 1]
     for j in range(len(x)):
@@ -301,7 +299,6 @@ def _select(
 
 @inlined
 def greatest_log_density(noise: Array) -> float:
-    """Upper bound of log N(e; 0, S) of a measurement with `noise` (2, 2), for any feature, because S exceeds the
-    noise."""
+    """Upper bound of log N(e; 0, S) of a measurement with `noise` (2, 2): S is at least the noise."""
     determinant = noise[0, 0] * noise[1, 1] - noise[0, 1] * noise[0, 1]
     return -0.5 * math.log(determinant) - _LOG_TWO_PI if determinant > 0.0 else math.inf

@@ -66,7 +66,7 @@ class ScanProblem(NamedTuple):
     part: Part
     pairings: Pairings
     starts: IntArray  # (l + 1,) index of each measurement's first pairing, not counting fixed ones
-    levels: IntArray  # (l, 2) first and end index of each measurement's pairings, in order of decision; if it has any
+    levels: IntArray  # (l, 2) first and end index of the pairings of each measurement with any, in order of decision
     rows: IntArray  # (u,) row of the prediction of each slot
     visible: Array  # (k,) probability of being in view from the predicted pose; (0,): unknown
     rates: Rates
@@ -143,8 +143,8 @@ def affordable(width: int, problems: list[ScanProblem]) -> int:
 
 @compiled
 def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
-    """The hypotheses of greatest density, with visibility from the predicted pose and extra log odds (c,) of pairings;
-    (0,): none.
+    """The hypotheses of greatest density, seen from the predicted pose, with extra log odds (c,) of pairings, or none
+    (0,).
 
     Measurements without a candidate are `*` in all hypotheses.
     """
@@ -171,9 +171,8 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
 
 @compiled
 def levels_of(pairings: Pairings, starts: IntArray, gate: float) -> IntArray:
-    """`ScanProblem.levels`: measurements with the best supported candidates are decided first. The support of a
-    candidate is the number of other measurements that have a candidate within the gate after an update with that single
-    pairing."""
+    """`ScanProblem.levels`: measurements whose candidates have most support come first. Support is the number of other
+    measurements with a candidate within the gate after an update with that single pairing."""
     path, count, others = path_of(pairings, 2), 0, np.count_nonzero(starts[1:] > starts[:-1]) - 1
     order_keys, levels = np.zeros(len(starts) - 1, np.int64), np.empty((len(starts) - 1, 2), np.int64)
     for i in range(len(starts) - 1):
@@ -275,8 +274,7 @@ def _grouped(positions: Array, order: IntArray, together: float, group: IntArray
 
 @compiled
 def weighed(kept: Kept, prior: Array, features: int) -> Weighed:
-    """The probability of every pairing, summed over all hypotheses and all values of P_D, whose prior log weights are
-    `prior` (d,)."""
+    """The probability of every pairing, over all hypotheses and all values of P_D with log weights `prior` (d,)."""
     hypotheses, (count, values) = kept.rows, kept.seen.shape
     scores, by_value = np.empty(count), np.full(values, -math.inf)
     for b in range(count):

@@ -32,8 +32,7 @@ _ITERATIONS, _CONVERGED = 30, 1e-10  # [rad]
 
 
 def ipjc(scan: Scan, prediction: Prediction, *, node_limit: int = 10_000) -> Hypothesis:
-    """The hypothesis with the most pairings, then least D²_H, of which each prefix is compatible at its best-fitting
-    pose.
+    """The hypothesis with most pairings, then least D²_H, whose prefixes are compatible, each at its best pose.
 
     Candidates must pass the individual gate at the predicted pose, as in `jcbb`. A prediction whose heading is certain
     is linear: the result is then that of JCBB. Every hypothesis is factored anew, which makes this plain baseline many

@@ -83,8 +83,7 @@ class _Best(NamedTuple):
 
 
 class _Stack(NamedTuple):
-    """For each number p of pairings of the hypothesis H on the path: the candidates that may follow it, conditioned on
-    H."""
+    """By number p of pairings of the hypothesis H on the path: candidates that may follow it, conditioned on H."""
 
     alive: IntArray  # (P + 1, c) candidates that can still be legal, level by level, by ascending D²_ij
     total: Array  # (P + 1, c) D² of H with the candidate added
@@ -100,8 +99,7 @@ class _Stack(NamedTuple):
 
 @compiled
 def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limit: int, out: IntArray) -> _Best:
-    """Find the hypothesis with the most pairings, then least D²_H, whose prefixes are all compatible; write it to `out`
-    (m,).
+    """Write to `out` (m,) the hypothesis with most pairings, then least D²_H, whose prefixes are all compatible.
 
     `rows` (u,) are the prediction rows of the slots. Branches are tried by ascending D²_ij, `*` last. A branch is
     visited if its bound (pairings so far plus those that may follow) exceeds the best, or equals it with a smaller
@@ -110,8 +108,7 @@ def branch_and_bound(pairings: Pairings, rows: IntArray, gates: Array, node_limi
     candidate is excluded from the whole subtree once D² of H and itself exceeds the gate of the largest hypothesis that
     it could complete.
 
-    For each p: path[p] is the next pairing, position[p] the index in alive[p] of the next candidate, level[p] its
-    level.
+    For each p: path[p] is the next pairing, position[p] the index of the next candidate, level[p] its level.
     """
     measured, fixed, depth = pairings.measured, pairings.fixed, len(gates)
     path, position, level = np.empty(depth, np.int64), np.zeros(depth, np.int64), np.full(depth, _UNDECIDED)
@@ -194,7 +191,7 @@ def _stack_at(pairings: Pairings, path: IntArray) -> _Stack:
 @inlined
 def _push(pairings: Pairings, stack: _Stack, p: int, d: int, first: int, best: int, gates: Array) -> int:
     """Add candidate d to the p pairings of H: fill entry p + 1 of the stack from alive[p, first:]. Returns the joint
-    tests made.
+    tests.
 
     Candidates that cannot become legal are dropped: at most one pairing of each earlier level that still has a
     candidate can precede a candidate. Returns early, with no candidate alive, once the bound must fall below `best`.

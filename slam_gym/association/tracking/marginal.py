@@ -95,8 +95,7 @@ def marginal(
     margin: float = 12.0,
     network: Network = NO_NETWORK,
 ) -> Hypothesis:
-    """Make every pairing whose marginal probability outweighs its risk, and start every feature that is equally surely
-    new.
+    """Make each pairing whose marginal probability outweighs its risk, and start each feature that is as surely new.
 
     All features in reach are candidates, near or not: omitting an alternative would make the others look certain. The
     `posterior` holds the marginals of the decisions. Its probability is that of all decisions together, 0 where the
@@ -272,8 +271,7 @@ def looks_of(
 
 @compiled
 def _greatest_score(noise: Array, starts: IntArray, rates: Rates) -> float:
-    """Upper bound of the score of a hypothesis: each measurement takes its best choice, surely in view and without
-    error."""
+    """Upper bound of the score of a hypothesis: each measurement takes its best choice, in view and without error."""
     gain, unpaired = math.log(rates.detection) - math.log1p(-rates.detection), math.log(rates.density)
     total = 0.0
     for i in range(len(starts) - 1):
@@ -297,8 +295,7 @@ def problem_of(look: Look, scan: ScanArrays, expected: Expected, gate: float) ->
 
 @compiled
 def run_of(prior: Prior) -> tuple[float, float]:
-    """Inputs of the network about the run: log density of measurements of nothing in the map; whether there were
-    earlier scans."""
+    """Network inputs about the run: log density of measurements of nothing in the map; whether there were scans."""
     return math.log(prior.unpaired / prior.area), 1.0 if prior.scans else 0.0
 
 
@@ -346,8 +343,7 @@ def _worth_searching(
 
 @compiled
 def _greatest_density(searched: Searched, look: Look, prices: Array, visible: Array) -> float:
-    """The greatest log density of the hypotheses of a search, with a single P_D and visibility from the predicted
-    pose."""
+    """The greatest log density found by a search, with a single P_D and visibility from the predicted pose."""
     missed, greatest = 0.0, -math.inf
     for v in visible:
         missed += math.log1p(-look.rates.detection * v)

@@ -24,8 +24,7 @@ def nearest_neighbour(scan: Scan, prediction: Prediction) -> Hypothesis:
 
 
 def singles(scan: Scan, prediction: Prediction) -> Hypothesis:
-    """SINGLES: measurement and feature are paired only where each is the only individually compatible one for the
-    other.
+    """SINGLES: a pairing is made where each of the two is the only individually compatible one for the other.
 
     Raises ValueError as `check_fault`.
     """

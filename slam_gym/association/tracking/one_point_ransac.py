@@ -18,8 +18,7 @@ from slam_gym.types import Array, Effort, Hypothesis, IntArray, Scan
 def one_point_ransac(
     scan: Scan, prediction: Prediction, *, success: float = 0.99, tries: int = 1000, seed: int = 0
 ) -> Hypothesis:
-    """The pairings that agree with the state after an update with the best single pairing, and those rescued
-    afterwards.
+    """The pairings that agree with the state after an update with the best single pairing, and the rescued ones.
 
     Civera, Grasa, Davison and Montiel, "1-point RANSAC for extended Kalman filtering", JFR 27(5), 2010. With a prior,
     one pairing is enough for a hypothesis. Candidates are drawn without replacement. The state is updated with the

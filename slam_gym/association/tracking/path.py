@@ -47,8 +47,7 @@ def path_of(pairings: Pairings, room: int) -> Path:
 
 @inlined
 def follow(pairings: Pairings, path: Path, p: int, c: int) -> Innovation:
-    """Innovation of pairing c after the first p pairings of a path. Overwrites the w that follows theirs with that of
-    c."""
+    """Innovation of pairing c after the first p pairings of a path. The w that follows theirs becomes that of c."""
     slot, e = pairings.slots[c], innovation_of(pairings, c)
     for q in range(p):
         v = path.pivots[q]
@@ -94,8 +93,7 @@ def distances_with(pairings: Pairings, path: Path, anchor: int, out: Array) -> N
 
 @compiled
 def support_of(pairings: Pairings, path: Path, anchor: int, gate: float) -> int:
-    """Number of other measurements with a candidate within the gate, after an update with the fixed pairings and the
-    anchor."""
+    """Number of other measurements with a candidate within the gate after an update with the anchor."""
     p, slots, measured = pairings.fixed, pairings.slots, pairings.measured
     e = follow(pairings, path, p, anchor)
     if squared(e) == math.inf:
