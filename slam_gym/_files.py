@@ -33,7 +33,7 @@ def gunzipped(content: bytes, limit: int = MAX_BYTES) -> bytes:
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
             unpacked = file.read(limit + 1)
     except Exception as error:  # gzip raises OSError, EOFError or zlib.error
-        raise ValueError(f"is no readable gzip file: {error}") from None
+        raise ValueError(f"is not a readable gzip file: {error}") from None
     if len(unpacked) > limit:
         raise ValueError(f"unpacks to more than {limit >> 20} MB")
     return unpacked
@@ -43,7 +43,7 @@ def array_of(content: bytes, kinds: str, limit: int = MAX_BYTES) -> NDArray[Any]
     """The array of a `.npy` file, read-only. Raises ValueError for pickles and for a dtype kind not among `kinds`."""
     try:
         array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
-    except Exception as error:  # numpy raises whatever the damage leads to
+    except Exception as error:  # numpy raises various errors
         raise ValueError(f"is not a numpy array ({error})") from None
     if array.dtype.kind not in kinds:
         raise ValueError(f"has entries of type {array.dtype}")
@@ -60,8 +60,8 @@ def zip_members(content: bytes, limit: int = MAX_BYTES) -> dict[str, bytes]:
             entries = archive.infolist()
             declared = sum(entry.file_size for entry in entries)
             members = {entry.filename: archive.read(entry) for entry in entries} if declared <= limit else None
-    except Exception as error:  # zipfile raises whatever the damage leads to
-        raise ValueError(f"is no readable zip file: {error}") from None
+    except Exception as error:  # zipfile raises various errors
+        raise ValueError(f"is not a readable zip file: {error}") from None
     if members is None:
         raise ValueError(f"unpacks to more than {limit >> 20} MB")
     return members

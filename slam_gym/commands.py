@@ -28,12 +28,12 @@ COMMANDS: dict[str, str] = {
     "demo": "One drive on bad wheels, mapped by two associators: a picture.",
     "slam": "SLAM on your own log: map, path, picture.",
     "evaluate": "Drivers on the same test worlds: table, report, films.",
-    "evaluate-association": "Associators in the loop, over the suite, on logs.",
+    "evaluate-association": "Associators in closed loop, over the suite, or on logs.",
     "train": "A driver or an associator by reinforcement learning.",
     "record-decisions": "An associator's decisions, as a Minari data set.",
-    "leaderboard": "An entry through the frozen protocol, ranked among all.",
-    "reproduce": "Train from nothing what ships.",
-    "report": "The report of a finished evaluation, once more.",
+    "leaderboard": "Run an entry through the frozen protocol, and rank it.",
+    "reproduce": "Train the shipped weights from scratch.",
+    "report": "Write the report of a finished evaluation again.",
     "play": "Drive with the keyboard.",
 }
 """The commands of `agents` and their summaries. Each is the `app` of the module of that name."""
@@ -68,7 +68,7 @@ app = typer.Typer(cls=_Commands, pretty_exceptions_enable=False)
 
 @app.callback(invoke_without_command=True, no_args_is_help=True)
 def about(version: bool = typer.Option(False, "--version", "-V", help="Show the version and exit.")) -> None:
-    """Data association in SLAM: evaluate, train, play. slam-gym COMMAND --help tells its options."""
+    """Data association in SLAM: evaluate, train, play. slam-gym COMMAND --help lists its options."""
     if version:
         print(f"slam_gym {slam_gym.__version__}")
         raise typer.Exit()
@@ -80,7 +80,7 @@ for _name, _summary in COMMANDS.items():
 
 @app.command("list", epilog="Example: slam-gym list scenarios")
 def list_names(topic: Topic) -> None:
-    """The names that other commands take."""
+    """List the names that other commands take."""
     from slam_gym.association import ASSOCIATORS, RELOCATORS
     from slam_gym.recordings.catalogue import PUBLISHED
     from slam_gym.scenarios import SCENARIOS
@@ -99,7 +99,7 @@ def list_names(topic: Topic) -> None:
 
 @app.command(epilog="Example: slam-gym doctor")
 def doctor() -> None:
-    """What is installed, compiled and cached, and where data are looked for."""
+    """Report what is installed, compiled and cached, and where data are searched."""
     from slam_gym.doctor import report  # which imports numba
 
     print("\n".join(report()))

@@ -1,4 +1,4 @@
-"""`slam-gym doctor`: what is installed, compiled and cached, and where data are searched."""
+"""`slam-gym doctor`: report what is installed, compiled and cached, and where data are searched."""
 
 from __future__ import annotations
 

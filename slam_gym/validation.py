@@ -185,13 +185,13 @@ def one_of(name: str, value: Any, known: Any) -> None:
         raise ValueError(f"{name}={value!r}; {known_names(value, known)}")
 
 
-def known_names(given: Any, known: Iterable[Any], further: str = "") -> str:
+def known_names(unknown: Any, known: Iterable[Any], further: str = "") -> str:
     """The end of an error message about an unknown name: the name that was probably meant, and all known names."""
     from difflib import get_close_matches  # needed for errors only
 
     names = [str(name) for name in known]
     lower = {name.lower().replace("-", "_"): name for name in names}
-    close = get_close_matches(str(given).lower().replace("-", "_"), lower, n=1, cutoff=0.75)
+    close = get_close_matches(str(unknown).lower().replace("-", "_"), lower, n=1, cutoff=0.75)
     meant = f"did you mean {lower[close[0]]!r}? " if close else ""
     return f"{meant}known: {', '.join(names)}{further}"
 

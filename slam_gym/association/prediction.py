@@ -393,7 +393,7 @@ def local_arrays(graph: CovisibilityGraph | None) -> tuple[IntArray, IntArray]:
 
 def refused_odometry(odometry: Odometry | None) -> ValueError:
     """The error for odometry by which the robot could not be moved."""
-    return ValueError(f"odometry: not finite, or its covariance is none: {odometry}")
+    return ValueError(f"odometry: not finite, or its covariance is not positive semi-definite: {odometry}")
 
 
 def _locked(array: NDArray[Entry]) -> NDArray[Entry]:

@@ -22,7 +22,9 @@ def check_array(name: str, value: object, dtype: np.dtype[Any], shape: tuple[int
     """Raise ValueError unless `value` is an array of this type and shape."""
     if not isinstance(value, np.ndarray) or value.dtype != dtype:
         actual = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
-        raise ValueError(f"{name}: {actual}, expected an array of {dtype} (the class methods from_… take anything)")
+        raise ValueError(
+            f"{name}: {actual}, expected an array of {dtype} (the class methods from_… convert other types)"
+        )
     if value.shape != shape:
         raise ValueError(f"{name}: shape {value.shape}, expected {shape}")
 
@@ -47,7 +49,7 @@ def deviations(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     if sigmas.shape not in ((), shape):
         raise ValueError(f"{name}: shape {sigmas.shape}, expected one number or {_formatted(shape)}")
     if (sigmas < 0.0).any():
-        raise ValueError(f"{name}: {sigmas.min():g} is negative, and no standard deviation")
+        raise ValueError(f"{name}: {sigmas.min():g} is negative; expected standard deviations")
     return np.broadcast_to(sigmas, shape)
 
 

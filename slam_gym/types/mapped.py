@@ -80,7 +80,7 @@ class Landmarks:
         if covariance is None:
             marginals = covariances_of("covariances", covariances, sigma, n)
         elif covariances is not None or sigma is not None:
-            raise ValueError("covariance: given beside covariances or sigma; expected exactly one of the three")
+            raise ValueError("covariance: given together with covariances or sigma; expected exactly one of the three")
         else:
             joint = floats("covariance", covariance, (2 * n, 2 * n))
             marginals = np.ascontiguousarray(joint.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :])

@@ -108,7 +108,7 @@ def _read_card(path: Path) -> Card:
     except (OSError, ValueError) as error:
         raise ValueError(f"weights {path.name}: {error}") from None
     except (TypeError, AttributeError) as error:
-        raise ValueError(f"weights {path.name}: its card is none ({error})") from None
+        raise ValueError(f"weights {path.name}: its card is invalid ({error})") from None
 
 
 def _array(name: str, content: bytes, shape: tuple[int, ...]) -> NDArray[Any]:

@@ -82,8 +82,8 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
 
     No edges are returned where there would be too many nodes or edges.
     """
-    nodes, effort, none = Path(*np.nonzero(problem.allowed)), problem.effort, np.empty((0, 2), np.int64)
-    number, edges, count = np.zeros(problem.allowed.shape, np.int64), [none], 0
+    nodes, effort, no_edges = Path(*np.nonzero(problem.allowed)), problem.effort, np.empty((0, 2), np.int64)
+    number, edges, count = np.zeros(problem.allowed.shape, np.int64), [no_edges], 0
     number[nodes] = np.arange(len(nodes.features))
     effort[UNARY], effort[NODES] = number.size, len(nodes.features)
     for a, (i, j) in enumerate(zip(*nodes) if len(nodes.features) <= node_limit else ()):
@@ -95,7 +95,7 @@ def _consistent(problem: Problem, node_limit: int) -> tuple[Path, IntArray]:
         if count > _EDGES:
             break
     effort[LIMIT] = len(nodes.features) > node_limit or count > _EDGES
-    return nodes, none if effort[LIMIT] else np.concatenate(edges)
+    return nodes, no_edges if effort[LIMIT] else np.concatenate(edges)
 
 
 def _best_of(problem: Problem, hypotheses: list[Path]) -> Best:

@@ -56,7 +56,9 @@ def locate(scan: Scan, landmarks: Landmarks, features: IntArray) -> Located:
         points, noise, mapped = floats(scan.points), floats(scan.covariances), unchecked_map(landmarks)
         distance = locate_pairings(points, noise, mapped, path, k, pose, covariance)
     if math.isnan(distance):
-        raise ValueError(f"landmarks: the joint covariance of features {features.tolist()} is none, or not finite")
+        raise ValueError(
+            f"landmarks: the joint covariance of features {features.tolist()} is not positive definite, or not finite"
+        )
     return Located(pose, covariance, distance, max(2 * k - 3, 0))
 
 

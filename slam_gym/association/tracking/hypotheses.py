@@ -235,14 +235,14 @@ def weighed_by_view(expected: Expected, problem: ScanProblem, beam: Beam, detect
             for b in range(len(made)):
                 out[b, d] = 0.0 + pairings[b] * log_P
         for g in range(groups):
-            none = 0.0
+            none_seen = 0.0
             for j in range(features):
                 missed[j] = math.log1p(-P * visible[g, j])
-                none += missed[j]
+                none_seen += missed[j]
             for b in range(len(made)):
                 if group[b] != g:
                     continue
-                out[b, d] = none + pairings[b] * log_P
+                out[b, d] = none_seen + pairings[b] * log_P
                 for q in range(pairings[b]):
                     s = slots[made[b, q]]
                     out[b, d] += paired[g, s] - missed[columns[s]]

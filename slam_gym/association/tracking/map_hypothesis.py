@@ -35,7 +35,7 @@ from slam_gym.association.tracking.hypotheses import (
 from slam_gym.association.tracking.near_first import Decided, Spent, decided, is_finished, joint_distance_of, offer
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Posterior, Scan, ScanArrays
 
-_COUNTS = 1.0 / 3.0  # of the margin: hypotheses this close to the best, in log density, get a view of their own
+_CLOSE = 1.0 / 3.0  # of the margin: hypotheses this close to the best, in log density, get a view of their own
 
 
 def map_hypothesis(
@@ -96,7 +96,7 @@ def _decide(
             limit_hit = spent.limit_hit or searched.cut or bool(is_crowded(offered.starts, most).any())
             spent = Spent(spent.nodes + searched.nodes, tests, spent.joint_tests + searched.tests, limit_hit)
             fit = searched.fit + math.log(rates.density) * searched.unpaired
-            view_terms = _weighed_by_view(expected, problem, searched, fit, _COUNTS * limits.margin)
+            view_terms = _weighed_by_view(expected, problem, searched, fit, _CLOSE * limits.margin)
             sums = weighed(Kept(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
             rows[:] = searched.rows[np.argmax(sums.scores)]
             posterior = posterior_of(expected, searched.rows, sums, rows)
@@ -106,13 +106,15 @@ def _decide(
 
 
 @compiled
-def _weighed_by_view(expected: Expected, problem: ScanProblem, searched: Searched, fit: Array, counts: float) -> Array:
-    """`weighed_by_view` (b, 1). Only hypotheses within `counts` of the best are certain to get a view of their own."""
+def _weighed_by_view(
+    expected: Expected, problem: ScanProblem, searched: Searched, fit: Array, closeness: float
+) -> Array:
+    """`weighed_by_view` (b, 1). Hypotheses within `closeness` of the best get a view of their own."""
     beam, detections = searched.beam, np.array([problem.rates.detection])
     view_terms = weighed_by_view(expected, problem, beam, detections, SAME_VIEW)
     if len(problem.visible) > 0 and len(expected.visible) == 0 and expected.view_moves:
         scores = fit + view_terms[:, 0]
-        chosen = np.flatnonzero(scores > scores.max() - counts)
+        chosen = np.flatnonzero(scores > scores.max() - closeness)
         best_ones = Beam(beam.score[chosen], beam.pairings[chosen], beam.made[chosen], beam.nodes[chosen], beam.joined)
         view_terms[chosen] = weighed_by_view(expected, problem, best_ones, detections, 0.0)
     return view_terms

@@ -61,8 +61,8 @@ INPUTS = (
     "run: log of the density of what is not in the map [1/m²], as far as it is known",
     "run: whether there were scans before",
 )
-_LEAST_SIZE = -6.0
-_NEAREST, _FARTHEST = 1e-2, 30.0  # [m] limits of the distance between neighbours
+_LEAST_SIZE = -6.0  # lower bound of the input of sizes
+_MIN_GAP, _MAX_GAP = 1e-2, 30.0  # [m] limits of the distance between neighbours
 
 
 FARTHEST = 2.5  # [scales] bound of an input's distance from the centre; inputs beyond are clipped and halve the odds
@@ -108,7 +108,7 @@ def network_of(arrays: dict[str, Array]) -> Network:
     network = Network(**{name: np.array(arrays[name], np.float64, order="C") for name in Network._fields})
     h = len(network.last)
     if not len(network.first) == len(network.first_offset) == len(network.second) == len(network.second_offset) == h:
-        raise ValueError(f"first, second, last: not {h} hidden numbers everywhere")
+        raise ValueError(f"first, second, last: not {h} hidden units everywhere")
     if network.second.shape[1] != 3 * h:
         raise ValueError(f"second: {network.second.shape[1]} columns, expected {3 * h}")
     if not (network.scale > 0.0).all():
@@ -141,12 +141,12 @@ def log_odds(network: Network, inputs: Array, measured: IntArray, slots: IntArra
             of_measurement[measured[c], k] = max(of_measurement[measured[c], k], hidden[c, k])
             of_feature[slots[c], k] = max(of_feature[slots[c], k], hidden[c, k])
     for c in range(count):
-        mine, others = of_measurement[measured[c]], of_feature[slots[c]]
+        measurement_max, feature_max = of_measurement[measured[c]], of_feature[slots[c]]
         for k in range(h):
             total = network.second_offset[k]
             for n in range(h):
                 total += network.second[k, n] * hidden[c, n]
-                total += network.second[k, h + n] * mine[n] + network.second[k, 2 * h + n] * others[n]
+                total += network.second[k, h + n] * measurement_max[n] + network.second[k, 2 * h + n] * feature_max[n]
             out[c] += network.last[k] * max(total, 0.0)
     out *= trust
     return out
@@ -232,9 +232,9 @@ def _nearest(points: Array) -> Array:
     """log of the distance (n,) of each point to the nearest other one."""
     out = np.empty(len(points))
     for a in range(len(points)):
-        least = _FARTHEST
+        least = _MAX_GAP
         for b in range(len(points)):
             if a != b:
                 least = min(least, math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1]))
-        out[a] = math.log(max(least, _NEAREST))
+        out[a] = math.log(max(least, _MIN_GAP))
     return out
