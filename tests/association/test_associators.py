@@ -26,6 +26,7 @@ from slam_gym.association import (
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 BLIND = [associator for name, associator in ASSOCIATORS.items() if name != "true_association"]
 SEARCHES = [global_nearest_neighbour, one_point_ransac, ipjc, map_hypothesis, marginal, learned_associator]
@@ -40,7 +41,7 @@ def test_nothing_to_associate(associator, m, n):
 
 
 @pytest.mark.parametrize("associator", BLIND)
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_what_holds_of_every_associator(associator, seed):
     """Pairings are individually compatible, the distance is theirs, and the arguments are left as they were."""
     scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 12, spread=2.0, locality=seed % 2 == 0)
@@ -110,7 +111,7 @@ def test_a_singular_innovation_covariance_is_named(search):
 
 @pytest.mark.parametrize("search", SEARCHES)
 @pytest.mark.parametrize(("m", "n"), [(1, 1), (1, 8), (12, 2), (9, 1)])
-@pytest.mark.parametrize("seed", range(5))
+@for_seeds(5)
 def test_one_measurement_and_more_measurements_than_features(search, m, n, seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), m, n, spread=1.0)
     answer = search(scan, prediction)

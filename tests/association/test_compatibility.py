@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from slam_gym.association.compatibility import chi2_gate, individual, joint_gates
 from slam_gym.geometry import rotate_covariances, transform
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 
 @pytest.mark.parametrize("confidence", [0.5, 0.95, 0.99, 0.999])
@@ -24,7 +25,7 @@ def test_meaningless_gates_are_refused(dof, confidence):
         chi2_gate(dof, confidence)
 
 
-@pytest.mark.parametrize("seed", range(100))
+@for_seeds(100)
 def test_candidates_are_the_individually_compatible_pairings(seed):
     rng = np.random.default_rng(seed)
     m, n, noise = int(rng.integers(0, 25)), int(rng.integers(0, 40)), float(rng.choice([0.05, 0.5]))
@@ -42,7 +43,7 @@ def test_candidates_are_the_individually_compatible_pairings(seed):
     assert candidates.rows.tolist() == sorted(set(rows.tolist()))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_only_chosen_measurements_are_offered_rows(seed):
     rng = np.random.default_rng(seed)
     scan, prediction = oracles.problem(rng, 8, 12, spread=1.5)
@@ -54,7 +55,7 @@ def test_only_chosen_measurements_are_offered_rows(seed):
         assert candidates.rows[here].tolist() == [j for _, j in expected[i]]
 
 
-@pytest.mark.parametrize("seed", range(50))
+@for_seeds(50)
 def test_a_feature_outside_the_box_around_the_scan_may_be_compatible(seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), 1, 30, noise=1.0)
     candidates = individual(scan, prediction)

@@ -8,6 +8,7 @@ from slam_gym.association.compatibility import individual
 from slam_gym.association.tree import branches, decided, extend, hypothesis, interpretation_tree, root
 from slam_gym.types import UNPAIRED, Effort
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 
 def plant(seed, m=5, n=7):
@@ -39,7 +40,7 @@ def pairs_of(tree, node):
     return [(i, int(row)) for i, row in enumerate(decided(tree, node)) if row != UNPAIRED]
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_legal(seed):
     tree = plant(seed)
     for node in random_leaf(tree, np.random.default_rng(seed))[:-1]:
@@ -58,7 +59,7 @@ def test_branches_are_the_compatible_pairings_and_those_jointly_compatible_are_l
             assert legal == (joint < oracles.gate(2 * len(longer), 0.99))
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_the_best_leaf_of_an_unbounded_walk_is_the_oracle_s_and_jcbb_s(seed):
     tree = plant(seed, m=4, n=6)
     leaf = best_leaf(tree, root(tree))

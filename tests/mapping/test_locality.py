@@ -21,6 +21,7 @@ from slam_gym.types import UNPAIRED, Array, BoolArray, IntArray, Locality
 from slam_gym.world.generators import OfficeGenerator
 from slam_gym.world.ray_casting import WallIndex, pull_back
 from slam_gym.world.reachability import reachable
+from tests.oracles.statistics import for_seeds
 
 RANGE = 6.0  # [m] of the sensor in the worlds below
 
@@ -187,7 +188,7 @@ def enumerated(n: int, m: int, local: list[set[int]]) -> int:
     return count
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_equation_9_22_bounds_the_hypotheses_and_is_exact_for_localities_of_one_size(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, m, dense_pairs = int(rng.integers(1, 6)), int(rng.integers(1, 5)), rng.choice([0.0, 0.4, 1.0])

@@ -11,7 +11,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Odometry, Scan
 from tests.oracles.map import KnownAssociation, Step, make_scan, random_covariances, wander
-from tests.oracles.statistics import anees_interval
+from tests.oracles.statistics import anees_interval, for_seeds
 
 KEEP = MapSpec(unconfirmed_age=None)
 
@@ -32,7 +32,7 @@ def joined_by_geometry(x_a: Array, x_b: Array) -> Array:
     return np.concatenate([robot, x_a[3:], features.ravel()])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_joined_estimate_is_first_order_propagation(seed: int) -> None:
     rng = np.random.default_rng(seed)
     (x_a, P_a), (x_b, P_b) = random_estimate(rng, seed % 4), random_estimate(rng, seed % 5)
@@ -53,7 +53,7 @@ def test_joined_estimate_is_first_order_propagation(seed: int) -> None:
     assert np.array_equal(P, P.T)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_equality_update_is_the_estimate_on_the_subspace_of_equal_features(seed: int) -> None:
     """With x = N y, N a basis of {F_a = F_b}: y = (Nᵀ P⁻¹ N)⁻¹ Nᵀ P⁻¹ x, generalised least squares."""
     rng = np.random.default_rng(50 + seed)

@@ -11,6 +11,7 @@ from slam_gym.types import UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import STILL, h, mapped, numerical, predicted
 from tests.oracles.geometry import observe_jacobians
 from tests.oracles.map import make_scan
+from tests.oracles.statistics import for_seeds
 
 
 def driven_map(seed, n=12):
@@ -27,7 +28,7 @@ def driven_map(seed, n=12):
     return slam, rng
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_heading_is_the_variance_of_the_heading_and_its_covariance_with_what_is_predicted(seed):
     slam, rng = driven_map(seed)
     prediction, rows = predicted(slam, math.inf), rng.permutation(slam.n)[:7]
@@ -42,7 +43,7 @@ def test_heading_is_the_variance_of_the_heading_and_its_covariance_with_what_is_
     assert np.linalg.eigvalsh(joint).min() > -1e-12  # of one Gaussian
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_the_joint_covariance_holds_the_marginals_whatever_the_order(seed):
     slam, rng = driven_map(seed)
     prediction, rows = predicted(slam, math.inf), rng.integers(0, slam.n, 9)

@@ -14,7 +14,7 @@ from slam_gym.metrics.consistency import pose_nees
 from slam_gym.types import UNPAIRED, Array, Odometry, Scan
 from tests.mapping.small_maps import KEEP, STILL, landmarks, mapped
 from tests.oracles.map import SIGMA, KnownAssociation, Step, make_scan, random_covariances, wander
-from tests.oracles.statistics import anees_interval
+from tests.oracles.statistics import anees_interval, for_seeds
 
 INVARIANT = MapSpec(unconfirmed_age=None)
 ORDINARY = MapSpec(right_invariant=False, unconfirmed_age=None)
@@ -58,7 +58,7 @@ def optimum(m: StochasticMap, scan: Scan, features: np.ndarray) -> tuple[np.ndar
     return found.x, np.linalg.inv(found.jac.T @ found.jac)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@for_seeds(12)
 def test_iterated_to_the_end_it_is_the_least_squares_optimum(seed: int) -> None:
     m, scan, features = poor_heading(seed)
     mean, covariance = optimum(m, scan, features)

@@ -8,6 +8,7 @@ import pytest
 from slam_gym.association.prediction import Prediction, SlamStep
 from slam_gym.metrics.association import Decision, Identities, Tally
 from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, UNPAIRED, Effort, Hypothesis, Truth
+from tests.oracles.statistics import for_seeds
 
 
 def step(ids, created=None, removed=()):
@@ -112,7 +113,7 @@ def random_run(rng, steps=250, features=12):
         yield step(ids, created, removed), truth(*sources)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_counts_agree_with_a_plain_recount(seed):
     identities, source_of, alive, total = Identities(), {}, [], Tally()
     for taken, labels in random_run(np.random.default_rng(seed)):

@@ -18,6 +18,7 @@ from slam_gym.metrics.map_quality import (
     map_error,
     map_error_aligned,
 )
+from tests.oracles.statistics import for_seeds
 
 
 def test_map_error_runs_from_one_for_nothing_to_zero_for_the_truth():
@@ -75,7 +76,7 @@ def test_bad_points_are_refused():
         landmark_rmse(bad, np.zeros((1, 2)))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_alignment_recovers_a_rigid_motion_and_beats_its_neighbours(seed):
     rng = np.random.default_rng(seed)
     points, pose = rng.uniform(-10, 10, (12, 2)), rng.uniform(-3, 3, 3)
@@ -127,7 +128,7 @@ def blurred(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([true[:24] + rng.normal(0.0, 0.1, (24, 2)), rng.uniform(-10.0, 10.0, (4, 2))]), true
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_a_map_that_was_moved_is_as_good_as_it_was(seed) -> None:
     estimated, true = blurred(seed)
     before = map_error_aligned(estimated, true, 0.5)

@@ -6,6 +6,7 @@ from scipy.optimize import linear_sum_assignment
 
 from slam_gym.metrics.point_assignment import assign, indexed
 from slam_gym.types import UNPAIRED
+from tests.oracles.statistics import for_seeds
 
 
 def dense_optimum(estimated, true, cutoff, p):
@@ -17,7 +18,7 @@ def dense_optimum(estimated, true, cutoff, p):
     return cost[linear_sum_assignment(cost)].sum()
 
 
-@pytest.mark.parametrize("seed", range(300))
+@for_seeds(300)
 def test_sparse_assignment_is_the_dense_optimum(seed):
     rng = np.random.default_rng(seed)
     cutoff, p = rng.choice([0.1, 1.0, 3.0, 30.0]), rng.choice([1.0, 1.5, 2.0])

@@ -3,12 +3,12 @@
 import math
 
 import numpy as np
-import pytest
 from scipy import ndimage
 
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.frontiers import find_frontiers, frontiers
 from slam_gym.navigation.planner import distance_field
+from tests.oracles.statistics import for_seeds
 
 
 def frontiers_by_labelling(cells, reachable, min_border):
@@ -37,7 +37,7 @@ def frontiers_by_labelling(cells, reachable, min_border):
     return found, on_frontier
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_frontiers_are_the_labelled_components(seed):
     rng = np.random.default_rng(seed)
     noise = ndimage.gaussian_filter(rng.normal(size=(40, 60)), 1.5 + seed % 3)

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.planner import CROWDING, MARGIN, STEPS, distance_field
+from tests.oracles.statistics import for_seeds
 
 RESOLUTION = 0.2
 
@@ -66,7 +67,7 @@ def length_to(field, point):
     return field.lengths_to(np.asarray(point)[None])[0]
 
 
-@pytest.mark.parametrize("seed", range(25))
+@for_seeds(25)
 def test_costs_are_those_of_dijkstra_on_the_explicit_graph(seed):
     rng = np.random.default_rng(seed)
     cells = random_cells(rng)
@@ -89,7 +90,7 @@ def test_costs_are_those_of_dijkstra_on_the_explicit_graph(seed):
         assert (r, c) == start and field.lengths[row, column] == pytest.approx(length)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_paths_are_short_legal_and_no_dearer(seed):
     rng = np.random.default_rng(100 + seed)
     cells = random_cells(rng, (60, 80))

@@ -9,6 +9,7 @@ from slam_gym.geometry import observe, transform
 from slam_gym.navigation.explored_grid import FREE, UNKNOWN, WALL, ExploredGrid
 from slam_gym.navigation.visibility import FieldOfView, probabilities_in_view
 from tests.oracles.densities import in_view
+from tests.oracles.statistics import for_seeds
 
 FULL = 2.0 * math.pi
 NARROW = FieldOfView(2.0, 5.0)
@@ -27,7 +28,7 @@ def grid_of(*rows, resolution=0.5):
     return grid
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_range_and_field_of_view_against_sampling(seed):
     """Along and across the line of sight taken for independent: exact for round covariances, close for others."""
     rng = np.random.default_rng(seed)
@@ -44,7 +45,7 @@ def test_range_and_field_of_view_against_sampling(seed):
         assert probability == pytest.approx(share, abs=0.04)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_without_uncertainty_it_is_the_test_itself(seed):
     rng = np.random.default_rng(seed)
     positions, field = rng.uniform(-8.0, 8.0, (50, 2)), float(rng.uniform(0.3, FULL))
@@ -98,7 +99,7 @@ def test_unknown_space_lets_through_by_its_length():
     assert got == pytest.approx(0.5**2.0, abs=2e-3)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_walls_only_ever_hide_and_a_turn_of_everything_changes_nothing(seed):
     rng = np.random.default_rng(seed)
     grid = ExploredGrid(np.array([0.0, 0.0, 8.0, 8.0]), 0.2)

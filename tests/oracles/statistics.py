@@ -1,4 +1,9 @@
-"""Where a statistic of a consistent filter lies."""
+"""Where a statistic of a consistent filter lies; tests that hold for every seed."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
 
 from scipy.stats import chi2
 
@@ -7,3 +12,27 @@ def anees_interval(count: int, dof: int, level: float = 0.95) -> tuple[float, fl
     """Interval of the ANEES of `count` values with `dof` each (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4)."""
     n, tail = count * dof, 0.5 * (1.0 - level)
     return float(chi2.ppf(tail, n)) / n, float(chi2.ppf(1.0 - tail, n)) / n
+
+
+def for_seeds(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Run a test for the seeds 0 … count − 1 as one test: as many tests would take longer than what they test.
+
+    A failure names its seed. Fixtures are those of one test, so a test that changes them is not for this.
+    """
+
+    def repeated(test: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(test)
+        def run(**others: Any) -> None:
+            for seed in range(count):
+                try:
+                    test(seed=seed, **others)
+                except Exception as error:
+                    error.add_note(f"seed {seed}")
+                    raise
+
+        signature = inspect.signature(test)
+        others = [parameter for name, parameter in signature.parameters.items() if name != "seed"]
+        run.__signature__ = signature.replace(parameters=others)  # type: ignore[attr-defined]
+        return run
+
+    return repeated

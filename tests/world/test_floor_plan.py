@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from slam_gym.world.floor_plan import Door, Features, FloorPlan, FloorPlanError, Room
+from tests.oracles.statistics import for_seeds
 
 SQUARE = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
 CORNERS = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
@@ -74,7 +75,7 @@ def winding(polygon, point):
     return round(float(turns.sum()) / (2 * np.pi))
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_contains_agrees_with_the_winding_number(seed):
     rng = np.random.default_rng(seed)
     angles = np.sort(rng.uniform(0, 2 * np.pi, 12))

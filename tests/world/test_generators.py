@@ -10,6 +10,7 @@ from slam_gym.world.floor_plan import Kind
 from slam_gym.world.generators import AliasedGenerator, HallGenerator, LoopGenerator, OfficeGenerator
 from slam_gym.world.ray_casting import WallIndex, outlines
 from slam_gym.world.reachability import observable, reachable
+from tests.oracles.statistics import for_seeds
 
 RADIUS = 0.2  # [m] of the robot
 CROWDED = Contents(pilasters=0.3, pillars=4.0, furniture=6.0)
@@ -129,7 +130,7 @@ def paint(free, blocked, size=20):
     return image
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_agrees_with_pixels(seed):
     rng = np.random.default_rng(seed)
     free, blocked = random_rectangles(rng, rng.integers(1, 7)), random_rectangles(rng, rng.integers(0, 4))

@@ -2,14 +2,14 @@
 
 import networkx as nx
 import numpy as np
-import pytest
 
 from slam_gym.association import max_clique
 from slam_gym.association.relocation import cliques
 from tests.oracles import relocation as oracles
+from tests.oracles.statistics import for_seeds
 
 
-@pytest.mark.parametrize("seed", range(12))
+@for_seeds(12)
 def test_max_clique_finds_the_largest_set_of_mutually_consistent_pairings(seed):
     scan, landmarks, P, localities = oracles.small_problem(seed)
     for locality in localities.values():

@@ -9,6 +9,7 @@ from slam_gym.association.relocation.constraints import binary_test, orientation
 from slam_gym.association.relocation.problem import problem_of
 from slam_gym.types import UNKNOWN_KIND
 from tests.oracles import relocation as oracles
+from tests.oracles.statistics import for_seeds
 
 
 def binary(scan, landmarks, *pairs, confidence=0.99):
@@ -36,7 +37,7 @@ def plant(seed, n=6, *, keep="dense", sigma=0.05, drift=0.5, spread=2.0):
 
 
 @pytest.mark.parametrize("keep", ["dense", "blocks", "none"])
-@pytest.mark.parametrize("seed", range(12))
+@for_seeds(12)
 def test_binary_and_orientation_are_their_formulas(seed, keep):
     scan, landmarks, P = plant(seed, keep=keep, spread=0.3 + 0.5 * (seed % 4))
     rng, answers = np.random.default_rng(seed), []

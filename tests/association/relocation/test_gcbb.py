@@ -7,12 +7,13 @@ import pytest
 
 from slam_gym.association import gcbb
 from tests.oracles import relocation as oracles
+from tests.oracles.statistics import for_seeds
 
 LOCALITIES = ["everything", "distance", "covisibility"]
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@pytest.mark.parametrize("seed", range(50))
+@for_seeds(50)
 def test_gcbb_finds_the_best_of_all_hypotheses(seed, locality):
     scan, landmarks, P, localities = oracles.small_problem(seed)
     found = gcbb(scan, landmarks, localities[locality])
@@ -25,7 +26,7 @@ def test_gcbb_finds_the_best_of_all_hypotheses(seed, locality):
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_outwards_is_the_same_search_with_the_measurements_sorted_from_their_centre(seed, locality):
     scan, landmarks, _, localities = oracles.small_problem(seed)
     order = np.argsort(np.hypot(*(scan.points - scan.points.mean(axis=0)).T))

@@ -8,6 +8,7 @@ from slam_gym.association.relocation.location import locate
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import UNPAIRED
 from tests.oracles import relocation as oracles
+from tests.oracles.statistics import for_seeds
 
 
 def plant(rng, k, *, spurious=1, extra=3, sigma=0.05, drift=0.3, keep="dense"):
@@ -25,7 +26,7 @@ def plant(rng, k, *, spurious=1, extra=3, sigma=0.05, drift=0.3, keep="dense"):
 
 
 @pytest.mark.parametrize("keep", ["dense", "blocks", "none"])
-@pytest.mark.parametrize("seed", range(15))
+@for_seeds(15)
 def test_pose_covariance_and_distance_are_those_of_a_library_s_least_squares(seed, keep):
     rng = np.random.default_rng(seed)
     k = 2 + seed % 6

@@ -6,12 +6,13 @@ import pytest
 
 from slam_gym.association import random_sampling
 from tests.oracles import relocation as oracles
+from tests.oracles.statistics import for_seeds
 
 LOCALITIES = ["everything", "distance", "covisibility"]
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@pytest.mark.parametrize("seed", range(12))
+@for_seeds(12)
 def test_random_sampling_with_every_sample_finds_the_best_that_a_sample_leads_to(seed, locality):
     scan, landmarks, P, localities = oracles.small_problem(seed + 500, largest=4)
     found = random_sampling(scan, landmarks, localities[locality], tries=207)

@@ -7,13 +7,14 @@ from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
 from slam_gym.types import UNPAIRED
 from tests.oracles import relocation as oracles
 from tests.oracles import relocation_walks as walks
+from tests.oracles.statistics import for_seeds
 
 LOCALITIES = ["everything", "distance", "covisibility"]
 ALL = WalkSpec(candidates=100, order="as_scanned", node_limit=10**6)
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_on_offer_is_what_agrees_with_the_path_and_passed_by_is_what_nothing_agrees_with(seed, locality):
     scan, landmarks, P, localities, rng = walks.plant(seed)
     related, n = oracles.relation(localities[locality], len(landmarks)), len(landmarks)
@@ -33,7 +34,7 @@ def test_on_offer_is_what_agrees_with_the_path_and_passed_by_is_what_nothing_agr
 
 
 @pytest.mark.parametrize("locality", LOCALITIES)
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_support_counts_the_measurements_that_keep_a_legal_partner_and_ranks_the_offer(seed, locality):
     scan, landmarks, P, localities, rng = walks.plant(seed + 100)
     related, n = oracles.relation(localities[locality], len(landmarks)), len(landmarks)
@@ -58,7 +59,7 @@ def test_support_counts_the_measurements_that_keep_a_legal_partner_and_ranks_the
         np.testing.assert_allclose(walk.offer.local, local)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_distances_of_a_candidate_are_those_of_the_binary_constraint(seed):
     scan, landmarks, P, _, rng = walks.plant(seed + 200)
     walk = RelocationWalk(ALL, scan, landmarks)
@@ -78,7 +79,7 @@ def test_distances_of_a_candidate_are_those_of_the_binary_constraint(seed):
             np.testing.assert_allclose([mean, worst], [np.mean(squares or [0]), max(squares, default=0)], rtol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_no_hypothesis_below_a_node_exceeds_its_bound(seed):
     scan, landmarks, P, localities, rng = walks.plant(seed + 300)
     locality = localities["covisibility"]

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from slam_gym.association import ASSOCIATORS, ipjc, jcbb
 from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -57,7 +58,7 @@ def posterior_distance(scan, state, P, pairs):
     return 2.0 * float(least_squares(residuals, np.zeros(len(P)), xtol=1e-12, ftol=1e-12, gtol=1e-12).cost)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_ipjc_is_the_best_path_by_the_nonlinear_optimum(seed):
     rng = np.random.default_rng(seed)
     scan, prediction, state, P, _ = turning_problem(
@@ -86,7 +87,7 @@ def test_ipjc_is_the_best_path_by_the_nonlinear_optimum(seed):
     assert answer.joint_distance == pytest.approx(best[1], rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(150))
+@for_seeds(150)
 def test_ipjc_is_jcbb_where_nothing_turns(seed):
     scan, prediction, _ = oracles.smaller_problem(seed, locality=seed % 2 == 0)
     expected = jcbb(scan, prediction)
@@ -96,7 +97,7 @@ def test_ipjc_is_jcbb_where_nothing_turns(seed):
         assert answer.joint_distance == pytest.approx(expected.joint_distance, rel=close, abs=close)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_ipjc_tends_to_jcbb_as_the_heading_becomes_certain(seed):
     scan, prediction, *_ = turning_problem(np.random.default_rng(seed), 6, 8, 1e-5)
     expected, answer = jcbb(scan, prediction), ipjc(scan, prediction)

@@ -6,9 +6,10 @@ import pytest
 from slam_gym.association import jcbb
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 
-@pytest.mark.parametrize("seed", range(300))
+@for_seeds(300)
 def test_jcbb(seed):
     scan, prediction, confidence = oracles.small_problem(seed)
     rows, distance = oracles.jcbb(scan, prediction, confidence)
@@ -32,7 +33,7 @@ def test_the_node_limit_is_reported_and_leaves_the_best_answer_so_far():
     assert answer.features.tolist() == free.features.tolist()
 
 
-@pytest.mark.parametrize("seed", range(300))
+@for_seeds(300)
 def test_jcbb_with_locality(seed):
     scan, prediction, confidence = oracles.small_problem(1000 + seed, locality=True)
     oracles.check(
@@ -49,7 +50,7 @@ def test_jcbb_with_locality(seed):
     )
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_jcbb_on_scans_of_full_size_is_legal_and_no_worse_than_a_greedy_path(seed):
     rng = np.random.default_rng(seed)
     scan, prediction = oracles.problem(rng, 14, 25, spread=3.0)
@@ -63,7 +64,7 @@ def test_jcbb_on_scans_of_full_size_is_legal_and_no_worse_than_a_greedy_path(see
     assert len(pairs) >= sum(row != UNPAIRED for row in greedy)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_the_bound_counts_features_that_are_left_not_only_levels(seed):
     """Ten measurements of the same three features: a bound by levels would visit more than a thousand hypotheses."""
     scan, prediction = oracles.problem(np.random.default_rng(seed), 10, 3, spread=0.2, noise=0.3)

@@ -13,6 +13,7 @@ from slam_gym.association.tracking.marginal import marginals
 from slam_gym.association.tracking.network import INPUTS, VERSION, load_network, log_odds
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Odometry, Scan
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 
 def problem(seed):
@@ -52,7 +53,7 @@ def test_sizes_tell_apart_what_places_do_not():
     assert learned_associator(nameless, prediction).features.tolist() == [UNPAIRED, 2, 3, 4]
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_learned_odds_are_added_to_every_hypothesis_that_makes_their_pairing(seed):
     scan, prediction = problem(seed)
     network, wide = load_network(WEIGHTS, VERSION, INPUTS), {"width": 5000, "margin": 60.0}

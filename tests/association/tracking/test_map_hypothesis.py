@@ -11,6 +11,7 @@ from slam_gym.types import UNPAIRED, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
 from tests.oracles.densities import WIDE
+from tests.oracles.statistics import for_seeds
 
 RATES = densities.Rates(0.8, 0.07)
 MODEL = {"detection": RATES.detection, "density": RATES.density}
@@ -52,7 +53,7 @@ def check(answer, prediction, ranking):
     assert answer.posterior.runner_up.tolist() == (second or [UNPAIRED] * len(rows))
 
 
-@pytest.mark.parametrize("seed", range(240))
+@for_seeds(240)
 def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(seed):
     scan, prediction = small_problem(seed)
     prediction = densities.dressed(prediction, seed)
@@ -62,7 +63,7 @@ def test_a_wide_beam_finds_the_most_probable_of_all_hypotheses_and_its_share(see
     assert not answer.effort.limit_hit
 
 
-@pytest.mark.parametrize("seed", range(120))
+@for_seeds(120)
 def test_with_locality_what_is_near_is_decided_first(seed):
     # localities without strays: each pairing is local to all that are local to the first
     scan, prediction = small_problem(500 + seed, locality=True)
@@ -82,7 +83,7 @@ def grouped(prediction, seed):
     return group[:, None] == group
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_the_denser_the_clutter_the_fewer_the_pairings(seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
     pairings = [map_hypothesis(scan, prediction, density=d).dof for d in (1e-6, 1e-2, 1.0, 1e3, 1e9)]
@@ -105,7 +106,7 @@ def test_a_feature_that_should_not_be_in_view_is_not_taken():
         assert map_hypothesis(scan, prediction.with_visibility(seen)).features.tolist() == [1 - hidden]
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_a_beam_of_the_default_width_loses_nothing_on_larger_problems(seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), 9, 12, spread=2.5)
     answer = map_hypothesis(scan, prediction)
@@ -114,7 +115,7 @@ def test_a_beam_of_the_default_width_loses_nothing_on_larger_problems(seed):
     assert answer.posterior.probability == pytest.approx(wide.posterior.probability, abs=0.05)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_a_narrow_beam_says_so(seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), 9, 12, spread=2.0)
     narrow = map_hypothesis(scan, prediction, width=1)

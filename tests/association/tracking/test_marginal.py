@@ -17,9 +17,10 @@ from slam_gym.types import UNPAIRED, Experience, Odometry, Scan
 from tests.oracles import association as oracles
 from tests.oracles import densities
 from tests.oracles.densities import WIDE, small_problem
+from tests.oracles.statistics import for_seeds
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_decisions_follow_the_cost_of_a_wrong_pairing(seed):
     scan, prediction = oracles.problem(np.random.default_rng(seed), 8, 10, spread=2.0)
     found, row_of = marginals(scan, prediction), {int(f): j for j, f in enumerate(prediction.features)}
@@ -68,7 +69,7 @@ def experienced(seed, **options):
     return scan, dataclasses.replace(prediction, experience=known), every, np.array(scores)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_the_posterior_tells_of_all_decisions_together(seed):
     scan, prediction, every, scores = experienced(seed)
     answer = marginal(scan, prediction, cost=5.0, **WIDE)
@@ -152,7 +153,7 @@ def summed(m, n, every, log_densities):
     return out
 
 
-@pytest.mark.parametrize("seed", range(120))
+@for_seeds(120)
 def test_marginals_are_sums_over_every_hypothesis(seed):
     scan, prediction, every, scores = experienced(seed, locality=seed % 2 == 0)  # of which nothing is left out
     expected = summed(len(scan), len(prediction), every, scores)

@@ -5,21 +5,21 @@ import itertools
 import math
 
 import numpy as np
-import pytest
 
 from slam_gym.association import global_nearest_neighbour, nearest_neighbour, singles
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 
-@pytest.mark.parametrize("seed", range(200))
+@for_seeds(200)
 def test_nearest_neighbour(seed):
     scan, prediction, confidence = oracles.small_problem(seed)
     answer = nearest_neighbour(scan, prediction)
     oracles.check(answer, scan, prediction, oracles.nearest(scan, prediction, confidence))
 
 
-@pytest.mark.parametrize("seed", range(200))
+@for_seeds(200)
 def test_singles(seed):
     scan, prediction, confidence = oracles.small_problem(seed)
     answer = singles(scan, prediction)
@@ -49,7 +49,7 @@ def cheapest(scan, prediction, confidence, allowed, given, _):
     return best
 
 
-@pytest.mark.parametrize("seed", range(200))
+@for_seeds(200)
 def test_global_nearest_neighbour_is_the_cheapest_of_all_assignments(seed):
     scan, prediction, confidence = oracles.smaller_problem(seed, locality=seed % 2 == 0)
     rows = oracles.near_first(prediction, len(scan), functools.partial(cheapest, scan, prediction, confidence))

@@ -3,11 +3,11 @@
 import functools
 
 import numpy as np
-import pytest
 
 from slam_gym.association import one_point_ransac
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 
 def nearest_first(distances, gate, taken):
@@ -50,7 +50,7 @@ def one_point(scan, prediction, confidence, allowed, given, related):
     return rows
 
 
-@pytest.mark.parametrize("seed", range(200))
+@for_seeds(200)
 def test_one_point_ransac_finds_the_best_anchor_when_all_are_drawn(seed):
     scan, prediction, confidence = oracles.smaller_problem(1000 + seed, locality=seed % 2 == 0)
     rows = oracles.near_first(prediction, len(scan), functools.partial(one_point, scan, prediction, confidence))

@@ -6,9 +6,10 @@ import pytest
 from slam_gym.association import true_association
 from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
+from tests.oracles.statistics import for_seeds
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_true_association_pairs_by_identity(seed):
     rng = np.random.default_rng(seed)
     scan, prediction = oracles.problem(rng, 6, 8)

@@ -15,6 +15,7 @@ from slam_gym.slam.places.recognition import (
     as_scan,
 )
 from slam_gym.types import Array, Odometry, Scan
+from tests.oracles.statistics import for_seeds
 from tests.slam.rings import enter
 
 SIDE, SIGMA = 12.0, 0.05  # [m] of a square of features, and of each position
@@ -114,7 +115,7 @@ def without_pose(points: Array, S: Array) -> Array:
     return out
 
 
-@pytest.mark.parametrize("seed", range(25))
+@for_seeds(25)
 def test_a_group_never_claims_more_than_the_map_knows(seed: int) -> None:
     """D² of any error, a pose being fitted, is at most what the true covariance makes of it; for every subset too."""
     rng = np.random.default_rng(seed)
