@@ -1,4 +1,4 @@
-"""What every relocator answers: inside and outside the map, alike places, limits."""
+"""What every relocator answers: inside and outside the map, alike places, limits, bad numbers."""
 
 from dataclasses import replace
 
@@ -7,12 +7,13 @@ import pytest
 
 from slam_gym.association import RELOCATORS
 from slam_gym.geometry import wrap_angle
+from slam_gym.types import Locality
 from tests.oracles import relocation as oracles
 
 NAMES = ["gcbb", "max_clique", "random_sampling"]
 
 
-@pytest.mark.parametrize("name", ["gcbb", "random_sampling", "max_clique"])
+@pytest.mark.parametrize("name", NAMES)
 def test_the_robot_is_found_inside_the_map_and_not_outside(name):
     search, right = RELOCATORS[name], 0
     for seed in range(25):
@@ -71,3 +72,18 @@ def test_limits_are_reported(name):
     assert found.effort.limit_hit
     assert not RELOCATORS[name](scan, landmarks, None).effort.limit_hit
     assert found.effort.unary_tests > 0 and found.effort.seconds > 0.0
+
+
+@pytest.mark.parametrize("name", [*NAMES, "indexed"])
+def test_bad_numbers_are_refused_by_name(name):
+    _, scan, landmarks = oracles.inside(0, n=20)
+    search, points, P = RELOCATORS[name], scan.points.copy(), landmarks.covariances.copy()
+    points[3, 0], P[5] = np.nan, [[1.0, 2.0], [2.0, 1.0]]
+    with pytest.raises(ValueError, match="measurement 3"):
+        search(replace(scan, points=points), landmarks, None)
+    with pytest.raises(ValueError, match=r"covariances\[5\]"):
+        search(scan, replace(landmarks, covariances=P), None)
+    with pytest.raises(ValueError, match=r"Locality.starts"):
+        search(scan, landmarks, Locality(np.zeros(3, np.int64), np.empty(0, np.int64)))
+    with pytest.raises(ValueError, match=r"Locality.members"):
+        search(scan, landmarks, Locality(np.arange(21), np.full(20, 20)))

@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam_gym.association.relocation import triangle_search
-from slam_gym.association.relocation.arrays import scan_arrays
-from slam_gym.association.relocation.constraints import gates_at, measured
 from slam_gym.association.relocation.triangles import FeatureIndex, indexed, relative_covariances
 from slam_gym.geometry import observe
 from slam_gym.types import SPURIOUS, UNPAIRED, Landmarks, Locality, Scan
@@ -181,18 +178,6 @@ def test_the_corridor_looks_alike_from_four_sides_until_it_is_thinned():
         assert accepted == 0 if symmetric else accepted >= 24
 
 
-def test_two_runs_are_equal():
-    answers = []
-    for _ in range(2):
-        rng = np.random.default_rng(9)
-        truth = field(rng, 300)
-        index = FeatureIndex(landmarks_at(truth))
-        answers.append([index.relocate(view(rng, truth, 12, 4)[0]) for _ in range(20)])
-    for a, b in zip(*answers):
-        assert np.array_equal(a.features, b.features) and np.array_equal(a.pose, b.pose, equal_nan=True)
-        assert dataclasses.replace(a.effort, seconds=0.0) == dataclasses.replace(b.effort, seconds=0.0)
-
-
 def test_work_grows_slower_than_pairs_of_features():
     work = []
     for n in (500, 8000):
@@ -203,31 +188,6 @@ def test_work_grows_slower_than_pairs_of_features():
         work.append(np.median([e.nodes + e.binary_tests for e in effort]))
     # 16 times the features: linear at most, and far below one test per feature and measurement
     assert work[1] < 24 * work[0] and work[1] < 2.0 * 8000
-
-
-def test_the_triangles_are_those_with_sides_within_reach_once_each_and_counterclockwise():
-    positions = field(np.random.default_rng(34), 90)
-    apart = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
-    index = FeatureIndex(landmarks_at(positions))
-    assert np.median(np.sort(apart, axis=1)[:, 23]) < index.reach <= np.median(np.sort(apart, axis=1)[:, 60])
-    triples = itertools.combinations(range(90), 3)
-    near = {t for t in triples if max(apart[i, j] for i, j in itertools.combinations(t, 2)) <= index.reach}
-    corners = index._hash.corners
-    assert len(corners) == len(near) <= 40_000 and {tuple(sorted(t)) for t in corners.tolist()} == near
-    A, B, C = positions[corners].transpose(1, 0, 2)
-    sides = np.stack([np.hypot(*(B - A).T), np.hypot(*(C - B).T), np.hypot(*(A - C).T)], axis=1)
-    np.testing.assert_allclose(index._hash.sides[:, :3], sides, rtol=1e-6)
-    assert (sides[:, 0] == sides.max(axis=1)).all() and (np.linalg.det(np.stack([B - A, C - A], axis=1)) > 0).all()
-
-
-@pytest.mark.parametrize("groups", [1, 2, 4])
-def test_any_measurements_one_more_than_two_for_each_group_hold_a_triple_looked_up(groups):
-    rng, m = np.random.default_rng(37), 13
-    of_scan = measured(scan_arrays(scan_at(2.0 * rng.standard_normal((m, 2)))), gates_at(0.99))
-    triples = triangle_search._triples(of_scan, np.arange(m), groups, reach=11.0)
-    looked_up = [set(t) for t in triples.tolist()]
-    for some in itertools.combinations(range(m), 2 * groups + 1):
-        assert any(t <= set(some) for t in looked_up)
 
 
 def test_pairings_stay_in_the_locality_of_the_first():

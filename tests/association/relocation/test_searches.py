@@ -1,0 +1,110 @@
+"""GCBB, random sampling and cliques against every hypothesis there is, and what each of them promises besides."""
+
+from dataclasses import replace
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from slam_gym.association import gcbb, max_clique, random_sampling
+from slam_gym.association.relocation import cliques
+from tests.oracles import relocation as oracles
+from tests.oracles.statistics import for_seeds
+
+LOCALITIES = ["everything", "distance", "covisibility"]
+
+
+@pytest.mark.parametrize("locality", LOCALITIES)
+@for_seeds(50)
+def test_gcbb_finds_the_best_of_all_hypotheses(seed, locality):
+    scan, landmarks, P, localities = oracles.small_problem(seed)
+    found = gcbb(scan, landmarks, localities[locality])
+    best = oracles.gcbb(scan, landmarks, P, localities[locality], 0.99)
+    if len(best) < 200:
+        oracles.check_against(found, best, scan, landmarks, P)
+    strict = gcbb(scan, landmarks, localities[locality], rivals=False)
+    assert strict.pairings == found.pairings
+    assert strict.effort.nodes <= found.effort.nodes and strict.ties == 0
+
+
+@pytest.mark.parametrize("locality", LOCALITIES)
+@for_seeds(20)
+def test_outwards_is_the_same_search_with_the_measurements_sorted_from_their_centre(seed, locality):
+    scan, landmarks, _, localities = oracles.small_problem(seed)
+    order = np.argsort(np.hypot(*(scan.points - scan.points.mean(axis=0)).T))
+    names = ("points", "covariances", "sizes", "size_variances")
+    sorted_scan = replace(scan, **{name: getattr(scan, name)[order] for name in names})
+    found = gcbb(scan, landmarks, localities[locality], outwards=True)
+    expected = gcbb(sorted_scan, landmarks, localities[locality])
+    np.testing.assert_array_equal(found.features[order], expected.features)
+    assert found.effort.nodes == expected.effort.nodes and found.ties == expected.ties
+
+
+@pytest.mark.parametrize("locality", LOCALITIES)
+@for_seeds(12)
+def test_random_sampling_with_every_sample_finds_the_best_that_a_sample_leads_to(seed, locality):
+    scan, landmarks, P, localities = oracles.small_problem(seed + 500, largest=4)
+    found = random_sampling(scan, landmarks, localities[locality], tries=207)
+    oracles.check_against(
+        found, oracles.random_sampling(scan, landmarks, P, localities[locality], 0.99), scan, landmarks, P
+    )
+
+
+def test_same_seed_same_answer():
+    _, scan, landmarks = oracles.inside(4)
+    first, second = (random_sampling(scan, landmarks, seed=5) for _ in range(2))
+    assert first.features.tolist() == second.features.tolist()
+    assert replace(first.effort, seconds=0.0) == replace(second.effort, seconds=0.0)
+
+
+def test_as_many_samples_as_asked_for():
+    _, scan, landmarks = oracles.inside(4)
+    assert (
+        random_sampling(scan, landmarks).effort.tries == 8
+        and random_sampling(scan, landmarks, tries=23).effort.tries == 23
+    )
+    with pytest.raises(ValueError, match="tries 0"):
+        random_sampling(scan, landmarks, tries=0)
+
+
+@for_seeds(12)
+def test_max_clique_finds_the_largest_set_of_mutually_consistent_pairings(seed):
+    scan, landmarks, P, localities = oracles.small_problem(seed)
+    for locality in localities.values():
+        found = max_clique(scan, landmarks, locality)
+        related = oracles.relation(locality, len(landmarks))
+        best = [b for b in oracles.mutual(scan, landmarks, P, related, 0.99) if len(b) > 1]
+        most = max(map(len, best), default=0)
+        largest = [b for b in best if len(b) == most and oracles.holds(scan, landmarks, P, b, 0.99)]
+        if largest:
+            # mirror images are among these cliques, and may have a second optimum: ties are not compared
+            oracles.check_against(found, largest, scan, landmarks, P, ties=False)
+        else:
+            assert found.pairings < max(most, 1)
+
+
+def test_all_largest_cliques_are_found_and_no_other():
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        a, b = np.triu_indices(int(rng.integers(2, 60)), 1)
+        kept = rng.random(len(a)) < rng.uniform(0.02, 0.6)
+        edges = np.column_stack([a[kept], b[kept]])
+        maximal = [tuple(sorted(clique)) for clique in nx.find_cliques(nx.Graph(edges.tolist()))]
+        most = max(map(len, maximal), default=0)
+        found, complete = cliques.largest_cliques(edges)
+        assert complete
+        assert sorted(tuple(sorted(c)) for c in found.tolist()) == sorted(c for c in maximal if len(c) == most)
+
+
+def test_too_many_largest_cliques_are_said_to_be():
+    a, b = np.triu_indices(18, 1)
+    kept = a % 9 != b % 9  # nine pairs that are not joined: 2⁹ largest cliques
+    found, complete = cliques.largest_cliques(np.column_stack([a[kept], b[kept]]))
+    assert not complete and found.shape == (256, 9)
+
+
+def test_a_graph_of_exponentially_many_cliques_is_left_at_the_limit():
+    a, b = np.triu_indices(90, 1)
+    kept = a // 3 != b // 3  # thirty triples that are not joined: 3³⁰ maximal cliques (Moon and Moser, 1965)
+    found, complete = cliques.largest_cliques(np.column_stack([a[kept], b[kept]]))
+    assert not complete and found.shape == (256, 30)
