@@ -55,14 +55,6 @@ def test_only_chosen_measurements_are_offered_rows(seed):
         assert candidates.rows[here].tolist() == [j for _, j in expected[i]]
 
 
-@for_seeds(50)
-def test_a_feature_outside_the_box_around_the_scan_may_be_compatible(seed):
-    scan, prediction = oracles.problem(np.random.default_rng(seed), 1, 30, noise=1.0)
-    candidates = individual(scan, prediction)
-    expected = [row for _, row in oracles.compatible(scan, prediction, 0.99)[0]]
-    assert candidates.rows[candidates.slots].tolist() == expected
-
-
 def test_compatibility_does_not_depend_on_the_axes():
     scan, prediction = oracles.problem(np.random.default_rng(3), 10, 20)
     turn = np.array([0.7, -0.2, 2.5])

@@ -71,16 +71,6 @@ def test_the_best_leaf_of_an_unbounded_walk_is_the_oracle_s_and_jcbb_s(seed):
     assert (ours.joint_distance, ours.dof) == (pytest.approx(theirs.joint_distance), theirs.dof)
 
 
-def test_without_candidates_every_branch_is_star():
-    scan, prediction = oracles.problem(np.random.default_rng(0), 3, 0)
-    tree = interpretation_tree(scan, prediction, individual(scan, prediction))
-    node = root(tree)
-    for _ in range(3):
-        assert len(branches(tree, node).rows) == 0
-        node = extend(tree, node, UNPAIRED)
-    assert hypothesis(tree, node, Effort()).features.tolist() == [UNPAIRED] * 3
-
-
 def test_illegal_steps_are_refused():
     tree = plant(1)
     with pytest.raises(ValueError, match="may not be paired"):

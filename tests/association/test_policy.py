@@ -1,4 +1,4 @@
-"""Policies of the tree without a prior as relocators like any other."""
+"""Policies of the tree as relocators and associators like any other."""
 
 import pickle
 
@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from slam_gym.association import gcbb
-from slam_gym.association.policy import greedy, relocator_from_policy
+from slam_gym.association.policy import from_policy, greedy, relocator_from_policy
 from slam_gym.association.relocation.walk import RelocationWalk, WalkSpec
+from slam_gym.types import UNPAIRED
+from tests.association.tracking.test_walk import CONFIDENCE, problems
+from tests.oracles import association
 from tests.oracles import relocation as oracles
 from tests.oracles import relocation_walks as walks
 
@@ -59,3 +62,29 @@ def test_bad_settings_and_actions_are_refused_by_name():
     scan.points[2, 0] = np.nan
     with pytest.raises(ValueError, match="measurement 2"):
         RelocationWalk(WalkSpec(), scan, landmarks, localities["distance"])
+
+
+# --- with a prior -----------------------------------------------------------------------------------------------------
+
+
+def test_greedy_is_sequential_compatibility_nearest_neighbour():
+    associate = from_policy(greedy)
+    for scan, prediction in problems(60):
+        expected = association.greedy(scan, prediction, CONFIDENCE)
+        features = [UNPAIRED if row == UNPAIRED else prediction.features[row] for row in expected]
+        np.testing.assert_array_equal(associate(scan, prediction).features, features)
+
+
+def test_refusing_everything_pairs_nothing():
+    refuse = from_policy(lambda observation, mask: len(mask) - 1)
+    for scan, prediction in problems(5):
+        answer = refuse(scan, prediction)
+        assert (answer.features == UNPAIRED).all()
+        assert (answer.joint_distance, answer.dof) == (0.0, 0)
+
+
+def test_a_policy_associator_pickles():
+    associate = pickle.loads(pickle.dumps(from_policy(greedy, candidates=2)))
+    scan, prediction = next(problems(1))
+    expected = from_policy(greedy, candidates=2)(scan, prediction).features
+    np.testing.assert_array_equal(associate(scan, prediction).features, expected)
