@@ -80,11 +80,16 @@ def enter(m: StochasticMap, graph: CovisibilityGraph, points: Array, rng: np.ran
 
 
 def map_it(slam: Slam, log: Drive, associator: str = "jcbb") -> tuple[JudgedSlam, float]:
-    """The judged run, and the error of the positions [m], aligned."""
-    judged, estimates = JudgedSlam(slam, associator), []
+    """The judged run, every step of which tells what went and came, and the error of the positions [m], aligned."""
+    judged, estimates, alive = JudgedSlam(slam, associator), [], set()
     for (odometry, scan, sources), pose in zip(log.steps, log.poses):
-        judged.step(odometry, scan, Truth(pose, sources))
+        step = judged.step(odometry, scan, Truth(pose, sources))
         estimates.append(slam.map.pose)
+        alive |= set(step.ids[step.created].tolist()) | set(step.returned.tolist())
+        alive -= set(step.removed.tolist())
+        assert alive == set(slam.map.ids.tolist())
+        kept, gone = slam.fused.T
+        assert np.isin(gone, step.removed).all() and np.isin(kept, slam.map.ids).all() and (kept < gone).all()
     return judged, ate(np.array(estimates)[:, :2], log.poses[:, :2], aligned=True)
 
 

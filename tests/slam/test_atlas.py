@@ -15,7 +15,7 @@ from slam_gym.simulation.judged import JudgedSlam
 from slam_gym.slam.atlas import AtlasSpec
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.slam import Slam, SlamSpec
-from slam_gym.types import NO_ID, IntArray, Truth
+from slam_gym.types import NO_ID, IntArray
 from tests.slam.rings import VIEW, Drive, drive, duplicates, map_it, ring_of_landmarks
 
 SPEC = SlamSpec(MapSpec(unconfirmed_age=20), new_confidence=1.0 - 1e-6)
@@ -45,6 +45,19 @@ def sources_differ(judged: JudgedSlam, closed: list[IntArray]) -> int:
     return sum(int((of(ids[:, 0]) != of(ids[:, 1])).sum()) for ids in closed)
 
 
+def assert_valid(slam: Slam, kind: str) -> None:
+    """Of a map in which something was fused."""
+    m, graph = slam.map, slam.covisibility
+    assert is_covariance(m.covariance)
+    np.testing.assert_array_equal(m.covariance, m.covariance.T)
+    assert graph.n == m.n and len(np.unique(m.ids)) == m.n
+    pairs, counts = graph.edges()
+    assert (counts > 0).all() and (pairs[:, 0] < pairs[:, 1]).all()
+    assert (counts <= np.minimum(m.seen[pairs[:, 0]], m.seen[pairs[:, 1]])).all()
+    for ids in fused(slam, kind):
+        assert (ids[:, 0] < ids[:, 1]).all() and not np.isin(ids[:, 1], m.ids).any()  # the older id stays
+
+
 def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
     errors = []
     for seed in range(4):
@@ -54,49 +67,19 @@ def test_a_loop_is_closed_and_what_was_drawn_twice_is_gone() -> None:
         judged, error = map_it(slam, log)
         assert fused(slam, "loop") and sources_differ(judged, fused(slam, "loop")) == 0, f"seed {seed}"
         assert duplicates(judged) <= 1, f"seed {seed}"
+        assert_valid(slam, "loop")
         errors.append((without, error, duplicates(plain)))
     without, error, left = np.array(errors).T
     assert error.mean() < 0.8 * without.mean() and left.mean() > 5.0
 
 
-def test_a_closed_loop_leaves_a_valid_map() -> None:
-    log, slam = loop_drive(2), Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
-    map_it(slam, log)
-    m, graph = slam.map, slam.covisibility
-    assert fused(slam, "loop") and is_covariance(m.covariance)
-    np.testing.assert_array_equal(m.covariance, m.covariance.T)
-    assert graph.n == m.n and len(np.unique(m.ids)) == m.n
-    pairs, counts = graph.edges()
-    assert (counts > 0).all() and (pairs[:, 0] < pairs[:, 1]).all()
-    assert (counts <= np.minimum(m.seen[pairs[:, 0]], m.seen[pairs[:, 1]])).all()
-    for ids in fused(slam, "loop"):
-        assert (ids[:, 0] < ids[:, 1]).all() and not np.isin(ids[:, 1], m.ids).any()  # the older id stays
-
-
-def test_the_steps_tell_which_features_went_and_came() -> None:
-    for carried_at in (None, 100):
-        slam, alive = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY), set()
-        for odometry, scan, _ in loop_drive(1, 340, carried_at, 0.014).steps:
-            step = slam.step(odometry, scan)
-            alive |= set(step.ids[step.created].tolist()) | set(step.returned.tolist())
-            alive -= set(step.removed.tolist())
-            assert alive == set(slam.map.ids.tolist())
-            kept, gone = slam.fused.T
-            assert np.isin(gone, step.removed).all() and np.isin(kept, slam.map.ids).all() and (kept < gone).all()
-        assert fused(slam, "loop") or fused(slam, "maps")
-
-
 def test_a_robot_that_was_carried_away_goes_on_in_a_second_map_and_the_two_are_joined() -> None:
     for seed in range(4):
-        log, slam = loop_drive(seed, 340, 100, 0.014), Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
-        judged = JudgedSlam(slam)
-        numbers = []
-        for (odometry, scan, sources), pose in zip(log.steps, log.poses):
-            judged.step(odometry, scan, Truth(pose, sources))
-            numbers.append(len(slam.maps))
-        assert max(numbers) == 2 and numbers[-1] == 1, f"seed {seed}"
+        slam = Slam(SPEC, VIEW, relocate=nobody, atlas=EARLY)
+        judged, _ = map_it(slam, loop_drive(seed, 340, 100, 0.014))
         joined = fused(slam, "maps")
-        assert len(joined) == 1 and sources_differ(judged, joined) == 0 and slam.relocations == 1
+        assert len(joined) == 1 == len(slam.maps), f"seed {seed}"
+        assert sources_differ(judged, joined) == 0 and slam.relocations == 1
         assert is_covariance(slam.map.covariance) and slam.covisibility.n == slam.map.n
         assert duplicates(judged) <= 3, f"seed {seed}"
         assert judged.tally.precision > 0.95
