@@ -7,6 +7,7 @@ import pytest
 
 from slam_gym import geometry as g
 from slam_gym.types import Array
+from tests.oracles.geometry import numerical
 
 RNG = np.random.default_rng(0)
 POSES = [np.array([x, y, t]) for x, y, t in np.column_stack([RNG.normal(0, 10, (12, 2)), RNG.uniform(-3.1, 3.1, 12)])]
@@ -24,17 +25,6 @@ def matrix(pose: Array) -> Array:
 def assert_same(a: Array, b: Array) -> None:
     np.testing.assert_allclose(matrix(a), matrix(b), rtol=0, atol=1e-12)
     assert -math.pi < a[2] <= math.pi and -math.pi < b[2] <= math.pi
-
-
-def numerical(f, x: Array, angle: bool = False, step: float = 1e-6) -> Array:
-    """Jacobian of f at x by central differences; the third row is a heading where `angle` says so."""
-    columns = []
-    for e in step * np.eye(len(x)):
-        difference = f(x + e) - f(x - e)
-        if angle:
-            difference[2] = math.remainder(difference[2], 2 * math.pi)
-        columns.append(difference / (2 * step))
-    return np.column_stack(columns)
 
 
 # --- angles -----------------------------------------------------------------------------------------------------------
@@ -95,8 +85,8 @@ def test_points_are_carried_along(a: Array, b: Array) -> None:
 @pytest.mark.parametrize(("a", "b"), PAIRS)
 def test_jacobians_of_composition(a: Array, b: Array) -> None:
     ja, jb = g.compose_jacobians(a, b)
-    np.testing.assert_allclose(ja, numerical(lambda x: g.compose(x, b), a, angle=True), rtol=0, atol=1e-7)
-    np.testing.assert_allclose(jb, numerical(lambda x: g.compose(a, x), b, angle=True), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(ja, numerical(lambda x: g.compose(x, b), a, wrapped=2), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(jb, numerical(lambda x: g.compose(a, x), b, wrapped=2), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("heading", [-3.0, -1.0, 0.0, 0.7, math.pi / 2, math.pi])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from slam_gym.association.prediction import Prediction, predict
-from slam_gym.geometry import observe, wrap_angle
+from slam_gym.geometry import observe
 from slam_gym.mapping.covisibility import CovisibilityGraph
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.types import Array, IntArray, Odometry
@@ -41,19 +41,6 @@ def predicted(
 ) -> Prediction:
     lately = np.empty(0, np.int64) if recent is None else recent
     return predict(m, reach, odometry=odometry, graph=graph, recent=lately)
-
-
-def numerical(f, x: Array, wrapped: int | None = None, step: float = 1e-6) -> Array:
-    """Jacobian of f at x by central differences; `wrapped` names the row that is an angle."""
-    columns = []
-    for i in range(len(x)):
-        e = np.zeros(len(x))
-        e[i] = step
-        difference = f(x + e) - f(x - e)
-        if wrapped is not None:
-            difference[wrapped] = wrap_angle(difference[wrapped])
-        columns.append(difference / (2.0 * step))
-    return np.column_stack(columns)
 
 
 def h(x: Array, features: Array) -> Array:

@@ -78,16 +78,6 @@ def test_localities_equal_the_definition(seed: int) -> None:
         np.testing.assert_array_equal(graph.among(chosen), np.array(among, dtype=bool).reshape(size, size))
 
 
-def test_a_wide_scan_makes_room() -> None:
-    graph = CovisibilityGraph()
-    graph.add(200)
-    graph.see_together(np.arange(199, -1, -1))
-    graph.see_together(np.arange(200))
-    edges, counts = graph.edges()
-    np.testing.assert_array_equal(edges, np.column_stack(np.triu_indices(200, 1)))
-    assert np.all(counts == 2)
-
-
 def test_memory_is_linear_in_features_times_neighbours() -> None:
     """A corridor in which each feature is seen with 20 others; both dimensions may have been doubled once too often."""
     n, graph = 10_000, CovisibilityGraph()

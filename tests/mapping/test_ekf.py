@@ -9,7 +9,8 @@ from scipy.stats import chi2
 from slam_gym.geometry import compose, wrap_angle
 from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNPAIRED, Array, Odometry
-from tests.mapping.small_maps import KEEP, START, START_COVARIANCE, h, landmarks, mapped, numerical
+from tests.mapping.small_maps import KEEP, START, START_COVARIANCE, h, landmarks, mapped
+from tests.oracles.geometry import numerical
 from tests.oracles.map import SIGMA, KnownAssociation, Step, TextbookMap, make_scan, random_covariances, wander
 
 # --- against the textbook ---------------------------------------------------------------------------------------------

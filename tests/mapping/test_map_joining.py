@@ -1,15 +1,17 @@
 """Map joining against finite differences, the null-space form of a constraint, and one EKF over everything."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from slam_gym.geometry import compose, transform, wrap_angle
-from slam_gym.mapping.map_joining import equality_update, equate, join, join_all, joined_estimate, take_over
+from slam_gym.mapping.map_joining import equality_update, equate, join, join_all, joined_estimate
 from slam_gym.mapping.stochastic_map import MapSpec, StochasticMap
 from slam_gym.metrics.consistency import nees
 from slam_gym.types import UNKNOWN_KIND, Array, IntArray, Odometry, Scan
+from tests.oracles.geometry import numerical
 from tests.oracles.map import KnownAssociation, Step, make_scan, random_covariances, wander
 from tests.oracles.statistics import anees_interval, for_seeds
 
@@ -38,15 +40,7 @@ def test_joined_estimate_is_first_order_propagation(seed: int) -> None:
     (x_a, P_a), (x_b, P_b) = random_estimate(rng, seed % 4), random_estimate(rng, seed % 5)
     mean, P = joined_estimate(x_a, P_a, x_b, P_b)
     np.testing.assert_allclose(mean, joined_by_geometry(x_a, x_b), rtol=0, atol=1e-12)
-    both, step, columns = np.concatenate([x_a, x_b]), 1e-6, []
-    for i in range(len(both)):
-        e = np.zeros(len(both))
-        e[i] = step
-        plus, minus = (joined_by_geometry(x[: len(x_a)], x[len(x_a) :]) for x in (both + e, both - e))
-        difference = plus - minus
-        difference[2] = wrap_angle(difference[2])
-        columns.append(difference / (2 * step))
-    J = np.column_stack(columns)
+    J = numerical(lambda x: joined_by_geometry(x[: len(x_a)], x[len(x_a) :]), np.concatenate([x_a, x_b]), wrapped=2)
     zero = np.zeros((len(x_a), len(x_b)))
     expected = J @ np.block([[P_a, zero], [zero.T, P_b]]) @ J.T
     np.testing.assert_allclose(P, expected, rtol=0, atol=1e-7)
@@ -82,14 +76,21 @@ def test_equality_update_is_the_estimate_on_the_subspace_of_equal_features(seed:
 # --- against one EKF over everything ----------------------------------------------------------------------------------
 
 
-def halves(steps: list[Step], at: list[int]) -> tuple[StochasticMap, list[int]]:
-    """Local maps of the steps between the cuts `at`, joined under known association; landmark behind each feature."""
-    whole, sources = None, []
+def local_maps(steps: list[Step], at: list[int]) -> Iterator[KnownAssociation]:
+    """A map of the steps between each two of the cuts `at`, each the successor of the one before."""
     previous = StochasticMap(KEEP)
     for first, last in zip([0, *at], [*at, len(steps)]):
         local = KnownAssociation(previous.successor())
         for step in steps[first:last]:
             local.step(step)
+        yield local
+        previous = local.map
+
+
+def halves(steps: list[Step], at: list[int]) -> tuple[StochasticMap, list[int]]:
+    """Local maps of the steps between the cuts `at`, joined under known association; landmark behind each feature."""
+    whole, sources = None, []
+    for local in local_maps(steps, at):
         if whole is None:
             whole, sources = local.map, list(local.sources)
         else:
@@ -97,7 +98,6 @@ def halves(steps: list[Step], at: list[int]) -> tuple[StochasticMap, list[int]]:
             pairs = [(older[s], count + j) for j, s in enumerate(local.sources) if s in older]
             whole = equate(join(whole, local.map), np.array(pairs))
             sources += [s for s in local.sources if s not in older]
-        previous = local.map
     assert whole is not None
     return whole, sources
 
@@ -133,13 +133,7 @@ def test_all_at_once_is_what_one_after_the_other_gives(noise: float, tolerance: 
     q = np.diag([0.05, 0.03, max(noise, 1e-6)]) ** 2
     steps, at = list(wander(rng, 36, landmarks, reach=4.0, q=q)), [10, 20]
     one_by_one, sources = halves(steps, at)
-    maps, names = [], []
-    for first, last in zip([0, *at], [*at, len(steps)]):
-        local = KnownAssociation(maps[-1].successor() if maps else StochasticMap(KEEP))
-        for step in steps[first:last]:
-            local.step(step)
-        maps.append(local.map)
-        names.append(np.array(local.sources))
+    maps, names = zip(*((local.map, np.array(local.sources)) for local in local_maps(steps, at)))
     best = join_all(maps, names)
     np.testing.assert_array_equal(best.ids, np.sort(sources))
     expected, P = by_source(one_by_one, sources)
@@ -264,16 +258,3 @@ def test_equality_stays_psd_for_certainties_of_very_different_sizes() -> None:
         after = equate(m, random_pairs(rng, 10))
         eigenvalues = np.linalg.eigvalsh(after.covariance)
         assert eigenvalues[0] >= -1e-9 * eigenvalues[-1]
-
-
-def test_a_feature_takes_over_what_was_known_of_its_duplicate() -> None:
-    """Of three features, seen once each in steps 4, 5 and 6."""
-    counted = np.array([[0, 1, 2], [1, 1, 1], [4, 5, 6], [4, 5, 6], [2, UNKNOWN_KIND, 1]])
-    sized = np.array([[0.5, np.nan, 0.8], [0.01, np.nan, 0.03]])
-    fused, averaged = counted.copy(), sized.copy()
-    take_over(fused, averaged, np.array([0]), np.array([2]))
-    np.testing.assert_array_equal(fused[1:, 0], [2, 4, 6, 2])  # its own kind, where it has one
-    weight = 1.0 / np.array([0.01, 0.03])
-    assert averaged[:, 0] == pytest.approx([(weight @ [0.5, 0.8]) / weight.sum(), 1.0 / weight.sum()])
-    take_over(counted, sized, np.array([1]), np.array([2]))
-    assert (*sized[:, 1], counted[4, 1]) == (0.8, 0.03, 1)

@@ -11,8 +11,8 @@ import pytest
 from slam_gym.mapping.ekf import relative_covariance
 from slam_gym.mapping.stochastic_map import MapSpec, MapState, StochasticMap
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Odometry, Scan
-from tests.mapping.small_maps import KEEP, h, landmarks, mapped, predicted
-from tests.oracles.map import KnownAssociation, Q, make_scan, random_covariance, wander
+from tests.mapping.small_maps import KEEP, h, mapped, predicted
+from tests.oracles.map import Q, make_scan, random_covariance
 
 NOISE = np.tile(0.01 * np.eye(2), (3, 1, 1))
 
@@ -32,17 +32,6 @@ def test_removal_is_marginalisation() -> None:
         np.testing.assert_array_equal(getattr(m, name), getattr(before, name)[kept])
     np.testing.assert_array_equal(m.remove(np.arange(m.n)), [])
     assert m.n == 0 == len(predicted(m))
-
-
-def test_capacity_changes_nothing() -> None:
-    rng = np.random.default_rng(6)
-    steps = list(wander(rng, 20, landmarks(rng)))
-    small, large = (KnownAssociation(StochasticMap(KEEP, capacity=c)) for c in (1, 500))
-    for step in steps:
-        small.step(step)
-        large.step(step)
-    np.testing.assert_array_equal(small.map.mean, large.map.mean)
-    np.testing.assert_array_equal(small.map.covariance, large.map.covariance)
 
 
 @pytest.mark.parametrize("duplicate", [StochasticMap.copy, copy.deepcopy, lambda m: pickle.loads(pickle.dumps(m))])

@@ -1,10 +1,22 @@
-"""Jacobians of points seen from poses, written out."""
+"""Jacobians of points seen from poses, written out, and of any function by finite differences."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from slam_gym.types import Array
+
+
+def numerical(f: Callable[[Array], Array], x: Array, wrapped: int | None = None, step: float = 1e-6) -> Array:
+    """Jacobian of f at x by central differences; `wrapped` names the row that is an angle."""
+    columns = []
+    for e in step * np.eye(len(x)):
+        difference = f(x + e) - f(x - e)
+        if wrapped is not None:
+            difference[wrapped] = math.remainder(difference[wrapped], 2.0 * math.pi)
+        columns.append(difference / (2.0 * step))
+    return np.column_stack(columns)
 
 
 def transform_jacobians(pose: Array, point: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ import pytest
 
 from slam_gym.recordings import Recording, RecordingError, open_recordings, save
 from slam_gym.recordings.catalogue import DATA
+from slam_gym.recordings.reading import Spans, starts_of
 from tests.recordings.test_recording import by_hand
 
 G2O = "EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 0 5 2 1 4 0 4\nVERTEX_SE2 0 3 4 0\nVERTEX_SE2 1 4 4 0\n"
@@ -47,3 +48,20 @@ def test_of_each_set_every_robot_that_was_asked_for(data_dir, monkeypatch) -> No
     assert [log.name for log in logs] == [f"mrclam/{folder}/robot{robot}" for folder in sets for robot in (2, 4)]
     (alone,) = open_recordings("mrclam", data_dir / "mrclam" / sets[0], [4])
     np.testing.assert_array_equal(alone.points, logs[1].points)
+
+
+# --- what the readers share -------------------------------------------------------------------------------------------
+
+
+def test_spans_are_cut_where_commands_take_over() -> None:
+    looks, commands = np.array([0.0, 1.0, 1.0, 4.0]), np.array([0.5, 1.0, 2.5, 2.5, 9.0])
+    spans = Spans.between(looks, commands)
+    assert spans.step.tolist() == [1, 1, 3, 3] and spans.command.tolist() == [-1, 0, 1, 3]
+    assert spans.sums(spans.seconds, 4).tolist() == [0.0, 1.0, 0.0, 3.0]
+    assert spans.headings(np.array([1.0, 2.0, 4.0, 8.0])).tolist() == [0.0, 1.0, 0.0, 4.0]
+    assert len(Spans.between(looks[:1], commands).step) == 0
+
+
+def test_steps_start_where_those_before_them_end() -> None:
+    assert starts_of([2, 0, 3]).tolist() == [0, 2, 2, 5] and starts_of([]).tolist() == [0]
+    assert starts_of(np.array([True, False, True])).dtype == np.int64

@@ -1,4 +1,4 @@
-"""Scans and odometry from users' arrays: what they are, and how they refuse what does not fit."""
+"""Records from users' arrays: what they are, what they say of themselves, and how they refuse what does not fit."""
 
 import copy
 import pickle
@@ -7,7 +7,18 @@ from dataclasses import FrozenInstanceError, fields, replace
 import numpy as np
 import pytest
 
-from slam_gym.types import UNKNOWN_KIND, Odometry, Scan
+from slam_gym.association.prediction import Prediction
+from slam_gym.types import (
+    UNKNOWN_KIND,
+    UNPAIRED,
+    Effort,
+    Hypothesis,
+    Landmarks,
+    Locality,
+    Odometry,
+    Relocation,
+    Scan,
+)
 
 
 def test_a_record_cannot_be_changed_and_its_copies_are_equal() -> None:
@@ -99,3 +110,54 @@ def test_sigmas_sizes_and_kinds_are_for_each() -> None:
 def test_what_does_not_fit_is_refused_by_name(make, message) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+# --- what is decided --------------------------------------------------------------------------------------------------
+
+FEATURES = np.array([4, UNPAIRED, 0, 7])
+
+
+def test_what_is_unpaired_is_no_pairing() -> None:
+    assert Hypothesis(FEATURES, 3.0, 6, Effort()).pairings == 3
+
+
+def test_a_relocation_needs_enough_pairings_at_one_pose_only() -> None:
+    found = Relocation(FEATURES, np.zeros(3), np.eye(3), 1.0, 3, 3, ambiguous=False, ties=0, effort=Effort())
+    assert found.accepted
+    assert not replace(found, min_pairings=4).accepted and not replace(found, ambiguous=True).accepted
+
+
+# --- what is mapped, and what it predicts -----------------------------------------------------------------------------
+
+
+def test_a_prediction_does_not_share_memory_with_what_it_is_made_of() -> None:
+    points, covariance = np.ones((2, 2)), np.eye(4)
+    prediction = Prediction.from_gaussian(points, covariance)
+    points[:], covariance[:] = 7.0, 7.0
+    assert (prediction.positions == 1).all()
+    np.testing.assert_array_equal(prediction.joint(np.array([1, 0])), np.eye(4))
+
+
+def test_a_covariance_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"covariance: shape \(3, 3\), expected \(2, 2\)"):
+        Prediction.from_gaussian([[1, 2]], np.eye(3))
+
+
+def test_one_way_of_telling_covariances_is_asked_for() -> None:
+    with pytest.raises(ValueError, match="exactly one of the three"):
+        Landmarks.from_points([[1, 2]], sigma=0.1, covariance=np.eye(2))
+
+
+def test_a_locality_is_read_row_by_row() -> None:
+    locality = Locality(np.array([0, 2, 4, 5]), np.array([0, 1, 0, 1, 2]))
+    assert len(locality) == 3 and [locality.of(j).tolist() for j in range(3)] == [[0, 1], [0, 1], [2]]
+
+
+def test_marginals_are_the_blocks_of_a_joint_covariance() -> None:
+    A = np.random.default_rng(1).standard_normal((6, 6))
+    P = A @ A.T
+    prediction = Prediction.from_gaussian(np.zeros((3, 2)), P)
+    for told in (Landmarks.from_points(np.zeros((3, 2)), covariance=P), prediction):
+        for j in range(3):
+            np.testing.assert_array_equal(told.covariances[j], P[2 * j : 2 * j + 2, 2 * j : 2 * j + 2])
+    np.testing.assert_array_equal(prediction.joint(np.array([2])), P[4:, 4:])
