@@ -38,9 +38,8 @@ class Script(Controls):
 
 
 @pytest.fixture
-def play_with(monkeypatch):
+def play_with():
     """Play a script for some steps: the wish that ended it, the game and its environment."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     open_now = []
 
     def run(controls, steps, budget=300):
@@ -108,8 +107,7 @@ def test_an_agent_is_watched():
 
 
 @pytest.fixture
-def screen(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def screen():
     screen = Screen(1000.0)
     screen.show(np.zeros((60, 300, 3), np.uint8), ["first", "last"])
     yield screen

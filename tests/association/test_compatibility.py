@@ -8,7 +8,6 @@ import pytest
 from scipy.stats import chi2
 
 from slam_gym.association.compatibility import chi2_gate, individual, joint_gates
-from slam_gym.geometry import rotate_covariances, transform
 from tests.oracles import association as oracles
 from tests.oracles.statistics import for_seeds
 
@@ -53,21 +52,6 @@ def test_only_chosen_measurements_are_offered_rows(seed):
     for level, i in enumerate(chosen):
         here = candidates.slots[slice(*candidates.starts[level : level + 2])]
         assert candidates.rows[here].tolist() == [j for _, j in expected[i]]
-
-
-def test_compatibility_does_not_depend_on_the_axes():
-    scan, prediction = oracles.problem(np.random.default_rng(3), 10, 20)
-    turn = np.array([0.7, -0.2, 2.5])
-    turned_scan = dataclasses.replace(
-        scan, points=transform(turn, scan.points), covariances=rotate_covariances(turn[2], scan.covariances)
-    )
-    turned = with_rows(
-        prediction, transform(turn, prediction.positions), rotate_covariances(turn[2], prediction.covariances)
-    )
-    before, after = individual(scan, prediction), individual(turned_scan, turned)
-    assert len(before.slots) > 10
-    np.testing.assert_array_equal(before.rows[before.slots], after.rows[after.slots])
-    np.testing.assert_allclose(before.distances, after.distances, rtol=1e-9)
 
 
 def with_rows(prediction, positions, covariances):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import long_run
 from slam_gym.association import jcbb
 from slam_gym.envs.explore import ExploreEnv
 from slam_gym.scenarios import Scenario, get_scenario
@@ -108,15 +109,13 @@ def world_of(walls, features=(), furniture=(), **changes) -> Scenario:
     ],
     ids=["no free space", "no features", "none visible", "furniture everywhere"],
 )
-@pytest.mark.parametrize("action", ["goal", "twist"])
-def test_a_plan_that_cannot_be_mapped_says_why(scenario, message, action) -> None:
-    env = explore(scenario, action=action)
+def test_a_plan_that_cannot_be_mapped_says_why(scenario, message) -> None:
+    env = explore(scenario)
     with pytest.raises(ValueError, match=message):
         env.reset(seed=0)
 
 
-@pytest.mark.parametrize("action", ["goal", "twist"])
-@pytest.mark.parametrize("reward", ["map_error", "entropy"])
+@pytest.mark.parametrize(("action", "reward"), [("goal", "entropy"), ("twist", "map_error")])
 @pytest.mark.parametrize(
     "scenario",
     [
@@ -129,12 +128,21 @@ def test_a_plan_that_cannot_be_mapped_says_why(scenario, message, action) -> Non
     ],
     ids=["one feature", "closet", "field", "blind", "clutter", "one measurement"],
 )
-def test_odd_worlds_work(scenario, reward, action) -> None:
+def test_odd_worlds_work(scenario, action, reward) -> None:
     env = explore(scenario, action=action, reward=reward)
     for observation, paid, _, _, info in episode(env, seed=1):
         assert env.observation_space.contains(observation)
         assert math.isfinite(paid) and math.isfinite(info["map_error"])
     assert info["map_quality"]["ticks"] == 60
+
+
+@pytest.mark.parametrize(
+    ("number", "associator"), [*((number, "") for number in (0, 1, 5, 8, 14, 29)), (2, "jcbb"), (3, "learned")]
+)
+def test_a_long_run_in_its_shortest_form_breaks_nothing(number: int, associator: str) -> None:
+    """A few episodes with extreme settings."""
+    words, env = long_run.episode(number, 0, 24, associator)
+    assert sum(step.ticks for step in long_run.checked(env, number)) > 0, words
 
 
 def sound(covariance: np.ndarray) -> bool:

@@ -1,7 +1,5 @@
 """The equations of the filter against a textbook EKF, finite differences, and the laws an estimator keeps."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -11,7 +9,7 @@ from slam_gym.mapping.stochastic_map import StochasticMap
 from slam_gym.types import UNPAIRED, Array, Odometry
 from tests.mapping.small_maps import KEEP, START, START_COVARIANCE, h, landmarks, mapped
 from tests.oracles.geometry import numerical
-from tests.oracles.map import SIGMA, KnownAssociation, Step, TextbookMap, make_scan, random_covariances, wander
+from tests.oracles.map import SIGMA, KnownAssociation, TextbookMap, make_scan, random_covariances, wander
 
 # --- against the textbook ---------------------------------------------------------------------------------------------
 
@@ -133,27 +131,6 @@ def test_stays_psd_when_a_loop_closure_collapses_a_huge_uncertainty(lost: float)
         assert smallest_over_largest(m) >= -1e-9
         m.predict(Odometry(np.zeros(3), np.diag([1e-4, 1e-4, 1e-6])))
     assert m.covariance[0, 0] < 1e-5 * before
-
-
-def test_order_of_features_does_not_matter() -> None:
-    """The same measurements, features added in another order: the same estimate, permuted."""
-    rng = np.random.default_rng(4)
-    steps = list(wander(rng, 25, landmarks(rng)))
-    order = np.argsort(rng.random(25))
-
-    def shuffled(step: Step) -> Step:
-        by = np.argsort(order[step.sources])
-        return replace(step, scan=make_scan(step.scan.points[by], step.scan.covariances[by]), sources=step.sources[by])
-
-    one, other = KnownAssociation(StochasticMap(KEEP)), KnownAssociation(StochasticMap(KEEP))
-    for step in steps:
-        one.step(step)
-        other.step(shuffled(step))
-    place = [other.sources.index(source) for source in one.sources]
-    rows = np.concatenate([[0, 1, 2], *([3 + 2 * j, 4 + 2 * j] for j in place)])
-    assert one.sources != other.sources
-    np.testing.assert_allclose(one.map.mean, other.map.mean[rows], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(one.map.covariance, other.map.covariance[np.ix_(rows, rows)], rtol=0, atol=1e-11)
 
 
 # --- consistency ------------------------------------------------------------------------------------------------------

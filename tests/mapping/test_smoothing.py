@@ -103,17 +103,17 @@ def test_equals_the_filter_where_the_heading_is_known() -> None:
 # --- a loop -----------------------------------------------------------------------------------------------------------
 
 RING = np.column_stack([np.sin(np.arange(48) * math.tau / 48), 1.0 - np.cos(np.arange(48) * math.tau / 48)])
+WORLD = np.vstack([[0.0, 8.0] + (RING - [0.0, 1.0]) * radius for radius in (6.0, 10.0)])
 
 
 def loop(rng: np.random.Generator, steps: int = 66) -> Iterator[Step]:
     """A robot on a ring of radius 8 m, once round and a third further, among features at 6 and 10 m from its centre."""
-    world = np.vstack([[0.0, 8.0] + (RING - [0.0, 1.0]) * radius for radius in (6.0, 10.0)])
     pose, q = np.zeros(3), np.diag([0.03, 0.03, 0.02]) ** 2
     for step in range(steps):
         motion = np.array([1.0, 0.0, 1.0 / 8.0]) if step else np.zeros(3)
         noise = rng.multivariate_normal(np.zeros(3), q) if step else np.zeros(3)
         pose = compose(pose, motion + noise)
-        seen = observe(pose, world)
+        seen = observe(pose, WORLD)
         sources = np.flatnonzero((np.hypot(*seen.T) < 4.0) & (seen[:, 0] > 0.0))
         points = seen[sources] + 0.05 * rng.standard_normal((len(sources), 2))
         covariances = np.tile(0.05**2 * np.eye(2), (len(sources), 1, 1))
@@ -128,7 +128,6 @@ def off(best: Smoothed, steps: list[Step]) -> float:
 
 def test_a_closed_loop_is_nearer_to_the_truth_than_an_open_one_and_knows_how_near() -> None:
     closed, open_, total, dof, fit, fit_dof = [], [], 0.0, 0, 0.0, 0
-    world = np.vstack([[0.0, 8.0] + (RING - [0.0, 1.0]) * radius for radius in (6.0, 10.0)])
     for seed in range(40):
         steps = list(loop(np.random.default_rng(seed)))
         odometry, scans, sources = run_of(steps)
@@ -137,7 +136,7 @@ def test_a_closed_loop_is_nearer_to_the_truth_than_an_open_one_and_knows_how_nea
         closed.append(off(best, steps))
         open_.append(off(smooth(odometry, scans, anew), steps))
         asked, ids = [20, len(steps) - 1], best.ids[::6]
-        truth = np.concatenate([steps[20].pose, steps[-1].pose, world[ids].ravel()])
+        truth = np.concatenate([steps[20].pose, steps[-1].pose, WORLD[ids].ravel()])
         error = np.concatenate([best.poses[asked].ravel(), best.positions[::6].ravel()]) - truth
         error[[2, 5]] = [wrap_angle(error[2]), wrap_angle(error[5])]
         total, dof = total + nees(error, best.covariance(asked, ids)), dof + len(error)

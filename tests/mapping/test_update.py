@@ -161,7 +161,7 @@ def test_the_whole_moved_and_turned_is_estimated_moved_and_turned(seed: int) -> 
 def test_one_update_is_that_of_the_textbook_in_the_coordinates_of_the_group() -> None:
     """ξ = T⁻¹ δ with δF = ξ_F + J F ξ_θ: there H = Cᵀ[−I 0 I], x⁺ = exp(K ν) x, and P⁺ comes back with T(x⁺)."""
     m, _, _ = mapped(INVARIANT, steps=20)
-    m = map_with(m, replace(INVARIANT, iterations=1))
+    m = StochasticMap.of_state(replace(INVARIANT, iterations=1), m.state)
     rng, x, P = np.random.default_rng(2), m.mean, m.covariance
     features = np.array([0, 2, 5])
     points = observe(x[:3], x[3:].reshape(-1, 2)[features]) + rng.normal(0, 0.2, (3, 2))
@@ -204,11 +204,6 @@ def along_group(x: Array, xi: Array) -> Array:
         out[j : j + 2] = moved[:2, 2 + k]
     out[2] = wrap_angle(x[2] + xi[2])
     return out
-
-
-def map_with(m: StochasticMap, spec: MapSpec) -> StochasticMap:
-    """The same map under another spec."""
-    return StochasticMap.of_state(spec, m.state)
 
 
 def test_round_a_loop_it_is_consistent_where_the_ordinary_error_is_not() -> None:

@@ -15,10 +15,6 @@ DRIFT = np.array([0.03, 0.03, 0.02])
 SIGMA = 0.05
 
 
-def scan_of(points: np.ndarray, sigma: float) -> Scan:
-    return Scan.from_points(points, sigma=sigma)
-
-
 def correlated_map(rng: np.random.Generator, features: int) -> StochasticMap:
     """A map built on the move, so that everything is correlated with everything."""
     slam_map = StochasticMap()
@@ -28,11 +24,11 @@ def correlated_map(rng: np.random.Generator, features: int) -> StochasticMap:
         slam_map.predict(Odometry(np.array([0.7, 0.0, turn]), np.diag([0.05, 0.02, 0.04]) ** 2))
         local = observe(slam_map.pose, true) + rng.normal(0, 0.05, true.shape)
         if k < 3:
-            slam_map.add(scan_of(local, 0.1), np.arange(k * features // 3, (k + 1) * features // 3))
+            slam_map.add(Scan.from_points(local, sigma=0.1), np.arange(k * features // 3, (k + 1) * features // 3))
         some = rng.permutation(slam_map.n)[: slam_map.n // 2]
         pairings = np.full(features, -1)
         pairings[some] = some
-        slam_map.update(scan_of(local, 0.1), pairings)
+        slam_map.update(Scan.from_points(local, sigma=0.1), pairings)
     return slam_map
 
 
@@ -48,7 +44,7 @@ def by_ekf(slam_map: StochasticMap, place: np.ndarray, heading: float, measured:
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     noise = turn.T @ np.diag(DRIFT**2) @ turn
     after.predict(Odometry(relative(after.pose, destination), 0.5 * (noise + noise.T)))
-    after.update(scan_of(observe(destination, after.positions[measured]), SIGMA), measured)
+    after.update(Scan.from_points(observe(destination, after.positions[measured]), sigma=SIGMA), measured)
     return float(np.trace(slam_map.covariance[3:, 3:]) - np.trace(after.covariance[3:, 3:]))
 
 
@@ -72,7 +68,7 @@ def test_expected_reduction_is_that_of_an_ekf_update_of_a_copy(seed) -> None:
 
 def test_expected_reduction_counts_what_is_in_reach_and_in_sight_only() -> None:
     slam_map = StochasticMap(pose_covariance=np.diag([0.1, 0.1, 0.01]))
-    slam_map.add(scan_of(np.array([[4.0, 0.0]]), 0.3), np.array([0]))
+    slam_map.add(Scan.from_points(np.array([[4.0, 0.0]]), sigma=0.3), np.array([0]))
     grid = blank_grid()
 
     def gain(x: float, reach: float = 6.0) -> float:
@@ -88,13 +84,13 @@ def test_expected_reduction_counts_what_is_in_reach_and_in_sight_only() -> None:
     grid.integrate(np.zeros(3), Beams(bearings, 2.1 / np.cos(bearings), 6.0))
     assert grid.cells[int(15 / 0.2), int(17.1 / 0.2)] == WALL
     assert gain(0.0) == 0.0 and gain(3.0) > 0.0  # a wall in between, and from beyond it
-    slam_map.add(scan_of(np.array([[2.15, 0.0]]), 0.3), np.array([0]))
+    slam_map.add(Scan.from_points(np.array([[2.15, 0.0]]), sigma=0.3), np.array([0]))
     assert gain(0.0) > 0.0  # a feature of the wall itself hides behind nothing
 
 
 def test_features_in_sight_are_near_and_behind_no_wall() -> None:
     grid, m = blank_grid(), StochasticMap()
-    m.add(scan_of(np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0], [9.0, 0.0]]), 0.1), np.arange(4))
+    m.add(Scan.from_points(np.array([[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0], [9.0, 0.0]]), sigma=0.1), np.arange(4))
     rows, columns = np.indices(grid.cells.shape)
     x, y = grid.origin[0] + (columns + 0.5) * 0.2, grid.origin[1] + (rows + 0.5) * 0.2
     grid._layers[0][(np.abs(x - 1.5) < 0.2) & (np.abs(y) < 1.0)] = WALL

@@ -78,20 +78,6 @@ def test_criteria_are_those_of_the_eigenvalues():
     assert virtual.d_opt() <= virtual.a_opt()
 
 
-def test_uncertainty_never_grows_and_the_order_of_observations_does_not_matter():
-    rng = np.random.default_rng(3)
-    looks = [(rng.uniform(-3, 3, 3), random_covariance(rng), CLEAR, 0.03) for _ in range(8)]
-    one, other = VirtualMap(BOUNDS), VirtualMap(BOUNDS)
-    values = [one.a_opt()]
-    for look in looks:
-        one.observe(*look)
-        values.append(one.a_opt())
-    for look in reversed(looks):
-        other.observe(*look)
-    assert np.all(np.diff(values) <= 0) and values[-1] < values[0]
-    assert np.array_equal(one.covariances, other.covariances)
-
-
 def test_walls_hide_and_nothing_bad_gets_in():
     virtual = VirtualMap(BOUNDS, 1.0, 1.0)
     virtual.observe(np.zeros(3), np.zeros((3, 3)), Beams(BEARINGS, np.full(40, 2.0), 6.0), 0.05)

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from slam_gym.association.prediction import Prediction
 from slam_gym.types import UNPAIRED, Array, Hypothesis, Scan
+from tests.oracles.geometry import rigid_motions
 
 
 def expecting(
@@ -96,9 +97,7 @@ def problem(
     of independent small errors. With locality, features fall into three groups, one of them near.
     """
     positions = rng.uniform(-spread, spread, (n, 2))
-    jacobian = np.zeros((2 * n, 3))
-    jacobian[0::2, 0] = jacobian[1::2, 1] = -1.0
-    jacobian[0::2, 2], jacobian[1::2, 2] = positions[:, 1], -positions[:, 0]
+    jacobian = -rigid_motions(positions)
     pose = np.diag([0.3, 0.3, heading_sigma]) ** 2
     mixing = 0.05 * rng.standard_normal((2 * n, 2 * n))
     P = jacobian @ pose @ jacobian.T + mixing @ mixing.T / max(n, 1) + 1e-3 * np.eye(2 * n)

@@ -19,6 +19,15 @@ def numerical(f: Callable[[Array], Array], x: Array, wrapped: int | None = None,
     return np.column_stack(columns)
 
 
+def rigid_motions(points: Array) -> Array:
+    """(2k, 3) what moving and turning points (k, 2) about the origin, all together, does to them at first."""
+    x, y = points.T
+    out = np.zeros((2 * len(points), 3))
+    out[0::2, 0] = out[1::2, 1] = 1.0
+    out[0::2, 2], out[1::2, 2] = -y, x
+    return out
+
+
 def transform_jacobians(pose: Array, point: Array) -> tuple[Array, Array]:
     """∂(pose ⊕ point)/∂pose (2, 3) and /∂point (2, 2)."""
     c, s = math.cos(pose[2]), math.sin(pose[2])

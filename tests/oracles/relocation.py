@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from slam_gym.geometry import wrap_angle
 from slam_gym.types import UNKNOWN_KIND, UNPAIRED, Array, Landmarks, Locality, Relocation, Scan
+from tests.oracles.geometry import rigid_motions
 
 Pairs = list[tuple[int, int]]
 
@@ -25,10 +26,8 @@ def random_covariance(rng: np.random.Generator, sigma: float) -> Array:
 
 def correlated(rng: np.random.Generator, positions: Array, sigma: float, drift: float) -> Array:
     """A joint covariance (2n, 2n): own errors of about `sigma` [m], and a drift [m, and per 10 m rad] common to all."""
-    n = len(positions)
-    J = np.zeros((2 * n, 3))
-    J[0::2, 0] = J[1::2, 1] = 1.0
-    J[0::2, 2], J[1::2, 2] = -positions[:, 1] / 10.0, positions[:, 0] / 10.0
+    n, J = len(positions), rigid_motions(positions)
+    J[:, 2] /= 10.0
     own = np.zeros((2 * n, 2 * n))
     for j in range(n):
         own[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = random_covariance(rng, sigma)

@@ -11,6 +11,7 @@ from slam_gym.geometry import compose, relative
 from slam_gym.recordings import Recording
 from slam_gym.scenarios import SCENARIOS, SPLITS, Scenario, from_floor_plan, get_scenario, register, world_seed
 from slam_gym.scenarios.registry import DRIFT, GENERIC, MRCLAM, VICTORIA_PARK, floor_budget, slam_for
+from slam_gym.scenarios.suite import EXPERIMENTS, get_level
 from slam_gym.simulation.episode import survey
 from slam_gym.world.floor_plan import Features, FloorPlan
 from slam_gym.world.floor_plan_file import load_floor_plan, save_floor_plan
@@ -182,3 +183,45 @@ def test_the_sides_of_the_loop_do_not_see_each_other(seed) -> None:
 )
 def test_the_first_part_of_the_name_decides(name, settings) -> None:
     assert slam_for(replace(Recording(**by_hand()), name=name)) == settings
+
+
+# --- the levels of the association suite: frozen settings, each sweep turning one knob --------------------------------
+
+
+def test_every_level_is_found_by_its_id_and_frozen_to_the_bottom():
+    for level in (level for experiment in EXPERIMENTS.values() for level in experiment.levels):
+        assert get_level(level.id) is level and level.scenario.name == level.id
+        assert get_scenario(level.id) is level.scenario
+        assert_frozen(level)
+
+
+def test_a_sweep_turns_one_knob_and_nothing_else():
+    for name, experiment in EXPERIMENTS.items():
+        knobs = [level.knob for level in experiment.levels]
+        assert len(set(knobs)) == len(knobs) >= 3 and knobs in (sorted(knobs), sorted(knobs, reverse=True))
+        assert [level.number for level in experiment.levels] == list(range(len(knobs)))
+        assert {level.experiment for level in experiment.levels} == {name}
+    blind = {name: {level.blind for level in EXPERIMENTS[name].levels} for name in EXPERIMENTS}
+    assert all((len(found) > 1) == (name in ("closure", "drift")) for name, found in blind.items())
+
+
+@pytest.mark.parametrize(
+    ("id", "said"),
+    [
+        ("closures/1", r"experiment='closures'; did you mean 'closure'\? known: closure, drift"),
+        ("closure", "'closure': expected closure/0 … closure/4"),
+        ("closure/5", "expected closure/0 … closure/4"),
+        ("closure/-1", "expected closure/0"),
+        ("closure/1/2", "expected closure/0"),
+    ],
+)
+def test_an_id_that_is_none_is_refused_with_those_that_are(id, said):
+    with pytest.raises(ValueError, match=said):
+        get_level(id)
+
+
+@pytest.mark.parametrize("environment", [ExploreEnv, AssociateEnv])
+def test_environments_take_a_level_by_its_id(environment):
+    environment(scenario="closure/0").reset(seed=0)
+    with pytest.raises(ValueError, match=r"'closure/9': expected closure/0 … closure/4"):
+        environment(scenario="closure/9")

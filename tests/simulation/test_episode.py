@@ -1,7 +1,12 @@
 """World and estimate side by side: the books that an episode keeps, and what nobody gets to see of it."""
 
+import gc
+from collections.abc import Iterator
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
+
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 from slam_gym.association import jcbb
 from slam_gym.association.prediction import Prediction
@@ -23,12 +28,40 @@ from slam_gym.world.physics import World
 from slam_gym.world.sensor import Sensor
 from tests.rollouts import short
 from tests.simulation.episodes import SMALL, drive, site_of, start
-from tests.slam.strangers import reachable
 
 SECRETS = (
     Episode, Site, FloorPlan, World, Sensor, Truth, Scenario, Identities, JudgedSlam, Slam, StochasticMap,
     CovisibilityGraph, ExploredGrid, np.random.Generator,
 )  # fmt: skip
+
+
+CODE = (type, ModuleType, BuiltinFunctionType, Dispatcher)
+
+
+def reachable(*roots: object) -> Iterator[object]:
+    """All objects behind `roots`: by attributes, in closures and defaults, and whatever the garbage collector knows.
+
+    Types, modules, compiled functions and the globals of functions are code: everybody can import those.
+    """
+    todo, seen = list(roots), {}
+    while todo:
+        thing = todo.pop()
+        if id(thing) in seen or isinstance(thing, CODE):
+            continue
+        seen[id(thing)] = thing  # kept alive, so that no other gets its id
+        yield thing
+        todo += _behind(thing)
+
+
+def _behind(thing: object) -> list[object]:
+    if isinstance(thing, FunctionType):
+        cells = [cell.cell_contents for cell in thing.__closure__ or ()]
+        return [*cells, thing.__defaults__, thing.__kwdefaults__, thing.__dict__]
+    if isinstance(thing, MethodType):
+        return [thing.__self__, thing.__func__]
+    if isinstance(thing, (np.ndarray, memoryview)):  # which the garbage collector does not know
+        return [getattr(thing, "base", None), getattr(thing, "obj", None)]
+    return gc.get_referents(thing)
 
 
 class Spy:
@@ -170,19 +203,6 @@ def test_what_happens_does_not_depend_on_who_associates() -> None:
     np.testing.assert_array_equal(one.poses, other.poses)
     np.testing.assert_array_equal(one.scan.points, other.scan.points)
     np.testing.assert_array_equal(one.odometry.motion, other.odometry.motion)
-
-
-def test_the_virtual_map_is_kept_where_it_is_asked_for_and_changes_nothing_else() -> None:
-    without, with_it = drive(start(), 5), drive(start(virtual=True), 5)
-    assert without.virtual_map is None and with_it.virtual_map is not None
-    np.testing.assert_array_equal(without.slam.map.mean, with_it.slam.map.mean)
-
-
-def test_a_prediction_offers_localities_where_they_are_wanted() -> None:
-    for locality in (True, False):
-        prediction = start(locality=locality).begin_tick(0.0, 0.0)
-        assert prediction.has_localities is locality
-        assert prediction.visibility().shape == (len(prediction),)
 
 
 # --- sites ------------------------------------------------------------------------------------------------------------

@@ -21,8 +21,7 @@ from tests.rollouts import associate
 
 
 @pytest.fixture
-def arc(tmp_path, monkeypatch) -> str:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def arc(tmp_path) -> str:
     save(drive(), tmp_path / "arc.npz")
     return f"recording:{tmp_path / 'arc.npz'}"
 
@@ -79,8 +78,8 @@ def test_reference_poses_are_read_between_their_neighbours_and_across_the_cut_of
 # -- the environment -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("options", [{}, {"reward": "map_error", "split": "test"}, {"render_mode": "rgb_array"}])
-def test_checkers_find_nothing_to_warn_of(arc, options) -> None:
+def test_checkers_find_nothing_to_warn_of(arc) -> None:
+    options = {"reward": "map_error", "split": "test", "render_mode": "rgb_array"}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gym.make("slam_gym/Associate-v0", scenario=f"{arc}?looks=12", **options).unwrapped)
@@ -121,8 +120,7 @@ def test_a_map_is_scored_against_the_landmarks_wherever_the_window_starts(arc) -
     assert max(errors) < 0.9  # a map in another frame would be worse than none
 
 
-def test_without_known_places_no_map_is_scored(monkeypatch) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def test_without_known_places_no_map_is_scored() -> None:
     for recording in (drive(headings=False), drive(landmark_ids=np.empty(0, np.int64), landmarks=np.empty((0, 2)))):
         log = windows(recording, "train", 5)
         with pytest.raises(ValueError, match="nobody knows where the features of 'arc' are; known: truth"):

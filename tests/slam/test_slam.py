@@ -23,24 +23,6 @@ def slam_of(**settings) -> Slam:
     return Slam(SlamSpec(**settings))
 
 
-def test_first_scan_starts_a_feature_for_every_measurement() -> None:
-    slam = slam_of()
-    step = slam.step(STILL, scan_of([[1, 0], [2, 1], [0, -3]]))
-    assert step.created.all() and slam.map.n == 3
-    np.testing.assert_array_equal(step.ids, slam.map.ids)
-    assert slam.covisibility.count(0, 1) == slam.covisibility.count(1, 2) == 1
-
-
-def test_seen_again_is_paired_and_no_longer_provisional() -> None:
-    slam = slam_of()
-    points = [[1, 0], [2, 1], [0, -3]]
-    slam.step(STILL, scan_of(points))
-    step = slam.step(STILL, scan_of(points[::-1]))
-    np.testing.assert_array_equal(step.hypothesis.features, [2, 1, 0])
-    assert not step.created.any() and not slam.map.provisional.any()
-    assert slam.covisibility.count(0, 2) == 2
-
-
 def test_compatible_but_unpaired_is_discarded_and_starts_nothing() -> None:
     slam = slam_of()
     slam.step(STILL, scan_of([[2, 0]]))

@@ -1,6 +1,7 @@
 """EKF-SLAM over a log: it starts where the reference does, makes no mistake where it is told the identities, and its
 numbers and files agree with counts by hand."""
 
+import functools
 import math
 from dataclasses import replace
 
@@ -9,8 +10,12 @@ import pandas as pd
 import pytest
 
 from agents.evaluation.mapped_log import compare, map_log, measure, start_of, write_mapped_log
-from agents.evaluation.recordings import surveyed
+from agents.evaluation.recordings import logs_of, map_and_measure, surveyed
+from agents.options import Recorded
+from agents.reports.recordings import COLUMNS, FURTHER_COLUMNS, means, tables
+from slam_gym.geometry import compose, compose_jacobians
 from slam_gym.metrics.map_quality import ate, landmark_rmse
+from slam_gym.recordings import open_recordings
 from slam_gym.recordings.mrclam import mrclam
 from slam_gym.recordings.recording import Recording
 from slam_gym.recordings.victoria_park import victoria_park
@@ -19,14 +24,29 @@ from slam_gym.types import SPURIOUS, UNLABELLED
 from tests.agents.evaluation import SPEC, posts_log
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_true_association_makes_no_mistake_and_maps_every_post_once(seed) -> None:
-    log = posts_log(60, seed, clutter=0.5)
-    numbers = measure(map_log(log, "true_association", SPEC))
-    assert numbers["precision"] == numbers["recall"] == numbers["f1"] == 1.0
-    assert numbers["features"] == numbers["found"] == numbers["true_features"]
-    assert numbers["duplicates"] == numbers["clutter_features"] == numbers["clutter_accepted"] == 0
-    assert math.isnan(numbers["nodes"]) and numbers["landmark_rmse"] < 0.3
+@functools.cache
+def informed(seed: int) -> dict[str, float]:
+    """Numbers of a short log, every measurement of which is paired with its post."""
+    return measure(map_log(posts_log(60, seed, clutter=0.5), "true_association", SPEC))
+
+
+def test_true_association_makes_no_mistake_and_maps_every_post_once() -> None:
+    for seed in range(4):
+        numbers = informed(seed)
+        assert numbers["precision"] == numbers["recall"] == numbers["f1"] == 1.0
+        assert numbers["features"] == numbers["found"] == numbers["true_features"]
+        assert numbers["duplicates"] == numbers["clutter_features"] == numbers["clutter_accepted"] == 0
+        assert math.isnan(numbers["nodes"]) and numbers["landmark_rmse"] < 0.3
+
+
+def test_batch_least_squares_with_the_same_pairings_stands_beside_the_filter() -> None:
+    filtered, batch = (
+        np.mean([[informed(seed)[name + of] for name in ("ate", "landmark_rmse")] for seed in range(6)], axis=0)
+        for of in ("", "_batch")
+    )
+    assert (batch < 1.05 * filtered).all()
+    certain = replace(posts_log(), motion_covariances=np.zeros_like(posts_log().motion_covariances))
+    assert math.isnan(measure(map_log(certain, "jcbb", SPEC))["ate_batch"])
 
 
 def test_a_stretch_of_the_park_with_jcbb(data_dir) -> None:
@@ -89,17 +109,6 @@ def test_where_headings_are_unknown_only_alignment_compares(mapped) -> None:
     assert numbers["ate"] == pytest.approx(measure(mapped)["ate"], rel=1e-6)
 
 
-def test_batch_least_squares_with_the_same_pairings_stands_beside_the_filter() -> None:
-    filtered, batch = [], []
-    for seed in range(6):
-        truth = measure(map_log(posts_log(60, seed, clutter=0.5), "true_association", SPEC))
-        filtered.append([truth["ate"], truth["landmark_rmse"]])
-        batch.append([truth["ate_batch"], truth["landmark_rmse_batch"]])
-    assert (np.mean(batch, axis=0) < 1.05 * np.mean(filtered, axis=0)).all()
-    certain = replace(posts_log(), motion_covariances=np.zeros_like(posts_log().motion_covariances))
-    assert math.isnan(measure(map_log(certain, "jcbb", SPEC))["ate_batch"])
-
-
 def test_a_log_without_a_survey_is_held_against_the_batch_solution_of_its_identities() -> None:
     log = posts_log(60)
     unknown = replace(
@@ -146,3 +155,47 @@ def test_evo_reads_the_trajectories_and_finds_the_same_error(tmp_path, mapped) -
         error = metrics.APE(metrics.PoseRelation.translation_part)
         error.process_data((reference, estimate))
         assert error.get_statistic(metrics.StatisticsType.rmse) == pytest.approx(numbers[key], rel=1e-3)
+
+
+# --- what is done to a log before it is mapped, who is run over which, and means over several -------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 500])
+def test_every_kth_step_compounds_the_odometry_of_the_others(log, count) -> None:
+    thin = log.every(count)
+    kept = list(range(0, len(log), count))
+    assert len(thin) == len(kept)
+    before = -1
+    for row, step in enumerate(kept):
+        motion, covariance = log.motions[before + 1], log.motion_covariances[before + 1]
+        for k in range(before + 2, step + 1):
+            a, b = compose_jacobians(motion, log.motions[k])
+            covariance = a @ covariance @ a.T + b @ log.motion_covariances[k] @ b.T
+            motion = compose(motion, log.motions[k])
+        np.testing.assert_allclose(thin.motions[row], motion, atol=1e-12)
+        np.testing.assert_allclose(thin.motion_covariances[row], covariance, atol=1e-15)
+        np.testing.assert_array_equal(thin.scan(row).points, log.scan(step).points)
+        np.testing.assert_array_equal(thin.sources_of(row), log.sources_of(step))
+        before = step
+    with pytest.raises(ValueError, match="every 0th step"):
+        log.every(0)
+
+
+def test_of_several_logs_there_is_a_mean_and_columns_without_numbers_are_left_out() -> None:
+    numbers = [column.key for column in (*COLUMNS, *FURTHER_COLUMNS)]
+    frame = pd.DataFrame([
+        {"setting": setting, "name": name, **dict.fromkeys(numbers, value), "anees": math.nan}
+        for setting, value in (("a", 1.0), ("b", 3.0)) for name in ("singles", "jcbb")
+    ])  # fmt: skip
+    assert list(means(frame)["ate"]) == [2.0, 2.0] and list(means(frame)["name"]) == ["singles", "jcbb"]
+    assert list(means(frame[1:])["name"]) == ["jcbb"]  # the only one that was run over both
+    assert [c.key for c in tables(frame[:2], "")[0].columns] == [c.key for c in COLUMNS if c.key != "anees"]
+
+
+def test_names_of_public_logs_stand_for_their_files(data_dir, tmp_path) -> None:
+    found = open_recordings("mrclam", data_dir / "mrclam", [2, 4])
+    assert [log.name for log in found] == ["mrclam/MRCLAM_Dataset6/robot2", "mrclam/MRCLAM_Dataset6/robot4"]
+    (log,) = logs_of(Recorded(data_dir / "mrclam", [4], every=10), "mrclam")
+    assert log.name == found[1].name
+    (record,) = map_and_measure(log, "jcbb", "jcbb", None, tmp_path)
+    assert record["steps"] == math.ceil(len(found[1]) / 10)

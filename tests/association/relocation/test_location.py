@@ -60,16 +60,6 @@ def test_the_joint_distance_follows_chi_square_and_the_pose_is_consistent(k):
         assert np.mean(values > chi2.ppf(0.95, dof)) == pytest.approx(0.05, abs=4.0 * np.sqrt(0.05 * 0.95 / runs))
 
 
-def test_a_map_turned_and_moved_takes_the_pose_with_it():
-    _, scan, landmarks, P, features = plant(np.random.default_rng(3), 6)
-    before, C = locate(scan, landmarks, features), oracles.rotation(2.0)
-    T = np.kron(np.eye(len(landmarks)), C)
-    after = locate(scan, oracles.landmarks_of(landmarks.positions @ C.T + [50.0, -70.0], T @ P @ T.T), features)
-    np.testing.assert_allclose(after.pose[:2], C @ before.pose[:2] + [50.0, -70.0], atol=1e-6)
-    assert wrap_angle(after.pose[2] - before.pose[2]) == pytest.approx(2.0, abs=1e-7)
-    assert after.joint_distance == pytest.approx(before.joint_distance, rel=1e-6)
-
-
 @pytest.mark.parametrize("k", [0, 1])
 def test_fewer_than_two_pairings_have_no_pose(k):
     _, scan, landmarks, _, features = plant(np.random.default_rng(1), 4)

@@ -12,6 +12,7 @@ from slam_gym.association.relocation.triangles import FeatureIndex, indexed, rel
 from slam_gym.geometry import observe
 from slam_gym.types import SPURIOUS, UNPAIRED, Landmarks, Locality, Scan
 from slam_gym.world import corridor
+from tests.oracles.geometry import rigid_motions
 
 SIGMA = 0.05
 
@@ -235,9 +236,7 @@ def test_is_exact_without_noise():
 def test_drift_that_near_features_share_does_not_open_the_gates():
     rng = np.random.default_rng(11)
     truth = field(rng, 120)
-    J = np.zeros((240, 3))
-    J[0::2, 0] = J[1::2, 1] = 1.0
-    J[0::2, 2], J[1::2, 2] = -truth[:, 1], truth[:, 0]
+    J = rigid_motions(truth)
     covariance = J @ np.diag([1.0, 1.0, 0.02]) ** 2 @ J.T + SIGMA**2 * np.eye(240)
     drawn = truth.ravel() + np.linalg.cholesky(covariance) @ rng.standard_normal(240)
     landmarks = Landmarks.from_points(drawn.reshape(-1, 2), covariance=covariance)

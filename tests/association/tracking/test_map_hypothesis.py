@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from slam_gym.association import map_hypothesis
-from slam_gym.association.prediction import Prediction
-from slam_gym.types import UNPAIRED, Scan
+from slam_gym.types import UNPAIRED
 from tests.oracles import association as oracles
 from tests.oracles import densities
 from tests.oracles.densities import WIDE
@@ -95,15 +94,6 @@ def test_a_visibility_that_is_no_probability_is_refused(v):
     _, prediction = oracles.problem(np.random.default_rng(0), 3, 3)
     with pytest.raises(ValueError, match="visibility"):
         prediction.with_visibility(v)
-
-
-def test_a_feature_that_should_not_be_in_view_is_not_taken():
-    """Two features explain one measurement equally well."""
-    at = np.array([[3.0, 0.1], [3.0, -0.1]])
-    scan, prediction = Scan.from_points([[3.0, 0.0]], sigma=0.05), Prediction.from_gaussian(at, 0.01 * np.eye(4))
-    for hidden in (0, 1):
-        seen = np.where(np.arange(2) == hidden, 0.01, 0.99)
-        assert map_hypothesis(scan, prediction.with_visibility(seen)).features.tolist() == [1 - hidden]
 
 
 @for_seeds(30)

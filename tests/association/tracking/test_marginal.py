@@ -133,15 +133,6 @@ def test_what_is_new_is_told_from_the_others_although_the_gates_are_wide():
     assert (individual(scan, prediction).measured == 4).any()
 
 
-def test_of_two_features_at_one_place_none_is_paired():
-    """Which one it is, nothing tells."""
-    at = np.repeat(np.column_stack([np.arange(3.0), np.zeros(3)]), [2, 1, 1], axis=0)
-    prediction = Prediction.from_gaussian(at, 0.01 * np.ones((8, 8)) + 1e-4 * np.eye(8))
-    answer = marginal(Scan.from_points([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], sigma=0.01), prediction)
-    assert answer.features.tolist() == [UNPAIRED, 2, 3]
-    assert answer.posterior.unpaired[0] < 1e-3 and answer.posterior.probability < 1e-3
-
-
 def summed(m, n, every, log_densities):
     """(m, n) marginals of every pairing."""
     weights = np.exp(log_densities - logsumexp(log_densities))

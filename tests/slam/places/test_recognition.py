@@ -15,6 +15,7 @@ from slam_gym.slam.places.recognition import (
     as_scan,
 )
 from slam_gym.types import Array, Odometry, Scan
+from tests.oracles.geometry import rigid_motions
 from tests.oracles.statistics import for_seeds
 from tests.slam.rings import enter
 
@@ -107,10 +108,7 @@ def drifting(rng: np.random.Generator, n: int) -> StochasticMap:
 
 def without_pose(points: Array, S: Array) -> Array:
     """The information that errors with covariance S hold once a rigid motion has been fitted to them: D² = eᵀ(·)e."""
-    G = np.zeros((2 * len(points), 3))
-    G[0::2, 0] = G[1::2, 1] = 1.0
-    G[0::2, 2], G[1::2, 2] = -points[:, 1], points[:, 0]
-    W = np.linalg.inv(S)
+    G, W = rigid_motions(points), np.linalg.inv(S)
     out: Array = W - W @ G @ np.linalg.inv(G.T @ W @ G) @ G.T @ W
     return out
 

@@ -8,6 +8,7 @@ from slam_gym.mapping.stochastic_map import MapSpec, MapState, StochasticMap
 from slam_gym.slam.places.recognition import RecognitionSpec
 from slam_gym.slam.places.verification import agreeing, agreement
 from slam_gym.types import Array, IntArray
+from tests.oracles.geometry import rigid_motions
 
 
 def map_of(positions: Array, covariance: Array) -> StochasticMap:
@@ -22,10 +23,7 @@ def map_of(positions: Array, covariance: Array) -> StochasticMap:
 def twice(rng: np.random.Generator, k: int, sigma: float = 0.05, motion: float = 0.5) -> tuple[StochasticMap, IntArray]:
     """A map that holds k features twice, drawn from its own covariance: the second ones moved together besides."""
     truth = rng.uniform(-8.0, 8.0, (k, 2))
-    x, y = (truth - truth.mean(axis=0)).T
-    G = np.zeros((2 * k, 3))
-    G[0::2, 0] = G[1::2, 1] = 1.0
-    G[0::2, 2], G[1::2, 2] = -y, x
+    G = rigid_motions(truth - truth.mean(axis=0))
     common = np.diag([motion, motion, 0.02 * motion]) ** 2
     P = 1e-4 * np.eye(3 + 4 * k)
     P[3:, 3:] = sigma**2 * np.eye(4 * k)
@@ -43,10 +41,7 @@ def parts(m: StochasticMap, pairs: IntArray) -> tuple[float, float]:
         H[2 * row : 2 * row + 2, 2 * newer : 2 * newer + 2] = np.eye(2)
         H[2 * row : 2 * row + 2, 2 * older : 2 * older + 2] = -np.eye(2)
     C, nu = H @ P @ H.T, H @ m.positions.ravel()
-    x, y = m.positions[pairs[:, 1]].T
-    G = np.zeros((2 * k, 3))
-    G[0::2, 0] = G[1::2, 1] = 1.0
-    G[0::2, 2], G[1::2, 2] = -y, x
+    G = rigid_motions(m.positions[pairs[:, 1]])
     delta = np.linalg.solve(G.T @ np.linalg.solve(C, G), G.T @ np.linalg.solve(C, nu))
     left = nu - G @ delta
     return float(nu @ np.linalg.solve(C, nu)), float(left @ np.linalg.solve(C, left))
