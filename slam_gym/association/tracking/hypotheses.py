@@ -72,7 +72,7 @@ class ScanProblem(NamedTuple):
     rates: Rates
 
 
-class Searched(NamedTuple):
+class SearchResult(NamedTuple):
     """The hypotheses that a search kept, in no particular order."""
 
     beam: Beam
@@ -84,12 +84,12 @@ class Searched(NamedTuple):
     cut: bool  # whether the beam was full
 
 
-class Kept(NamedTuple):
+class Hypotheses(NamedTuple):
     """The hypotheses of one or several searches."""
 
     rows: IntArray  # (b, m) row of the prediction that each hypothesis pairs with each measurement, or UNPAIRED
     fit: Array  # (b,) log density without the visibility terms
-    seen: Array  # (b, d) the visibility terms, for each P_D
+    view_terms: Array  # (b, d) the visibility terms, for each P_D
     spent: Spent
 
 
@@ -142,7 +142,7 @@ def affordable(width: int, problems: list[ScanProblem]) -> int:
 
 
 @compiled
-def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
+def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> SearchResult:
     """The hypotheses of greatest density, seen from the predicted pose, with extra log odds (c,) of pairings, or none
     (0,).
 
@@ -166,7 +166,7 @@ def search_tree(problem: ScanProblem, odds: Array, limits: Limits) -> Searched:
         for q in range(pairings.fixed, beam.pairings[b]):
             fit[b] -= gains[beam.made[b, q]]
         write_rows(pairings, beam.made[b, : beam.pairings[b]], rows, decided[b])
-    return Searched(beam, decided, fit, unpaired, nodes, tests, cut)
+    return SearchResult(beam, decided, fit, unpaired, nodes, tests, cut)
 
 
 @compiled
@@ -273,14 +273,14 @@ def _grouped(positions: Array, order: IntArray, together: float, group: IntArray
 
 
 @compiled
-def weighed(kept: Kept, prior: Array, features: int) -> Weighed:
+def weighed(kept: Hypotheses, prior: Array, features: int) -> Weighed:
     """The probability of every pairing, over all hypotheses and all values of P_D with log weights `prior` (d,)."""
-    hypotheses, (count, values) = kept.rows, kept.seen.shape
+    hypotheses, (count, values) = kept.rows, kept.view_terms.shape
     scores, by_value = np.empty(count), np.full(values, -math.inf)
     for b in range(count):
         scores[b] = -math.inf
         for d in range(values):
-            density = kept.fit[b] + kept.seen[b, d] + prior[d]
+            density = kept.fit[b] + kept.view_terms[b, d] + prior[d]
             scores[b], by_value[d] = np.logaddexp(scores[b], density), np.logaddexp(by_value[d], density)
     weights = np.exp(scores - scores.max())
     weights /= weights.sum()

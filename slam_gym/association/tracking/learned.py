@@ -18,10 +18,10 @@ from slam_gym.association.compatibility import Fault, check_fault
 from slam_gym.association.prediction import Prediction, PredictionArrays, expected_of
 from slam_gym.association.tracking.hypotheses import Limits, limits_of, scan_area, weighed
 from slam_gym.association.tracking.marginal import (
+    HeadingSearch,
     Prior,
     PriorArrays,
-    Ready,
-    looks_of,
+    headings_of,
     marginal,
     prices_of,
     prior_of,
@@ -95,12 +95,16 @@ def _example(
     expected = expected_of(prediction[0], prediction[1], prediction[2])
     prior, limits = Prior(*prior_arrays), Limits(*limit_arrays)
     m, area = len(scan[0]), scan_area(scan[0])
-    looks, fault = looks_of(scan, expected, prior, area, limits.gate, True)
-    look = looks[number]
-    problem = problem_of(look, scan, expected, limits.gate)
+    headings, fault = headings_of(scan, expected, prior, area, limits.gate, True)
+    heading = headings[number]
+    problem = problem_of(heading, scan, expected, limits.gate)
     inputs = inputs_of(scan, problem, expected, run_of(prior))
-    ready = Ready(problem, look.candidates.tests, np.empty(0), limits.margin)
-    kept = search_all([ready], m, expected, prior, limits, prices_of(prior, area, m))
+    search = HeadingSearch(problem, heading.candidates.tests, np.empty(0), limits.margin)
+    kept = search_all([search], m, expected, prior, limits, prices_of(prior, area, m))
     scores = weighed(kept, prior.detections, len(expected.features)).scores
-    candidates = look.candidates
-    return Example(inputs, candidates.measured, candidates.rows[candidates.slots], kept.rows, scores), len(looks), fault
+    candidates = heading.candidates
+    return (
+        Example(inputs, candidates.measured, candidates.rows[candidates.slots], kept.rows, scores),
+        len(headings),
+        fault,
+    )

@@ -16,12 +16,12 @@ from slam_gym.association.tracking.beam import Beam
 from slam_gym.association.tracking.headings import whole
 from slam_gym.association.tracking.hypotheses import (
     SAME_VIEW,
-    Kept,
+    Hypotheses,
     Limits,
     PosteriorFields,
     Rates,
     ScanProblem,
-    Searched,
+    SearchResult,
     affordable,
     is_crowded,
     levels_of,
@@ -97,7 +97,7 @@ def _decide(
             spent = Spent(spent.nodes + searched.nodes, tests, spent.joint_tests + searched.tests, limit_hit)
             fit = searched.fit + math.log(rates.density) * searched.unpaired
             view_terms = _weighed_by_view(expected, problem, searched, fit, _CLOSE * limits.margin)
-            sums = weighed(Kept(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
+            sums = weighed(Hypotheses(searched.rows, fit, view_terms, spent), np.zeros(1), len(expected.features))
             rows[:] = searched.rows[np.argmax(sums.scores)]
             posterior = posterior_of(expected, searched.rows, sums, rows)
         if fault[0] != 0 or is_finished(expected, rows):
@@ -107,7 +107,7 @@ def _decide(
 
 @compiled
 def _weighed_by_view(
-    expected: Expected, problem: ScanProblem, searched: Searched, fit: Array, closeness: float
+    expected: Expected, problem: ScanProblem, searched: SearchResult, fit: Array, closeness: float
 ) -> Array:
     """`weighed_by_view` (b, 1). Hypotheses within `closeness` of the best get a view of their own."""
     beam, detections = searched.beam, np.array([problem.rates.detection])

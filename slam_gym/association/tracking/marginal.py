@@ -37,12 +37,12 @@ from slam_gym.association.tracking.beam import greatest_log_density
 from slam_gym.association.tracking.headings import Part, joint_in, parts_of
 from slam_gym.association.tracking.hypotheses import (
     SAME_VIEW,
-    Kept,
+    Hypotheses,
     Limits,
     PosteriorFields,
     Rates,
     ScanProblem,
-    Searched,
+    SearchResult,
     affordable,
     is_crowded,
     levels_of,
@@ -67,8 +67,8 @@ NOTHING_SEEN = Experience(0.0, 0.0, np.zeros(len(DETECTIONS)))
 
 UNPAIRED_BEFORE, AREA = 1.0, 50.0  # a₀, b₀ [m²]: λ is about 0.02 a priori
 _MEMORY = 0.95  # factor by which counts decay from scan to scan
-_DOUBT = 4.0  # log density by which the first look may underestimate hypotheses of another heading
-_FIRST_LOOK = 4  # hypotheses kept in the first look at a narrow heading
+_DOUBT = 4.0  # log density by which a trial search may underestimate the hypotheses of a heading
+_TRIAL_WIDTH = 4  # hypotheses kept in the trial search of a narrow heading
 
 
 class Marginals(NamedTuple):
@@ -170,7 +170,7 @@ def prior_of(experience: Experience | None) -> PriorArrays:
     return UNPAIRED_BEFORE + past.unpaired, AREA + past.area, DETECTIONS, past.detections, experience is not None
 
 
-class Look(NamedTuple):
+class HeadingCandidates(NamedTuple):
     """The candidates in a narrow heading."""
 
     part: Part
@@ -180,7 +180,7 @@ class Look(NamedTuple):
     bound: float  # of the score of a hypothesis
 
 
-class Ready(NamedTuple):
+class HeadingSearch(NamedTuple):
     """A narrow heading, prepared for a search."""
 
     problem: ScanProblem
@@ -205,7 +205,7 @@ def _decide(
     threshold, provisional, confirmations = rule
     m, area = len(scan[0]), scan_area(scan[0])
     rows, new, prices = np.full(m, UNPAIRED), np.zeros(m, np.bool_), prices_of(prior, area, m)
-    looks, fault = looks_of(scan, expected, prior, area, limits.gate, len(network.centre) > 0)
+    headings, fault = headings_of(scan, expected, prior, area, limits.gate, len(network.centre) > 0)
     if fault[0] != 0:
         nothing = np.empty(m)
         refused = decided(expected, rows, 0.0, Spent(0, 0, 0, False), fault)
@@ -214,11 +214,11 @@ def _decide(
             (np.empty((m, 0)), nothing, new, prior.detections, area),
             (0.0, 0.0, rows, 0.0, nothing, nothing),
         )
-    ready = _worth_searching(looks, scan, expected, prior, limits, prices, network)
-    kept = search_all(ready, m, expected, prior, limits, prices)
+    searches = _promising(headings, scan, expected, prior, limits, prices, network)
+    kept = search_all(searches, m, expected, prior, limits, prices)
     crowded, most = np.zeros(m, np.bool_), most_of_each(m)
-    for look in looks:
-        crowded |= is_crowded(look.candidates.starts, most)
+    for heading in headings:
+        crowded |= is_crowded(heading.candidates.starts, most)
     sums = weighed(kept, prior.detections, len(expected.features))
     for i in range(m):
         for j in range(len(expected.features)):
@@ -242,9 +242,9 @@ def prices_of(prior: Prior, area: float, m: int) -> Array:
 
 
 @compiled
-def looks_of(
+def headings_of(
     scan: ScanArrays, expected: Expected, prior: Prior, area: float, gate: float, learned: bool
-) -> tuple[list[Look], Fault]:
+) -> tuple[list[HeadingCandidates], Fault]:
     """The candidates in every narrow heading; and a fault.
 
     A search in one heading uses a single P_D, the mean, and a single λ, which counts the measurements without a
@@ -253,7 +253,7 @@ def looks_of(
     points, noise = scan[0], scan[1]
     odds = np.exp(prior.detections - prior.detections.max())
     detection, fault = (odds * prior.values).sum() / odds.sum(), NO_FAULT
-    looks: list[Look] = []
+    headings: list[HeadingCandidates] = []
     for part in parts_of(expected):
         part_fault, candidates = gate_pairings(
             points, noise, part.positions, part.covariances, np.arange(len(points)), np.empty(0, np.bool_), gate,
@@ -265,8 +265,8 @@ def looks_of(
         rates, bound = Rates(detection, (prior.unpaired + unmatched) / (prior.area + area)), math.inf
         if not learned:
             bound = part.log_weight + _greatest_score(noise, candidates.starts, rates)
-        looks.append(Look(part, candidates, unmatched, rates, bound))
-    return looks, fault
+        headings.append(HeadingCandidates(part, candidates, unmatched, rates, bound))
+    return headings, fault
 
 
 @compiled
@@ -281,16 +281,16 @@ def _greatest_score(noise: Array, starts: IntArray, rates: Rates) -> float:
 
 
 @compiled
-def problem_of(look: Look, scan: ScanArrays, expected: Expected, gate: float) -> ScanProblem:
+def problem_of(heading: HeadingCandidates, scan: ScanArrays, expected: Expected, gate: float) -> ScanProblem:
     """The problem of searching a narrow heading."""
-    part, candidates = look.part, look.candidates
+    part, candidates = heading.part, heading.candidates
     visible = visibility(expected, part.positions, part.covariances)[0]
     joint = joint_in(expected, part, candidates.rows)
     pairings = Pairings(
         candidates.slots, candidates.measured, candidates.innovations, scan[1], joint, np.empty((0, 0), np.bool_), 0
     )
     levels = levels_of(pairings, candidates.starts, gate)
-    return ScanProblem(part, pairings, candidates.starts, levels, candidates.rows, visible, look.rates)
+    return ScanProblem(part, pairings, candidates.starts, levels, candidates.rows, visible, heading.rates)
 
 
 @compiled
@@ -300,75 +300,77 @@ def run_of(prior: Prior) -> tuple[float, float]:
 
 
 @compiled
-def _worth_searching(
-    looks: list[Look],
+def _promising(
+    headings: list[HeadingCandidates],
     scan: ScanArrays,
     expected: Expected,
     prior: Prior,
     limits: Limits,
     prices: Array,
     network: Network,
-) -> list[Ready]:
-    """The headings in which a first look finds a hypothesis within the margin of the best; at least one."""
+) -> list[HeadingSearch]:
+    """The headings in which a trial search finds a hypothesis within the margin of the best; at least one."""
     best, margin = -math.inf, limits.margin
-    order, score, behind = np.empty(len(looks)), np.empty(len(looks)), np.empty(len(looks))
-    candidates: list[Ready] = []
-    for k in range(len(looks)):
-        order[k] = -looks[k].bound
+    order, score, behind = np.empty(len(headings)), np.empty(len(headings)), np.empty(len(headings))
+    trials: list[HeadingSearch] = []
+    for k in range(len(headings)):
+        order[k] = -headings[k].bound
     for k in np.argsort(order, kind="mergesort"):
-        look, n = looks[k], len(candidates)
-        if look.bound <= best - margin:
+        heading, n = headings[k], len(trials)
+        if heading.bound <= best - margin:
             break
-        problem, odds = problem_of(look, scan, expected, limits.gate), np.empty(0)
+        problem, odds = problem_of(heading, scan, expected, limits.gate), np.empty(0)
         if len(network.centre) > 0:
             inputs = inputs_of(scan, problem, expected, run_of(prior))
-            odds = log_odds(network, inputs, look.candidates.measured, look.candidates.slots)
-        candidates.append(Ready(problem, look.candidates.tests, odds, margin))
-        if len(looks) == 1:
-            return candidates
-        searched = search_tree(problem, odds, Limits(limits.gate, _FIRST_LOOK, margin))
-        score[n] = look.part.log_weight + searched.beam.score.max()
-        behind[n] = -(look.part.log_weight + _greatest_density(searched, look, prices, problem.visible))
+            odds = log_odds(network, inputs, heading.candidates.measured, heading.candidates.slots)
+        trials.append(HeadingSearch(problem, heading.candidates.tests, odds, margin))
+        if len(headings) == 1:
+            return trials
+        searched = search_tree(problem, odds, Limits(limits.gate, _TRIAL_WIDTH, margin))
+        score[n] = heading.part.log_weight + searched.beam.score.max()
+        behind[n] = -(heading.part.log_weight + _greatest_density(searched, heading, prices, problem.visible))
         best = max(best, score[n])
-    behind = behind[: len(candidates)] - behind[: len(candidates)].min() - _DOUBT
-    chosen: list[Ready] = []
-    for k in range(len(candidates)):
+    behind = behind[: len(trials)] - behind[: len(trials)].min() - _DOUBT
+    chosen: list[HeadingSearch] = []
+    for k in range(len(trials)):
         if score[k] > best - margin and behind[k] < margin:
-            ready = candidates[k]
-            chosen.append(Ready(ready.problem, ready.tests, ready.odds, margin - max(behind[k], 0.0)))
+            search = trials[k]
+            chosen.append(HeadingSearch(search.problem, search.tests, search.odds, margin - max(behind[k], 0.0)))
     if len(chosen) == 0:  # a score ignores measurements without a candidate
-        chosen.append(candidates[np.argmin(behind)])
+        chosen.append(trials[np.argmin(behind)])
     return chosen
 
 
 @compiled
-def _greatest_density(searched: Searched, look: Look, prices: Array, visible: Array) -> float:
+def _greatest_density(searched: SearchResult, heading: HeadingCandidates, prices: Array, visible: Array) -> float:
     """The greatest log density found by a search, with a single P_D and visibility from the predicted pose."""
     missed, greatest = 0.0, -math.inf
     for v in visible:
-        missed += math.log1p(-look.rates.detection * v)
+        missed += math.log1p(-heading.rates.detection * v)
     for b in range(len(searched.fit)):
-        free = math.log(look.rates.density) * (searched.unpaired[b] - look.unmatched)
+        free = math.log(heading.rates.density) * (searched.unpaired[b] - heading.unmatched)
         greatest = max(greatest, searched.beam.score[b] - free + prices[searched.unpaired[b]])
     return missed + greatest
 
 
 @compiled
-def search_all(chosen: list[Ready], m: int, expected: Expected, prior: Prior, limits: Limits, prices: Array) -> Kept:
+def search_all(
+    searches: list[HeadingSearch], m: int, expected: Expected, prior: Prior, limits: Limits, prices: Array
+) -> Hypotheses:
     """The hypotheses of all chosen headings."""
     nodes, tests, joint_tests, cut, count = 0, 0, 0, False, 0
-    results: list[Searched] = []
-    width = affordable(limits.width, [ready.problem for ready in chosen])
-    for ready in chosen:
-        result = search_tree(ready.problem, ready.odds, Limits(limits.gate, width, ready.margin))
+    results: list[SearchResult] = []
+    width = affordable(limits.width, [search.problem for search in searches])
+    for search in searches:
+        result = search_tree(search.problem, search.odds, Limits(limits.gate, width, search.margin))
         results.append(result)
-        nodes, tests, joint_tests = nodes + result.nodes, tests + ready.tests, joint_tests + result.tests
+        nodes, tests, joint_tests = nodes + result.nodes, tests + search.tests, joint_tests + result.tests
         cut, count = cut or result.cut, count + len(result.fit)
     rows, fit, view_terms, b = np.empty((count, m), np.int64), np.empty(count), np.empty((count, len(prior.values))), 0
-    for ready, result in zip(chosen, results):
+    for search, result in zip(searches, results):
         last = b + len(result.fit)
         rows[b:last] = result.rows
-        view_terms[b:last] = weighed_by_view(expected, ready.problem, result.beam, prior.values, SAME_VIEW)
-        fit[b:last] = ready.problem.part.log_weight + result.fit + prices[result.unpaired]
+        view_terms[b:last] = weighed_by_view(expected, search.problem, result.beam, prior.values, SAME_VIEW)
+        fit[b:last] = search.problem.part.log_weight + result.fit + prices[result.unpaired]
         b = last
-    return Kept(rows, fit, view_terms, Spent(nodes, tests, joint_tests, cut))
+    return Hypotheses(rows, fit, view_terms, Spent(nodes, tests, joint_tests, cut))
