@@ -1,7 +1,7 @@
-"""What stands beside a field, its shape, unit and frame, belongs into the reference as well.
+"""Adds the comments beside the fields of a class to its page in the reference.
 
-The packages document the fields of a record by comments: `points: Array  # (m, 2) [m] in R`. mkdocstrings reads
-docstrings only, so this extension of Griffe writes those comments into the docstring of the class, as its attributes.
+The packages document the shape, unit and frame of a field by a comment: `points: Array  # (m, 2) [m] in R`.
+mkdocstrings reads docstrings only, so this extension of Griffe writes the comments into the docstring of the class.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class Comments(NamedTuple):
 
 
 class FieldComments(griffe.Extension):
-    """Comments at the fields of a class become the attributes that its docstring lists."""
+    """Adds a section `Attributes` with the comments of fields to the docstring of a class."""
 
     def on_class_members(self, *, node: ast.AST | griffe.ObjectNode, cls: griffe.Class, **_: Any) -> None:
-        """Add the section, where any field has a comment and no docstring of its own."""
+        """Add the section if any field has a comment and no docstring of its own."""
         if not isinstance(cls.filepath, Path):
             return
         fields = [a for a in cls.members.values() if isinstance(a, griffe.Attribute) and a.docstring is None]
@@ -42,7 +42,7 @@ class FieldComments(griffe.Extension):
 
 
 def comment_of(field: griffe.Attribute, of_file: Comments) -> str:
-    """The comment beside a field; else those on the lines right below it, or right above."""
+    """The comment beside a field; otherwise those on the lines directly below it, or the one directly above."""
     first, last = field.lineno or 0, field.endlineno or 0
     if last in of_file.beside:
         return of_file.beside[last]

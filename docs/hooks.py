@@ -1,8 +1,8 @@
-"""The pages that nobody writes by hand: MkDocs calls this module while it builds the site.
+"""Generates pages of the site; MkDocs calls this module while it builds.
 
-Environments and scenarios come from their registries and docstrings, the reference from the packages, tutorials from
-the notebooks, formats, changelog and contributing from the files where developers look for them. Every such page is
-an entry of `GENERATED`: where it stands in the navigation, and what writes it.
+The pages of environments and scenarios are made from their registries and docstrings, the reference from the packages,
+the tutorials from the notebooks; the pages of formats, changelog and contributing are copies of files elsewhere in the
+repository.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ COPIES = {
     "formats/recording.md": "slam_gym/recordings/FORMAT.md",
     "formats/floor_plan.md": "slam_gym/world/FORMAT.md",
 }
-"""Pages of the site that are files of the repository."""
+"""Pages of the site that are copies of files of the repository: the page, and the file."""
 
 ROOMS = {
     "slam_gym": "Geometry, checks of arguments, commands",
-    "slam_gym.types": "The data that flows",
+    "slam_gym.types": "The data that rooms exchange",
     "slam_gym.world": "The truth: floor plans, physics, sensors",
     "slam_gym.mapping": "The stochastic map",
-    "slam_gym.navigation": "What the robot itself knows of space",
+    "slam_gym.navigation": "What the robot knows of the space around it",
     "slam_gym.association": "Compatibility and the interpretation tree",
     "slam_gym.association.tracking": "Searches with a prior on the pose",
-    "slam_gym.association.relocation": "Searches without one",
+    "slam_gym.association.relocation": "Searches without a prior on the pose",
     "slam_gym.slam": "One step of SLAM; losing and finding the robot; several maps",
-    "slam_gym.metrics": "What is measured against the truth",
+    "slam_gym.metrics": "Comparison with the truth: associations, errors of map and path, consistency",
     "slam_gym.recordings": "Real logs",
     "slam_gym.scenarios": "Named configurations",
     "slam_gym.simulation": "Episodes: world and estimate side by side",
@@ -62,14 +62,14 @@ ROOMS = {
     "agents.suite": "The suite of association problems",
     "agents.reports": "Tables, figures, films, pages",
 }
-"""Packages in the order of the reference, and what each is about. Its own modules stand on its page."""
+"""Packages in the order of the reference, and what each is about. The page of a package documents its modules."""
 
 
 # -- MkDocs ----------------------------------------------------------------------------------------------------------
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put the generated pages into the navigation."""
+    """Add the generated pages to the navigation."""
     notebooks = [f"tutorials/{path.name}" for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
     environments = ["environments/index.md", *(f"environments/{_file(spec.id)}.md" for spec in _environments())]
     scenarios = ["scenarios/index.md", *(f"scenarios/{name}.md" for name in SCENARIOS), "scenarios/suite.md"]
@@ -83,7 +83,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     return config
 
 
-@event_priority(100)  # before mkdocs-jupyter, which is to find the notebooks
+@event_priority(100)  # before mkdocs-jupyter, which must find the notebooks
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add every generated page to the files of the site."""
     for uri, content in _pages():
@@ -98,7 +98,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Fill in the table of the benchmarks."""
+    """Replace `<!-- benchmarks -->` by the table of the benchmarks."""
     scripts = [path for path in sorted((ROOT / "benchmarks").glob("*.py")) if path.stem != "common"]
     abouts = [
         (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").splitlines()[0] for path in scripts
@@ -107,16 +107,16 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return markdown.replace("<!-- benchmarks -->", _table("Benchmark | What it measures", rows))
 
 
-# -- how pages are put together ---------------------------------------------------------------------------------------
+# -- parts of pages ---------------------------------------------------------------------------------------------------
 
 
 def _page(*parts: str) -> str:
-    """Paragraphs with a blank line between them; what is empty is left out."""
+    """The paragraphs with a blank line between them, without empty ones."""
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def _table(titles: str, rows: Iterable[str]) -> str:
-    """Markdown of a table, its `titles` and rows as they stand between the outer bars."""
+    """Markdown of a table; `titles` and each row are the text between the outer bars."""
     lines = [titles, "|".join(["---"] * len(titles.split("|"))), *rows]
     return "\n".join(f"| {line} |" if line[0] != "-" else f"|{line}|" for line in lines)
 
@@ -136,7 +136,7 @@ def _pages() -> Iterator[tuple[str, str]]:
 
 
 def _on_the_site(text: str, uri: str) -> str:
-    """Links between files of the repository as links between pages of the site."""
+    """The text with links between files of the repository replaced by links between pages of the site."""
     up = "../" * uri.count("/")
     text = re.sub(r"\]\(docs/", f"]({up}", text)
     text = re.sub(r"\]\((?:\.\./)*notebooks/", f"]({up}tutorials/", text)
@@ -146,7 +146,7 @@ def _on_the_site(text: str, uri: str) -> str:
 
 
 def _notebook(path: Path) -> str:
-    """The notebook with its links as they are on the site, where every page is a folder."""
+    """The notebook with its links replaced by those of the site, where every page is a folder."""
     notebook = json.loads(path.read_text(encoding="utf-8"))
     for cell in notebook["cells"]:
         if cell["cell_type"] == "markdown":
@@ -154,7 +154,8 @@ def _notebook(path: Path) -> str:
             text = re.sub(r"\]\((\w+)\.ipynb\)", r"](../\1/)", text)
             for page, file in COPIES.items():
                 text = text.replace(f"](../{file})", f"](../../{page.removesuffix('.md')}/)")
-            cell["source"] = re.sub(r"\]\(\.\./docs/([\w/]+)\.md\)", r"](../../\1/)", text).splitlines(keepends=True)
+            text = re.sub(r"\]\(\.\./docs/([\w/]+)\.md(#[\w-]+)?\)", r"](../../\1/\2)", text)
+            cell["source"] = text.splitlines(keepends=True)
     return json.dumps(notebook, ensure_ascii=False, indent=1)
 
 
@@ -174,7 +175,7 @@ def _class_of(spec: Any) -> Any:
 
 
 def _environment(spec: Any) -> str:
-    """One page: picture, docstring, spaces and the arguments with their defaults."""
+    """The page of an environment: picture, docstring, arguments with their defaults, and spaces."""
     class_ = _class_of(spec)
     made = gym.make(spec.id).unwrapped
     rows = [f"`{field.name}` | `{field.default!r}`" for field in dataclasses.fields(class_.settings)]
@@ -197,12 +198,12 @@ def _environment(spec: Any) -> str:
 
 def _scenario_index() -> str:
     rows = [f"[`{s.name}`]({s.name}.md) | {s.budget} | {_worlds(s)} | {_about(s)}" for s in SCENARIOS.values()]
-    suite = "[`closure/0` …](suite.md) | 600 | of the suite, one for each of its 40 levels | "
+    suite = "[`closure/0` …](suite.md) | 600 | The 40 levels of the suite | "
     return _page(
         "# Scenarios",
-        "A scenario is everything that defines an episode but its seed: a generator of worlds, a robot with its "
+        "A scenario defines everything about an episode but its seed: a generator of worlds, a robot with its "
         "sensors, noise and filter, and a budget. [Your own scenario](../own/scenario.md) says how to change one.",
-        _table("Scenario | Ticks (0.1 s) | Worlds | ", [*rows, suite]),
+        _table("Scenario | Ticks (0.1 s) | Worlds | What is special", [*rows, suite]),
     )
 
 
@@ -211,29 +212,29 @@ def _worlds(scenario: Scenario) -> str:
 
 
 def _about(scenario: Scenario) -> str:
-    """What its entry in the registry says behind its name; else nothing."""
+    """The comment behind its name in the registry; empty if there is none."""
     found = re.search(rf'"{scenario.name}",[^#\n]*# (.+)', inspect.getsource(registry))
     return found[1] if found else ""
 
 
 def _differences(scenario: Scenario) -> list[tuple[str, Any, Any]]:
-    """Dotted names of the settings in which a scenario differs from the defaults: its value, and theirs."""
-    plain = Scenario(scenario.name, scenario.generator, scenario.budget)
-    return list(_compared("", scenario, plain))
+    """The settings in which a scenario differs from the defaults: dotted name, value and default."""
+    default = Scenario(scenario.name, scenario.generator, scenario.budget)
+    return list(_compared("", scenario, default))
 
 
-def _compared(path: str, one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
-    if is_dataclass(one) and type(one) is type(other):
-        for field in fields(one):
+def _compared(path: str, value: Any, default: Any) -> Iterator[tuple[str, Any, Any]]:
+    if is_dataclass(value) and type(value) is type(default):
+        for field in fields(value):
             below = f"{path}.{field.name}" if path else field.name
-            yield from _compared(below, getattr(one, field.name), getattr(other, field.name))
-    elif one != other:
-        yield path, one, other
+            yield from _compared(below, getattr(value, field.name), getattr(default, field.name))
+    elif value != default:
+        yield path, value, default
 
 
 def _scenario(scenario: Scenario) -> str:
     generator = scenario.generator
-    drawn = [f"`generator.{field.name}` | `{getattr(generator, field.name)!r}`" for field in fields(generator)]
+    parameters = [f"`generator.{field.name}` | `{getattr(generator, field.name)!r}`" for field in fields(generator)]
     rows = [f"`{path}` | `{value!r}` | `{default!r}`" for path, value, default in _differences(scenario)]
     return _page(
         f"# {scenario.name}",
@@ -241,11 +242,11 @@ def _scenario(scenario: Scenario) -> str:
         f"**{_about(scenario)}**" if _about(scenario) else "",
         f"*Test world 1, driven by `information_gain` for all of its {scenario.budget} ticks of 0.1 s.*",
         f"`{type(generator).__name__}`: {inspect.getdoc(type(generator))}",
-        "## What differs from the defaults",
-        _table("Setting | Here | Default", rows) if rows else "Everything is at its default.",
-        "## What its worlds are drawn from",
-        _table("Setting | Here", drawn),
-        "[Your own scenario](../own/scenario.md) says how to change any of this by name.",
+        "## Settings that differ from the defaults",
+        _table("Setting | Here | Default", rows) if rows else "All settings have their default values.",
+        "## Settings of the generator",
+        _table("Setting | Here", parameters),
+        "[Your own scenario](../own/scenario.md) says how to change any setting by name.",
     )
 
 
@@ -258,9 +259,9 @@ def _suite() -> str:
         parts.append(_table(f" | {ids}", [f"{experiment.axis} | {knobs}"]))
     return _page(
         "# Levels of the suite",
-        f"{len(EXPERIMENTS)} experiments, each a sweep over one knob in five levels, from easy to hard. A level goes "
-        "by its id wherever the name of a scenario is taken: `closure/3`. "
-        "Scores: [Associators](../results/associators.md).",
+        f"The suite has {len(EXPERIMENTS)} experiments, each of which varies one parameter in five levels, from easy to "
+        "hard. The id of a level, such as `closure/3`, is accepted wherever the name of a scenario is. "
+        "[Which associator?](../results/associators.md) has the scores.",
         *parts,
     )
 
@@ -269,7 +270,7 @@ def _suite() -> str:
 
 
 def _modules(room: str) -> list[str]:
-    """The public modules of a room itself, its packages below where they are no rooms of their own."""
+    """The public modules of a room, including those of its packages that are no rooms of their own."""
     folder = ROOT / room.replace(".", "/")
     below = folder.glob("*.py") if room in ("slam_gym", "agents") else folder.rglob("*.py")
     names = []
@@ -297,7 +298,7 @@ def _reference_index() -> str:
 
 
 def _public_name(name: str) -> str:
-    """A row of the table of public names, with a link to where the thing is defined."""
+    """A row of the table of public names, with a link to the definition."""
     thing = getattr(slam_gym, name)
     if callable(thing):
         return f"[`{name}`][{thing.__module__}.{name}] | {(inspect.getdoc(thing) or '').partition(chr(10))[0]}"
@@ -307,7 +308,7 @@ def _public_name(name: str) -> str:
 
 
 def _constants(module: str) -> dict[str, str]:
-    """The first line that the docstring of each constant of a module has, by name."""
+    """The first line of the docstring of each constant of a module, by name."""
     path = ROOT / module.replace(".", "/")
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     body = ast.parse(path.read_text(encoding="utf-8")).body
@@ -324,13 +325,13 @@ def _reference(room: str, about: str) -> str:
     for name in _modules(room):
         blocks.append(f"::: {name}\n")
         path = ROOT / name.replace(".", "/") / "__init__.py"
-        if path.is_file():  # what a package merely passes on stands where it is defined
+        if path.is_file():  # names that a package only imports are documented where they are defined
             blocks[-1] += f"    options:\n      members: {json.dumps(_defined(path))}\n"
     return _page(f"# {room}", f"{about}.", "\n".join(blocks))
 
 
 def _defined(path: Path) -> list[str]:
-    """Public names that a module defines itself, with a docstring."""
+    """The public classes, functions and annotated variables that a module itself defines."""
     body = ast.parse(path.read_text(encoding="utf-8")).body
     names = [node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
     names += [n.target.id for n in body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)]

@@ -1,7 +1,7 @@
-"""Draw the pictures of these pages: `python docs/pictures.py [NAME …]`, all of them by default.
+"""Draws the pictures of these pages: `python docs/pictures.py [NAME …]`, all of them by default.
 
-They are drawn by the package itself, and committed, small. Names are those of `PICTURES`; `scenarios` stands for the
-pictures of all scenarios. Needs the extra `agents`, or `docs` and `render` with matplotlib.
+The package itself draws them; the files are small and committed. Names are those of `PICTURES`, `film`, and `scenarios`
+for the pictures of all scenarios. Needs the extra `agents`.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def driven(scenario: str, ticks: int, world: int = 0, **arguments: Any) -> Any:
 
 
 def associate() -> Any:
-    """A decision among many branches, on the wheels of a bad robot."""
+    """A decision among many branches, of a robot with bad wheels."""
     wheels = {"odometry.turn_per_metre": 0.3, "odometry.turn_per_radian": 0.3}
     env: Any = gym.make(
         "slam_gym/Associate-v0", scenario="office", overrides=wheels, split="test", render_mode="rgb_array"
@@ -88,7 +88,7 @@ def associate() -> Any:
 
 
 def relocate() -> Any:
-    """A robot that is about to be found: the right branches were taken, the last is to be decided."""
+    """The last decision of an episode in which all earlier branches were right."""
     env = gym.make("slam_gym/Relocate-v0", scenario="office", render_mode="rgb_array", split="test", outside=0.0)
     _, info = env.reset(seed=3)
     over, picture = False, env.render()
@@ -116,7 +116,7 @@ def compatibility() -> None:
 
 
 def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
-    """An associator that draws what nearest neighbour and JCBB make of the scan, whose right features are `right`."""
+    """An associator that draws the pairings of nearest neighbour and JCBB, and returns JCBB's; `right` are the true."""
     answers = {"nearest neighbour": nearest_neighbour(scan, prediction), "JCBB": jcbb(scan, prediction)}
     _, axes = plt.subplots(1, 2, figsize=(11.5, 4.9), sharex=True, sharey=True, layout="constrained")
     for ax, (name, answer) in zip(axes, answers.items()):
@@ -134,7 +134,7 @@ def draw_both(right: Any, scan: Any, prediction: Any) -> Any:
 
 
 def film() -> list[Image.Image]:
-    """The same drive, wheels and scans, mapped by nearest neighbour and by the default, side by side: frames."""
+    """The frames of a film of one drive, mapped by nearest neighbour and by the default, side by side."""
     speeds, every = one_drive("drift-3", WORLD), 5
     panels = [panels_of(speeds, name, every) for name in ASSOCIATORS]
     width = max(panel.width for side in panels for panel in side)
@@ -148,8 +148,8 @@ def film() -> list[Image.Image]:
 
 
 def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
-    """What an associator makes of a drive, one picture every so many ticks: its map so far, and the present scan, green
-    where it is paired rightly, red and thick where it is not."""
+    """A picture after every `every` ticks of a drive that an associator maps: the map so far, and the pairings of the
+    scan, green where they are right, red and thick where they are wrong."""
     panels = []
 
     def watch(episode: Any) -> None:
@@ -170,8 +170,8 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
         name = "nearest neighbour" if associator == ASSOCIATORS[0] else "the default"
         figure.text(0.5, 0.945, name, ha="center", fontsize=12, weight="bold")
         wrong = episode.identities.total.fp
-        told = f"map error {episode.map_error():.2f}, {wrong} of {episode.identities.total.tp + wrong} pairings wrong"
-        figure.text(0.5, 0.88, told, ha="center", fontsize=9.5)
+        caption = f"map error {episode.map_error():.2f}, {wrong} of {episode.identities.total.tp + wrong} pairings wrong"
+        figure.text(0.5, 0.88, caption, ha="center", fontsize=9.5)
         figure.canvas.draw()
         panels.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy()))  # type: ignore[attr-defined]
         plt.close(figure)
@@ -181,7 +181,7 @@ def panels_of(speeds: Any, associator: str, every: int) -> list[Image.Image]:
 
 
 def save_film(name: str, frames: list[Image.Image]) -> None:
-    """Write a film that runs again and again, in the colours of its last frame, which is held for three seconds."""
+    """Write a GIF that repeats, in the colours of its last frame, which is shown for three seconds."""
     last = frames[-1].quantize(48, Image.Quantize.MAXCOVERAGE, 2, dither=Image.Dither.NONE)
     few = [frame.quantize(palette=last, dither=Image.Dither.NONE) for frame in frames]
     durations = [90] * (len(few) - 1) + [3000]  # [ms]
