@@ -35,8 +35,6 @@ _MIN_FREE = 1 << 26  # bytes that must be free on the disk
 _STALE_AFTER = 3 * 24 * 3600  # [s] folders of other versions are removed when untouched for this long
 _POLL, _REPORT = 0.2, 4.0  # [s] between checks of what is compiled, and between progress lines
 _config: Any = numba.config  # its attributes are set while numba is imported
-
-
 _loops: list[Any] = []  # of the modules imported so far; a process does not need all of them
 
 

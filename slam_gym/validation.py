@@ -16,7 +16,7 @@ from slam_gym.types import UNPAIRED, Array, Hypothesis, IntArray, Odometry, Scan
 
 _CONDITION = 1e12  # of a measurement's covariance, above which an update loses all its digits
 _TOLERANCE = 1e-9  # of asymmetry, relative to the trace; of a negative determinant, relative to the variances' product
-
+_INTEGERS = np.dtype(np.int64)
 
 _MEASUREMENT_FAULTS = (
     "",
@@ -26,7 +26,6 @@ _MEASUREMENT_FAULTS = (
     "covariance is not PSD",
     f"covariance has a condition number above {_CONDITION:.0e}",
 )
-
 
 Limits = tuple[float, float]
 
@@ -92,9 +91,6 @@ def check_settings(settings: object) -> None:
             raise ValueError(
                 f"{kind}.{name}={value}: expected a number from {least:g} to {greatest:g} (slam_gym.validation.LIMITS)"
             )
-
-
-_INTEGERS = np.dtype(np.int64)
 
 
 @compiled

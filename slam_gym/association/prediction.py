@@ -299,7 +299,6 @@ class Prediction:
 Associator = Callable[[Scan, Prediction], Hypothesis]
 """The interface of all associators: a function that decides which feature each measurement comes from."""
 
-
 NO_SIGHTINGS: IntArray = np.empty(0, np.int64)
 
 

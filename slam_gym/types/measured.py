@@ -31,7 +31,6 @@ SPURIOUS = -1
 UNLABELLED = -2
 """The source of a measurement without a label (recordings only)."""
 
-
 ScanArrays = tuple[Array, Array, Array, Array, IntArray]
 """Points, covariances, sizes, size variances and kinds of a scan, as compiled functions take them."""
 

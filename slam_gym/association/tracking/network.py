@@ -63,8 +63,6 @@ INPUTS = (
 )
 _LEAST_SIZE = -6.0  # lower bound of the input of sizes
 _MIN_GAP, _MAX_GAP = 1e-2, 30.0  # [m] limits of the distance between neighbours
-
-
 FARTHEST = 2.5  # [scales] bound of an input's distance from the centre; inputs beyond are clipped and halve the odds
 
 
