@@ -1,7 +1,7 @@
-"""Were the measurements associated with the right features?
+"""Association metrics: whether measurements were paired with the right features.
 
 The identity of a map feature is the source of the measurement that created it. Every measurement is judged against the
-map as it was before its scan, so what a scan creates is no excuse and no trap for the rest of that scan.
+map as it was before its scan, so a feature that a scan creates does not affect the judgement of its other measurements.
 """
 
 from __future__ import annotations
@@ -19,43 +19,43 @@ from slam_gym.types import NO_ID, SPURIOUS, UNLABELLED, BoolArray, IntArray, Tru
 
 
 class Decision(IntEnum):
-    """What became of a measurement, as a picture or a log tells it."""
+    """The judgement of one measurement, as pictures and logs show it."""
 
     RIGHT = 0  # paired with its feature
-    WRONG = 1  # paired with another feature or a duplicate, or started a duplicate of its own
+    WRONG = 1  # paired with another feature or a duplicate, or started a duplicate
     NEW = 2  # started its feature, which the map did not have
-    SPURIOUS = 3  # came from no feature, yet was paired or started one
-    DISCARDED = 4  # neither paired nor started a feature
-    UNJUDGED = 5  # nobody knows its source, or that of the feature it was paired with
+    SPURIOUS = 3  # came from no feature, but was paired or started one
+    DISCARDED = 4  # was not paired and started no feature
+    UNJUDGED = 5  # its source, or that of the feature it was paired with, is unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """Counts of association decisions; tallies add up.
+    """Counts of association decisions; tallies can be added.
 
     A mismatch counts once, as a false positive, so that recall = TP / #(measurements whose feature is in the map).
-    Unlabelled measurements, and pairings with features that such a measurement created, count nowhere.
+    Unlabelled measurements, and pairings with features that such a measurement created, are not counted.
     """
 
     tp: int = 0  # paired with the feature of their source; of duplicates, the oldest is the right one
     fp_wrong: int = 0  # paired with a feature of another source
-    fp_spurious: int = 0  # spurious, yet paired
+    fp_spurious: int = 0  # spurious, but paired
     fp_duplicate: int = 0  # paired with a later duplicate of the right feature
-    fn: int = 0  # not paired, though their feature was in the map
-    tn: int = 0  # not paired, and rightly
+    fn: int = 0  # not paired, although their feature was in the map
+    tn: int = 0  # not paired, correctly
     in_map: int = 0  # measurements whose feature was in the map
     new_right: int = 0  # started a feature that the map did not have
     new_wrong: int = 0  # started a duplicate, or a feature where there is none
     not_in_map: int = 0  # measurements of a real feature that the map did not have
-    scans: int = 0  # scans with something to judge
-    scans_exact: int = 0  # of those, without any FP or FN
+    scans: int = 0  # scans with at least one judged measurement
+    scans_exact: int = 0  # of these scans, those without any FP or FN
 
     def __add__(self, other: Tally) -> Tally:
         return Tally(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
 
     @property
     def fp(self) -> int:
-        """Paired and not right, whatever the reason."""
+        """False positives: wrong pairings of all three kinds."""
         return self.fp_wrong + self.fp_spurious + self.fp_duplicate
 
     @property
@@ -84,14 +84,14 @@ def _ratio(part: int, whole: int) -> float:
 
 
 class Identities:
-    """Which true feature each map feature is, learned from the steps of a SLAM run and the truth behind its scans."""
+    """The true feature behind each map feature, learned from the steps of a SLAM run and the truth of its scans."""
 
     def __init__(self) -> None:
         self.decisions: IntArray = np.empty(0, np.int64)  # (m,) `Decision` of each measurement of the last step
         self._counts: IntArray = np.zeros(len(Tally.__slots__), np.int64)
-        self._source: IntArray = np.full(64, UNLABELLED)  # indexed by id; also of features no longer in the map
-        self._oldest: IntArray = np.full(64, NO_ID)  # indexed by source: id of the oldest feature the map has of it
-        self._in_map: dict[int, list[int]] = {}  # source -> ids of the features the map has of it, oldest first
+        self._source: IntArray = np.full(64, UNLABELLED)  # indexed by id, features no longer in the map included
+        self._oldest: IntArray = np.full(64, NO_ID)  # indexed by source: id of its oldest feature in the map
+        self._in_map: dict[int, list[int]] = {}  # source -> ids of its features in the map, oldest first
 
     @property
     def decided(self) -> list[int]:
@@ -105,13 +105,13 @@ class Identities:
         return Tally(*self._counts.tolist())
 
     def source_of(self, ids: IntArray) -> IntArray:
-        """True feature (k,) behind map features (k,) given by id: SPURIOUS = created by a spurious measurement."""
+        """(k,) true feature behind each map feature in `ids` (k,); SPURIOUS: created by a spurious measurement."""
         return self._source[ids]
 
     def judge(self, step: SlamStep, truth: Truth) -> None:
-        """Judge the decisions of one step, then learn what it created and removed.
+        """Judge the decisions of one step, then register the features that it created and removed.
 
-        Raises ValueError where step and truth do not speak of the same number of measurements.
+        Raises ValueError where step and truth have different numbers of measurements.
         """
         if len(step.ids) != len(truth.sources):
             raise ValueError(f"the step has {len(step.ids)} measurements, truth.sources {len(truth.sources)}")
@@ -146,7 +146,7 @@ class Identities:
 
 
 def _grown(values: IntArray, index: int, fill: int) -> IntArray:
-    """`values`, with doubled capacity until `index` fits."""
+    """`values`, padded with `fill` by doubling its length until `index` fits."""
     while index >= len(values):
         values = np.concatenate([values, np.full_like(values, fill)])
     return values
@@ -167,7 +167,7 @@ def _judge(
     decisions: IntArray,
     total: IntArray,
 ) -> int:
-    """Enter the `Decision` (m,) on each measurement, and add their Tally to the `total` (12,); how many are started."""
+    """Enter the `Decision` (m,) on each measurement, and add their Tally to `total` (12,); returns how many started."""
     counts = np.zeros(len(total), np.int64)
     decisions[:], started = _UNJUDGED, 0
     for i in range(len(ids)):

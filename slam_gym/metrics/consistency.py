@@ -1,4 +1,4 @@
-"""Does the filter know how wrong it is? Normalised errors against their χ² law."""
+"""Consistency of the filter: normalised errors, compared with their χ² distribution."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from slam_gym.types import Array
 def nees(error: Array, covariance: Array) -> float:
     """Normalised estimation error squared ε = eᵀ P⁻¹ e of an error e (d,) with covariance P (d, d).
 
-    χ² with d degrees of freedom where the filter is consistent. A direction with variance 0 contributes nothing where
-    its error is 0 too, as at the robot's first pose, and makes ε infinite otherwise.
+    It has a χ² distribution with d degrees of freedom if the filter is consistent. A direction with variance 0
+    contributes nothing if its error is 0 too, as at the robot's first pose; otherwise ε is infinite.
     """
     d = len(error)
     factor, y = np.zeros((d, d)), np.zeros(d)  # P = L Lᵀ, y = L⁻¹ e
@@ -31,20 +31,20 @@ def nees(error: Array, covariance: Array) -> float:
                 factor[i, j] = rest / factor[j, j] if factor[j, j] > 0.0 else 0.0
             elif rest > 1e-15 * covariance[i, i]:
                 factor[i, i] = math.sqrt(rest)
-        left = error[i]
+        residual = error[i]
         for k in range(i):
-            left -= factor[i, k] * y[k]
+            residual -= factor[i, k] * y[k]
         if factor[i, i] > 0.0:
-            y[i] = left / factor[i, i]
+            y[i] = residual / factor[i, i]
             total += y[i] * y[i]
-        elif abs(left) > 1e-12:
+        elif abs(residual) > 1e-12:
             return math.inf
     return total
 
 
 @compiled
 def pose_nees(pose: Array, covariance: Array, true: Array) -> float:
-    """NEES of a pose (3,) with covariance (3, 3) against the true pose (3,), headings compared around the circle."""
+    """NEES of a pose (3,) with covariance (3, 3) and true pose (3,); the error of the heading is wrapped."""
     error = pose - true
     error[2] = wrap_angle(error[2])
     return nees(error, covariance)
@@ -52,14 +52,16 @@ def pose_nees(pose: Array, covariance: Array, true: Array) -> float:
 
 @compiled
 def error_of_pose(x: Array, P: Array, base: Array, true: Array) -> float:
-    """`pose_nees` of the robot in a map of state x and covariance P (upper triangle) with its base (3,) in W, held
-    against its true pose (3,) in W."""
+    """`pose_nees` of the robot in a map with state x and covariance P (upper triangle).
+
+    `base` (3,) is the base of the map in W, `true` (3,) the true pose of the robot in W.
+    """
     return pose_nees(x[:3], ekf.symmetric(P, 3), relative(base, true))
 
 
 def anees(values: Array, dof: int) -> float:
-    """Average NEES per degree of freedom of values (r,) with `dof` each: 1 where consistent, more where optimistic.
+    """Average NEES per degree of freedom, of values (r,) with `dof` each; NaN without values.
 
-    NaN without values.
+    It is 1 for a consistent filter, and larger for an optimistic one.
     """
     return float(np.mean(values)) / dof if len(values) else math.nan

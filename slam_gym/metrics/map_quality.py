@@ -1,4 +1,4 @@
-"""How good are the map and the trajectory? Estimated and true points, all given in one frame by the caller."""
+"""Errors of map and trajectory, from estimated and true points that the caller gives in one frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam_gym.mapping.ekf import MapArrays
 from slam_gym.metrics.point_assignment import Index, assign, indexed
 from slam_gym.types import UNPAIRED, Array, IntArray
 
-_ROUNDS = 20  # of an alignment, at most
+_ROUNDS = 20  # most iterations of an alignment
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +24,16 @@ class Gospa:
     """GOSPA (α = 2) and its parts, all in metres: total^p = localisation^p + missed^p + false^p."""
 
     total: float  # [m]
-    localisation: float  # [m] of the features that were paired
-    missed: float  # [m] of the true features without an estimate
-    false: float  # [m] of the estimates without a true feature, duplicates among them
+    localisation: float  # [m] part of the features that were paired
+    missed: float  # [m] part of the true features without an estimate
+    false: float  # [m] part of the estimates without a true feature, including duplicates
 
 
 def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0) -> Gospa:
     """Generalised optimal sub-pattern assignment distance between estimated (e, 2) and true (N, 2) features [m].
 
-    With α = 2, the only value for which it splits into the parts of `Gospa` (Rahmathullah, García-Fernández and
-    Svensson, FUSION 2017, def. 1 and prop. 1): the minimum over partial assignments γ of
+    With α = 2, the only value for which it has the parts of `Gospa` (Rahmathullah, García-Fernández and Svensson,
+    FUSION 2017, def. 1 and prop. 1), it is the minimum over partial assignments γ of
 
         [ Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) ]^(1/p).
 
@@ -49,10 +49,10 @@ def gospa(estimated: Array, true: Array, *, p: float = 2.0, cutoff: float = 1.0)
 
 
 def map_error(estimated: Array, true: Array, sigma0: float) -> float:
-    """Error of a map in units of knowing nothing: E = GOSPA(p=1, α=2, c=2σ₀) / (σ₀ N).
+    """Error of a map relative to that of an empty map: E = GOSPA(p=1, α=2, c=2σ₀) / (σ₀ N).
 
-    An empty map has error 1, a perfect one 0; every false feature adds 1/N, so that a bad map may exceed 1. With no
-    true features at all, N counts as 1. `estimated` (e, 2) and `true` (N, 2) [m] as C-contiguous arrays, `sigma0` [m].
+    An empty map has error 1, a perfect map 0; every false feature adds 1/N, so that a bad map may exceed 1. Without
+    true features, N counts as 1. `estimated` (e, 2) and `true` (N, 2) [m] are C-contiguous arrays, `sigma0` [m].
 
     Raises ValueError for points that are not finite, or a σ₀ that is not positive.
     """
@@ -63,7 +63,7 @@ def map_error(estimated: Array, true: Array, sigma0: float) -> float:
 
 @compiled
 def error_of(estimated: Array, index: Index) -> float:
-    """`map_error` against true features that are `indexed` with a cutoff of 2σ₀."""
+    """`map_error`, given the true features as the `index` that `indexed` computes with a cutoff of 2σ₀."""
     true, _, _, cutoff = index
     (_, cost, pairs), sigma0 = assign(estimated, index, 1.0), 0.5 * cutoff
     unpaired = len(estimated) + len(true) - 2 * pairs
@@ -71,21 +71,21 @@ def error_of(estimated: Array, index: Index) -> float:
 
 
 def map_error_aligned(estimated: Array, true: Array, sigma0: float, known: tuple[Array, Array] | None = None) -> float:
-    """The least `map_error` over all rigid motions of the map: what is wrong with it, in whatever frame it is drawn.
+    """The least `map_error` over all rigid motions of the map: its error independent of the frame.
 
-    How the frame of the first pose is turned nobody can know better than the first scans tell, and over 200 m a
-    hundredth of a radian spends all of E. A reward cannot be this one: the best motion is known at the end only.
+    The orientation of the frame of the first pose is only known as well as the first scans determine it, and over 200 m
+    an error of 0.01 rad alone uses up all of E. It cannot be a reward, as the best motion is only known at the end.
 
-    Starts from the map as it is, from as many points of it as fit best where `known` tells which belong together
-    (k of the map, and the k true ones), and from the assignment of either; the best is then refined by a local search.
-    Raises ValueError as `map_error`, and as `align_se2` for what is `known`.
+    The initial motions are the identity, the robust alignment of `known` correspondences (k points of the map, and the
+    k true points), and the alignment by optimal assignment that follows from either; a local search refines the best.
+    Raises ValueError as `map_error`, and as `align_se2` for `known`.
     """
     raw = map_error(estimated, true, sigma0)
     if not len(estimated) or not len(true):
         return raw
     index, centre = indexed(true, 2.0 * sigma0), estimated.mean(axis=0)
 
-    def error(motion: Array) -> float:  # about the centre, so that a turn moves the map as little as it can
+    def error(motion: Array) -> float:  # about the centre, where a turn moves the map least
         return error_of(transform(motion, estimated - centre), index)
 
     def about_centre(pose: Array) -> Array:
@@ -103,24 +103,24 @@ def map_error_aligned(estimated: Array, true: Array, sigma0: float, known: tuple
 
 
 def _trimmed(points: Array, true: Array) -> Array:
-    """Pose (3,) that moves points (k, 2) onto those of the same row, by the half of them that it fits best."""
+    """Pose (3,) that aligns points (k, 2) with the true points of the same rows, by the half that fits best."""
     chosen, pose = np.arange(len(points)), np.zeros(3)
     for _ in range(_ROUNDS):
         pose = align_se2(points[chosen], true[chosen])
-        off = np.hypot(*(transform(pose, points) - true).T)
-        chosen = np.argsort(off, kind="stable")[: max(len(off) // 2, min(len(off), 2))]
+        distances = np.hypot(*(transform(pose, points) - true).T)
+        chosen = np.argsort(distances, kind="stable")[: max(len(distances) // 2, min(len(distances), 2))]
     return pose
 
 
 def _assigned(points: Array, index: Index, pose: Array) -> Array:
-    """The pose (3,) that assignment to the true points and alignment in turn make of another."""
+    """Refine a pose (3,) by alternating assignment to the true points and alignment."""
     for _ in range(_ROUNDS):
         assigned = assign(transform(pose, points), index, 1.0)[0]
         paired = assigned != UNPAIRED
-        after = align_se2(points[paired], index[0][assigned[paired]])
-        if not paired.any() or np.array_equal(after, pose):
+        aligned = align_se2(points[paired], index[0][assigned[paired]])
+        if not paired.any() or np.array_equal(aligned, pose):
             break
-        pose = after
+        pose = aligned
     return pose
 
 
@@ -134,15 +134,15 @@ def error_and_coverage(
     cells: NDArray[np.uint8],
     places: IntArray,
 ) -> tuple[float, float]:
-    """In one call, `error_of` the confirmed features of a map of n, its base (3,) in W, and `coverage` of `places`."""
+    """`error_of` the confirmed features of a map of n, whose base (3,) is in W, and `coverage` of `places`."""
     landmarks = transform(base, ekf.confirmed(arrays[0], arrays[2], n, confirmations))
     return error_of(landmarks, index), coverage(cells, places)
 
 
 def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> float:
-    """Root mean square distance [m] of features (k, 2) from their true positions (k, 2), row i belonging to row i.
+    """Root mean square distance [m] of features (k, 2) from their true positions (k, 2), row by row.
 
-    `aligned` first moves the map rigidly onto the truth (`align_se2`), which leaves its shape error alone. NaN for
+    `aligned` first moves the map rigidly onto the truth (`align_se2`), so that only its shape error remains. NaN for
     k = 0. Raises ValueError where the shapes differ or a value is not finite.
     """
     estimated, true = _pairs(estimated, true)
@@ -154,19 +154,19 @@ def landmark_rmse(estimated: Array, true: Array, *, aligned: bool = False) -> fl
 def ate(estimated: Array, true: Array, *, aligned: bool = False) -> float:
     """Absolute trajectory error [m]: root mean square distance of the estimated from the true positions.
 
-    Of poses (t, 3) or positions (t, 2), row i of both at one instant; `aligned` for estimates that live in a frame of
-    their own (Sturm et al., IROS 2012). NaN for t = 0. Raises as `landmark_rmse`.
+    Both are poses (t, 3) or positions (t, 2), at the same instants; use `aligned` for estimates in another frame than
+    the truth (Sturm et al., IROS 2012). NaN for t = 0. Raises as `landmark_rmse`.
     """
     return landmark_rmse(estimated[:, :2], true[:, :2], aligned=aligned)
 
 
 def local_error(estimated: Array, true: Array, pairs: IntArray) -> float:
-    """Mean of |d − d_true| [m] over `pairs` (e, 2) of rows, d being the distance between the two features of a pair.
+    """Mean of |d − d_true| [m] over `pairs` (e, 2) of rows, where d is the distance between the features of a pair.
 
-    `estimated` and `true` are features (k, 2), row i belonging to row i, each in any frame: distances do not depend on
-    it. With pairs that were seen together it tells whether a map is right in the small, which is what driving and
-    association need; over 200 m half a degree of heading spoils every error that is taken in one frame. NaN without
-    pairs. Raises ValueError where the shapes differ, a value is not finite, or a pair names no row.
+    `estimated` and `true` are the same features (k, 2), each in any frame, because distances do not depend on it. With
+    pairs that were seen together, it measures whether a map is locally right, which is what driving and association
+    need; over 200 m, half a degree of heading dominates every error in a common frame. NaN without pairs. Raises
+    ValueError where the shapes differ, a value is not finite, or a pair names no row.
     """
     estimated, true = _pairs(estimated, true)
     if not len(pairs):
@@ -182,7 +182,7 @@ def align_se2(source: Array, target: Array) -> Array:
     """Pose T (3,) that minimises Σ ‖T ⊕ source_i − target_i‖² over points (k, 2) and (k, 2) [m].
 
     Umeyama (PAMI 1991) without scale, in closed form for the plane. Where the heading is not determined (one point, or
-    all in one place) it is 0; with no point at all T is the identity. Raises ValueError as `landmark_rmse`.
+    all at one place) it is 0; without points, T is the identity. Raises ValueError as `landmark_rmse`.
     """
     source, target = _pairs(source, target)
     if not len(source):
@@ -195,9 +195,10 @@ def align_se2(source: Array, target: Array) -> Array:
 
 
 def cells_of(points: Array, shape: tuple[int, ...], origin: Array, resolution: float) -> IntArray:
-    """Flat index (c,) of the cell that holds each of `points` (c, 2) [m], −1 off the grid.
+    """(c,) flat index of the cell that contains each of `points` (c, 2) [m], −1 outside the grid.
 
-    The grid of `shape` (h, w) has its lower left corner at `origin` (2,) [m], row 0 lowest, `resolution` [m] a cell.
+    The grid of `shape` (h, w) has its lower left corner at `origin` (2,) [m], row 0 at the lowest y, and cells of side
+    `resolution` [m].
     """
     columns, rows = np.floor((points - origin) / resolution).astype(np.int64).T
     inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
@@ -206,7 +207,7 @@ def cells_of(points: Array, shape: tuple[int, ...], origin: Array, resolution: f
 
 @compiled
 def coverage(cells: NDArray[np.uint8], places: IntArray) -> float:
-    """Fraction of `places` (c,), as `cells_of` gives them, whose cell (h, w) is known (not 0); NaN without places."""
+    """Fraction of `places` (c,), indices from `cells_of`, whose cell in `cells` (h, w) is not 0; NaN without places."""
     flat, known = cells.ravel(), 0
     for place in places:
         if place >= 0 and flat[place] != 0:

@@ -1,10 +1,10 @@
-"""Optimal assignment between two point sets with a cutoff: exact, and fast because distant pairs never meet.
+"""Optimal assignment between two point sets with a cutoff: exact, and fast because distant pairs are never considered.
 
 Minimises Σ_{(i,j) ∈ γ} d_ij^p + ½ c^p (e + N − 2|γ|) over partial assignments γ, which is the same as minimising
-Σ_{(i,j) ∈ γ} (d_ij^p − c^p): only pairs closer than the cutoff c can help. They are gathered along x, then
-assigned by shortest augmenting paths (Jonker and Volgenant 1987) over that sparse graph, where a row may also stay
-unassigned at cost 0. Rows whose nearest column nobody else wants are settled without a search, which in a good map is
-almost all of them.
+Σ_{(i,j) ∈ γ} (d_ij^p − c^p): only pairs closer than the cutoff c reduce it. They are collected along x, then assigned
+by shortest augmenting paths (Jonker and Volgenant 1987) over this sparse graph, where a row may also stay unassigned at
+cost 0. A row whose nearest column is nearest to no other row is assigned without a search; in a good map almost all
+rows are.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from slam_gym._jit import compiled
 from slam_gym.types import UNPAIRED, Array, IntArray
 
-_NOBODY = -1  # a column that no row has, a row without a column
+_NONE = -1  # the row of an unassigned column, the column of an unassigned row
 
 
 Index = tuple[Array, IntArray, Array, float]
@@ -25,7 +25,7 @@ Index = tuple[Array, IntArray, Array, float]
 
 
 class _Pairs(NamedTuple):
-    """The pairs that may be assigned, row by row: those of row i are starts[i]:starts[i + 1]."""
+    """The pairs that may be assigned, row by row: the pairs of row i are starts[i]:starts[i + 1]."""
 
     starts: IntArray  # (e + 1,)
     columns: IntArray  # (q,)
@@ -33,7 +33,7 @@ class _Pairs(NamedTuple):
 
 
 def indexed(true: Array, cutoff: float) -> Index:
-    """True points (N, 2) [m], C-contiguous, made ready for `assign`. Raises ValueError where one is not finite."""
+    """The index of true points (N, 2) [m], C-contiguous, for `assign`. Raises ValueError where one is not finite."""
     if not np.isfinite(true).all():
         raise ValueError("a position is not finite")
     order = np.argsort(true[:, 0], kind="stable")
@@ -42,10 +42,10 @@ def indexed(true: Array, cutoff: float) -> Index:
 
 @compiled
 def assign(estimated: Array, index: Index, p: float) -> tuple[IntArray, float, int]:
-    """The optimal assignment of points `estimated` (e, 2) [m], C-contiguous, to true points that are `indexed`.
+    """The optimal assignment of points `estimated` (e, 2) [m], C-contiguous, to the true points of an index.
 
-    The true point (e,) of each estimated one, or UNPAIRED; the sum of d^p [m^p] over the pairs, and how many there are.
-    Raises ValueError for points that are not finite.
+    Returns the true point (e,) of each estimated point, or UNPAIRED; the sum of d^p [m^p] over the pairs; and the
+    number of pairs. Raises ValueError for points that are not finite.
     """
     true, _, _, cutoff = index
     pairs = _pairs_within(estimated, index)
@@ -65,7 +65,7 @@ def assign(estimated: Array, index: Index, p: float) -> tuple[IntArray, float, i
 
 @compiled
 def _pairs_within(estimated: Array, index: Index) -> _Pairs:
-    """All pairs closer than the cutoff, their distances [m] as costs."""
+    """All pairs closer than the cutoff, with their distances [m] as costs."""
     true, order, x, cutoff = index
     first = np.searchsorted(x, estimated[:, 0] - cutoff)
     last = np.searchsorted(x, estimated[:, 0] + cutoff, side="right")
@@ -87,35 +87,35 @@ def _pairs_within(estimated: Array, index: Index) -> _Pairs:
 
 @compiled
 def _least_cost(pairs: _Pairs, n: int) -> IntArray:
-    """Column of each row in the partial assignment of least total cost to n columns, or _NOBODY (cost 0).
+    """The column of each row, or _NONE (cost 0), in the partial assignment to n columns of least total cost.
 
-    The dual variables u ≤ 0 of the rows and v ≤ 0 of the columns prove it: u_i + v_j ≤ cost_ij, with equality on the
-    pairs assigned, and u = 0 for rows and v = 0 for columns left alone.
+    The dual variables u ≤ 0 of the rows and v ≤ 0 of the columns prove optimality: u_i + v_j ≤ cost_ij, with equality
+    for assigned pairs, and u = 0 for unassigned rows and v = 0 for unassigned columns.
     """
     m = len(pairs.starts) - 1
-    column_of, row_of, u, v = np.full(m, _NOBODY), np.full(n, _NOBODY), np.zeros(m), np.zeros(n)
+    column_of, row_of, u, v = np.full(m, _NONE), np.full(n, _NONE), np.zeros(m), np.zeros(n)
     for i in range(m):
-        nearest = _NOBODY
+        nearest = _NONE
         for k in range(pairs.starts[i], pairs.starts[i + 1]):
             if pairs.costs[k] < u[i]:
                 u[i], nearest = pairs.costs[k], pairs.columns[k]
-        if nearest != _NOBODY and row_of[nearest] == _NOBODY:
+        if nearest != _NONE and row_of[nearest] == _NONE:
             column_of[i], row_of[nearest] = nearest, i
     for i in range(m):
-        if column_of[i] == _NOBODY and u[i] < 0.0:
+        if column_of[i] == _NONE and u[i] < 0.0:
             _augment(i, pairs, column_of, row_of, u, v)
     return column_of
 
 
 @compiled
 def _augment(root: int, pairs: _Pairs, column_of: IntArray, row_of: IntArray, u: Array, v: Array) -> None:
-    """Settle row `root` along the shortest augmenting path (Dijkstra on reduced costs cost_ij − u_i − v_j ≥ 0).
+    """Assign row `root` along the shortest augmenting path (Dijkstra on reduced costs cost_ij − u_i − v_j ≥ 0).
 
-    The path ends at a free column, or at a row that gives its column up.
+    The path ends at a free column, or at a row that becomes unassigned.
     """
     n = len(row_of)
-    distance, came_from, done = np.full(n, np.inf), np.full(n, _NOBODY), np.zeros(n, np.bool_)  # by column
-    end, row_end, length = _NOBODY, root, np.inf  # where the path ends: at column `end`, else at row `row_end`
+    distance, came_from, done = np.full(n, np.inf), np.full(n, _NONE), np.zeros(n, np.bool_)  # by column
+    end, row_end, length = _NONE, root, np.inf  # where the path ends: at column `end`, else at row `row_end`
     i, reached = root, 0.0
     while True:
         if reached - u[i] < length:
@@ -125,13 +125,13 @@ def _augment(root: int, pairs: _Pairs, column_of: IntArray, row_of: IntArray, u:
             to_j = reached + pairs.costs[k] - u[i] - v[j]
             if not done[j] and to_j < distance[j]:
                 distance[j], came_from[j] = to_j, i
-        best = _NOBODY
+        best = _NONE
         for j in range(n):
-            if not done[j] and (best == _NOBODY or distance[j] < distance[best]):
+            if not done[j] and (best == _NONE or distance[j] < distance[best]):
                 best = j
-        if best == _NOBODY or distance[best] >= length:
+        if best == _NONE or distance[best] >= length:
             break
-        if row_of[best] == _NOBODY:
+        if row_of[best] == _NONE:
             end, length = best, distance[best]
             break
         done[best], reached, i = True, distance[best], row_of[best]
@@ -140,9 +140,9 @@ def _augment(root: int, pairs: _Pairs, column_of: IntArray, row_of: IntArray, u:
         if done[j]:
             u[row_of[j]] += length - distance[j]
             v[j] -= length - distance[j]
-    if end == _NOBODY:
-        end, column_of[row_end], u[row_end] = column_of[row_end], _NOBODY, 0.0
-    while end != _NOBODY:  # hand each column on the path to the row that came for it
+    if end == _NONE:
+        end, column_of[row_end], u[row_end] = column_of[row_end], _NONE, 0.0
+    while end != _NONE:  # assign each column on the path to the row before it
         row = came_from[end]
         row_of[end] = row
         column_of[row], end = end, column_of[row]

@@ -1,4 +1,4 @@
-"""Figures for tables: interquartile means and bootstrap intervals (Agarwal et al., NeurIPS 2021)."""
+"""Statistics for tables: interquartile means and bootstrap intervals (Agarwal et al., NeurIPS 2021)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from slam_gym.types import Array, IntArray
 
 Statistic = Callable[[Array], Array]
-"""Values (…, n) -> one figure per row (…,)."""
+"""A function from values (…, n) to one number per row (…,)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """An estimate and its confidence interval of 95 %."""
+    """An estimate and its 95 % confidence interval."""
 
     estimate: float
     low: float
@@ -23,7 +23,7 @@ class Interval:
 
 
 def interquartile_mean(values: Array) -> Array:
-    """Mean (…,) of values (…, n) without the lowest and the highest ⌊n/4⌋ of each row.
+    """(…,) mean of values (…, n) without the lowest and the highest ⌊n/4⌋ of each row.
 
     Raises ValueError for n = 0.
     """
@@ -37,7 +37,7 @@ def interquartile_mean(values: Array) -> Array:
 
 
 def mean(values: Array) -> Array:
-    """Mean (…,) of values (…, n), catastrophes and all."""
+    """(…,) mean of values (…, n), including outliers."""
     out: Array = np.asarray(values, np.float64).mean(axis=-1)
     return out
 
@@ -50,10 +50,10 @@ def bootstrap_interval(
     strata: IntArray | None = None,
     resamples: int = 5000,
 ) -> Interval:
-    """Percentile bootstrap interval of 95 % for a statistic of values (n,).
+    """The 95 % percentile bootstrap interval of a statistic of values (n,).
 
-    `strata` (n,), where given, says which group (a scenario, a training seed) each value belongs to; every resample
-    draws from each group as many values as it has. Raises ValueError for no values, or values that are not finite.
+    `strata` (n,) names the group (a scenario, a training seed) of each value; every resample draws from each group as
+    many values as the group has. Raises ValueError without values, or for values that are not finite.
     """
     values = np.asarray(values, np.float64)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
@@ -69,7 +69,7 @@ def paired_difference(
 ) -> Interval:
     """Bootstrap interval of the statistic of a_i − b_i, for values (n,) of two methods on the same n seeds.
 
-    The methods differ where the interval excludes 0. Raises ValueError where the shapes differ.
+    The methods differ significantly if the interval excludes 0. Raises ValueError where the shapes differ.
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if a.shape != b.shape:
